@@ -1,0 +1,1 @@
+"""The engine draws: lives of contacts, the force of an ensemble, steady averages."""

@@ -1,0 +1,49 @@
+"""Random streams that belong to contacts: a draw depends on (seed, purpose, contact, life, draw) and nothing else.
+
+Philox4x32-10 (Salmon, Moraes, Dror and Shaw, 2011: "Parallel random numbers: as easy as 1, 2, 3") turns a counter
+and a key into 128 random bits. The key comes from (seed, purpose), the counter holds contact, life and draw, so that
+a contact's history cannot depend on threads, blocks, or on what was simulated before it.
+"""
+
+import numpy as np
+
+from eqsim.compiled import inlined
+
+TRAJECTORY = 1  # purposes: the trajectory of an ensemble
+STEADY = 2  # and the randomisations of a steady estimate
+
+_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+
+
+def key(seed: int, purpose: int) -> tuple[np.uint64, np.uint64]:
+    """The two 32-bit words of a Philox key."""
+    words = np.random.SeedSequence((seed, purpose)).generate_state(2, np.uint32)
+    return np.uint64(words[0]), np.uint64(words[1])
+
+
+@inlined
+def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
+    """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
+    for _ in range(10):
+        p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
+        c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW
+        k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
+    return c0, c1, c2, c3
+
+
+@inlined
+def uniform(low: int, high: int) -> float:
+    """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
+    bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
+    return min((np.float64(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
+
+
+@inlined
+def uniforms(key: tuple[int, int], contact: int, life: int, draw: int) -> tuple[float, float]:
+    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^48, draw < 2^16."""
+    c, j = np.uint64(contact), np.uint64(life)
+    last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
+    a, b, d, e = philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
+    return uniform(a, b), uniform(d, e)

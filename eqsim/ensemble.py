@@ -1,0 +1,148 @@
+"""An interface of N contacts and how it is driven; where both are lowered to plain numbers for the kernels."""
+
+import functools
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from eqsim.errors import require_choice, require_integer, require_number
+from eqsim.laws.delay import Delay
+from eqsim.laws.octaves import Array
+from eqsim.laws.stiffness import StiffnessLaw
+from eqsim.laws.thermal import NO_POOL, PooledHazard, Thermal, erfi_inverse_table, pooled_hazard
+from eqsim.laws.threshold import NO_TABLE, Gamma, ThresholdLaw
+
+Disorder = Literal["quenched", "annealed"]
+Start = Literal["fresh", "stationary"]
+
+MECHANICAL, SOFT, STIFF, POOLED = range(4)
+_FLAT_OUT = 1e16  # b above which a soft contact breaks at its threshold to double precision
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """N contacts of one kind (section 1 of Braun and Peyrard, 2011).
+
+    `count` N; `stiffness` k (force/length), the mean of the ensemble's k_i at the mean threshold force, with
+    `stiffness_law` "sqrt" (k_i ~ sqrt(f_si)) or "uniform"; `eta`, viscous coefficient of a detached contact
+    (force eta v); `disorder` "quenched" (a contact keeps its threshold for life: the literal model) or "annealed"
+    (every thermal attempt draws a fresh threshold: the published master equation). Raises InputError.
+    """
+
+    thresholds: ThresholdLaw = field(default_factory=Gamma)
+    thermal: Thermal = Thermal()
+    delay: Delay = Delay()
+    count: int = 100_000
+    stiffness: float = 1.0
+    stiffness_law: StiffnessLaw = "sqrt"
+    disorder: Disorder = "quenched"
+    eta: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_integer("count", self.count, 1, 10**12)
+        require_number("stiffness", self.stiffness, above=0)
+        require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
+        require_choice("disorder", self.disorder, ("quenched", "annealed"))
+        require_number("eta", self.eta, least=0)
+
+    @property
+    def b(self) -> float:
+        """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at kT = 0."""
+        energy = 0.5 * self.stiffness * self.thresholds.scale**2
+        return energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
+
+    @property
+    def crossover_velocity(self) -> float:
+        """v_* of the annealed ensemble, where Delta U(inf) = 1: nt12 (S_0 = 1) for n = 1, soft, uniform; the same
+        definition for every other law (derived). 0 at kT = 0."""
+        thermal = self.thermal
+        if math.isinf(self.b) or thermal.attempt_frequency == 0:
+            return 0.0
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, thermal.barrier, self.b)
+        return float(thermal.attempt_frequency * self.thresholds.scale * pool.G[-1])
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Rigid slider at constant `velocity` over `distance` (default: 200 mean newborn thresholds).
+
+    `start` "fresh": all contacts pinned and unstretched at X = 0; "stationary": the steady state. Raises InputError.
+    """
+
+    velocity: float
+    distance: float | None = None
+    start: Start = "fresh"
+
+    def __post_init__(self) -> None:
+        require_number("velocity", self.velocity, above=0)
+        if self.distance is not None:
+            require_number("distance", self.distance, above=0)
+        require_choice("start", self.start, ("fresh", "stationary"))
+
+    def over(self, ensemble: Ensemble) -> float:
+        """The distance, with its default filled in."""
+        return 200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
+
+
+class Contacts(NamedTuple):
+    """The plain numbers a kernel needs, lengths in units of the threshold law's scale, time as displacement.
+
+    `breaking` says how a life ends: MECHANICAL (at its threshold), SOFT, STIFF (quenched), POOLED (annealed).
+    """
+
+    threshold_table: Array
+    steps: Array
+    kappa_slope: float
+    kappa_constant: float
+    breaking: int
+    b: float
+    log_w: float
+    erfi_inverse: Array
+    pool_x: Array
+    pool_G: Array
+    pool_slope: Array
+    delay: float
+    exponential: bool
+
+
+def lower(ensemble: Ensemble, velocity: float) -> Contacts:
+    """Ensemble and velocity as plain numbers; the only place where objects become kernel arguments."""
+    law, thermal = ensemble.thresholds, ensemble.thermal
+    unit, b = law.scale, ensemble.b
+    breaking, pool = MECHANICAL, NO_POOL
+    thermally = thermal.attempt_frequency > 0 and not math.isinf(b)
+    if thermally and (thermal.barrier == "stiff" or b < _FLAT_OUT):
+        # identical contacts cannot tell a fresh threshold from their own
+        if ensemble.disorder == "annealed" and law.steps.size != 1:
+            breaking, pool = POOLED, pooled_hazard_of(law, ensemble.stiffness_law, thermal.barrier, b)
+        else:
+            breaking = SOFT if thermal.barrier == "soft" else STIFF
+    sqrt = ensemble.stiffness_law == "sqrt"
+    return Contacts(
+        threshold_table=threshold_table_of(law),
+        steps=law.steps / unit,
+        kappa_slope=unit / law.rms if sqrt else 0.0,
+        kappa_constant=0.0 if sqrt else 1.0,
+        breaking=breaking,
+        b=b,
+        log_w=math.log(thermal.attempt_frequency * unit) - math.log(velocity) if thermally else -math.inf,
+        erfi_inverse=erfi_inverse_table() if breaking == SOFT else NO_TABLE,
+        pool_x=pool.x,
+        pool_G=pool.G,
+        pool_slope=pool.slope,
+        delay=velocity * ensemble.delay.time / unit,
+        exponential=ensemble.delay.law == "exponential",
+    )
+
+
+@functools.lru_cache(maxsize=32)
+def threshold_table_of(law: ThresholdLaw) -> Array:
+    """The law's table, remembered: sweeps over velocity and temperature share it."""
+    return law.table()
+
+
+@functools.lru_cache(maxsize=32)
+def pooled_hazard_of(law: ThresholdLaw, stiffness: Any, barrier: Any, b: float) -> PooledHazard:
+    """The pooled hazard, remembered: it does not depend on velocity."""
+    return pooled_hazard(law, stiffness, barrier, b)
+

@@ -1,0 +1,45 @@
+"""Errors a user's input can cause: one line that names the field, its value and what is allowed."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class InputError(ValueError):
+    """Something the user gave cannot be used; the message is a single line meant to be printed as it is."""
+
+
+@contextmanager
+def under(section: str) -> Iterator[None]:
+    """Put `section.` before the field that an InputError raised inside names."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{section}.{error}") from None
+
+
+def require_number(field: str, value: float, *, above: float | None = None, least: float | None = None) -> None:
+    """Raise InputError unless `value` is a finite real number greater than `above` and not less than `least`."""
+    allowed = "a finite number"
+    if above is not None:
+        allowed += f" > {above:g}"
+    if least is not None:
+        allowed += f" >= {least:g}"
+    try:
+        ok = math.isfinite(value) and (above is None or value > above) and (least is None or value >= least)
+    except (TypeError, OverflowError):
+        ok = False
+    if not ok:
+        raise InputError(f"{field} = {value!r}: must be {allowed}")
+
+
+def require_integer(field: str, value: int, least: int, most: int) -> None:
+    """Raise InputError unless `value` is an integer in [least, most]."""
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise InputError(f"{field} = {value!r}: must be an integer from {least} to {most}")
+
+
+def require_choice(field: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Raise InputError unless `value` is one of `allowed`."""
+    if value not in allowed:
+        raise InputError(f"{field} = {value!r}: must be one of " + ", ".join(f'"{a}"' for a in allowed))

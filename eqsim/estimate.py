@@ -1,0 +1,61 @@
+"""Numbers with error bars, and how far they are from an exact value."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from eqsim.laws.octaves import Array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value and its standard error.
+
+    `n` is the number of lives (or other samples) behind it, `dof` the number of independent batches less one from
+    which the error was found: (value - truth)/stderr follows Student's law with `dof` degrees of freedom, or the
+    normal law if `dof` is None. `reliable` is False where the error bar cannot be trusted. `value` or `stderr` is
+    None where the sample says nothing about it.
+    """
+
+    value: float | None
+    stderr: float | None
+    n: int
+    dof: int | None = None
+    reliable: bool = True
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
+    """sum(numerator)/sum(denominator) over independent batches, shape (batches,), by the delta method."""
+    total = float(np.sum(denominator))
+    if total == 0.0:
+        return Estimate(None, None, n, None, False)
+    value = float(np.sum(numerator)) / total
+    batches = len(numerator)
+    if batches < 2:
+        return Estimate(value, None, n, None, False)
+    residual = numerator - value * denominator
+    variance = batches / (batches - 1) * float(np.sum((residual - residual.mean()) ** 2))
+    return Estimate(value, math.sqrt(variance) / abs(total), n, batches - 1)
+
+
+def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) -> float | None:
+    """Standard-normal score of estimate - reference, both errors in quadrature; None if both errors are 0.
+
+    With few batches the Student probability is turned into the normal score of the same probability.
+    """
+    if estimate.value is None or estimate.stderr is None:
+        return None
+    sigma = math.hypot(estimate.stderr, reference_error)
+    if sigma == 0.0:
+        return None
+    z = (estimate.value - reference) / sigma
+    if estimate.dof is None:
+        return z
+    return math.copysign(float(-stats.norm.ppf(stats.t.sf(abs(z), estimate.dof))), z)

@@ -1,0 +1,25 @@
+"""Stiffness of a contact from its threshold."""
+
+from typing import Literal
+
+import numpy as np
+
+from eqsim.compiled import inlined
+from eqsim.laws.octaves import Array
+
+StiffnessLaw = Literal["sqrt", "uniform"]
+
+
+def relative_stiffness(law: StiffnessLaw, xi: Array, xi_rms: float) -> Array:
+    """k_i/k of contacts with threshold stretches `xi` (any shape, same length unit as `xi_rms`).
+
+    sqrt: k_i = k sqrt(f_si/f_s) (section II of Braun and Peyrard, 2011), which with f_si = k_i xi_i is
+    k_i = k xi_i/xi_rms (derived), f_s being the mean threshold force. uniform: k_i = k.
+    """
+    return xi / xi_rms if law == "sqrt" else np.ones_like(xi)
+
+
+@inlined
+def kappa(slope: float, constant: float, xi: float) -> float:
+    """k_i/k for the kernels: (1/xi_rms, 0) is the sqrt law, (0, 1) the uniform one."""
+    return constant + slope * xi

@@ -1,0 +1,238 @@
+"""Thermally activated breaking of a pinned contact: rates, integrated hazards and their exact inverses.
+
+With stretch x, threshold xi and a = k_i/(2 kT), per attempt (that is in units of omega):
+
+    soft   r = exp(-a (xi^2 - x^2))                                                     (behind temper11)
+    stiff  r = sqrt(1 - x/xi) exp(-a xi^2 (1 - x/xi)^(3/2))                             (behind temper12)
+
+At velocity v the hazard per unit displacement is (omega/v) r, and its integral H(x) = int_0^x r dy is (derived)
+
+    soft   H = exp(-a xi^2) sqrt(pi) / (2 sqrt(a)) erfi(sqrt(a) x)
+    stiff  H = 2 / (3 a xi) (exp(-a xi^2 (1 - x/xi)^(3/2)) - exp(-a xi^2))
+
+A contact whose exponential clock shows E breaks where (omega/v) H(x) = E, or at xi if that comes first. Exponents
+reach 1e9, so everything is done in logarithms. Labels are those of Braun and Peyrard (2011).
+
+Quenched contacts keep their own xi. In the annealed ensemble every attempt draws a fresh xi' and needs xi' > x, so
+that contacts share one pooled rate h(x) = int_x^inf P_c(xi') r(x|xi') dxi' (H(x) v/omega of temper11, temper12).
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy import special
+from scipy.interpolate import CubicSpline
+
+from eqsim.compiled import inlined
+from eqsim.errors import InputError, require_choice, require_number
+from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
+from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
+from eqsim.laws.threshold import ThresholdLaw
+
+Barrier = Literal["soft", "stiff"]
+
+
+@dataclass(frozen=True)
+class Thermal:
+    """Temperature `kT` (energy), `attempt_frequency` omega (1/time) and the shape of the barrier.
+
+    Raises InputError for negative or non-finite values and an unknown barrier.
+    """
+
+    kT: float = 0.0
+    attempt_frequency: float = 1.0
+    barrier: Barrier = "soft"
+
+    def __post_init__(self) -> None:
+        require_number("kT", self.kT, least=0)
+        require_number("attempt_frequency", self.attempt_frequency, least=0)
+        require_choice("barrier", self.barrier, ("soft", "stiff"))
+
+
+# ---------------------------------------------------------------------------------------------- quenched, NumPy
+
+
+def log_erfi(z: Any) -> Array:
+    """ln erfi(z) for z > 0 of any size, through Dawson's function."""
+    z = np.asarray(z, float)
+    return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
+
+
+def log_rate(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
+    """ln r of a contact at stretch 0 <= x < xi; a = k_i/(2 kT)."""
+    if barrier == "soft":
+        return np.asarray(-a * (xi - x) * (xi + x))
+    gap = (xi - x) / xi
+    return np.asarray(0.5 * np.log(gap) - a * xi**2 * gap**1.5)
+
+
+def log_hazard(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
+    """ln H(x) of a contact, 0 < x <= xi."""
+    c = np.asarray(a * xi**2, float)
+    if barrier == "soft":
+        root = np.sqrt(a)
+        return math.log(math.sqrt(math.pi) / 2) - np.log(root) - c + log_erfi(root * x)
+    # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
+    gap15 = -np.expm1(1.5 * np.log1p(-np.minimum(x / xi, 1 - 1e-17)))  # 1 - (1 - x/xi)^1.5 without cancellation
+    return math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15) + np.log(-np.expm1(-c * gap15))
+
+
+# -------------------------------------------------------------------------------------------- quenched, kernels
+
+_LOG_SOFT = math.log(2.0 / math.sqrt(math.pi))
+
+
+@functools.cache
+def erfi_inverse_table() -> Array:
+    """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up to s = 2^60.
+
+    The relative error is below 3e-10.
+    """
+    first, last = -30, 60
+    s = octave_edges(first, last)
+    target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
+    z = np.where(s < 1, s * math.sqrt(math.pi) / 2, np.sqrt(s + 1))
+    for _ in range(60):  # Newton for ln erfi, whose derivative is 1/dawsn
+        z = np.maximum(z - (log_erfi(z) - target) * special.dawsn(z), z / 4)
+    return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
+
+
+@inlined
+def softplus(y: float) -> float:
+    """ln(1 + exp(y)) for any y."""
+    return y if y > 40.0 else math.log1p(math.exp(y))
+
+
+@inlined
+def soft_stretch(erfi_inverse: Array, xi: float, a: float, log_w: float, clock: float) -> float:
+    """Where a soft contact breaks: exp(log_w) H(x) = clock or x = xi; log_w = ln(omega/v)."""
+    log_z = _LOG_SOFT + math.log(clock * math.sqrt(a)) + a * xi * xi - log_w  # ln erfi(sqrt(a) x)
+    return min(xi, look_up(erfi_inverse, softplus(log_z)) / math.sqrt(a))
+
+
+@inlined
+def stiff_stretch(xi: float, a: float, log_w: float, clock: float) -> float:
+    """Where a stiff contact breaks: exp(log_w) H(x) = clock or x = xi."""
+    c = a * xi * xi
+    spent = softplus(c + math.log(1.5 * a * xi * clock) - log_w) / c  # 1 - (1 - x/xi)^1.5
+    if spent >= 1.0:
+        return xi
+    return -xi * math.expm1(math.log1p(-spent) * (2.0 / 3.0))
+
+
+# ----------------------------------------------------------------------------------------------------- annealed
+
+
+class PooledHazard(NamedTuple):
+    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse, as nodes with the slope dx/dG beside them."""
+
+    x: Array
+    G: Array
+    slope: Array
+
+
+NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty(0))
+MOST_POOLED_STEPS = 4096
+
+
+def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, y: Array) -> Array:
+    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of `law.scale`.
+
+    The integral over xi' > y is a trapezoidal sum in ln(xi' - y) (logistic where the support ends), which converges
+    exponentially and resolves the layer of width 1/(2 b y) next to y at any b.
+    """
+    low, high = (edge / law.scale for edge in law.support)
+    left = np.maximum(y, low)[:, None]
+    step = 0.1
+    s = np.arange(-64.0, 64.0, step)[None, :]
+    if math.isinf(high):
+        s = s[:, s[0] < math.log(law.exceeded_by(500.0) / law.scale)]
+        beyond = jacobian = np.exp(s)
+    else:
+        beyond = np.maximum(high - left, 0.0) * special.expit(s)
+        jacobian = beyond * special.expit(-s)
+    xi = left + beyond
+    gap = left - y[:, None] + beyond  # xi - y without cancellation
+    a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
+    if barrier == "soft":
+        log_r = -a * gap * (gap + 2 * y[:, None])
+    else:
+        with np.errstate(divide="ignore"):
+            log_r = 0.5 * np.log(gap / xi) - a * xi**2 * (gap / xi) ** 1.5
+    return np.asarray(np.sum(law.pdf(xi * law.scale) * law.scale * np.exp(log_r) * jacobian, axis=1) * step)
+
+
+def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
+    """G and its inverse for the annealed ensemble, lengths in units of `law.scale`; Delta U = (omega/v) G (nt09).
+
+    Relative error of the inverse: below 1e-8 for smooth laws, below 1e-4 of the distance between neighbours for
+    discrete ones. Raises InputError for a discrete law of more than 4096 thresholds.
+    """
+    if law.steps.size:
+        return _pooled_steps(law, stiffness, barrier, b)
+    top = float(law.exceeded_by(60.0)) / law.scale
+    y = np.geomspace(1e-14, top, 3072)
+    h = pooled_rate(law, stiffness, barrier, b, y)
+    density = CubicSpline(np.log(y), y * h)  # dG/d ln y
+    G = y[0] * h[0] + density.antiderivative()(np.log(y))
+    with np.errstate(divide="ignore"):
+        return _pool(y, G, 1.0 / h)
+
+
+def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
+    """G of equally likely thresholds: a mean of closed forms, at nodes that crowd towards each threshold from below,
+    where the rate of attempts on it rises to 1."""
+    xi = np.unique(law.steps) / law.scale
+    if xi.size > MOST_POOLED_STEPS:
+        raise InputError(
+            f"thresholds: {xi.size} different values; annealed disorder at kT > 0 takes at most {MOST_POOLED_STEPS}"
+        )
+    weight = np.unique(law.steps, return_counts=True)[1] / law.steps.size
+    a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
+    halvings = np.unique(np.concatenate(([0.0], 2.0 ** -np.arange(0.0, 44.0, 2.0 if xi.size > 64 else 0.25))))
+    y = np.unique(np.concatenate(((xi[0] * halvings)[1:], *(hi - (hi - lo) * halvings for lo, hi in _gaps(xi)))))
+    G, slope = np.zeros(y.size), np.zeros(y.size)
+    for j in range(xi.size):
+        below = y < xi[j]
+        G[below] += weight[j] * np.exp(log_hazard(barrier, y[below], xi[j], a[j]))
+        G[~below] += weight[j] * np.exp(log_hazard(barrier, xi[j], xi[j], a[j]))
+        slope[below] += weight[j] * np.exp(log_rate(barrier, y[below], xi[j], a[j]))
+    with np.errstate(divide="ignore"):
+        return _pool(y, G, 1.0 / slope)
+
+
+def _gaps(xi: Array) -> list[tuple[float, float]]:
+    return list(zip(np.append(0.0, xi[:-1]), xi, strict=True))
+
+
+def _pool(x: Array, G: Array, slope: Array) -> PooledHazard:
+    """Drop nodes that cannot be told apart, and keep the interpolant monotone (Fritsch and Carlson)."""
+    keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
+    x, G, slope = x[keep], G[keep], slope[keep]
+    secant = np.diff(x) / np.diff(G)
+    limit = 3.0 * np.minimum(np.append(secant, np.inf), np.append(np.inf, secant))
+    return PooledHazard(x, G, np.minimum(slope, limit))
+
+
+@inlined
+def pooled_stretch(x: Array, G: Array, slope: Array, target: float) -> float:
+    """Where G = target; infinite if G never gets there."""
+    last = G.size - 1
+    if target >= G[last]:
+        return math.inf
+    if target <= G[0]:
+        return x[0] * (target / G[0])
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if G[middle] <= target:
+            low = middle
+        else:
+            high = middle
+    width = G[high] - G[low]
+    t = (target - G[low]) / width
+    left, right, rise = slope[low] * width, slope[high] * width, x[high] - x[low]
+    return x[low] + t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise)))

@@ -1,0 +1,246 @@
+"""Threshold stretches xi of newborn contacts: P_c(xi), its moments, and how a kernel draws from it.
+
+A smooth law is drawn as xi(e), e ~ Exp(1): the threshold that a fraction exp(-e) of the contacts exceeds, that is
+J_c(xi) = exp(-e) (PcP of Braun and Peyrard, 2011). In this variable both tails of the law are resolved to the last
+bit of a 64-bit uniform, and one table serves every law. A law of finitely many thresholds is drawn by its rank.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from scipy import special
+
+from eqsim.compiled import inlined
+from eqsim.errors import InputError, require_number
+from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
+
+# e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
+FIRST_OCTAVE, LAST_OCTAVE = -54, 9
+NO_STEPS: Array = np.empty(0)
+NO_TABLE: Array = np.empty((0, 4))
+
+
+class ThresholdLaw(Protocol):
+    """What the rest of eqsim asks of a law of thresholds; lengths are in the user's unit."""
+
+    @property
+    def scale(self) -> float:
+        """A typical threshold, the unit of length inside the kernels."""
+
+    @property
+    def mean(self) -> float:
+        """<xi>."""
+
+    @property
+    def rms(self) -> float:
+        """sqrt(<xi^2>)."""
+
+    @property
+    def steps(self) -> Array:
+        """Ascending equally likely thresholds of a discrete law; empty for a smooth one."""
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Least and greatest threshold."""
+
+    def pdf(self, x: Any) -> Array:
+        """P_c(x) of a smooth law."""
+
+    def sf(self, x: Any) -> Array:
+        """J_c(x) = P(xi > x)."""
+
+    def exceeded_by(self, e: Any) -> Array:
+        """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
+
+    def table(self) -> Array:
+        """`exceeded_by` in units of `scale` for `threshold_draw`; empty for a discrete law."""
+
+
+@dataclass(frozen=True)
+class Gamma:
+    """Forces f_s ~ f^n exp(-f/f_*) (eq:pcf), that is P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2), any real n >= 0:
+    xi^2/x_*^2 follows the gamma law of shape n+1. Raises InputError for n < 0 or x_star <= 0."""
+
+    n: float = 1.0
+    x_star: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_number("n", self.n, least=0)
+        require_number("x_star", self.x_star, above=0)
+
+    @property
+    def scale(self) -> float:
+        return self.x_star
+
+    @property
+    def mean(self) -> float:
+        return float(self.x_star * special.poch(self.n + 1.0, 0.5))
+
+    @property
+    def rms(self) -> float:
+        return self.x_star * math.sqrt(self.n + 1.0)
+
+    @property
+    def steps(self) -> Array:
+        return NO_STEPS
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return 0.0, math.inf
+
+    def pdf(self, x: Any) -> Array:
+        """P_c(x) (PxPf2, normalised)."""
+        u = np.asarray(x, float) / self.x_star
+        inside = np.where(u > 0, u, 1.0)
+        log_pdf = (1 + 2 * self.n) * np.log(inside) - inside**2 - special.gammaln(self.n + 1.0)
+        return np.where(u > 0, 2.0 / self.x_star * np.exp(log_pdf), 0.0)
+
+    def cdf(self, x: Any) -> Array:
+        """P(xi <= x)."""
+        return np.asarray(special.gammainc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2))
+
+    def sf(self, x: Any) -> Array:
+        return np.asarray(special.gammaincc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2))
+
+    def exceeded_by(self, e: Any) -> Array:
+        e = np.asarray(e, float)
+        low = special.gammaincinv(self.n + 1.0, -np.expm1(-e))
+        high = special.gammainccinv(self.n + 1.0, np.exp(-e))
+        return self.x_star * np.sqrt(np.where(e < 0.7, low, high))
+
+    def table(self) -> Array:
+        e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+        u = self.exceeded_by(e) / self.x_star
+        slope = 0.5 * np.exp(u**2 - e + special.gammaln(self.n + 1.0) - (2 * self.n + 1) * np.log(u))  # J_c/P_c
+        return octave_table(FIRST_OCTAVE, u, slope)
+
+
+class _Discrete:
+    """What laws of finitely many equally likely thresholds share."""
+
+    steps: Array
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.steps))
+
+    @property
+    def scale(self) -> float:
+        return self.mean
+
+    @property
+    def rms(self) -> float:
+        return self.scale * float(np.sqrt(np.mean((self.steps / self.scale) ** 2)))
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return float(self.steps[0]), float(self.steps[-1])
+
+    def pdf(self, x: Any) -> Array:
+        raise NotImplementedError("a discrete law of thresholds has no density")
+
+    def cdf(self, x: Any) -> Array:
+        """P(xi <= x)."""
+        return np.searchsorted(self.steps, x, side="right") / self.steps.size
+
+    def sf(self, x: Any) -> Array:
+        return 1.0 - self.cdf(x)
+
+    def exceeded_by(self, e: Any) -> Array:
+        rank = (np.exp(-np.asarray(e, float)) * self.steps.size).astype(np.int64)
+        return self.steps[self.steps.size - 1 - np.minimum(rank, self.steps.size - 1)]
+
+    def table(self) -> Array:
+        return NO_TABLE
+
+
+@dataclass(frozen=True)
+class Delta(_Discrete):
+    """Identical contacts, P_c(x) = delta(x - x_star). Raises InputError for x_star <= 0."""
+
+    x_star: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_number("x_star", self.x_star, above=0)
+
+    @property
+    def steps(self) -> Array:  # type: ignore[override]
+        return np.array([self.x_star])
+
+
+class Table(_Discrete):
+    """Measured or computed thresholds, in any order, resampled with equal weights as they are (the empirical law).
+
+    Raises InputError if there is none, or one is not a finite positive number.
+    """
+
+    def __init__(self, thresholds: Any) -> None:
+        try:
+            steps = np.sort(np.asarray(thresholds, float).ravel())
+        except (TypeError, ValueError):
+            raise InputError("threshold table: every value must be a number") from None
+        if steps.size == 0:
+            raise InputError("threshold table: is empty; at least one positive threshold is needed")
+        bad = steps[~(np.isfinite(steps) & (steps > 0))]
+        if bad.size:
+            raise InputError(f"threshold table: holds {bad[0]:g}; every threshold must be a finite number > 0")
+        self.steps = steps
+
+    def __repr__(self) -> str:
+        return f"Table({self.steps.size} thresholds from {self.steps[0]:g} to {self.steps[-1]:g})"
+
+
+class Distribution:
+    """Any frozen continuous `scipy.stats` distribution of positive thresholds with a finite mean square.
+
+    Raises InputError if the argument is something else.
+    """
+
+    def __init__(self, frozen: Any) -> None:
+        if not all(callable(getattr(frozen, name, None)) for name in ("pdf", "cdf", "sf", "isf", "ppf")):
+            raise InputError(f"threshold distribution = {frozen!r}: must be a frozen continuous scipy.stats one")
+        self.frozen = frozen
+        if not float(frozen.ppf(0.0)) >= 0.0:
+            raise InputError(f"threshold distribution: its support begins at {frozen.ppf(0.0):g}; must be >= 0")
+        second = float(frozen.moment(2))
+        require_number("threshold distribution: <xi^2>", second, above=0)
+        self.mean, self.rms = float(frozen.mean()), math.sqrt(second)
+        self.scale = self.mean
+        self.steps = NO_STEPS
+        self.support = tuple(float(edge) for edge in frozen.support())
+
+    def pdf(self, x: Any) -> Array:
+        """P_c(x)."""
+        return np.asarray(self.frozen.pdf(x))
+
+    def cdf(self, x: Any) -> Array:
+        """P(xi <= x)."""
+        return np.asarray(self.frozen.cdf(x))
+
+    def sf(self, x: Any) -> Array:
+        return np.asarray(self.frozen.sf(x))
+
+    def exceeded_by(self, e: Any) -> Array:
+        e = np.asarray(e, float)
+        return np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
+
+    def table(self) -> Array:
+        e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+        xi = self.exceeded_by(e)
+        if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
+            raise InputError("threshold distribution: its ppf and isf must be finite, positive and monotone")
+        with np.errstate(all="ignore"):
+            slope = self.frozen.sf(xi) / self.frozen.pdf(xi)
+        secant = np.gradient(xi, e)
+        slope = np.where(np.isfinite(slope), slope, secant)  # where the density vanishes: support ends, gaps
+        return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
+
+
+@inlined
+def threshold_draw(table: Array, steps: Array, u: float) -> float:
+    """A threshold from a uniform u in (0, 1), the fraction of contacts that exceed it."""
+    if steps.size > 0:
+        return steps[steps.size - 1 - np.int64(u * steps.size)]
+    return look_up(table, -math.log(u))
