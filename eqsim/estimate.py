@@ -45,6 +45,16 @@ def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
     return Estimate(value, math.sqrt(variance) / abs(total), n, batches - 1)
 
 
+def drifts(numerator: Array, denominator: Array, sigmas: float) -> bool:
+    """Whether the ratios of two halves of a record, arrays (batches, 2), differ by more than `sigmas` standard errors."""
+    total = denominator.sum(axis=0)
+    if np.any(total == 0):
+        return True
+    ratios = numerator.sum(axis=0) / total
+    residual = np.diff((numerator - ratios * denominator) / total, axis=1)
+    return bool(abs(ratios[1] - ratios[0]) > sigmas * math.sqrt(len(residual) * np.var(residual, ddof=1)))
+
+
 def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) -> float | None:
     """Standard-normal score of estimate - reference, both errors in quadrature; None if both errors are 0.
 

@@ -17,7 +17,7 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +34,7 @@ from eqsim.laws.octaves import Array
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
 _DECAY = 0.75  # assumed when lives are predicted: error ~ lives^-0.75, between Monte Carlo and smooth integrands
-# A normal sample of 32 puts half its variance into one value once in 1e7, and one life in 65 536 should not matter:
-_DOMINANT_RANDOMISATION, _DOMINANT_LIFE = 0.5, 0.02
+_DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
 
 Progress = Callable[[int, int], None]
 
@@ -187,20 +186,12 @@ def _averages(sums: Array, delay: float, drag: float, unit: float, size: int) ->
     n = RANDOMISATIONS * size
 
     def estimate(value: float, residual: Array) -> Estimate:
-        deviation = residual - residual.mean()
-        square = float(np.sum(deviation**2))
-        stderr = math.sqrt(square / (RANDOMISATIONS * (RANDOMISATIONS - 1)))
-        even = square == 0 or float(np.max(deviation**2)) < _DOMINANT_RANDOMISATION * square
-        return Estimate(value, stderr, n, RANDOMISATIONS - 1, even and float(sums[:, 2].max()) < _DOMINANT_LIFE)
+        stderr = float(np.std(residual, ddof=1)) / math.sqrt(RANDOMISATIONS)
+        return Estimate(value, stderr, n, RANDOMISATIONS - 1, float(sums[:, 2].max()) < _DOMINANT)
 
-    in_length = estimate(float(stretch.mean()), stretch)
     return (
-        _scaled(estimate(friction, (work + drag * delay - friction * cycle) / cycle.mean()), unit),
-        # residual of a ratio; without delay the fraction is 1 for certain
+        estimate(friction * unit, (work + drag * delay - friction * cycle) / cycle.mean() * unit),
+        # without delay the fraction is 1 for certain
         estimate(pinned, (stretch - pinned * cycle) / cycle.mean() if delay else np.zeros(RANDOMISATIONS)),
-        _scaled(in_length, unit),
+        estimate(float(stretch.mean()) * unit, stretch * unit),
     )
-
-
-def _scaled(estimate: Estimate, unit: float) -> Estimate:
-    return replace(estimate, value=(estimate.value or 0.0) * unit, stderr=(estimate.stderr or 0.0) * unit)

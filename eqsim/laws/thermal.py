@@ -76,7 +76,8 @@ def log_hazard(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
         root = np.sqrt(a)
         return math.log(math.sqrt(math.pi) / 2) - np.log(root) - c + log_erfi(root * x)
     # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
-    gap15 = -np.expm1(1.5 * np.log1p(-np.minimum(x / xi, 1 - 1e-17)))  # 1 - (1 - x/xi)^1.5 without cancellation
+    with np.errstate(divide="ignore"):  # x = xi
+        gap15 = -np.expm1(1.5 * np.log1p(-x / xi))  # 1 - (1 - x/xi)^1.5 without cancellation
     return math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15) + np.log(-np.expm1(-c * gap15))
 
 

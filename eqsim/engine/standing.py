@@ -1,0 +1,142 @@
+"""The stationary population: what a snapshot of the steady state finds, as tables to draw from.
+
+A snapshot sees contacts in proportion to their time, not to their births (length bias, derived): pinned contacts have
+thresholds of density P_c(xi) m(xi)/C, where m(xi) = E[x_b|xi] and C = E[x_b], and given xi a stretch of density
+S(x|xi)/m(xi) with S(x|xi) = P(x_b > x|xi).
+
+S decreases, so x S(x) <= int_0^x S dy <= m and S is below the envelope g(x) = min(1, m/x). A stretch x proposed from
+g is kept with probability S(x)/g(x): that is, if a life whose clock shows -ln(U g(x)), U uniform, breaks beyond x.
+Given that, this clock is Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import integrate, interpolate
+
+from eqsim.compiled import inlined, kernel
+from eqsim.engine.life import break_stretch
+from eqsim.engine.streams import uniforms
+from eqsim.ensemble import POOLED, SOFT, Contacts
+from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
+from eqsim.laws.stiffness import kappa
+from eqsim.laws.thermal import log_hazard
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, NO_TABLE, threshold_draw
+
+_LOG_E = np.linspace(-53 * math.log(2), math.log(500), 3000)
+_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
+
+
+class Standing(NamedTuple):
+    """Tables of the stationary state, in the units of `Contacts`.
+
+    `pinned` is the pinned fraction, `mean_stretch` C. A smooth law has `biased`, e of a standing threshold against
+    -ln of a uniform, and `life`, m against e; a discrete one has `share`, the cumulative share of its thresholds, and
+    `step_life`, m of each.
+    """
+
+    pinned: float
+    mean_stretch: float
+    biased: Array
+    life: Array
+    share: Array
+    step_life: Array
+
+
+def standing(c: Contacts) -> Standing:
+    """The stationary state of contacts; tables are good to 1e-6 relative."""
+    if c.steps.size:
+        life = mean_lives(c, c.steps)
+        mean = float(life.mean())
+        return Standing(mean / (mean + c.delay), mean, NO_TABLE, NO_TABLE, np.cumsum(life) / life.sum(), life)
+    xi = np.empty(_LOG_E.size)
+    thresholds(c, np.exp(-np.exp(_LOG_E)), xi)
+    life = mean_lives(c, xi)
+    time = life * np.exp(_LOG_E - np.exp(_LOG_E))  # density of standing contacts in ln e, times C
+    below = integrate.cumulative_simpson(time, dx=_LOG_E[1] - _LOG_E[0], initial=0)
+    above = integrate.cumulative_simpson(time[::-1], dx=_LOG_E[1] - _LOG_E[0], initial=0)[::-1]
+    mean = float(below[-1])
+    use = (below > 0) & (above > 1e-200 * mean)  # beyond, nothing to draw
+    below, above, log_e = below[use] / mean, above[use] / mean, _LOG_E[use]
+    rank = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
+    rising = np.append(True, np.diff(rank) > 0)
+    log_rank, log_e = np.log(rank[rising]), log_e[rising]
+    edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+    to_e = interpolate.PchipInterpolator(log_rank, log_e)
+    at = np.clip(np.log(edges), log_rank[0], log_rank[-1])
+    e = np.exp(to_e(at))
+    inside = at == np.log(edges)
+    biased = octave_table(FIRST_OCTAVE, e, np.where(inside, e * to_e(at, 1) / edges, 0.0))
+    to_life = interpolate.CubicSpline(_LOG_E, np.log(life))
+    at = np.clip(np.log(edges), _LOG_E[0], _LOG_E[-1])
+    m = np.exp(to_life(at))
+    table = octave_table(FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0))
+    return Standing(mean / (mean + c.delay), mean, biased, table, NO_STEPS, NO_STEPS)
+
+
+def mean_lives(c: Contacts, xi: Array) -> Array:
+    """m(xi) = E[x_b|xi] = int_0^inf x_b(xi, E) exp(-E) dE by Gauss-Legendre panels in ln E, shape of `xi`.
+
+    The integrand has a kink where x_b reaches xi, at the integrated hazard of xi; panels shrink towards it.
+    """
+    if c.breaking == POOLED:
+        kink = np.exp(c.log_w) * np.interp(xi, c.pool_x, c.pool_G)
+    elif c.breaking:
+        stiffness = c.kappa_constant + c.kappa_slope * xi
+        log_h = log_hazard("soft" if c.breaking == SOFT else "stiff", xi, xi, c.b * stiffness)
+        kink = np.exp(np.minimum(log_h + c.log_w, 7.0))
+    else:
+        return xi.copy()
+    low, top = -46.0, math.log(50.0)
+    end = np.clip(np.log(np.maximum(kink, 1e-300)), low, top)
+    panels = np.concatenate((np.linspace(1.0, 0.05, 28), 0.025 * 2.0 ** -np.arange(0.0, 20.0, 2.0), [0.0]))
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    total = np.zeros(xi.size)
+    stretch = np.empty(xi.size)
+    for far, near in zip(panels[:-1], panels[1:], strict=True):
+        a, b = end - far * (end - low), end - near * (end - low)
+        for node, weight in zip(nodes, weights, strict=True):
+            log_clock = 0.5 * (a + b) + 0.5 * (b - a) * node
+            stretches(c, xi, np.exp(log_clock), stretch)
+            total += 0.5 * (b - a) * weight * stretch * np.exp(log_clock - np.exp(log_clock))
+    return total + xi * np.exp(-np.exp(end))
+
+
+@kernel
+def thresholds(c: Contacts, u: Array, xi: Array) -> None:
+    """Fill `xi` with the thresholds that fractions `u` of the contacts exceed."""
+    for i in range(u.size):
+        xi[i] = threshold_draw(c.threshold_table, c.steps, u[i])
+
+
+@kernel
+def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
+    """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show `clock`."""
+    for i in range(xi.size):
+        stretch[i] = break_stretch(c, xi[i], clock[i])
+
+
+@inlined
+def standing_contact(c: Contacts, s: Standing, key: tuple[int, int], contact: int, u: float) -> tuple[Any, Any, Any]:
+    """Stiffness k_i/k, stretch now, and stretch at breaking of a pinned contact of the stationary state."""
+    if c.steps.size > 0:
+        rank = min(np.searchsorted(s.share, u, side="right"), c.steps.size - 1)
+        xi, m = c.steps[rank], s.step_life[rank]
+    else:
+        e = look_up(s.biased, -math.log(u))
+        xi, m = threshold_draw(c.threshold_table, c.steps, math.exp(-e)), look_up(s.life, e)
+    m = min(m * _MARGIN, xi)
+    plateau = 1.0 / (1.0 + math.log(xi / m))  # share of the envelope's area where it is 1
+    draw = 1
+    while True:
+        u_stretch, u_clock = uniforms(key, contact, 0, draw)
+        if u_stretch < plateau:
+            x, log_envelope = m * (u_stretch / plateau), 0.0
+        else:
+            log_envelope = -(u_stretch / plateau - 1.0)
+            x = m * math.exp(-log_envelope)
+        ends = break_stretch(c, xi, -math.log(u_clock) - log_envelope)
+        if ends > x:
+            return kappa(c.kappa_slope, c.kappa_constant, xi), x, ends
+        draw += 1
