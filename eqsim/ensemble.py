@@ -84,6 +84,47 @@ class Drive:
         return 200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
 
 
+class Group(NamedTuple):
+    """A dimensionless group, or a scale, of a run: its usual name, value and meaning."""
+
+    name: str
+    value: float | str
+    meaning: str
+
+
+def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
+    """What decides the regime of a run."""
+    law, thermal = ensemble.thresholds, ensemble.thermal
+    unit, b, v = law.scale, ensemble.b, drive.velocity
+    found = [
+        Group("disorder", ensemble.disorder, "quenched: literal contacts; annealed: the published master equation"),
+        Group("x_star", unit, "unit of length: x_* of the threshold law, or its mean"),
+        Group("b", b, "k x_*^2 / (2 kT), barrier over temperature (nt08a)"),
+        Group("T/T_*", 0.0 if math.isinf(b) else 1.0 / b, "temperature over its crossover (nt09a)"),
+    ]
+    if thermal.attempt_frequency > 0:
+        reduced = v / (thermal.attempt_frequency * unit)
+        found.append(Group("v/(omega x_*)", reduced, "velocity in x_* per attempt"))
+    star = ensemble.crossover_velocity
+    if star > 0:
+        found += [
+            Group("v_*", star, "crossover velocity of the annealed ensemble, Delta U(inf) = 1 (nt12 and derived)"),
+            Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
+        ]
+    if ensemble.delay.time > 0:
+        found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
+    if ensemble.eta > 0:
+        found.append(Group("eta v/(k x_*)", ensemble.eta * v / (ensemble.stiffness * unit), "viscous force, detached"))
+    found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+    if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
+        if ensemble.stiffness_law == "sqrt":
+            text = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"
+        else:
+            text = "b >= 1/2: rare strong contacts dominate time" if b >= 0.5 else "no: b < 1/2, linear creep at low v"
+        found.append(Group("heavy tails", "yes" if b >= 0.5 or ensemble.stiffness_law == "sqrt" else "no", text))
+    return found
+
+
 class Contacts(NamedTuple):
     """The plain numbers a kernel needs, lengths in units of the threshold law's scale, time as displacement.
 

@@ -55,6 +55,14 @@ def drifts(numerator: Array, denominator: Array, sigmas: float) -> bool:
     return bool(abs(ratios[1] - ratios[0]) > sigmas * math.sqrt(len(residual) * np.var(residual, ddof=1)))
 
 
+def difference(first: Estimate, second: Estimate) -> float | None:
+    """first - second in units of their joint standard error; None if that is 0 or unknown."""
+    if first.value is None or second.value is None or first.stderr is None or second.stderr is None:
+        return None
+    sigma = math.hypot(first.stderr, second.stderr)
+    return (first.value - second.value) / sigma if sigma else None
+
+
 def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) -> float | None:
     """Standard-normal score of estimate - reference, both errors in quadrature; None if both errors are 0.
 

@@ -91,6 +91,19 @@ def predicted_lives(ensemble: Ensemble, drive: Drive, replicas: int = 1) -> floa
     return ensemble.count * replicas * (1.0 + distance / mean) if mean > 0 else math.inf
 
 
+def check_run(
+    ensemble: Ensemble, drive: Drive, points: int, seed: int, replicas: int, max_lives: float
+) -> float:
+    """The predicted lives of a run. Raises InputError if it cannot be done, or takes more than `max_lives` lives."""
+    require_integer("points", points, 2, 10**8)
+    require_integer("replicas", replicas, 1, 10**9)
+    require_integer("seed", seed, 0, 2**63 - 1)
+    expected = predicted_lives(ensemble, drive, replicas)
+    if not expected <= max_lives:
+        raise InputError(f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}")
+    return expected
+
+
 def trajectory(
     ensemble: Ensemble,
     drive: Drive,
@@ -107,12 +120,7 @@ def trajectory(
     The result depends on `seed`, never on `threads`; `progress(lives)` is told how many lives have been simulated.
     Raises InputError for arguments out of range, and if more than `max_lives` lives are predicted.
     """
-    require_integer("points", points, 2, 10**8)
-    require_integer("replicas", replicas, 1, 10**9)
-    require_integer("seed", seed, 0, 2**63 - 1)
-    expected = predicted_lives(ensemble, drive, replicas)
-    if expected > max_lives:
-        raise InputError(f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}")
+    check_run(ensemble, drive, points, seed, replicas, max_lives)
     begin = time.perf_counter()
     c = lower(ensemble, drive.velocity)
     unit = ensemble.thresholds.scale

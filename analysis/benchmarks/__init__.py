@@ -1,0 +1,1 @@
+"""Throughput of eqsim against what one would write without it, as ratios within one run."""

@@ -1,0 +1,332 @@
+"""The command line: arguments and printing only."""
+
+import functools
+import os
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from eqsim.errors import InputError, require_integer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from eqsim.engine.steady import Steady
+    from eqsim.ensemble import Drive, Ensemble
+    from eqsim.estimate import Estimate
+    from eqsim.runfile import RunFile
+
+app = typer.Typer(
+    help="Stochastic earthquake-model simulator of multi-contact friction.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Path_ = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file.", show_default=False)]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the run file, as section.key=value; repeatable."),
+]
+Seed = Annotated[int | None, typer.Option(help="Random seed, instead of the run file's.", show_default=False)]
+Threads = Annotated[
+    int | None, typer.Option(help="Threads; changes speed only, never a number. Default: all cores.", show_default=False)
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.")]
+
+
+def guarded(command: Callable[..., None]) -> Callable[..., None]:
+    """Turn what a user can cause into one line and an exit code: 2 for bad input, 130 for Ctrl-C."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except InputError as error:
+            _fail(str(error), 2)
+        except MemoryError:
+            _fail("not enough memory; fewer output.points need less", 2)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
+        except OSError as error:
+            _fail(f"{error.filename or 'file system'}: {error.strerror}", 2)
+        except KeyboardInterrupt:
+            _fail("interrupted; nothing was written", 130)
+
+    return run
+
+
+def _fail(message: str, code: int) -> None:
+    print(f"eqsim: {message}", file=sys.stderr)
+    raise typer.Exit(code)
+
+
+@app.command()
+@guarded
+def run(
+    path: Path_,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results. Default: out/NAME beside the run file.", show_default=False)
+    ] = None,
+    set_: Set = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    max_lives: MaxLives = 1e10,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate the ensemble contact by contact: friction force against displacement."""
+    file, changes = _load(path, set_, seed)
+    from eqsim import tables
+
+    folder = out or path.parent / "out" / path.stem
+    tables.check_folder(folder)
+    ensemble, drive = file.ensemble(path.parent), file.driven()
+    cores = _threads(threads)
+    from eqsim.engine.steady import steady
+    from eqsim.engine.trajectory import check_run, trajectory
+
+    output = file.output
+    expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+    with _lives_bar(expected, quiet or json) as progress:
+        level = steady(ensemble, drive.velocity, seed=output.seed, threads=cores)
+        result = trajectory(
+            ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=cores,
+            max_lives=max_lives, progress=progress,
+        )  # fmt: skip
+    columns = {
+        "X": result.X,
+        "t": result.t,
+        "force": result.force,
+        "pinned": result.pinned,
+        "force_stderr": result.force_stderr,
+        "pinned_stderr": result.pinned_stderr,
+    }
+    if result.force_replica_std is not None:
+        columns["force_replica_std"] = result.force_replica_std
+    origin = tables.provenance("run", file.model_dump(), _text(path, changes), output.seed)
+    averages = {"friction": result.friction, "pinned": result.pinned_fraction, "break_stretch": result.break_stretch}
+    summary = {
+        "title": file.title,
+        **{name: estimate.as_dict() for name, estimate in averages.items()},
+        "steady": {name: getattr(level, name).as_dict() for name in averages},
+        "lives": result.lives,
+        "engine_seconds": result.engine_seconds,
+        "threads": result.threads,
+        "seed": result.seed,
+        "versions": tables.versions(),
+    }
+    from eqsim.plots import trajectory_png
+
+    tables.publish(
+        folder,
+        {
+            "trajectory.parquet": tables.parquet(columns, origin),
+            "summary.json": tables.to_json(summary).encode(),
+            "force.png": trajectory_png(result, level, file.title or path.stem),
+        },
+    )
+    if json:
+        print(tables.to_json(summary))
+    elif not quiet:
+        _print_run(file, ensemble, averages, level, result, folder)
+
+
+@app.command()
+@guarded
+def steady(
+    path: Path_,
+    rel_error: Annotated[float, typer.Option(help="Relative standard error asked for, in all three observables.")] = 1e-3,
+    set_: Set = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    max_lives: MaxLives = 1e10,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Steady friction, pinned fraction and stretch at breaking, to a requested relative error."""
+    file, _ = _load(path, set_, seed)
+    ensemble, drive = file.ensemble(path.parent), file.driven()
+    cores = _threads(threads)
+    from eqsim import tables
+    from eqsim.engine.steady import steady as estimate_steady
+
+    with _lives_bar(None, quiet or json) as progress:
+        result = estimate_steady(
+            ensemble, drive.velocity, rel_error=rel_error, seed=file.output.seed, threads=cores, max_lives=max_lives,
+            progress=progress,
+        )  # fmt: skip
+    if not result.reached and not quiet:
+        print(f"eqsim: relative error {rel_error:g} was not reached within {max_lives:.3g} lives", file=sys.stderr)
+    averages = {name: getattr(result, name) for name in ("friction", "pinned", "break_stretch")}
+    if json:
+        out = {name: estimate.as_dict() for name, estimate in averages.items()}
+        print(tables.to_json({**out, "lives": result.lives, "seed": result.seed, "reached": result.reached}))
+    elif not quiet:
+        table = _table(file.title or path.stem, "", "steady value", "relative error")
+        for name, estimate in averages.items():
+            table.add_row(name, _text_of(estimate), _relative(estimate))
+        _show(table)
+        speed = result.lives / max(result.engine_seconds, 1e-9)
+        print(f"{_lives(result.lives)} lives in {result.engine_seconds:.2f} s ({_lives(speed)}/s), seed {result.seed}")
+
+
+@app.command()
+@guarded
+def info(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False) -> None:
+    """Dimensionless groups and regime of a run file, without simulating it."""
+    file, _ = _load(path, set_, None)
+    ensemble, drive = file.ensemble(path.parent), file.driven()
+    from eqsim import tables
+    from eqsim.ensemble import groups
+
+    found = groups(ensemble, drive)
+    from eqsim.engine.trajectory import predicted_lives
+
+    lives = predicted_lives(ensemble, drive, file.output.replicas)
+    if json:
+        print(tables.to_json({**{g.name: g.value for g in found}, "lives": lives}))
+    elif not quiet:
+        table = _table(file.title or path.stem, "group", "value", "meaning")
+        for group in found:
+            table.add_row(group.name, group.value if isinstance(group.value, str) else f"{group.value:.6g}", group.meaning)
+        table.add_row("lives", _lives(lives), "predicted for `eqsim run`")
+        _show(table)
+
+
+def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
+    changes: dict[str, Any] = {}
+    for item in set_ or []:
+        key, equals, text = item.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--set {item}: must be section.key=value")
+        try:
+            changes[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            changes[key.strip()] = text
+    if seed is not None:
+        changes["output.seed"] = seed
+    from eqsim.runfile import load
+
+    file = load(path, changes)
+    require_integer("output.seed", file.output.seed, 0, 2**63 - 1)
+    return file, changes
+
+
+def _text(path: Path, changes: dict[str, Any]) -> str:
+    """The run file as it stands, with a note of what was changed on the command line."""
+    notes = "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
+    return path.read_text(encoding="utf-8") + notes
+
+
+def _threads(asked: int | None) -> int:
+    if asked is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    require_integer("--threads", asked, 1, 1024)
+    return asked
+
+
+@contextmanager
+def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None]]:
+    """A progress bar with lives per second, on the terminal's standard error, for work of more than a second."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if silent or not console.is_terminal:
+        yield lambda *_: None
+        return
+    from eqsim.compiled import cold
+
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} lives/s"), TimeRemainingColumn(),
+        console=console, transient=True,
+    )  # fmt: skip
+    task = bar.add_task("compiling kernels, first run only" if cold() else "simulating", total=total, rate="0")
+    begin: list[float] = []
+
+    def progress(done: int, of: int | None = None) -> None:
+        now = time.perf_counter()
+        if not begin and done:
+            begin.append(now)
+        rate = done / (now - begin[0]) if begin and now > begin[0] else 0.0
+        bar.update(task, completed=done, total=of or total, description="simulating", rate=_lives(rate))
+
+    with bar:
+        yield progress
+
+
+def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result: Any, folder: Path) -> None:
+    from eqsim.estimate import difference
+
+    table = _table(file.title or folder.name, "", "second half of the run", "steady value", "difference / s.e.")
+    for name, estimate in averages.items():
+        other = getattr(level, name)
+        z = difference(estimate, other)
+        table.add_row(name, _text_of(estimate), _text_of(other), "exact" if z is None else f"{z:+.2f}")
+    _show(table)
+    if not all(estimate.reliable for estimate in averages.values()):
+        print("unreliable: the halves of the averaging window differ, or too few contacts broke in it")
+    print(
+        f"{_lives(result.lives)} lives of {_lives(ensemble.count * file.output.replicas)} contacts in "
+        f"{result.engine_seconds:.2f} s ({_lives(result.lives / max(result.engine_seconds, 1e-9))}/s), "
+        f"{result.threads} threads, seed {result.seed}"
+    )
+    print(f"{folder}/: trajectory.parquet, summary.json, force.png")
+
+
+def _text_of(estimate: "Estimate") -> str:
+    """Value(error in the last two digits), as physicists write it."""
+    import math
+
+    if estimate.value is None:
+        return "none seen"
+    mark = "" if estimate.reliable else "  unreliable"
+    if not estimate.stderr:
+        return f"{estimate.value:.8g}{mark}"
+    exponent = math.floor(math.log10(abs(estimate.value))) if estimate.value else 0
+    exponent = 0 if -4 < exponent < 6 else exponent
+    scale = 10.0**exponent
+    digits = max(0, 1 - math.floor(math.log10(estimate.stderr / scale)))
+    last = round(estimate.stderr / scale * 10**digits)
+    power = f"e{exponent:+03d}" if exponent else ""
+    return f"{estimate.value / scale:.{digits}f}({last}){power}{mark}"
+
+
+def _relative(estimate: "Estimate") -> str:
+    return "exact" if not estimate.stderr or not estimate.value else f"{abs(estimate.stderr / estimate.value):.1e}"
+
+
+def _lives(number: float) -> str:
+    for size, letter in ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= size:
+            return f"{number / size:.3g} {letter}"
+    return f"{number:.3g}"
+
+
+def _table(title: str, *columns: str) -> "Table":
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index == 0 else "right")
+    return table
+
+
+def _show(table: "Table") -> None:
+    from rich.console import Console
+
+    Console().print(table)
+
+
+def main() -> None:
+    """Entry point of the `eqsim` command."""
+    app()

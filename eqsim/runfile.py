@@ -1,0 +1,227 @@
+"""Run files: TOML in, checked, turned into an Ensemble and a Drive.
+
+Structure and types are checked here; what a value may be is known to the law it belongs to.
+"""
+
+import csv
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import BaseModel, BeforeValidator, ConfigDict
+
+from eqsim.ensemble import Drive, Ensemble
+from eqsim.errors import InputError, under
+from eqsim.laws.delay import Delay
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
+
+
+def _whole(value: Any) -> Any:
+    """TOML's 1e5 is a float; accept it where a whole number is meant."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Whole = Annotated[int, BeforeValidator(_whole)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Contacts(_Section):
+    count: Whole = 100_000
+    stiffness: float = 1.0
+    stiffness_law: str = "sqrt"
+
+
+class Thresholds(_Section):
+    law: Literal["gamma", "delta", "table"] = "gamma"
+    n: float | None = None
+    x_star: float | None = None
+    file: str | None = None
+
+
+class ThermalSection(_Section):
+    kT: float = 0.0
+    attempt_frequency: float = 1.0
+    barrier: str = "soft"
+
+
+class Aging(_Section):
+    rule: Literal["none"] = "none"
+    rate: float = 0.0
+    x_star_final: float = 1.0
+
+
+class DelaySection(_Section):
+    time: float = 0.0
+    law: str = "fixed"
+
+
+class Viscosity(_Section):
+    eta: float = 0.0
+
+
+class DriveSection(_Section):
+    velocity: float | None = None
+    distance: float | None = None
+    start: str = "fresh"
+
+
+class Output(_Section):
+    points: Whole = 2001
+    seed: Whole = 1
+    replicas: Whole = 1
+
+
+class RunFile(_Section):
+    """A checked run file; the defaults are the contract."""
+
+    title: str = ""
+    disorder: str = "quenched"
+    contacts: Contacts = Contacts()
+    thresholds: Thresholds = Thresholds()
+    thermal: ThermalSection = ThermalSection()
+    aging: Aging = Aging()
+    delay: DelaySection = DelaySection()
+    viscosity: Viscosity = Viscosity()
+    drive: DriveSection = DriveSection()
+    output: Output = Output()
+    sweep: dict[str, Any] = {}
+
+    def ensemble(self, folder: Path) -> Ensemble:
+        """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
+        with under("thermal"):
+            thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)  # type: ignore[arg-type]
+        with under("delay"):
+            delay = Delay(self.delay.time, self.delay.law)  # type: ignore[arg-type]
+        law = self._threshold_law(folder)
+        parts = {"contacts": {"count", "stiffness", "stiffness_law"}, "viscosity": {"eta"}}
+        try:
+            return Ensemble(
+                law, thermal, delay, self.contacts.count, self.contacts.stiffness, self.contacts.stiffness_law,  # type: ignore[arg-type]
+                self.disorder, self.viscosity.eta,  # type: ignore[arg-type]
+            )  # fmt: skip
+        except InputError as error:
+            field = str(error).split(" ", 1)[0]
+            section = next((f"{name}." for name, keys in parts.items() if field in keys), "")
+            raise InputError(f"{section}{error}") from None
+
+    def _threshold_law(self, folder: Path) -> ThresholdLaw:
+        given = self.thresholds
+        allowed = {"gamma": {"n", "x_star"}, "delta": {"x_star"}, "table": {"file"}}[given.law]
+        for key in ("n", "x_star", "file"):
+            if getattr(given, key) is not None and key not in allowed:
+                raise InputError(f'thresholds.{key} = {getattr(given, key)!r}: not allowed with law = "{given.law}"')
+        x_star = 1.0 if given.x_star is None else given.x_star
+        if given.law == "table":
+            if given.file is None:
+                raise InputError('thresholds.file: is required with law = "table"')
+            return read_thresholds(folder / given.file)
+        with under("thresholds"):
+            return Delta(x_star) if given.law == "delta" else Gamma(1.0 if given.n is None else given.n, x_star)
+
+    def driven(self) -> Drive:
+        """How the slider moves. Raises InputError."""
+        if self.drive.velocity is None:
+            raise InputError("drive.velocity: is required")
+        with under("drive"):
+            return Drive(self.drive.velocity, self.drive.distance, self.drive.start)  # type: ignore[arg-type]
+
+
+def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
+    """Read and check a run file, with `changes` ("section.key": value) put in first. Raises InputError."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is not valid TOML: {error}") from None
+    for key, value in (changes or {}).items():
+        *sections, last = key.split(".")
+        place = data
+        for name in sections:
+            place = place.setdefault(name, {})
+            if not isinstance(place, dict):
+                raise InputError(f"{key}: {name} is not a section")
+        place[last] = value
+    return check(data)
+
+
+def check(data: dict[str, Any]) -> RunFile:
+    """A run file from its content. Raises InputError with one line that names the field."""
+    try:
+        return RunFile.model_validate(data)
+    except pydantic.ValidationError as error:
+        raise InputError(_explain(error)) from None
+
+
+def _explain(error: pydantic.ValidationError) -> str:
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    field = ".".join(str(part) for part in first["loc"])
+    value = repr(first["input"])
+    value = value if len(value) < 60 else value[:57] + "..."
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"{field}: unknown key; {_nearest([str(part) for part in first['loc']])}{more}"
+    if field == "aging.rule" and first["input"] in ("langevin", "flow"):
+        return f'{field} = {value}: must be "none"; this version has no aging thresholds'
+    if first["type"] in ("model_type", "dict_type"):
+        return f"{field} = {value}: must be a section, [{field}]{more}"
+    allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
+    return f"{field} = {value}: {allowed}{more}"
+
+
+def _nearest(location: list[str]) -> str:
+    """Which key may have been meant, here or in another section."""
+    sections = {name: info.annotation for name, info in RunFile.model_fields.items()}
+    known = {
+        name: list(kind.model_fields)
+        for name, kind in sections.items()
+        if isinstance(kind, type) and issubclass(kind, BaseModel)
+    }
+    here = known.get(location[0], []) if len(location) > 1 else list(sections)
+    close = difflib.get_close_matches(location[-1], here, 1)
+    if close:
+        return f'did you mean "{close[0]}"?'
+    elsewhere = [f"{name}.{location[-1]}" for name, keys in known.items() if location[-1] in keys]
+    if elsewhere:
+        return f'did you mean "{elsewhere[0]}"?'
+    return "known here: " + ", ".join(here)
+
+
+def read_thresholds(path: Path) -> Table:
+    """A CSV file with a column `threshold`, one positive number a row. Raises InputError."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.DictReader(file, skipinitialspace=True)
+            names = [name.strip() for name in rows.fieldnames or []]
+            if "threshold" not in names:
+                found = ", ".join(names)[:60] or "nothing"
+                raise InputError(f'thresholds.file = {path}: needs a column "threshold" in its first line; found {found}')
+            rows.fieldnames = names
+            values = []
+            for row in rows:
+                text = row["threshold"] or ""
+                try:
+                    value = float(text)
+                except ValueError:
+                    value = float("nan")
+                if not 0 < value < float("inf"):
+                    raise InputError(
+                        f"thresholds.file = {path}, line {rows.line_num}: {text[:40]!r} must be a finite number > 0"
+                    )
+                values.append(value)
+    except OSError as error:
+        raise InputError(f"thresholds.file = {path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"thresholds.file = {path}: is not a CSV text file") from None
+    if not values:
+        raise InputError(f"thresholds.file = {path}: is empty; at least one threshold is needed")
+    return Table(values)

@@ -1,0 +1,85 @@
+"""Results on disk: Parquet with provenance, JSON without NaN, and folders that are never half-written."""
+
+import io
+import json
+import math
+import os
+import platform
+import shutil
+import tempfile
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from eqsim.errors import InputError
+
+
+def versions() -> dict[str, str]:
+    """Of everything that numbers depend on."""
+    packages = ("eqsim", "numpy", "numba", "scipy")
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in packages}}
+
+
+def provenance(command: str, settings: dict[str, Any], run_file: str, seed: int) -> dict[str, Any]:
+    """What it takes to repeat a call: the command, the run file as it stood, every setting in force, versions."""
+    return {"command": command, "run_file": run_file, "settings": settings, "seed": seed, "versions": versions()}
+
+
+def to_json(data: Any) -> str:
+    """JSON with null where a number is not finite."""
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: clean(part) for key, part in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [clean(part) for part in value]
+        if isinstance(value, float) and not math.isfinite(value):
+            return None
+        return value
+
+    return json.dumps(clean(data), indent=2, allow_nan=False)
+
+
+def parquet(columns: dict[str, Any], origin: dict[str, Any]) -> bytes:
+    """A Parquet file of arrays of equal length, with `origin` as JSON under the metadata key `eqsim`."""
+    import pyarrow
+    from pyarrow import parquet as pq
+
+    table = pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)})
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer)
+    return buffer.getvalue()
+
+
+def check_folder(folder: Path) -> None:
+    """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
+    present = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not present.is_dir():
+        raise InputError(f"--out {folder}: {present} is not a folder")
+    try:
+        tempfile.TemporaryFile(dir=present).close()
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
+
+
+def publish(folder: Path, files: dict[str, bytes]) -> None:
+    """Write files so that either all of them appear under their names or none does. Raises InputError."""
+    made = not folder.exists()
+    staging: Path | None = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
+        for name, content in files.items():
+            with (staging / name).open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for name in files:
+            os.replace(staging / name, folder / name)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
+    finally:
+        if staging:
+            shutil.rmtree(staging, ignore_errors=True)
+        if made and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
