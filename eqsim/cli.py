@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from eqsim.engine.steady import Steady
-    from eqsim.ensemble import Drive, Ensemble
     from eqsim.estimate import Estimate
     from eqsim.runfile import RunFile
 
@@ -36,7 +35,8 @@ Set = Annotated[
 ]
 Seed = Annotated[int | None, typer.Option(help="Random seed, instead of the run file's.", show_default=False)]
 Threads = Annotated[
-    int | None, typer.Option(help="Threads; changes speed only, never a number. Default: all cores.", show_default=False)
+    int | None,
+    typer.Option(help="Threads: speed only, never a number. Default: all cores.", show_default=False),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
@@ -74,7 +74,8 @@ def _fail(message: str, code: int) -> None:
 def run(
     path: Path_,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the results. Default: out/NAME beside the run file.", show_default=False)
+        Path | None,
+        typer.Option(help="Results folder. Default: out/NAME beside the run file.", show_default=False),
     ] = None,
     set_: Set = None,
     seed: Seed = None,
@@ -144,7 +145,7 @@ def run(
 @guarded
 def steady(
     path: Path_,
-    rel_error: Annotated[float, typer.Option(help="Relative standard error asked for, in all three observables.")] = 1e-3,
+    rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-3,
     set_: Set = None,
     seed: Seed = None,
     threads: Threads = None,
@@ -197,7 +198,9 @@ def info(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False
     elif not quiet:
         table = _table(file.title or path.stem, "group", "value", "meaning")
         for group in found:
-            table.add_row(group.name, group.value if isinstance(group.value, str) else f"{group.value:.6g}", group.meaning)
+            table.add_row(
+                group.name, group.value if isinstance(group.value, str) else f"{group.value:.6g}", group.meaning
+            )
         table.add_row("lives", _lives(lives), "predicted for `eqsim run`")
         _show(table)
 
@@ -315,9 +318,9 @@ def _lives(number: float) -> str:
 def _table(title: str, *columns: str) -> "Table":
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right")
+    table = Table(caption=title, caption_justify="left")
+    for column in columns:
+        table.add_column(column, justify="left" if column in ("", "group", "meaning") else "right")
     return table
 
 

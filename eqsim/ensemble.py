@@ -30,8 +30,8 @@ class Ensemble:
     """
 
     thresholds: ThresholdLaw = field(default_factory=Gamma)
-    thermal: Thermal = Thermal()
-    delay: Delay = Delay()
+    thermal: Thermal = field(default_factory=Thermal)
+    delay: Delay = field(default_factory=Delay)
     count: int = 100_000
     stiffness: float = 1.0
     stiffness_law: StiffnessLaw = "sqrt"
@@ -186,4 +186,3 @@ def threshold_table_of(law: ThresholdLaw) -> Array:
 def pooled_hazard_of(law: ThresholdLaw, stiffness: Any, barrier: Any, b: float) -> PooledHazard:
     """The pooled hazard, remembered: it does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)
-

@@ -46,7 +46,7 @@ def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
 
 
 def drifts(numerator: Array, denominator: Array, sigmas: float) -> bool:
-    """Whether the ratios of two halves of a record, arrays (batches, 2), differ by more than `sigmas` standard errors."""
+    """Whether two halves of a record, arrays (batches, 2), have ratios that differ by more than `sigmas` errors."""
     total = denominator.sum(axis=0)
     if np.any(total == 0):
         return True

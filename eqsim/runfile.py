@@ -204,7 +204,9 @@ def read_thresholds(path: Path) -> Table:
             names = [name.strip() for name in rows.fieldnames or []]
             if "threshold" not in names:
                 found = ", ".join(names)[:60] or "nothing"
-                raise InputError(f'thresholds.file = {path}: needs a column "threshold" in its first line; found {found}')
+                raise InputError(
+                    f'thresholds.file = {path}: needs a column "threshold" in its first line; found {found}'
+                )
             rows.fieldnames = names
             values = []
             for row in rows:

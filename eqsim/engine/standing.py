@@ -9,6 +9,7 @@ g is kept with probability S(x)/g(x): that is, if a life whose clock shows -ln(U
 Given that, this clock is Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
 """
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from scipy import integrate, interpolate
 
 from eqsim.compiled import inlined, kernel
 from eqsim.engine.life import break_stretch
-from eqsim.engine.streams import uniforms
+from eqsim.engine.streams import Key, uniforms
 from eqsim.ensemble import POOLED, SOFT, Contacts
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import kappa
@@ -94,7 +95,7 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
     nodes, weights = np.polynomial.legendre.leggauss(10)
     total = np.zeros(xi.size)
     stretch = np.empty(xi.size)
-    for far, near in zip(panels[:-1], panels[1:], strict=True):
+    for far, near in itertools.pairwise(panels):
         a, b = end - far * (end - low), end - near * (end - low)
         for node, weight in zip(nodes, weights, strict=True):
             log_clock = 0.5 * (a + b) + 0.5 * (b - a) * node
@@ -118,10 +119,10 @@ def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
 
 
 @inlined
-def standing_contact(c: Contacts, s: Standing, key: tuple[int, int], contact: int, u: float) -> tuple[Any, Any, Any]:
+def standing_contact(c: Contacts, s: Standing, key: Key, contact: int, u: float) -> tuple[Any, Any, Any]:
     """Stiffness k_i/k, stretch now, and stretch at breaking of a pinned contact of the stationary state."""
     if c.steps.size > 0:
-        rank = min(np.searchsorted(s.share, u, side="right"), c.steps.size - 1)
+        rank = min(int(np.searchsorted(s.share, u, side="right")), c.steps.size - 1)
         xi, m = c.steps[rank], s.step_life[rank]
     else:
         e = look_up(s.biased, -math.log(u))

@@ -133,9 +133,8 @@ class Proposal(NamedTuple):
         ]
 
         def mixed(log_x: Array, plain: Array, means: list[Array]) -> Array:
-            parts = [plain, *(plain * np.sqrt(mean) for mean in means)]
-            share = (0.1, 0.45, 0.45)
-            return np.sum([s * part / integrate.trapezoid(part, log_x) for s, part in zip(share, parts, strict=True)], 0)
+            parts = np.array([plain, *(plain * np.sqrt(mean) for mean in means)])
+            return np.array([0.1, 0.45, 0.45]) / integrate.trapezoid(parts, log_x) @ parts
 
         density = mixed(log_e, births, [square @ clock_births for square in squares])
         weighted = births**2 / np.maximum(density, 1e-300)

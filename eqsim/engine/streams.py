@@ -5,6 +5,8 @@ and a key into 128 random bits. The key comes from (seed, purpose), the counter 
 a contact's history cannot depend on threads, blocks, or on what was simulated before it.
 """
 
+from typing import Any
+
 import numpy as np
 
 from eqsim.compiled import inlined
@@ -17,14 +19,17 @@ _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 
 
-def key(seed: int, purpose: int) -> tuple[np.uint64, np.uint64]:
+Key = tuple[Any, Any]
+
+
+def key(seed: int, purpose: int) -> Key:
     """The two 32-bit words of a Philox key."""
     words = np.random.SeedSequence((seed, purpose)).generate_state(2, np.uint32)
     return np.uint64(words[0]), np.uint64(words[1])
 
 
 @inlined
-def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
+def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
     for _ in range(10):
         p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
@@ -34,14 +39,14 @@ def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, i
 
 
 @inlined
-def uniform(low: int, high: int) -> float:
+def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
     bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
     return min((np.float64(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
 
 
 @inlined
-def uniforms(key: tuple[int, int], contact: int, life: int, draw: int) -> tuple[float, float]:
+def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
     """Two independent uniforms of a contact's life; contact < 2^63, life < 2^48, draw < 2^16."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)

@@ -15,7 +15,7 @@ import numpy as np
 
 from eqsim.compiled import inlined
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
+Array = np.ndarray[Any, np.dtype[Any]]
 
 CELLS = 64
 _SHIFT = 52 - 6  # bits of the mantissa below those that number the 64 cells of an octave
@@ -57,7 +57,7 @@ def look_up(table: Array, s: float) -> float:
     cell = (bits >> _SHIFT) - np.int64(table[0, 0])
     if cell < 0:
         return s * table[0, 2]
-    t = np.float64(bits & _FRACTION) * (1.0 / (_FRACTION + 1))
+    t = float(bits & _FRACTION) * (1.0 / (_FRACTION + 1))
     if cell >= np.int64(table[0, 3]):
         cell, t = np.int64(table[0, 3]) - 1, 1.0
     row = table[cell + 1]

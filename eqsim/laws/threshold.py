@@ -25,6 +25,9 @@ NO_TABLE: Array = np.empty((0, 4))
 class ThresholdLaw(Protocol):
     """What the rest of eqsim asks of a law of thresholds; lengths are in the user's unit."""
 
+    def __hash__(self) -> int:
+        """Laws are immutable; their tables are remembered."""
+
     @property
     def scale(self) -> float:
         """A typical threshold, the unit of length inside the kernels."""

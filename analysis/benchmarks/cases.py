@@ -1,0 +1,67 @@
+"""What is timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and warm, plain and general."""
+
+from dataclasses import dataclass
+
+from eqsim.ensemble import Ensemble
+from eqsim.laws.delay import Delay
+from eqsim.laws.stiffness import StiffnessLaw
+from eqsim.laws.thermal import Barrier, Thermal
+
+VELOCITY = 0.01
+DELAY = 20.0  # tau of the general case: contacts stay detached over 0.2 x_*
+
+
+@dataclass(frozen=True)
+class Case:
+    """One kind of contacts. `general` is k_i ~ sqrt(f_si) with a fixed delay, otherwise uniform k and none."""
+
+    kT: float
+    barrier: Barrier
+    general: bool
+
+    @property
+    def name(self) -> str:
+        contacts = "sqrt k, delay" if self.general else "uniform k"
+        return f"{self.barrier} kT={self.kT:g}, {contacts}" if self.kT else f"T=0, {contacts}"
+
+    @property
+    def stiffness_law(self) -> StiffnessLaw:
+        return "sqrt" if self.general else "uniform"
+
+    @property
+    def gap(self) -> float:
+        """v tau."""
+        return VELOCITY * DELAY if self.general else 0.0
+
+    def ensemble(self, count: int) -> Ensemble:
+        thermal, delay = Thermal(kT=self.kT, barrier=self.barrier), Delay(DELAY if self.general else 0.0)
+        return Ensemble(thermal=thermal, delay=delay, count=count, stiffness_law=self.stiffness_law)
+
+
+CASES = [
+    Case(kT, barrier, general)
+    for kT, barrier in ((0.0, "soft"), (0.1, "soft"), (0.1, "stiff"))
+    for general in (False, True)
+]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is timed; lengths in x_*. The stepped script gets fewer contacts and a shorter way."""
+
+    contacts: int = 100_000
+    distance: float = 200.0
+    points: int = 4001
+    stepped_contacts: int = 10_000
+    stepped_distance: float = 20.0
+    lives: int = 8_000_000  # of one steady average by rival B
+    errors: tuple[float, ...] = (1e-3, 1e-5)  # relative, asked of the steady averages
+    repeats: int = 5
+
+    @property
+    def contact_steps(self) -> float:
+        """How many times more contact-steps the stepped script would need for the whole trajectory."""
+        return self.contacts * self.distance / (self.stepped_contacts * self.stepped_distance)
+
+
+QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 64_000, (1e-3, 1e-4), 3)
