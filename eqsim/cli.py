@@ -172,10 +172,10 @@ def steady(
         out = {name: estimate.as_dict() for name, estimate in averages.items()}
         print(tables.to_json({**out, "lives": result.lives, "seed": result.seed, "reached": result.reached}))
     elif not quiet:
-        table = _table(file.title or path.stem, "", "steady value", "relative error")
+        table = _table("", "steady value", "relative error")
         for name, estimate in averages.items():
             table.add_row(name, _text_of(estimate), _relative(estimate))
-        _show(table)
+        _show(file.title or path.stem, table)
         speed = result.lives / max(result.engine_seconds, 1e-9)
         print(f"{_lives(result.lives)} lives in {result.engine_seconds:.2f} s ({_lives(speed)}/s), seed {result.seed}")
 
@@ -196,13 +196,13 @@ def info(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False
     if json:
         print(tables.to_json({**{g.name: g.value for g in found}, "lives": lives}))
     elif not quiet:
-        table = _table(file.title or path.stem, "group", "value", "meaning")
+        table = _table("group", "value", "meaning")
         for group in found:
             table.add_row(
                 group.name, group.value if isinstance(group.value, str) else f"{group.value:.6g}", group.meaning
             )
         table.add_row("lives", _lives(lives), "predicted for `eqsim run`")
-        _show(table)
+        _show(file.title or path.stem, table)
 
 
 def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
@@ -270,12 +270,12 @@ def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None
 def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result: Any, folder: Path) -> None:
     from eqsim.estimate import difference
 
-    table = _table(file.title or folder.name, "", "second half of the run", "steady value", "difference / s.e.")
+    table = _table("", "second half of the run", "steady value", "difference / s.e.")
     for name, estimate in averages.items():
         other = getattr(level, name)
         z = difference(estimate, other)
         table.add_row(name, _text_of(estimate), _text_of(other), "exact" if z is None else f"{z:+.2f}")
-    _show(table)
+    _show(file.title or folder.name, table)
     if not all(estimate.reliable for estimate in averages.values()):
         print("unreliable: the halves of the averaging window differ, or too few contacts broke in it")
     print(
@@ -315,19 +315,20 @@ def _lives(number: float) -> str:
     return f"{number:.3g}"
 
 
-def _table(title: str, *columns: str) -> "Table":
+def _table(*columns: str) -> "Table":
     from rich.table import Table
 
-    table = Table(caption=title, caption_justify="left")
+    table = Table()
     for column in columns:
         table.add_column(column, justify="left" if column in ("", "group", "meaning") else "right")
     return table
 
 
-def _show(table: "Table") -> None:
+def _show(title: str, table: "Table") -> None:
     from rich.console import Console
+    from rich.text import Text
 
-    Console().print(table)
+    Console().print(Text(title, style="bold"), table)
 
 
 def main() -> None:

@@ -17,13 +17,13 @@ def trajectory_png(run: Trajectory, steady: Steady, title: str) -> bytes:
     detached."""
     delayed = steady.pinned.value is not None and steady.pinned.value < 1
     figure = Figure(figsize=(8, 6 if delayed else 4.6), dpi=150, layout="constrained")
-    panels = figure.subplots(
-        2 if delayed else 1, 1, sharex=True, squeeze=False, height_ratios=[2, 1] if delayed else [1]
-    )
+    heights = [2, 1] if delayed else [1]
+    panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     top = panels[0, 0]
+    handles, labels = [], []
     if run.force_replica_std is not None:
-        low, high = run.force - run.force_replica_std, run.force + run.force_replica_std
-        handles.append(top.fill_between(run.X, low, high, color="0.85"))
+        spread = run.force_replica_std
+        handles.append(top.fill_between(run.X, run.force - spread, run.force + spread, color="0.85"))
         labels.append("± standard deviation between replicas")
     handles.append(_curve(top, run.X, run.force, run.force_stderr, "C0"))
     handles.append(_level(top, steady.friction))
