@@ -16,7 +16,10 @@ Disorder = Literal["quenched", "annealed"]
 Start = Literal["fresh", "stationary"]
 
 MECHANICAL, SOFT, STIFF, POOLED = range(4)
-_FLAT_OUT = 1e16  # b above which a soft contact breaks at its threshold to double precision
+_LEAST_B, _FLAT_OUT = (
+    1e-100,
+    1e16,
+)  # b below which the barrier is 0, and b above which a soft contact breaks at its threshold to double precision
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,10 @@ class Contacts(NamedTuple):
 
 
 def lower(ensemble: Ensemble, velocity: float) -> Contacts:
-    """Ensemble and velocity as plain numbers; the only place where objects become kernel arguments."""
+    """Ensemble and velocity as plain numbers; the only place where objects become kernel arguments.
+
+    Raises InputError if a dimensionless group is beyond 1e+-100.
+    """
     law, thermal = ensemble.thresholds, ensemble.thermal
     unit, b = law.scale, ensemble.b
     breaking, pool = MECHANICAL, NO_POOL
@@ -158,6 +164,12 @@ def lower(ensemble: Ensemble, velocity: float) -> Contacts:
             breaking, pool = POOLED, pooled_hazard_of(law, ensemble.stiffness_law, thermal.barrier, b)
         else:
             breaking = SOFT if thermal.barrier == "soft" else STIFF
+    delay = velocity * ensemble.delay.time / unit
+    require_number("velocity * delay / threshold", delay, least=0, most=1e100)
+    log_w = -math.inf
+    if thermally:
+        log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
+        require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
     sqrt = ensemble.stiffness_law == "sqrt"
     return Contacts(
         threshold_table=threshold_table_of(law),
@@ -165,13 +177,13 @@ def lower(ensemble: Ensemble, velocity: float) -> Contacts:
         kappa_slope=unit / law.rms if sqrt else 0.0,
         kappa_constant=0.0 if sqrt else 1.0,
         breaking=breaking,
-        b=b,
-        log_w=math.log(thermal.attempt_frequency * unit) - math.log(velocity) if thermally else -math.inf,
+        b=max(b, _LEAST_B),
+        log_w=log_w,
         erfi_inverse=erfi_inverse_table() if breaking == SOFT else NO_TABLE,
         pool_x=pool.x,
         pool_G=pool.G,
         pool_slope=pool.slope,
-        delay=velocity * ensemble.delay.time / unit,
+        delay=delay,
         exponential=ensemble.delay.law == "exponential",
     )
 

@@ -18,15 +18,21 @@ def under(section: str) -> Iterator[None]:
         raise InputError(f"{section}.{error}") from None
 
 
-def require_number(field: str, value: float, *, above: float | None = None, least: float | None = None) -> None:
-    """Raise InputError unless `value` is a finite real number greater than `above` and not less than `least`."""
+def require_number(
+    field: str, value: float, *, above: float | None = None, least: float | None = None, most: float = math.inf
+) -> None:
+    """Raise InputError unless `value` is a finite real number greater than `above`, not less than `least` and not
+    more than `most`."""
     allowed = "a finite number"
     if above is not None:
         allowed += f" > {above:g}"
     if least is not None:
         allowed += f" >= {least:g}"
+    if math.isfinite(most):
+        allowed += f" and <= {most:g}"
     try:
         ok = math.isfinite(value) and (above is None or value > above) and (least is None or value >= least)
+        ok = ok and value <= most
     except (TypeError, OverflowError):
         ok = False
     if not ok:

@@ -12,16 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.compiled import inlined, kernel
-from eqsim.engine.life import draw_lives
+from eqsim.engine.life import draw_lives, lives
 from eqsim.engine.standing import Standing, standing_contact, stretches, thresholds
 from eqsim.engine.streams import Key, uniforms
 from eqsim.ensemble import Contacts
+from eqsim.errors import InputError
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.octaves import Array
 
 LANES = 128  # contacts that advance together
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
 _EXTREME_RANK, _EXTREME_CLOCK = 45.0, 110.0  # -ln of no 63-bit uniform, no clock of a standing contact, exceeds these
+_LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
 _BITS = 62  # of a sum; the sign and one more are left
 
 # columns of the deposits; d is the distance slid since the life began
@@ -49,7 +51,10 @@ class Scales(NamedTuple):
 
     @classmethod
     def of(cls, c: Contacts, run: Run, contacts: int, replicas: int) -> "Scales":
-        """The finest that no sum over all contacts can overflow, from the longest life there can be."""
+        """The finest that no sum over all contacts can overflow, from the longest life there can be.
+
+        Raises InputError if these are too coarse for the typical contact.
+        """
         ranks = np.linspace(0.01, _EXTREME_RANK, 2000)
         xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
         thresholds(c, np.exp(-ranks), xi)
@@ -65,7 +70,16 @@ class Scales(NamedTuple):
         def power(bounds: list[float], terms: int) -> Array:
             return 2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))
 
+        u, v = (grid.ravel() for grid in np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64]))
+        stiffness, stretch = np.empty(u.size), np.empty(u.size)
+        lives(c, u, v, stiffness, stretch)
+        typical = float(np.mean(0.5 * stiffness * stretch**2) / np.mean(stretch))
         by_column = power(deposits, contacts)
+        if not typical * by_column[FORCE] > _LEAST_UNITS:
+            raise InputError(
+                f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
+                "force, too much to add up in 64 bits; take fewer contacts or a narrower law"
+            )
         by_column[COUNT] = 1.0
         by_batch = power(batches, contacts)
         by_batch[BREAKS] = 1.0

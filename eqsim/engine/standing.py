@@ -61,8 +61,9 @@ def standing(c: Contacts) -> Standing:
     use = (below > 0) & (above > 1e-200 * mean)  # beyond, nothing to draw
     below, above, log_e = below[use] / mean, above[use] / mean, _LOG_E[use]
     rank = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
-    rising = np.append(True, np.diff(rank) > 0)
-    log_rank, log_e = np.log(rank[rising]), log_e[rising]
+    log_rank = np.log(rank)
+    rising = np.append(True, np.diff(log_rank) > 0)
+    log_rank, log_e = log_rank[rising], log_e[rising]
     edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
     to_e = interpolate.PchipInterpolator(log_rank, log_e)
     at = np.clip(np.log(edges), log_rank[0], log_rank[-1])

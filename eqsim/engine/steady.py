@@ -34,6 +34,7 @@ from eqsim.laws.octaves import Array
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
 _DECAY = 0.75  # assumed when lives are predicted: error ~ lives^-0.75, between Monte Carlo and smooth integrands
+_NEGLIGIBLE = 1e-12
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
 
 Progress = Callable[[int, int], None]
@@ -69,9 +70,9 @@ def steady(
     """
     require_number("velocity", velocity, above=0)
     require_number("rel_error", rel_error, above=0)
-    begin = time.perf_counter()
     contacts = lower(ensemble, velocity)
     proposal = Proposal.of(contacts)
+    begin = time.perf_counter()
     drag = ensemble.eta * velocity / ensemble.stiffness / ensemble.thresholds.scale
     size, done = _FIRST, 0
     while True:
@@ -79,7 +80,7 @@ def steady(
             raise InputError(f"this needs {RANDOMISATIONS * size:.3g} lives, more than max_lives = {max_lives:.3g}")
         sums = _randomise(contacts, proposal, size, seed, threads, progress)
         done += RANDOMISATIONS * size
-        result = _averages(sums, contacts.delay, drag, ensemble.thresholds.scale, size)
+        result = _averages(sums, contacts.delay, drag, ensemble.thresholds.scale, size, proposal.covered)
         excess = max((e.stderr or 0.0) / (e.value or 1.0) for e in result) / rel_error
         # the next attempt aims at half of what was asked for, so that stopping hardly selects lucky error bars
         needed = 2 ** math.ceil(math.log2(max(size * (2 * excess) ** (1 / _DECAY), 2.0 * size)))
@@ -114,10 +115,14 @@ class Density(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn."""
+    """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn.
+
+    `covered` is False if thresholds rarer than e = 500 would still contribute.
+    """
 
     threshold: Density
     clock: Density
+    covered: bool
 
     @classmethod
     def of(cls, contacts: Contacts) -> "Proposal":
@@ -128,21 +133,27 @@ class Proposal(NamedTuple):
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
         stiffness, stretch = np.empty(u.size), np.empty(u.size)
         lives(contacts, u, v, stiffness, stretch)
-        squares = [
-            ((part / part.max()) ** 2).reshape(log_e.size, log_clock.size) for part in (stretch, stiffness * stretch**2)
-        ]
+        squares, sizes = [], []
+        for part in (stretch, stiffness * stretch**2):
+            part = part.reshape(log_e.size, log_clock.size)
+            size = part.max(axis=1)  # squares of extreme thresholds overflow
+            squares.append((part / size[:, None]) ** 2)
+            sizes.append(births * size / (births @ part @ clock_births))
 
-        def mixed(log_x: Array, plain: Array, means: list[Array]) -> Array:
-            parts = np.array([plain, *(plain * np.sqrt(mean) for mean in means)])
-            return np.array([0.1, 0.45, 0.45]) / integrate.trapezoid(parts, log_x) @ parts
+        def mixed(log_x: Array, *parts: Array) -> Array:
+            return np.array([0.1, 0.45, 0.45]) / integrate.trapezoid(parts, log_x) @ np.array(parts)
 
-        density = mixed(log_e, births, [square @ clock_births for square in squares])
-        weighted = births**2 / np.maximum(density, 1e-300)
-        means = [weighted @ square for square in squares]
-        clock_density = clock_births if contacts.breaking == MECHANICAL else mixed(log_clock, clock_births, means)
+        roots = [size * np.sqrt(square @ clock_births) for square, size in zip(squares, sizes, strict=True)]
+        density = mixed(log_e, births, *roots)
+        clock_density = clock_births
+        if contacts.breaking != MECHANICAL:
+            over = np.maximum(density, 1e-300)
+            means = [(size**2 / over) @ square for square, size in zip(squares, sizes, strict=True)]
+            clock_density = mixed(log_clock, clock_births, *(clock_births * np.sqrt(mean) for mean in means))
         low = np.linspace(-53 * math.log(2), log_clock[0], 100)[:-1]  # below the grid nothing happens but short lives
         clock_density = np.append(clock_density[0] * np.exp(low - log_clock[0]), clock_density)
-        return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density))
+        covered = bool(density[-1] < _NEGLIGIBLE * density.max())
+        return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
 
 
 def _randomise(
@@ -168,16 +179,22 @@ def _randomise(
         return sums[0] / size, sums[1] / size, float(np.max(largest / sums))
 
     rows = []
-    with ThreadPoolExecutor(max(1, threads)) as pool:
+    pool = ThreadPoolExecutor(max(1, threads))
+    try:
         for row in pool.map(one, range(RANDOMISATIONS)):
             rows.append(row)
             if progress:
                 progress(len(rows) * size, RANDOMISATIONS * size)
+    finally:
+        pool.shutdown(cancel_futures=True)
     return np.array(rows)
 
 
-def _averages(sums: Array, delay: float, drag: float, unit: float, size: int) -> tuple[Estimate, Estimate, Estimate]:
+def _averages(
+    sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool
+) -> tuple[Estimate, Estimate, Estimate]:
     """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length."""
+    reliable = covered and float(sums[:, 2].max()) < _DOMINANT
     work, stretch = sums[:, 0], sums[:, 1]
     cycle = stretch + delay
     friction = float((work.mean() + drag * delay) / cycle.mean())
@@ -186,7 +203,7 @@ def _averages(sums: Array, delay: float, drag: float, unit: float, size: int) ->
 
     def estimate(value: float, residual: Array) -> Estimate:
         stderr = float(np.std(residual, ddof=1)) / math.sqrt(RANDOMISATIONS)
-        return Estimate(value, stderr, n, RANDOMISATIONS - 1, float(sums[:, 2].max()) < _DOMINANT)
+        return Estimate(value, stderr, n, RANDOMISATIONS - 1, reliable)
 
     return (
         estimate(friction * unit, (work + drag * delay - friction * cycle) / cycle.mean() * unit),

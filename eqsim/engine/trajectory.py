@@ -17,7 +17,7 @@ from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, LANES, PINNED, ST
 from eqsim.engine.standing import Standing, standing
 from eqsim.engine.streams import TRAJECTORY, Key, key
 from eqsim.ensemble import Contacts, Drive, Ensemble, lower
-from eqsim.errors import InputError, require_integer
+from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import Estimate, drifts, ratio
 from eqsim.laws.octaves import Array
 from eqsim.laws.threshold import NO_STEPS, NO_TABLE
@@ -70,6 +70,7 @@ def check_run(ensemble: Ensemble, drive: Drive, points: int, seed: int, replicas
     require_integer("points", points, 2, 10**8)
     require_integer("replicas", replicas, 1, 10**9)
     require_integer("seed", seed, 0, 2**63 - 1)
+    require_number("distance / threshold", drive.over(ensemble) / ensemble.thresholds.scale, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, replicas)
     if not expected <= max_lives:
         raise InputError(f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}")
@@ -93,7 +94,6 @@ def trajectory(
     Raises InputError for arguments out of range, and if more than `max_lives` lives are predicted.
     """
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    begin = time.perf_counter()
     c = lower(ensemble, drive.velocity)
     unit = ensemble.thresholds.scale
     contacts = ensemble.count * replicas
@@ -102,6 +102,7 @@ def trajectory(
     scales = Scales.of(c, run, contacts, replicas)
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     job = (c, table, run, scales, key(seed, TRAJECTORY))
+    begin = time.perf_counter()
     total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress)
 
     force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)

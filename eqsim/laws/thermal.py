@@ -58,7 +58,8 @@ class Thermal:
 def log_erfi(z: Any) -> Array:
     """ln erfi(z) for z > 0 of any size, through Dawson's function."""
     z = np.asarray(z, float)
-    return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
+    with np.errstate(divide="ignore"):  # z = 0
+        return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
 
 
 def log_rate(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
@@ -163,7 +164,10 @@ def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b:
     else:
         with np.errstate(divide="ignore"):
             log_r = 0.5 * np.log(gap / xi) - a * xi**2 * (gap / xi) ** 1.5
-    return np.asarray(np.sum(law.pdf(xi * law.scale) * law.scale * np.exp(log_r) * jacobian, axis=1) * step)
+    with np.errstate(invalid="ignore"):
+        terms = law.pdf(xi * law.scale) * law.scale * np.exp(log_r) * jacobian
+    terms[~np.isfinite(terms)] = 0.0  # an integrable singularity of the density, met exactly
+    return np.asarray(np.sum(terms, axis=1) * step)
 
 
 def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
@@ -179,8 +183,7 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     h = pooled_rate(law, stiffness, barrier, b, y)
     density = CubicSpline(np.log(y), y * h)  # dG/d ln y
     G = y[0] * h[0] + density.antiderivative()(np.log(y))
-    with np.errstate(divide="ignore"):
-        return _pool(y, G, 1.0 / h)
+    return _pool(y, G, h)
 
 
 def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
@@ -195,27 +198,27 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
     halvings = np.unique(np.concatenate(([0.0], 2.0 ** -np.arange(0.0, 44.0, 2.0 if xi.size > 64 else 0.25))))
     y = np.unique(np.concatenate(((xi[0] * halvings)[1:], *(hi - (hi - lo) * halvings for lo, hi in _gaps(xi)))))
-    G, slope = np.zeros(y.size), np.zeros(y.size)
+    G, h = np.zeros(y.size), np.zeros(y.size)
     for j in range(xi.size):
         below = y < xi[j]
         G[below] += weight[j] * np.exp(log_hazard(barrier, y[below], xi[j], a[j]))
         G[~below] += weight[j] * np.exp(log_hazard(barrier, xi[j], xi[j], a[j]))
-        slope[below] += weight[j] * np.exp(log_rate(barrier, y[below], xi[j], a[j]))
-    with np.errstate(divide="ignore"):
-        return _pool(y, G, 1.0 / slope)
+        h[below] += weight[j] * np.exp(log_rate(barrier, y[below], xi[j], a[j]))
+    return _pool(y, G, h)
 
 
 def _gaps(xi: Array) -> list[tuple[float, float]]:
     return list(zip(np.append(0.0, xi[:-1]), xi, strict=True))
 
 
-def _pool(x: Array, G: Array, slope: Array) -> PooledHazard:
+def _pool(x: Array, G: Array, h: Array) -> PooledHazard:
     """Drop nodes that cannot be told apart, and keep the interpolant monotone (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
-    x, G, slope = x[keep], G[keep], slope[keep]
+    x, G, h = x[keep], G[keep], h[keep]
     secant = np.diff(x) / np.diff(G)
     limit = 3.0 * np.minimum(np.append(secant, np.inf), np.append(np.inf, secant))
-    return PooledHazard(x, G, np.minimum(slope, limit))
+    with np.errstate(divide="ignore", over="ignore"):
+        return PooledHazard(x, G, np.minimum(1.0 / h, limit))
 
 
 @inlined

@@ -6,6 +6,7 @@ bit of a 64-bit uniform, and one table serves every law. A law of finitely many 
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -64,13 +65,13 @@ class ThresholdLaw(Protocol):
 @dataclass(frozen=True)
 class Gamma:
     """Forces f_s ~ f^n exp(-f/f_*) (eq:pcf), that is P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2), any real n >= 0:
-    xi^2/x_*^2 follows the gamma law of shape n+1. Raises InputError for n < 0 or x_star <= 0."""
+    xi^2/x_*^2 follows the gamma law of shape n+1. Raises InputError for n outside [0, 1e6] or x_star <= 0."""
 
     n: float = 1.0
     x_star: float = 1.0
 
     def __post_init__(self) -> None:
-        require_number("n", self.n, least=0)
+        require_number("n", self.n, least=0, most=1e6)
         require_number("x_star", self.x_star, above=0)
 
     @property
@@ -176,7 +177,7 @@ class Delta(_Discrete):
 class Table(_Discrete):
     """Measured or computed thresholds, in any order, resampled with equal weights as they are (the empirical law).
 
-    Raises InputError if there is none, or one is not a finite positive number.
+    Raises InputError if there is none, or one is not a number from 1e-150 to 1e150.
     """
 
     def __init__(self, thresholds: Any) -> None:
@@ -186,7 +187,7 @@ class Table(_Discrete):
             raise InputError("threshold table: every value must be a number") from None
         if steps.size == 0:
             raise InputError("threshold table: is empty; at least one positive threshold is needed")
-        bad = steps[~(np.isfinite(steps) & (steps > 0))]
+        bad = steps[~((steps >= 1e-150) & (steps <= 1e150))]
         if bad.size:
             raise InputError(f"threshold table: holds {bad[0]:g}; every threshold must be a finite number > 0")
         self.steps = steps
@@ -196,7 +197,8 @@ class Table(_Discrete):
 
 
 class Distribution:
-    """Any frozen continuous `scipy.stats` distribution of positive thresholds with a finite mean square.
+    """Any frozen continuous `scipy.stats` distribution of positive thresholds with a finite mean cube (the work of a
+    contact with the sqrt law).
 
     Raises InputError if the argument is something else.
     """
@@ -207,12 +209,17 @@ class Distribution:
         self.frozen = frozen
         if not float(frozen.ppf(0.0)) >= 0.0:
             raise InputError(f"threshold distribution: its support begins at {frozen.ppf(0.0):g}; must be >= 0")
-        second = float(frozen.moment(2))
-        require_number("threshold distribution: <xi^2>", second, above=0)
-        self.mean, self.rms = float(frozen.mean()), math.sqrt(second)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a divergent integral is refused in our words
+            third = float(frozen.moment(3))
+        require_number("threshold distribution: <xi^3>", third, above=0)
+        self.mean, self.rms = float(frozen.mean()), math.sqrt(float(frozen.moment(2)))
         self.scale = self.mean
         self.steps = NO_STEPS
         self.support = tuple(float(edge) for edge in frozen.support())
+
+    def __repr__(self) -> str:
+        return f"Distribution({self.frozen.dist.name}, args={self.frozen.args}, kwds={self.frozen.kwds})"
 
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
