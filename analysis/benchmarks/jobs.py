@@ -85,7 +85,7 @@ def summary(case: Case, turns: Turns) -> dict[str, Any]:
     lives = statistics.median(outcome.lives for _, outcome in turns["eqsim"])
     reached = statistics.median(outcome.stderr / outcome.value for _, outcome in turns["eqsim"])
     (value, error), (truth, its_error) = pooled(turns, "B"), pooled(turns, "eqsim")
-    figures = {"case": case.name, "seconds": seconds, "lives": lives, "lives_per_second": lives / seconds}
+    figures = {"case": case.name, "seconds": seconds, "lives": lives, "lives_per_microsecond": 1e-6 * lives / seconds}
     figures |= {"rel_error": reached, "B_z": (value - truth) / math.hypot(error, its_error)}
     return figures | ratios(turns, "threads")
 

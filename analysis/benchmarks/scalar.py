@@ -122,9 +122,7 @@ def _law(case: Case) -> tuple[float, bool, bool]:
 def friction(case: Case, contacts: int, distance: float, points: int, seed: int) -> tuple[float, float]:
     """Mean of the force over the second half of the grid, and its standard error."""
     size = contacts // BATCHES
-    curves = [
-        force(*_law(case), case.gap, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)
-    ]
+    curves = [force(*_law(case), case.gap, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)]
     means = np.array([curve[points // 2 :].mean() for curve in curves])
     return float(means.mean()), float(means.std(ddof=1)) / math.sqrt(BATCHES)
 

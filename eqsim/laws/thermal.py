@@ -58,8 +58,7 @@ class Thermal:
 def log_erfi(z: Any) -> Array:
     """ln erfi(z) for z > 0 of any size, through Dawson's function."""
     z = np.asarray(z, float)
-    with np.errstate(divide="ignore"):  # z = 0
-        return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
+    return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
 
 
 def log_rate(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
@@ -72,10 +71,11 @@ def log_rate(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
 
 def log_hazard(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
     """ln H(x) of a contact, 0 < x <= xi."""
-    c = np.asarray(a * xi**2, float)
     if barrier == "soft":
         root = np.sqrt(a)
-        return math.log(math.sqrt(math.pi) / 2) - np.log(root) - c + log_erfi(root * x)
+        with np.errstate(divide="ignore"):  # x = 0
+            return log_rate("soft", x, xi, a) + np.log(special.dawsn(root * x) / root)
+    c = np.asarray(a * xi**2, float)
     # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
     with np.errstate(divide="ignore"):  # x = xi
         gap15 = -np.expm1(1.5 * np.log1p(-x / xi))  # 1 - (1 - x/xi)^1.5 without cancellation
@@ -112,6 +112,8 @@ def softplus(y: float) -> float:
 def soft_stretch(erfi_inverse: Array, xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a soft contact breaks: exp(log_w) H(x) = clock or x = xi; log_w = ln(omega/v)."""
     log_z = _LOG_SOFT + math.log(clock * math.sqrt(a)) + a * xi * xi - log_w  # ln erfi(sqrt(a) x)
+    if log_z > 1e18:  # past the table, and xi to double precision
+        return xi
     return min(xi, look_up(erfi_inverse, softplus(log_z)) / math.sqrt(a))
 
 
