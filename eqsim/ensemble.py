@@ -144,7 +144,7 @@ class Contacts(NamedTuple):
     erfi_inverse: Array
     pool_x: Array
     pool_G: Array
-    pool_slope: Array
+    pool_slopes: Array
     delay: float
     exponential: bool
 
@@ -182,7 +182,7 @@ def lower(ensemble: Ensemble, velocity: float) -> Contacts:
         erfi_inverse=erfi_inverse_table() if breaking == SOFT else NO_TABLE,
         pool_x=pool.x,
         pool_G=pool.G,
-        pool_slope=pool.slope,
+        pool_slopes=pool.slopes,
         delay=delay,
         exponential=ensemble.delay.law == "exponential",
     )

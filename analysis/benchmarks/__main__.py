@@ -26,7 +26,7 @@ def jobs(sizes: Sizes) -> dict[str, Job]:
     return {"trajectory": time_trajectory, **steady}
 
 
-def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
+def measure(sizes: Sizes, threads: int) -> pd.DataFrame:
     """One row per job and case."""
     for job in jobs(COMPILE).values():
         for case in CASES:
@@ -34,9 +34,8 @@ def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
     rows = []
     for name, job in jobs(sizes).items():
         for case in CASES:
-            with console.status(f"{name}: {case.name}"):
-                seed = 1000 * (len(rows) + 1)  # rows share no random numbers
-                rows.append({"job": name, **job(case, sizes, threads, seed)})
+            seed = 1000 * (len(rows) + 1)  # rows share no random numbers
+            rows.append({"job": name, **job(case, sizes, threads, seed)})
     about = {f"{name}_version": version(name) for name in ("eqsim", "numba", "numpy")}
     return pd.DataFrame(rows).assign(thread_count=threads, repeats=sizes.repeats, contacts=sizes.contacts, **about)
 
@@ -48,8 +47,8 @@ def main(
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()
-    console.width = max(console.width, 110)  # the table's
-    figures = measure(sizes, threads, console)
+    console.width = max(console.width, 120)  # the table needs as much
+    figures = measure(sizes, threads)
     console.print(report.table(figures))
     console.print(report.notes(sizes, threads))
     out.mkdir(parents=True, exist_ok=True)

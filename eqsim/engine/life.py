@@ -18,7 +18,7 @@ def break_stretch(c: Contacts, xi: float, clock: float) -> float:
     if c.breaking == STIFF:
         return stiff_stretch(xi, c.b * kappa(c.kappa_slope, c.kappa_constant, xi), c.log_w, clock)
     if c.breaking == POOLED:
-        return min(xi, pooled_stretch(c.pool_x, c.pool_G, c.pool_slope, clock * math.exp(-c.log_w)))
+        return min(xi, pooled_stretch(c.pool_x, c.pool_G, c.pool_slopes, clock * math.exp(-c.log_w)))
     return xi
 
 
@@ -39,7 +39,7 @@ def draw_lives(c: Contacts, u: Array, v: Array, stiffness: Array, stretch: Array
     elif c.breaking == POOLED:
         per_attempt = math.exp(-c.log_w)
         for i in range(lanes):
-            x = pooled_stretch(c.pool_x, c.pool_G, c.pool_slope, -math.log(v[i]) * per_attempt)
+            x = pooled_stretch(c.pool_x, c.pool_G, c.pool_slopes, -math.log(v[i]) * per_attempt)
             stretch[i] = min(stretch[i], x)
 
 

@@ -211,22 +211,19 @@ def _simulate_all(
 
 
 def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tuple[Estimate, Estimate, Estimate]:
-    """Averages over the second half of the distance, unreliable if its two quarters differ by more than 4 sigma."""
+    """Averages over the second half of the distance; unreliable if its two quarters differ by more than 4 sigma, or
+    fewer contacts broke in it than there are batches."""
     columns = (AREA, PINNED, ELAPSED, BREAKS, STRETCH)
     area, pinned, elapsed, breaks, stretch = (batches[:, :, column] for column in columns)
-    enough = contacts >= BATCHES or breaks.sum() >= 4 * BATCHES
+    seen = breaks.sum()
+    enough = seen >= BATCHES and (contacts >= BATCHES or seen >= 4 * BATCHES)
 
     def over(numerator: Array, denominator: Array) -> Estimate:
         found = ratio(numerator.sum(1), denominator.sum(1), lives)
         steady = found.reliable and not drifts(numerator, denominator, sigmas=4.0)
         return replace(found, reliable=bool(steady and enough))
 
-    slope = over(stretch, breaks)
-    return (
-        over(area + drag * (elapsed - pinned), elapsed),
-        over(pinned, elapsed),
-        replace(slope, reliable=slope.reliable and bool(breaks.sum() >= BATCHES)),
-    )
+    return over(area + drag * (elapsed - pinned), elapsed), over(pinned, elapsed), over(stretch, breaks)
 
 
 def _in(estimate: Estimate, unit: float) -> Estimate:

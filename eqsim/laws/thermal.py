@@ -131,14 +131,15 @@ def stiff_stretch(xi: float, a: float, log_w: float, clock: float) -> float:
 
 
 class PooledHazard(NamedTuple):
-    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse, as nodes with the slope dx/dG beside them."""
+    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape (nodes,), and the slope dx/dG at
+    the left and right end of each cell between them, shape (nodes - 1, 2)."""
 
     x: Array
     G: Array
-    slope: Array
+    slopes: Array
 
 
-NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty(0))
+NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty((0, 2)))
 MOST_POOLED_STEPS = 4096
 
 
@@ -185,7 +186,7 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     h = pooled_rate(law, stiffness, barrier, b, y)
     density = CubicSpline(np.log(y), y * h)  # dG/d ln y
     G = y[0] * h[0] + density.antiderivative()(np.log(y))
-    return _pool(y, G, h)
+    return _pool(y, G, h, h)
 
 
 def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
@@ -198,33 +199,37 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
         )
     weight = np.unique(law.steps, return_counts=True)[1] / law.steps.size
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    halvings = np.unique(np.concatenate(([0.0], 2.0 ** -np.arange(0.0, 44.0, 2.0 if xi.size > 64 else 0.25))))
-    y = np.unique(np.concatenate(((xi[0] * halvings)[1:], *(hi - (hi - lo) * halvings for lo, hi in _gaps(xi)))))
-    G, h = np.zeros(y.size), np.zeros(y.size)
+    fine = 8 if xi.size <= 64 else 1  # nodes per halving of the distance to a threshold
+    nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0)]  # from the linear beginning
+    for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, 2 * a * xi, strict=True):
+        depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))  # down to a fraction of the layer
+        nodes.append(high - (high - low) * np.append(2.0 ** (-np.arange(depth * fine) / fine), 0.0))
+    y = np.unique(np.concatenate(nodes))[1:]
+    G, left, right = np.zeros(y.size), np.zeros(y.size), np.zeros(y.size)
     for j in range(xi.size):
-        below = y < xi[j]
-        G[below] += weight[j] * np.exp(log_hazard(barrier, y[below], xi[j], a[j]))
-        G[~below] += weight[j] * np.exp(log_hazard(barrier, xi[j], xi[j], a[j]))
-        h[below] += weight[j] * np.exp(log_rate(barrier, y[below], xi[j], a[j]))
-    return _pool(y, G, h)
+        k = np.searchsorted(y, xi[j])
+        G[:k] += weight[j] * np.exp(log_hazard(barrier, y[:k], xi[j], a[j]))
+        G[k:] += weight[j] * np.exp(log_hazard(barrier, xi[j], xi[j], a[j]))
+        with np.errstate(divide="ignore"):  # a stiff contact's rate ends at 0
+            rate = weight[j] * np.exp(log_rate(barrier, y[: k + 1], xi[j], a[j]))
+        left[: k + 1] += rate  # the rate drops at each threshold
+        right[:k] += rate[:-1]
+    return _pool(y, G, left, right)
 
 
-def _gaps(xi: Array) -> list[tuple[float, float]]:
-    return list(zip(np.append(0.0, xi[:-1]), xi, strict=True))
-
-
-def _pool(x: Array, G: Array, h: Array) -> PooledHazard:
-    """Drop nodes that cannot be told apart, and keep the interpolant monotone (Fritsch and Carlson)."""
+def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
+    """From h just left and right of each node: drop nodes that cannot be told apart, and keep the interpolant monotone
+    (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
-    x, G, h = x[keep], G[keep], h[keep]
-    secant = np.diff(x) / np.diff(G)
-    limit = 3.0 * np.minimum(np.append(secant, np.inf), np.append(np.inf, secant))
+    x, G = x[keep], G[keep]
+    limit = 3.0 * np.diff(x) / np.diff(G)
     with np.errstate(divide="ignore", over="ignore"):
-        return PooledHazard(x, G, np.minimum(1.0 / h, limit))
+        slopes = 1.0 / np.stack((right[keep][:-1], left[keep][1:]), axis=1)
+    return PooledHazard(x, G, np.minimum(slopes, limit[:, None]))
 
 
 @inlined
-def pooled_stretch(x: Array, G: Array, slope: Array, target: float) -> float:
+def pooled_stretch(x: Array, G: Array, slopes: Array, target: float) -> float:
     """Where G = target; infinite if G never gets there."""
     last = G.size - 1
     if target >= G[last]:
@@ -240,5 +245,5 @@ def pooled_stretch(x: Array, G: Array, slope: Array, target: float) -> float:
             high = middle
     width = G[high] - G[low]
     t = (target - G[low]) / width
-    left, right, rise = slope[low] * width, slope[high] * width, x[high] - x[low]
+    left, right, rise = slopes[low, 0] * width, slopes[low, 1] * width, x[high] - x[low]
     return x[low] + t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise)))

@@ -1,0 +1,148 @@
+"""Run files: defaults, bad input in one line that names the field, and threshold tables."""
+
+import pytest
+
+from eqsim import Delay, Delta, Drive, Gamma, InputError, Thermal, load
+from eqsim.runfile import check, read_thresholds
+
+
+def test_defaults(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text("[drive]\nvelocity = 0.1\n")
+    file = load(path)
+    ensemble = file.ensemble(tmp_path)
+    assert ensemble.thresholds == Gamma(1.0, 1.0)
+    assert ensemble.thermal == Thermal(0.0, 1.0, "soft")
+    assert ensemble.delay == Delay(0.0, "fixed")
+    assert (ensemble.count, ensemble.stiffness, ensemble.stiffness_law) == (100_000, 1.0, "sqrt")
+    assert (ensemble.disorder, ensemble.eta) == ("quenched", 0.0)
+    assert file.driven() == Drive(0.1, None, "fresh")
+    assert (file.output.points, file.output.seed, file.output.replicas) == (2001, 1, 1)
+    assert file.driven().over(ensemble) == pytest.approx(200 * ensemble.thresholds.mean)
+
+
+def test_every_key(tmp_path):
+    (tmp_path / "x.csv").write_text("threshold\n1.0\n0.5\n")
+    data = {
+        "title": "t",
+        "disorder": "annealed",
+        "contacts": {"count": 1e3, "stiffness": 2, "stiffness_law": "uniform"},
+        "thresholds": {"law": "table", "file": "x.csv"},
+        "thermal": {"kT": 1, "attempt_frequency": 3.0, "barrier": "stiff"},
+        "aging": {"rule": "none", "rate": 0.0, "x_star_final": 2.0},
+        "delay": {"time": 1.5, "law": "exponential"},
+        "viscosity": {"eta": 0.25},
+        "drive": {"velocity": 2, "distance": 7, "start": "stationary"},
+        "output": {"points": 11, "seed": 5, "replicas": 3},
+        "sweep": {"drive.velocity": [1.0, 2.0]},
+    }
+    ensemble = check(data).ensemble(tmp_path)
+    assert list(ensemble.thresholds.steps) == [0.5, 1.0]
+    assert ensemble.count == 1000
+    assert ensemble.delay == Delay(1.5, "exponential")
+    assert check(data).driven() == Drive(2, 7, "stationary")
+    assert check({"thresholds": {"law": "delta", "x_star": 2.0}}).ensemble(tmp_path).thresholds == Delta(2.0)
+
+
+BAD = [
+    ({"contacts": {"cuont": 5}}, 'contacts.cuont: unknown key; did you mean "count"?'),
+    ({"velocity": 1.0}, 'velocity: unknown key; did you mean "viscosity"?'),
+    ({"drive": {"kT": 1.0}}, 'drive.kT: unknown key; did you mean "thermal.kT"?'),
+    ({"nonsense": 1}, "nonsense: unknown key; known here: title"),
+    ({"contacts": {"count": "many"}}, "contacts.count = 'many': must be a valid integer"),
+    ({"contacts": {"count": 0}}, "contacts.count = 0: must be an integer from 1"),
+    ({"contacts": {"count": 1.5}}, "contacts.count = 1.5: must be a valid integer"),
+    ({"contacts": {"count": True}}, "contacts.count = True: must be a valid integer"),
+    ({"contacts": {"stiffness": -1.0}}, "contacts.stiffness = -1.0: must be a finite number > 0"),
+    ({"contacts": {"stiffness": "1"}}, "contacts.stiffness = '1': must be a valid number"),
+    ({"contacts": {"stiffness_law": "cubic"}}, 'contacts.stiffness_law = \'cubic\': must be one of "sqrt", "uniform"'),
+    ({"contacts": 5}, "contacts = 5: must be a section, [contacts]"),
+    ({"thresholds": {"n": -0.5}}, "thresholds.n = -0.5: must be a finite number >= 0"),
+    ({"thresholds": {"x_star": 0}}, "thresholds.x_star = 0.0: must be a finite number > 0"),
+    ({"thresholds": {"law": "delta", "n": 1.0}}, 'thresholds.n = 1.0: not allowed with law = "delta"'),
+    ({"thresholds": {"law": "table"}}, 'thresholds.file: is required with law = "table"'),
+    ({"thresholds": {"law": "table", "file": "x", "x_star": 1.0}}, "thresholds.x_star = 1.0: not allowed"),
+    ({"thresholds": {"law": "weird"}}, "thresholds.law = 'weird': must be \"gamma\", \"delta\" or \"table\""),
+    ({"thermal": {"kT": float("nan")}}, "thermal.kT = nan: must be a finite number >= 0"),
+    ({"thermal": {"kT": float("inf")}}, "thermal.kT = inf: must be a finite number >= 0"),
+    ({"thermal": {"barrier": "hard"}}, "thermal.barrier = 'hard': must be one of"),
+    ({"aging": {"rule": "flow"}}, "aging.rule = 'flow': must be \"none\"; this version has no aging thresholds"),
+    ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
+    ({"delay": {"law": "gamma"}}, "delay.law = 'gamma': must be one of"),
+    ({"viscosity": {"eta": -2}}, "viscosity.eta = -2.0: must be a finite number >= 0"),
+    ({"disorder": "frozen"}, "disorder = 'frozen': must be one of \"quenched\", \"annealed\""),
+    ({}, "drive.velocity: is required"),
+    ({"drive": {"velocity": 0}}, "drive.velocity = 0.0: must be a finite number > 0"),
+    ({"drive": {"velocity": 10**400}}, "drive.velocity"),
+    ({"drive": {"velocity": 1.0, "distance": 0.0}}, "drive.distance = 0.0: must be a finite number > 0"),
+    ({"drive": {"velocity": 1.0, "start": "warm"}}, "drive.start = 'warm': must be one of"),
+]
+
+
+@pytest.mark.parametrize(("data", "message"), BAD)
+def test_bad_input(data, message, tmp_path):
+    with pytest.raises(InputError) as caught:
+        file = check(data)
+        file.ensemble(tmp_path)
+        file.driven()
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"[drive\nvelocity = 1", "is not valid TOML"),
+        (b"\xff\xfe\x00", "is not a text file in UTF-8"),
+        (b"a = 1\na = 2\n", "is not valid TOML"),
+    ],
+)
+def test_not_toml(tmp_path, content, message):
+    path = tmp_path / "run.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        load(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        load(tmp_path / "absent.toml")
+    with pytest.raises(InputError, match="cannot be read"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", 'needs a column named "threshold"; found nothing'),
+        ("xi\n1.0\n", 'needs a column named "threshold"; found xi'),
+        ("threshold\n", "is empty"),
+        ("threshold\n1.0\nsoft\n", "line 3: 'soft' must be a finite number > 0"),
+        ("threshold\n1.0\n-2\n", "line 3: '-2' must be"),
+        ("threshold\n0\n", "line 2: '0' must be"),
+        ("threshold\nnan\n", "line 2: 'nan' must be"),
+        ("threshold\ninf\n", "line 2: 'inf' must be"),
+        ("a,threshold\n1\n", "line 2: '' must be"),
+        ("threshold\n1e-200\n", "1e-200; every threshold"),
+    ],
+)
+def test_bad_tables(tmp_path, content, message):
+    path = tmp_path / "x.csv"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_thresholds(path)
+    assert message in str(caught.value)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_thresholds(tmp_path / "absent.csv")
+
+
+def test_good_tables(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("\ufeffsample, threshold\n1, 2.5\n2, 0.5\n\n3, 1e3\n", encoding="utf-8")
+    assert list(read_thresholds(path).steps) == [0.5, 2.5, 1000.0]
+
+
+def test_changes(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text("[drive]\nvelocity = 0.1\n")
+    file = load(path, {"drive.velocity": 2.0, "title": "x", "delay.time": 3})
+    assert (file.drive.velocity, file.title, file.delay.time) == (2.0, "x", 3.0)
+    with pytest.raises(InputError, match="drive.velocity is not a section|velocity is not a section"):
+        load(path, {"drive.velocity.x": 1})

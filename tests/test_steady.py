@@ -1,0 +1,241 @@
+"""Steady averages against exact values, and the error bars themselves.
+
+Seeds are fixed, so a pass today is a pass tomorrow; the stated false-alarm rates are those of a fresh seed.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.stats
+from scipy import integrate
+
+import eqsim.engine.steady as module
+from eqsim import Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
+from eqsim.estimate import z_score
+
+REFERENCE = pd.read_csv(Path(__file__).parent / "data" / "steady_reference.csv")
+OBSERVABLES = ("friction", "pinned", "break_stretch")
+
+
+def ensemble_of(row, **changes):
+    given = {
+        "thresholds": Gamma(row.n, row.x_star),
+        "thermal": Thermal(row.kT, row.attempt_frequency, row.barrier),
+        "delay": Delay(row.delay),
+        "stiffness": row.stiffness,
+        "stiffness_law": row.stiffness_law,
+        "disorder": row.disorder,
+    }
+    return Ensemble(**(given | changes))
+
+
+def scores(row, result):
+    """z of the three observables, None where a value is exact."""
+    return [
+        z_score(getattr(result, name), getattr(row, name), row.rel_accuracy * getattr(row, name))
+        if getattr(result, name).stderr
+        else None
+        for name in OBSERVABLES
+    ]
+
+
+def chi_square_tail(values):
+    """Two-sided p-value of a sum of squares of standard-normal scores."""
+    total = float(np.sum(np.square(values)))
+    return 2 * min(scipy.stats.chi2.cdf(total, len(values)), scipy.stats.chi2.sf(total, len(values)))
+
+
+def test_reference_table():
+    """Every row: |z| < 4.5 (some 150 scores, false alarm 1e-3), and chi-square over friction with p > 1e-4."""
+    table = [scores(row, steady(ensemble_of(row), row.velocity, seed=11)) for row in REFERENCE.itertuples()]
+    found = [z for row in table for z in row if z is not None]
+    assert len(found) > 120
+    assert max(map(abs, found)) < 4.5
+    assert chi_square_tail([row[0] for row in table]) > 1e-4
+    assert chi_square_tail([row[2] for row in table]) > 1e-4
+
+
+@pytest.mark.parametrize("name", ["public-003", "public-005", "public-007", "public-063", "public-081"])
+def test_error_bars_over_seeds(name):
+    """50 seeds: scores have unit variance (two-sided p > 1e-4 per observable; five rows, false alarm 1e-3)."""
+    row = REFERENCE[REFERENCE.id == name].iloc[0]
+    table = [scores(row, steady(ensemble_of(row), row.velocity, seed=seed)) for seed in range(50)]
+    for column in (0, 2):
+        assert chi_square_tail([line[column] for line in table]) > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("public-005", {"stiffness_law": "uniform"}),
+        ("public-024", {"disorder": "quenched"}),
+        ("public-063", {"delay": Delay(0.0)}),
+        ("public-081", {"delay": Delay(0.49)}),
+        ("public-042", {"thermal": Thermal(0.1075, 1.02)}),
+        ("public-008", {"thermal": Thermal(0.1, 1.0, "soft")}),
+        ("public-020", {"thresholds": Gamma(0.02)}),
+    ],
+)
+def test_negative_controls(name, wrong):
+    """One thing wrong, some by 2 %: the same score must cry out."""
+    row = REFERENCE[REFERENCE.id == name].iloc[0]
+    found = scores(row, steady(ensemble_of(row, **wrong), row.velocity, rel_error=1e-5, seed=11))
+    assert max(abs(z) for z in found if z is not None) > 10
+
+
+@pytest.mark.parametrize("n", [0.0, 0.5, 1.0, 2.5, 7.0])
+def test_zero_temperature(n):
+    """C_0 = 4/(3 sqrt(pi)) at n = 1 for uniform stiffness; Gamma(n+5/2)/(2 sqrt(n+1) Gamma(n+3/2)) for sqrt."""
+    sqrt = math.exp(math.lgamma(n + 2.5) - math.lgamma(n + 1.5)) / (2 * math.sqrt(n + 1))
+    uniform = (n + 1) / 2 * math.exp(math.lgamma(n + 1) - math.lgamma(n + 1.5))
+    assert math.isclose(sqrt, (n + 1.5) / (2 * math.sqrt(n + 1)))
+    assert n != 1.0 or math.isclose(uniform, 4 / (3 * math.sqrt(math.pi)))
+    for law, exact in (("sqrt", sqrt), ("uniform", uniform)):
+        friction = steady(Ensemble(Gamma(n), stiffness_law=law), 1.0, rel_error=1e-4).friction
+        assert abs(z_score(friction, exact)) < 4.5
+        assert math.isclose(friction.value, exact, rel_tol=1e-4)
+
+
+@pytest.mark.parametrize(("velocity", "exact"), [(0.1, 0.797629), (0.01, 0.785876), (1e-6, 1.323188)])
+def test_heavy_tails(velocity, exact):
+    """The default contacts at kT = 1: lifetimes are heavy-tailed, the error bar holds all the same."""
+    result = steady(Ensemble(thermal=Thermal(1.0)), velocity, rel_error=1e-4, seed=3)
+    assert result.reached
+    assert result.friction.reliable
+    assert abs(z_score(result.friction, exact, 5e-7)) < 4.5
+
+
+def test_heavy_tails_need_the_proposal(monkeypatch):
+    """Plain averages over births see too few of the strong contacts that dominate, and must say so."""
+    honest = module.Proposal.of
+
+    def births(contacts):
+        log_e = np.linspace(-36, math.log(500), 1000)
+        plain = module.Density.of(log_e, np.exp(log_e - np.exp(log_e)))
+        return honest(contacts)._replace(threshold=plain, clock=plain)
+
+    monkeypatch.setattr(module.Proposal, "of", births)
+    friction = steady(Ensemble(thermal=Thermal(1.0)), 1e-6, rel_error=0.5).friction
+    assert not friction.reliable
+    assert abs(friction.value / 1.323188 - 1) > 0.01
+
+
+def test_a_law_without_an_end_is_unreliable():
+    """With a tail index just above the third moment, thresholds beyond any table still matter."""
+    heavy = Distribution(scipy.stats.pareto(3.02))
+    assert not steady(Ensemble(heavy), 1.0).friction.reliable
+    assert steady(Ensemble(Distribution(scipy.stats.pareto(5.0))), 1.0).friction.reliable
+
+
+@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
+@pytest.mark.parametrize("stiffness_law", ["sqrt", "uniform"])
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+@pytest.mark.parametrize("b", [1e-3, 1.0, 1e9])
+@pytest.mark.parametrize("velocity", [1e-12, 1e12])
+def test_ends_of_the_range(disorder, stiffness_law, barrier, b, velocity):
+    """24 decades of velocity, 12 of b: finite, and the T = 0 value at high velocity."""
+    ensemble = Ensemble(thermal=Thermal(0.5 / b, 1.0, barrier), stiffness_law=stiffness_law, disorder=disorder)
+    result = steady(ensemble, velocity)
+    assert result.reached
+    assert all(getattr(result, name).value > 0 for name in OBSERVABLES)
+    if velocity > 1:
+        exact = 5 / (4 * math.sqrt(2)) if stiffness_law == "sqrt" else 4 / (3 * math.sqrt(math.pi))
+        assert abs(z_score(result.friction, exact)) < 4.5
+
+
+def test_low_velocity_limits():
+    """Linear creep: annealed v (1+b)^2/omega (nt15); quenched, b < 1/2: (v/omega) ((1-b)/(1-2b))^(n+1) (derived)."""
+    v = 1e-9
+    annealed = steady(Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed"), v, rel_error=1e-5)
+    assert abs(z_score(annealed.friction, v * 4.0)) < 4.5
+    for barrier in ("soft", "stiff"):
+        quenched = steady(
+            Ensemble(thermal=Thermal(2.5, 1.0, barrier), stiffness_law="uniform"), v, rel_error=1e-5
+        )  # b = 0.2
+        assert abs(z_score(quenched.friction, v * (0.8 / 0.6) ** 2)) < 4.5
+
+
+def test_discrete_laws():
+    """A table of thresholds: T = 0 sums; at T > 0 each quenched row behaves as identical contacts do, and annealed
+    attempts follow dU, integrated here without any closed form."""
+    xi = np.array([0.4, 0.7, 0.7, 1.9])
+    cold = steady(Ensemble(Table(xi), stiffness_law="uniform"), 1.0, rel_error=1e-5)
+    assert abs(z_score(cold.friction, (xi**2).sum() / 2 / xi.sum())) < 4.5
+    thermal = Thermal(0.1)
+    rows = [steady(Ensemble(Delta(x), thermal, stiffness_law="uniform"), 0.1, rel_error=1e-5) for x in xi]
+    lives = np.array([row.break_stretch.value for row in rows])
+    work = np.array([row.friction.value for row in rows]) * lives
+    # four rows, each known to 1e-5 in two observables: at most 1.5e-5 in the ratio
+    quenched = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform"), 0.1, rel_error=1e-5)
+    assert abs(z_score(quenched.friction, work.sum() / lives.sum(), 1e-5 * 1.5)) < 4.5
+
+    def survival(x):
+        def rate(y):
+            return np.mean((xi > y) * np.exp(-(xi**2 - y**2) / 0.2)) / 0.1
+
+        marks = [mark for mark in np.unique(xi) if mark < x]
+        return np.mean(xi > x) * math.exp(-integrate.quad(rate, 0, x, points=marks or None, epsabs=1e-10)[0])
+
+    grid = [np.linspace(lo, hi, 201) for lo, hi in ((0, 0.4), (0.4, 0.7), (0.7, 1.9))]
+    # Simpson on each smooth piece, from values just inside it
+    pieces = [(g, np.array([survival(x) for x in np.clip(g, g[0] + 1e-12, g[-1] - 1e-12)])) for g in grid]
+    mean = sum(integrate.simpson(s, x=g) for g, s in pieces)
+    first = sum(integrate.simpson(g * s, x=g) for g, s in pieces)
+    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), 0.1, rel_error=1e-5)
+    assert abs(z_score(annealed.break_stretch, mean, 1e-6)) < 4.5
+    assert abs(z_score(annealed.friction, first / mean, 1e-6)) < 4.5
+
+
+def test_scipy_laws():
+    """Weibull thresholds with shape 2 are the gamma family with n = 0."""
+    for disorder in ("quenched", "annealed"):
+        given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
+        ours = steady(Ensemble(Gamma(0.0), **given), 0.1, rel_error=1e-5)
+        theirs = steady(Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given), 0.1, rel_error=1e-5)
+        for name in OBSERVABLES:
+            a, b = getattr(ours, name), getattr(theirs, name)
+            assert abs(a.value - b.value) < 4.5 * math.hypot(a.stderr, b.stderr)
+
+
+def test_viscosity_and_delay():
+    """friction = elastic part + (eta v/k)(1 - pinned), whatever the law of the delay."""
+    base = Ensemble(thermal=Thermal(0.1), delay=Delay(3.0), stiffness=2.0)
+    dry = steady(base, 0.5, rel_error=1e-5)
+    wet = steady(Ensemble(thermal=Thermal(0.1), delay=Delay(3.0), stiffness=2.0, eta=4.0), 0.5, rel_error=1e-5)
+    drag = 4.0 * 0.5 / 2.0 * (1 - dry.pinned.value)
+    assert math.isclose(wet.friction.value, dry.friction.value + drag, rel_tol=1e-12)
+    random = steady(Ensemble(thermal=Thermal(0.1), delay=Delay(3.0, "exponential"), stiffness=2.0), 0.5, rel_error=1e-5)
+    assert abs(random.friction.value - dry.friction.value) < 4.5 * math.hypot(random.friction.stderr, dry.friction.stderr)
+
+
+def test_asked_for_precision_and_threads():
+    loose = steady(Ensemble(thermal=Thermal(1.0)), 0.01, rel_error=1e-2, threads=1)
+    tight = steady(Ensemble(thermal=Thermal(1.0)), 0.01, rel_error=3e-6, threads=2)
+    again = steady(Ensemble(thermal=Thermal(1.0)), 0.01, rel_error=3e-6, threads=1)
+    assert tight.lives > loose.lives
+    for name in OBSERVABLES:
+        assert getattr(tight, name).stderr <= 3e-6 * getattr(tight, name).value
+        assert getattr(tight, name) == getattr(again, name)
+
+
+def test_refusals():
+    with pytest.raises(InputError, match="lives"):
+        steady(Ensemble(thermal=Thermal(1.0)), 0.01, max_lives=1000)
+    with pytest.raises(InputError, match="velocity"):
+        steady(Ensemble(), 0.0)
+    with pytest.raises(InputError, match="rel_error"):
+        steady(Ensemble(), 1.0, rel_error=-1.0)
+    with pytest.raises(InputError, match="1e100|230"):
+        steady(Ensemble(thermal=Thermal(1.0)), 1e-200)
+
+
+def test_student_scores():
+    """A score from few batches is the normal score of the Student probability."""
+    estimate = Estimate(1.0, 0.5, 100, dof=3)
+    assert z_score(estimate, 0.0) == pytest.approx(-scipy.stats.norm.ppf(scipy.stats.t.sf(2.0, 3)))
+    assert z_score(estimate, 2.0) == pytest.approx(-z_score(estimate, 0.0))
+    assert z_score(Estimate(1.0, 0.0, 100), 1.0) is None
+    assert z_score(Estimate(1.0, 0.5, 100), 0.0) == 2.0

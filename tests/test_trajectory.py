@@ -1,0 +1,262 @@
+"""Trajectories against exact transients and stationary values, and the same bits however the work is divided.
+
+Seeds are fixed; stated false-alarm rates are those of a fresh seed.
+"""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady, trajectory
+from eqsim.engine.ramps import Run, Scales, moments, simulate
+from eqsim.engine.standing import standing
+from eqsim.engine.streams import TRAJECTORY, key
+from eqsim.engine.trajectory import Totals, predicted_lives
+from eqsim.ensemble import lower
+from eqsim.estimate import z_score
+
+UNIFORM = {"stiffness_law": "uniform"}
+
+
+def at(result, x):
+    return int(np.argmin(abs(result.X - x)))
+
+
+@pytest.mark.parametrize(
+    ("delay", "x", "force", "pinned"),
+    [
+        (Delay(0.0), 1.0, 0.798449, 1.0),
+        (Delay(0.0), 1.19, 0.82150, 1.0),
+        (Delay(2.0), 2.0, 0.183156, 0.091578),
+        (Delay(2.0, "exponential"), 2.0, 0.301469, 0.348039),
+    ],
+)
+def test_transient_at_zero_temperature(delay, x, force, pinned):
+    """Renewal transients at T = 0, uniform, v = 1 (values known to 5e-7 and 5e-6): eight scores, |z| < 4.5."""
+    result = trajectory(Ensemble(count=400_000, delay=delay, **UNIFORM), Drive(1.0, 4.0), points=401, seed=5, threads=2)
+    i = at(result, x)
+    assert abs(result.force[i] - force) < 4.5 * result.force_stderr[i] + 5e-6
+    assert abs(result.pinned[i] - pinned) < 4.5 * result.pinned_stderr[i] + 5e-7
+    assert result.force[0] == result.force_stderr[0] == 0.0
+    assert result.pinned[0] == 1.0
+
+
+def test_wrong_delay_fails():
+    """Negative control of the transient: a fixed delay instead of an exponential one."""
+    result = trajectory(Ensemble(count=400_000, delay=Delay(2.0), **UNIFORM), Drive(1.0, 4.0), points=401, seed=5)
+    i = at(result, 2.0)
+    assert abs(result.force[i] - 0.301469) > 20 * result.force_stderr[i]
+
+
+def test_identical_contacts_are_deterministic():
+    """Delta thresholds at T = 0: a saw-tooth of period x_* + v tau, contact by contact and in the mean."""
+    result = trajectory(
+        Ensemble(Delta(2.0), delay=Delay(0.25), count=7, eta=0.5, stiffness=4.0), Drive(2.0, 9.9), points=100
+    )
+    phase = np.mod(result.X, 2.5)
+    here = (abs(phase - 2.0) > 1e-9) & (abs(phase - 2.5) > 1e-9) & (phase > 1e-9)  # away from the jumps
+    expected = np.where(phase < 2.0, phase, 0.5 * 2.0 / 4.0)
+    np.testing.assert_allclose(result.force[here], expected[here], rtol=1e-9)
+    np.testing.assert_array_equal(result.pinned[here], (phase < 2.0)[here])
+    assert result.break_stretch.value == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("law", ["fixed", "exponential"])
+def test_stationary_start_and_fluctuations(law):
+    """T = 0, uniform, v = 1, tau = 1, eta = 2, N = 20: friction 1.287918 and standard deviation of F/(N k) .163412 at
+    every X. Twenty well separated points: chi-square of the means and of the variances, p > 1e-4 each."""
+    ensemble = Ensemble(count=20, delay=Delay(1.0, law), eta=2.0, **UNIFORM)
+    result = trajectory(ensemble, Drive(1.0, 100.0, "stationary"), points=21, replicas=4000, seed=2, threads=2)
+    z = (result.force[1:] - 1.287918) / result.force_stderr[1:]
+    assert 1e-4 < scipy.stats.chi2.cdf(np.sum(z**2), 20) < 1 - 1e-4
+    # variance of a sample variance of nearly normal sums: 2 s^4/(R-1), the kurtosis of N = 20 contacts adds < 5 %
+    y = (result.force_replica_std[1:] ** 2 / 0.163412**2 - 1) / math.sqrt(2 * 1.05 / 3999)
+    assert 1e-4 < scipy.stats.chi2.cdf(np.sum(y**2), 20) < 1 - 1e-4
+    assert np.mean(result.force_replica_std) == pytest.approx(0.163412, rel=4.5 / math.sqrt(2 * 4000 * 20) * 1.05)
+    # the quoted error of the mean is that standard deviation over sqrt(replicas)
+    np.testing.assert_allclose(
+        result.force_stderr[1:], result.force_replica_std[1:] / math.sqrt(4000), rtol=5 / math.sqrt(2 * 4000)
+    )
+
+
+CASES = [
+    Ensemble(thermal=Thermal(0.1), delay=Delay(4.0)),
+    Ensemble(thermal=Thermal(1.0), disorder="annealed", delay=Delay(4.0, "exponential"), eta=1.0),
+    Ensemble(Gamma(0.5), Thermal(0.3, 1.0, "stiff"), stiffness_law="uniform"),
+    Ensemble(Gamma(2.5, 3.0), Thermal(0.3, 2.0, "stiff"), disorder="annealed", stiffness=2.0, delay=Delay(10.0)),
+    Ensemble(Table([0.5, 0.9, 1.0, 1.3, 2.0]), Thermal(0.05), delay=Delay(4.0)),
+    Ensemble(Table([0.5, 0.9, 1.0, 1.3, 2.0]), Thermal(0.05), disorder="annealed", stiffness_law="uniform"),
+    Ensemble(Delta(1.0), Thermal(0.1), delay=Delay(3.0, "exponential")),
+]
+
+
+@pytest.mark.parametrize("ensemble", CASES)
+@pytest.mark.parametrize("start", ["fresh", "stationary"])
+def test_agrees_with_steady(ensemble, start):
+    """Second-half averages against the steady estimate (three scores a case, |z| < 4.5: false alarm 3e-4 in all); a
+    stationary start is level from the first point on (chi-square over distant points, p > 1e-4)."""
+    mean = ensemble.thresholds.mean
+    level = steady(ensemble, 0.1, rel_error=1e-4)
+    result = trajectory(ensemble, Drive(0.1, 40 * mean, start), points=11, seed=8, threads=2)
+    pairs = [
+        (result.friction, level.friction),
+        (result.pinned_fraction, level.pinned),
+        (result.break_stretch, level.break_stretch),
+    ]
+    for particles, exact in pairs:
+        assert particles.reliable
+        if particles.stderr:
+            assert abs(z_score(particles, exact.value, exact.stderr)) < 4.5
+        else:
+            assert particles.value == exact.value == 1.0
+    if start == "stationary":
+        z = (result.force - level.friction.value) / np.hypot(result.force_stderr, level.friction.stderr)
+        assert 1e-4 < scipy.stats.chi2.cdf(np.sum(z**2), z.size) < 1 - 1e-4
+
+
+def test_wrong_start_fails():
+    """Negative control: births instead of survivors at X = 0 are far from the steady value at small X."""
+    ensemble = Ensemble(thermal=Thermal(0.1))
+    level = steady(ensemble, 0.1).friction.value
+    result = trajectory(ensemble, Drive(0.1, 4.0), points=11)
+    assert abs(result.force[1] - level) > 20 * result.force_stderr[1]
+
+
+def test_heavy_tailed_stationary_start():
+    """kT = 1, v = 1e-6: survivors are nothing like births, and only their right joint law is level."""
+    ensemble = Ensemble(thermal=Thermal(1.0), count=20_000)
+    result = trajectory(ensemble, Drive(1e-6, 3e-4, "stationary"), points=3, max_lives=1e9, threads=2)
+    for i in range(3):
+        assert abs(result.force[i] - 1.323188) < 4.5 * result.force_stderr[i]
+
+
+def test_quoted_error_is_the_scatter():
+    """N = 50 over 150 seeds: the scatter of F at four points and of the average matches the quoted error (chi-square
+    of 150 scores each, p > 1e-4)."""
+    ensemble = Ensemble(thermal=Thermal(0.2), count=50, delay=Delay(5.0))
+    level = steady(ensemble, 0.1, rel_error=1e-5)
+    runs = [trajectory(ensemble, Drive(0.1, 40.0, "stationary"), points=5, seed=seed) for seed in range(150)]
+    force = np.array([run.force for run in runs])
+    quoted = np.array([run.force_stderr for run in runs])
+    for i in range(4):
+        # the ratio of variances: quoted ones come from 50 contacts and are themselves known to 20 % each
+        ratio = np.sum((force[:, i] - level.friction.value) ** 2) / np.sum(quoted[:, i] ** 2)
+        assert 1e-4 < scipy.stats.chi2.cdf(150 * ratio, 150) < 1 - 1e-4
+    for name, exact in (("friction", level.friction), ("break_stretch", level.break_stretch)):
+        z = [z_score(getattr(run, name), exact.value) for run in runs]
+        assert 1e-4 < scipy.stats.chi2.cdf(np.sum(np.square(z)), 150) < 1 - 1e-4
+
+
+def test_few_contacts_use_lives_as_samples():
+    """One contact: batches of whole lives, and honest words when there is too little to go by."""
+    long = trajectory(Ensemble(count=1, delay=Delay(1.0)), Drive(1.0, 20_000.0), seed=4)
+    level = steady(Ensemble(count=1, delay=Delay(1.0)), 1.0, rel_error=1e-5)
+    assert long.friction.reliable
+    assert abs(z_score(long.friction, level.friction.value)) < 4.5
+    short = trajectory(Ensemble(count=1), Drive(1.0, 5.0), seed=4)
+    assert not short.friction.reliable
+    nothing = trajectory(Ensemble(count=100), Drive(1.0, 1e-3), seed=4)
+    assert nothing.break_stretch.value is None
+    assert not nothing.friction.reliable
+
+
+def test_transients_are_called_unreliable():
+    """A delay longer than the run: the halves of the averaging window differ."""
+    result = trajectory(Ensemble(delay=Delay(30.0)), Drive(1.0, 20.0))
+    assert not result.friction.reliable
+
+
+def test_same_bits_for_any_threads_and_seeds_that_differ():
+    ensemble = Ensemble(thermal=Thermal(0.1), count=5000, delay=Delay(1.0, "exponential"))
+    drive = Drive(0.1, 10.0, "stationary")
+    for replicas in (1, 3):
+        runs = [
+            trajectory(ensemble, drive, points=301, seed=9, replicas=replicas, threads=threads) for threads in (1, 2, 5)
+        ]
+        for name in ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std"):
+            first = getattr(runs[0], name)
+            assert all(first is None or first.tobytes() == getattr(run, name).tobytes() for run in runs)
+        assert len({(run.friction, run.pinned_fraction, run.break_stretch, run.lives) for run in runs}) == 1
+    other = trajectory(ensemble, drive, points=301, seed=10)
+    assert not np.array_equal(other.force, runs[0].force)
+
+
+@pytest.mark.parametrize("start", ["fresh", "stationary"])
+def test_same_bits_for_any_blocks(start):
+    """Blocks of 1, 37, 128 and all contacts, in any order, add up to the same integers."""
+    ensemble = Ensemble(thermal=Thermal(0.1), count=300, delay=Delay(1.0))
+    c = lower(ensemble, 0.1)
+    run = Run(10.0, 101, start == "stationary", False)
+    scales = Scales.of(c, run, 300, 1)
+    table = standing(c)
+    sums = []
+    for size in (1, 37, 128, 300):
+        total = Totals(101, 1)
+        firsts = list(range(0, 300, size))
+        np.random.default_rng(size).shuffle(firsts)
+        for first in firsts:
+            simulate(
+                c, table, run, scales.deposits, scales.batches, key(1, TRAJECTORY), first, min(first + size, 300),
+                total.deposits, total.batches, total.status,
+            )  # fmt: skip
+        sums.append(total)
+    for total in sums[1:]:
+        assert total.deposits.tobytes() == sums[0].deposits.tobytes()
+        assert total.batches.tobytes() == sums[0].batches.tobytes()
+        assert total.lives == sums[0].lives
+
+
+def test_a_contact_does_not_depend_on_the_others():
+    """Contact 0 of a large ensemble lives the life of contact 0 of a small one; a finer grid sees the same force."""
+    drive = Drive(0.1, 10.0)
+    alone = trajectory(Ensemble(thermal=Thermal(0.1), count=1), drive, points=101)
+    both = trajectory(Ensemble(thermal=Thermal(0.1), count=2), drive, points=1001)
+    c = lower(Ensemble(thermal=Thermal(0.1)), 0.1)
+    run = Run(10.0, 101, False, False)
+    scales = Scales.of(c, run, 2, 1)
+    second = Totals(101, 1)
+    simulate(
+        c, standing(c), run, scales.deposits, scales.batches, key(1, TRAJECTORY), 1, 2,
+        second.deposits, second.batches, second.status,
+    )  # fmt: skip
+    force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
+    np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), atol=1e-12)
+
+
+def test_units_scale_out():
+    """Lengths in x_*, times in 1/omega, forces in k x_*: the same run in SI units of steel is the same to rounding."""
+    ours = trajectory(Ensemble(Gamma(1.0), Thermal(0.1), count=2000), Drive(0.1, 10.0), points=101)
+    x, omega, k = 2.122e-9, 7.87e9, 4.7e5
+    theirs = trajectory(
+        Ensemble(Gamma(1.0, x), Thermal(0.1 * k * x * x, omega), count=2000, stiffness=k),
+        Drive(0.1 * omega * x, 10.0 * x),
+        points=101,
+    )
+    np.testing.assert_allclose(theirs.force / x, ours.force, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(theirs.t * omega, ours.t, rtol=1e-12)
+
+
+def test_predicted_lives():
+    for ensemble, drive in (
+        (Ensemble(count=1000), Drive(1.0)),
+        (Ensemble(count=1000, thermal=Thermal(1.0), disorder="annealed"), Drive(0.01)),
+        (Ensemble(count=1000, thermal=Thermal(1.0)), Drive(0.01)),
+        (Ensemble(count=1000, delay=Delay(50.0)), Drive(1.0)),
+    ):
+        predicted = predicted_lives(ensemble, drive)
+        assert 0.9 < predicted / trajectory(ensemble, drive, points=2).lives < 2.5
+
+
+def test_refusals():
+    with pytest.raises(InputError, match=r"about 2.01e.12 lives"):
+        trajectory(Ensemble(count=10**10), Drive(1.0))
+    with pytest.raises(InputError, match="points"):
+        trajectory(Ensemble(), Drive(1.0), points=1)
+    with pytest.raises(InputError, match="distance"):
+        Drive(1.0, 0.0)
+    with pytest.raises(InputError, match="count"):
+        Ensemble(count=0)
+    with pytest.raises(InputError, match="too much to add up"):
+        trajectory(Ensemble(Table([1e-9] * 999 + [1e9]), stiffness_law="sqrt", count=100), Drive(1.0, 10.0))
