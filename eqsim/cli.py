@@ -298,7 +298,7 @@ def _text_of(estimate: "Estimate") -> str:
     exponent = math.floor(math.log10(abs(estimate.value))) if estimate.value else 0
     exponent = 0 if -4 < exponent < 6 else exponent
     scale = 10.0**exponent
-    digits = max(0, 1 - math.floor(math.log10(estimate.stderr / scale)))
+    digits = max(0, 1 - math.floor(math.log10(float(f"{estimate.stderr / scale:.1e}"))))
     last = round(estimate.stderr / scale * 10**digits)
     power = f"e{exponent:+03d}" if exponent else ""
     return f"{estimate.value / scale:.{digits}f}({last}){power}{mark}"

@@ -187,12 +187,10 @@ def _nearest(location: list[str]) -> str:
         if isinstance(kind, type) and issubclass(kind, BaseModel)
     }
     here = known.get(location[0], []) if len(location) > 1 else list(sections)
-    close = difflib.get_close_matches(location[-1], here, 1)
-    if close:
-        return f'did you mean "{close[0]}"?'
     elsewhere = [f"{name}.{location[-1]}" for name, keys in known.items() if location[-1] in keys]
-    if elsewhere:
-        return f'did you mean "{elsewhere[0]}"?'
+    close = difflib.get_close_matches(location[-1], here, 1)
+    if elsewhere or close:
+        return f'did you mean "{(elsewhere + close)[0]}"?'
     return "known here: " + ", ".join(here)
 
 

@@ -46,7 +46,7 @@ def test_every_key(tmp_path):
 
 BAD = [
     ({"contacts": {"cuont": 5}}, 'contacts.cuont: unknown key; did you mean "count"?'),
-    ({"velocity": 1.0}, 'velocity: unknown key; did you mean "viscosity"?'),
+    ({"velocity": 1.0}, 'velocity: unknown key; did you mean "drive.velocity"?'),
     ({"drive": {"kT": 1.0}}, 'drive.kT: unknown key; did you mean "thermal.kT"?'),
     ({"nonsense": 1}, "nonsense: unknown key; known here: title"),
     ({"contacts": {"count": "many"}}, "contacts.count = 'many': must be a valid integer"),
@@ -111,8 +111,8 @@ def test_not_toml(tmp_path, content, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", 'needs a column named "threshold"; found nothing'),
-        ("xi\n1.0\n", 'needs a column named "threshold"; found xi'),
+        ("", 'needs a column "threshold" in its first line; found nothing'),
+        ("xi\n1.0\n", 'needs a column "threshold" in its first line; found xi'),
         ("threshold\n", "is empty"),
         ("threshold\n1.0\nsoft\n", "line 3: 'soft' must be a finite number > 0"),
         ("threshold\n1.0\n-2\n", "line 3: '-2' must be"),

@@ -259,4 +259,4 @@ def test_refusals():
     with pytest.raises(InputError, match="count"):
         Ensemble(count=0)
     with pytest.raises(InputError, match="too much to add up"):
-        trajectory(Ensemble(Table([1e-9] * 999 + [1e9]), stiffness_law="sqrt", count=100), Drive(1.0, 10.0))
+        trajectory(Ensemble(Table([1e-9] * 999 + [1e9]), stiffness_law="sqrt", count=100), Drive(1.0, 10.0), max_lives=1e15)

@@ -1,0 +1,220 @@
+"""The command line, in process where that is enough and as a real process where it matters."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from eqsim.cli import _text_of, app
+from eqsim.estimate import Estimate
+
+RUN = """
+title = "small"
+[contacts]
+count = 2000
+[thermal]
+kT = 0.1
+[delay]
+time = 1.0
+[drive]
+velocity = 0.1
+distance = 10.0
+[output]
+points = 51
+seed = 7
+"""
+EQSIM = [sys.executable, "-c", "from eqsim.cli import main; main()"]
+
+
+@pytest.fixture
+def run_file(tmp_path):
+    path = tmp_path / "with space" / "small.toml"
+    path.parent.mkdir()
+    path.write_text(RUN)
+    return path
+
+
+def call(*args):
+    return CliRunner().invoke(app, [str(arg) for arg in args])
+
+
+def tree(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_run_writes_table_summary_and_picture(run_file):
+    result = call("run", run_file)
+    assert result.exit_code == 0, result.output
+    assert "friction" in result.output
+    out = run_file.parent / "out" / "small"
+    assert tree(out) == ["force.png", "summary.json", "trajectory.parquet"]
+    table = pq.read_table(out / "trajectory.parquet")
+    assert table.column_names == ["X", "t", "force", "pinned", "force_stderr", "pinned_stderr"]
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    np.testing.assert_allclose(columns["X"], np.linspace(0, 10, 51))
+    np.testing.assert_allclose(columns["t"], columns["X"] / 0.1)
+    origin = json.loads(table.schema.metadata[b"eqsim"])
+    assert origin["run_file"] == RUN
+    assert origin["seed"] == 7
+    assert origin["settings"]["contacts"]["count"] == 2000
+    assert set(origin["versions"]) == {"python", "eqsim", "numpy", "numba", "scipy"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert {"friction", "pinned", "break_stretch", "lives", "engine_seconds", "threads", "seed", "versions"} <= set(summary)
+    assert abs(summary["friction"]["value"] - summary["steady"]["friction"]["value"]) < 5 * summary["friction"]["stderr"]
+    assert (out / "force.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_run_json_and_replicas(run_file, tmp_path):
+    out = tmp_path / "o"
+    result = call("run", run_file, "--out", out, "--json", "--set", "output.replicas=4", "--seed", 3)
+    summary = json.loads(result.stdout)
+    assert summary == json.loads((out / "summary.json").read_text())
+    assert summary["seed"] == 3
+    table = pq.read_table(out / "trajectory.parquet")
+    assert "force_replica_std" in table.column_names
+    assert json.loads(table.schema.metadata[b"eqsim"])["settings"]["output"] == {"points": 51, "seed": 3, "replicas": 4}
+
+
+def test_same_bytes_for_any_threads(run_file, tmp_path):
+    files = []
+    for threads in (1, 2):
+        out = tmp_path / str(threads)
+        assert call("run", run_file, "--out", out, "--threads", threads, "--quiet").output == ""
+        files.append([(out / name).read_bytes() for name in ("trajectory.parquet", "force.png")])
+    assert files[0] == files[1]
+
+
+def test_steady_and_info(run_file):
+    found = json.loads(call("steady", run_file, "--json", "--rel-error", "1e-4").stdout)
+    assert set(found) == {"friction", "pinned", "break_stretch", "lives", "seed", "reached"}
+    assert set(found["friction"]) == {"value", "stderr", "n", "dof", "reliable"}
+    assert found["friction"]["stderr"] <= 1e-4 * found["friction"]["value"]
+    assert "relative error" in call("steady", run_file).output
+    groups = json.loads(call("info", run_file, "--json").stdout)
+    assert groups["b"] == pytest.approx(5.0)
+    assert groups["v tau/x_*"] == pytest.approx(0.1)
+    exact = json.loads(call("info", run_file, "--json", "--set", "contacts.stiffness_law=uniform").stdout)["v_*"]
+    assert exact == pytest.approx(3 * np.sqrt(np.pi) / 4 * (1 + 5 / 3) / 36, rel=1e-9)  # nt12
+    assert "annealed ensemble" in call("info", run_file).output
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--set", "contacts.cuont=5"], 'contacts.cuont: unknown key; did you mean "count"?'),
+        (["--set", "thermal.kT=-1"], "thermal.kT = -1.0: must be a finite number >= 0"),
+        (["--set", "thermal.kT=hot"], "thermal.kT = 'hot': must be a valid number"),
+        (["--set", "drive.velocity=0"], "drive.velocity = 0.0: must be a finite number > 0"),
+        (["--set", "drive.distance=0"], "drive.distance = 0.0"),
+        (["--set", "nonsense"], "--set nonsense: must be section.key=value"),
+        (["--set", "output.points=1"], "points = 1: must be an integer from 2"),
+        (["--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
+        (["--set", "thresholds.law=table", "--set", "thresholds.file=no.csv"], "no.csv: cannot be read"),
+        (["--set", "contacts.count=1000000000000"], "lives, more than max_lives"),
+        (["--max-lives", "100"], "more than max_lives = 100"),
+        (["--threads", "0"], "--threads = 0: must be an integer from 1"),
+        (["--set", "drive.velocity=1e-300"], "must be a finite number"),
+        (["--set", "drive.distance=1e300"], "distance / threshold"),
+        (["--set", "delay.time=1e300"], "delay"),
+    ],
+)
+def test_bad_input(run_file, args, message):
+    """One line on standard error, exit code 2, nothing on disk."""
+    result = call("run", run_file, *args)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+    assert tree(run_file.parent) == ["small.toml"]
+
+
+def test_bad_files(tmp_path, run_file):
+    for path, message in ((tmp_path / "none.toml", "cannot be read"), (tmp_path, "cannot be read")):
+        result = call("run", path)
+        assert result.exit_code == 2
+        assert message in result.stderr
+    occupied = tmp_path / "file"
+    occupied.write_text("")
+    for out in (occupied, occupied / "below"):
+        result = call("run", run_file, "--out", out)
+        assert result.exit_code == 2
+        assert "--out" in result.stderr
+        assert result.stderr.count("\n") == 1
+
+
+def test_unwritable_folder(run_file, tmp_path):
+    folder = tmp_path / "sealed"
+    folder.mkdir(mode=0o500)
+    if os.access(folder, os.W_OK):
+        folder = "/proc/eqsim"  # the superuser may write anywhere but here
+    result = call("run", run_file, "--out", folder)
+    assert result.exit_code == 2
+    assert "cannot be written" in result.stderr
+
+
+def test_full_disk_leaves_nothing(run_file, tmp_path):
+    """A process that may write no file above 4 KB: the table does not fit."""
+    out = tmp_path / "deep" / "out"
+    call("run", run_file, "--out", tmp_path / "warm")  # kernels are cached now
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    done = subprocess.run(
+        [*EQSIM, "run", str(run_file), "--out", str(out)], preexec_fn=limit, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert "cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not out.exists() or tree(out) == []
+
+
+def test_interrupt_leaves_nothing(run_file, tmp_path):
+    """Ctrl-C in mid-run: exit code 130, one line, no file."""
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [*EQSIM, "run", str(run_file), "--out", str(out), "--set", "contacts.count=30000000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    time.sleep(8)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    begin = time.monotonic()
+    output, error = process.communicate(timeout=60)
+    assert time.monotonic() - begin < 20
+    assert process.returncode == 130
+    assert error.splitlines()[-1] == "eqsim: interrupted; nothing was written"
+    assert "Traceback" not in error
+    assert output == ""
+    assert not out.exists()
+
+
+def test_help_needs_no_numba():
+    """--help answers without the heavy imports."""
+    code = "import sys; from eqsim.cli import app; print(sorted({'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    for args in (["--help"], ["run", "--help"], ["steady", "--help"], ["info", "--help"]):
+        assert call(*args).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (0.9285132, 0.00076, "0.92851(76)"),
+        (1.0, 0.0, "1"),
+        (1.335049e-09, 3.9e-14, "1.335049(39)e-09"),
+        (123.4, 20.0, "123(20)"),
+        (2.5e7, 1.0e5, "2.500(10)e+07"),
+        (0.0996, 0.000996, "0.0996(10)"),
+    ],
+)
+def test_printed_errors(value, stderr, text):
+    assert _text_of(Estimate(value, stderr, 1)) == text

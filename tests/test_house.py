@@ -1,0 +1,64 @@
+"""The house rules that a machine can check: style, types, direction of imports, the README's promises."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+def run(*command):
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]])
+def test_style_and_types(command):
+    run(sys.executable, "-m", *command)
+
+
+def test_imports_point_downward():
+    run(sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()")
+
+
+def test_readme_commands_are_what_ci_runs():
+    readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci" / "run").read_text()
+    for line in ("pip install -e . && eqsim run runs/quickstart.toml", 'pip install -e ".[test]" && pytest'):
+        assert line in readme
+        assert line in ci
+
+
+def test_readme_names_every_room_and_every_name_it_shows_exists():
+    import eqsim
+
+    readme = (ROOT / "README.md").read_text()
+    for path in (ROOT / "eqsim").rglob("*.py"):
+        if path.name not in ("__init__.py",):
+            assert path.name in readme, f"{path.name} is missing from the README's table of rooms"
+    for name in re.findall(r"from eqsim import (.+)", readme):
+        assert all(hasattr(eqsim, word.strip()) for word in name.split(","))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "runs").glob("*.toml")), ids=lambda path: path.stem)
+def test_committed_run_files_are_valid(path):
+    from eqsim import load
+
+    file = load(path)
+    assert file.title
+    assert file.ensemble(path.parent).count > 0
+    assert file.driven().velocity > 0
+
+
+def test_dependencies_are_used():
+    """No declared dependency that the code does not import."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    source = "\n".join(
+        path.read_text() for folder in ("eqsim", "analysis") for path in (ROOT / folder).rglob("*.py")
+    )
+    for requirement in project["dependencies"]:
+        name = re.split(r"[<>=\[]", requirement)[0]
+        assert re.search(rf"^\s*(import|from) {name}\b", source, re.MULTILINE), name
