@@ -9,7 +9,7 @@ from eqsim.errors import require_choice, require_integer, require_number
 from eqsim.laws.delay import Delay
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw
-from eqsim.laws.thermal import NO_POOL, PooledHazard, Thermal, erfi_inverse_table, pooled_hazard
+from eqsim.laws.thermal import MOST_POOLED_STEPS, NO_POOL, PooledHazard, Thermal, erfi_inverse_table, pooled_hazard
 from eqsim.laws.threshold import NO_TABLE, Gamma, ThresholdLaw
 
 Disorder = Literal["quenched", "annealed"]
@@ -108,7 +108,7 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
     if thermal.attempt_frequency > 0:
         reduced = v / (thermal.attempt_frequency * unit)
         found.append(Group("v/(omega x_*)", reduced, "velocity in x_* per attempt"))
-    star = ensemble.crossover_velocity
+    star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
     if star > 0:
         found += [
             Group("v_*", star, "crossover velocity of the annealed ensemble, Delta U(inf) = 1 (nt12 and derived)"),

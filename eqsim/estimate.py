@@ -31,6 +31,15 @@ class Estimate:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class Averages:
+    """Steady averages of an ensemble: friction = <F>/(N k) (length), pinned = <N_c>/N, break_stretch (length)."""
+
+    friction: Estimate
+    pinned: Estimate
+    break_stretch: Estimate
+
+
 def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
     """sum(numerator)/sum(denominator) over independent batches, shape (batches,), by the delta method."""
     total = float(np.sum(denominator))

@@ -28,7 +28,7 @@ from eqsim.engine.life import lives
 from eqsim.engine.streams import STEADY
 from eqsim.ensemble import MECHANICAL, Contacts, Ensemble, lower
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import Estimate
+from eqsim.estimate import Averages, Estimate
 from eqsim.laws.octaves import Array
 
 RANDOMISATIONS = 32
@@ -41,12 +41,9 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Steady:
-    """Steady averages of an ensemble: friction = <F>/(N k) (length), pinned = <N_c>/N, break_stretch (length)."""
+class Steady(Averages):
+    """Steady averages as estimated from `lives` lives; `reached` says whether the requested error was."""
 
-    friction: Estimate
-    pinned: Estimate
-    break_stretch: Estimate
     lives: int
     seed: int
     engine_seconds: float

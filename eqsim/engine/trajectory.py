@@ -120,7 +120,7 @@ def trajectory(
         X=grid,
         t=grid / drive.velocity,
         force=force * unit,
-        force_stderr=np.sqrt(variance * one + (force * one) ** 2) * unit,
+        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (force * one) ** 2) * unit,
         pinned=pinned,
         pinned_stderr=np.sqrt(pinned_variance * one),
         force_replica_std=std,
