@@ -15,6 +15,8 @@ _HOMES = {
     "Estimate": "eqsim.estimate",
     "Steady": "eqsim.engine.steady",
     "steady": "eqsim.engine.steady",
+    "Reference": "eqsim.master.reference",
+    "reference": "eqsim.master.reference",
     "Trajectory": "eqsim.engine.trajectory",
     "trajectory": "eqsim.engine.trajectory",
     "InputError": "eqsim.errors",

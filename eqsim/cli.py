@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from eqsim.engine.steady import Steady
+    from eqsim.ensemble import Ensemble
     from eqsim.estimate import Estimate
+    from eqsim.master.reference import Reference
     from eqsim.runfile import RunFile
 
 app = typer.Typer(
@@ -167,17 +169,52 @@ def steady(
         )  # fmt: skip
     if not result.reached and not quiet:
         print(f"eqsim: relative error {rel_error:g} was not reached within {max_lives:.3g} lives", file=sys.stderr)
-    averages = {name: getattr(result, name) for name in ("friction", "pinned", "break_stretch")}
+    from eqsim.estimate import OBSERVABLES, z_score
+
+    exact, reason = _reference(ensemble, drive.velocity)
+    rows = {name: (getattr(result, name), getattr(exact, name, None)) for name in OBSERVABLES}
+    z = {name: known and z_score(found, known.value, known.stderr) for name, (found, known) in rows.items()}
     if json:
-        out = {name: estimate.as_dict() for name, estimate in averages.items()}
-        print(tables.to_json({**out, "lives": result.lives, "seed": result.seed, "reached": result.reached}))
+        out = {name: found.as_dict() for name, (found, _) in rows.items()}
+        values = {name: known and known.value for name, (_, known) in rows.items()}
+        more = {"lives": result.lives, "seed": result.seed, "reached": result.reached, "reference": values, "z": z}
+        print(tables.to_json({**out, **more}))
     elif not quiet:
-        table = _table("", "steady value", "relative error")
-        for name, estimate in averages.items():
-            table.add_row(name, _text_of(estimate), _relative(estimate))
+        table = _table("", "particles", "relative error", "reference", "z")
+        for name, (found, known) in rows.items():
+            value = f"{known.value:.9g}" if known else "none"
+            table.add_row(
+                name, _text_of(found), _relative(found), value, "exact" if z[name] is None else f"{z[name]:+.2f}"
+            )
         _show(file.title or path.stem, table)
+        if reason:
+            print(f"no reference: {reason}")
         speed = result.lives / max(result.engine_seconds, 1e-9)
         print(f"{_lives(result.lives)} lives in {result.engine_seconds:.2f} s ({_lives(speed)}/s), seed {result.seed}")
+
+
+@app.command()
+@guarded
+def reference(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False) -> None:
+    """Exact steady averages from the master equation, without random numbers."""
+    file, _ = _load(path, set_, None)
+    ensemble, drive = file.ensemble(path.parent), file.driven()
+    from eqsim import tables
+    from eqsim.estimate import OBSERVABLES
+    from eqsim.master.reference import reference as solve
+
+    result = solve(ensemble, drive.velocity)
+    found = {name: getattr(result, name) for name in (*OBSERVABLES, "f_k")}
+    if json:
+        errors = {name: estimate.stderr for name, estimate in found.items()}
+        values = {name: estimate.value for name, estimate in found.items()}
+        print(tables.to_json({**values, "error": errors, "method": result.method}))
+    elif not quiet:
+        table = _table("", "value", "error of the solver")
+        for name, estimate in found.items():
+            table.add_row(name, f"{estimate.value:.10g}", f"{estimate.stderr:.1e}")
+        _show(file.title or path.stem, table)
+        print(f"method: {result.method}")
 
 
 @app.command()
@@ -222,6 +259,16 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
     file = load(path, changes)
     require_integer("output.seed", file.output.seed, 0, 2**63 - 1)
     return file, changes
+
+
+def _reference(ensemble: "Ensemble", velocity: float) -> tuple["Reference | None", str]:
+    """The exact averages, or None and why there are none."""
+    from eqsim.master.reference import reference as solve
+
+    try:
+        return solve(ensemble, velocity), ""
+    except InputError as error:
+        return None, str(error)
 
 
 def _text(path: Path, changes: dict[str, Any]) -> str:

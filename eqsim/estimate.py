@@ -31,6 +31,9 @@ class Estimate:
         return asdict(self)
 
 
+OBSERVABLES = ("friction", "pinned", "break_stretch")
+
+
 @dataclass(frozen=True)
 class Averages:
     """Steady averages of an ensemble: friction = <F>/(N k) (length), pinned = <N_c>/N, break_stretch (length)."""

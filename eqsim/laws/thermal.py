@@ -144,7 +144,7 @@ MOST_POOLED_STEPS = 4096
 
 
 def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, y: Array) -> Array:
-    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of `law.scale`.
+    """h(y) of a smooth law (temper11, temper12 without omega/v), ascending y in units of `law.scale`.
 
     The integral over xi' > y is a trapezoidal sum in ln(xi' - y) (logistic where the support ends), which converges
     exponentially and resolves the layer of width 1/(2 b y) next to y at any b.
@@ -152,7 +152,8 @@ def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b:
     low, high = (edge / law.scale for edge in law.support)
     left = np.maximum(y, low)[:, None]
     step = 0.1
-    s = np.arange(-64.0, 64.0, step)[None, :]
+    layer = min(1.0, 0.5 / (b * float(y[-1])))
+    s = np.arange(math.log(layer) - 34.0, 40.0, step)[None, :]
     if math.isinf(high):
         s = s[:, s[0] < math.log(law.exceeded_by(500.0) / law.scale)]
         beyond = jacobian = np.exp(s)

@@ -37,16 +37,15 @@ def reference(ensemble: Ensemble, velocity: float) -> Reference:
     stretch, work = moments.stretch, moments.work
     delay = velocity * ensemble.delay.time / unit
     drag = ensemble.eta * velocity / ensemble.stiffness / unit
-    cycle = stretch + delay
-    relative = moments.stretch_error / stretch, moments.work_error / work
-    detached = delay / cycle
-    elastic = Estimate(work / cycle * unit, work / cycle * unit * sum(relative), 0)
-    pinned_error = stretch / cycle * detached * relative[0]
-    friction = elastic.value + drag * detached * unit, elastic.stderr + drag * pinned_error * unit
+    relative = moments.stretch_error / stretch + moments.work_error / work
+    pinned = stretch / (stretch + delay)
+    pinned_error = pinned * (1.0 - pinned) * moments.stretch_error / stretch
+    elastic = work / (stretch + delay)
+    friction, error = elastic + drag * (1.0 - pinned), elastic * relative + drag * pinned_error
     return Reference(
-        friction=Estimate(friction[0], friction[1], 0),
-        pinned=Estimate(stretch / cycle, pinned_error, 0),
+        friction=Estimate(friction * unit, error * unit, 0),
+        pinned=Estimate(pinned, pinned_error, 0),
         break_stretch=Estimate(stretch * unit, moments.stretch_error * unit, 0),
-        f_k=Estimate(work / stretch * unit, work / stretch * unit * sum(relative), 0),
+        f_k=Estimate(work / stretch * unit, work / stretch * relative * unit, 0),
         method=method,
     )
