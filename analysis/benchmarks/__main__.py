@@ -47,7 +47,7 @@ def main(
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()
-    console.width = max(console.width, 120)  # the table needs as much
+    console.width = max(console.width, 124)  # the table needs as much
     figures = measure(sizes, threads)
     console.print(report.table(figures))
     console.print(report.notes(sizes, threads))

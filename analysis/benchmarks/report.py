@@ -12,22 +12,28 @@ from rich.table import Table
 from analysis.benchmarks.cases import Sizes
 from analysis.benchmarks.stepped import STEP
 
-COLUMNS = {  # heading: figure and format
-    "eqsim, s": ("seconds", "{:.3g}"),
-    "lives/µs": ("lives_per_microsecond", "{:.1f}"),
-    "rel. error": ("rel_error", "{:.1e}"),
-    "A": ("A", "{:.3g}"),
-    "B": ("B", "{:.3g}"),
-    "B per life": ("B_per_life", "{:.2g}"),
-    "threads": ("threads", "{:.2f}"),
-    "bias of A": ("A_bias", "{:+.2%}"),
-    "±": ("A_bias_stderr", "{:.2%}"),
-    "z of B": ("B_z", "{:+.1f}"),
+
+def short(ratio: float) -> str:
+    """Three digits, in full from 1000 on."""
+    return f"{ratio:,.0f}" if ratio >= 999.5 else f"{ratio:.3g}"
+
+
+COLUMNS = {  # heading: figure, and how to print it
+    "eqsim, s": ("seconds", "{:.3f}".format),
+    "lives/µs": ("lives_per_microsecond", "{:.1f}".format),
+    "rel. error": ("rel_error", "{:.1e}".format),
+    "A": ("A", short),
+    "B": ("B", short),
+    "B per life": ("B_per_life", "{:.2f}".format),
+    "threads": ("threads", "{:.2f}".format),
+    "bias of A": ("A_bias", "{:+.2%}".format),
+    "±": ("A_bias_stderr", "{:.2%}".format),
+    "z of B": ("B_z", "{:+.1f}".format),
 }
 BARS = {  # figure: label and colour
     "A": ("A: NumPy script", "#b0b7bf"),
     "B": ("B: scalar numba kernel", "#4878a8"),
-    "threads": ("eqsim, {} threads", "#e08a3c"),
+    "threads": ("eqsim, threads = {}", "#e08a3c"),
 }
 
 
@@ -46,15 +52,15 @@ def notes(sizes: Sizes, threads: int) -> str:
 
 def table(figures: pd.DataFrame) -> Table:
     """One section per job."""
-    shown = Table(box=box.SIMPLE_HEAD)
+    shown = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     shown.add_column("contacts", no_wrap=True, min_width=figures["case"].str.len().max())
     for heading in COLUMNS:
         shown.add_column(heading, justify="right", no_wrap=True)
     for job, rows in figures.groupby("job", sort=False):
         shown.add_row(f"[bold]{job}")
         for _, row in rows.iterrows():
-            cells = [(row[name], form) for name, form in COLUMNS.values()]
-            shown.add_row(row["case"], *("" if pd.isna(value) else form.format(value) for value, form in cells))
+            cells = ("" if pd.isna(row[name]) else form(row[name]) for name, form in COLUMNS.values())
+            shown.add_row(row["case"], *cells)
         shown.add_section()
     return shown
 
@@ -84,13 +90,12 @@ def _bars(panel: Axes, rows: pd.DataFrame) -> None:
         panel.barh(y, value - 1, height * 0.92, left=1, color=BARS[name][1])
         panel.hlines(y, low, high, color="#333333", lw=1)
         for at, one, end in zip(y, value, high, strict=True):
-            text = f"{one:.2f}" if one < 1.995 else f"{one:.3g}" if one < 1000 else f"{one:,.0f}"
-            panel.text(max(end, 1.0) * 1.12, at, text, va="center", fontsize=8.5)
+            panel.annotate(short(one), (max(end, 1.0), at), (4, 0), textcoords="offset points", va="center", fontsize=9)
+    ends = rows[[f"{name}_{end}" for name in names for end in ("low", "high")]]
+    least, most = ends.min(axis=None), ends.max(axis=None)
     panel.set_xscale("log")
-    panel.set_xlim(
-        0.6 * min(rows[f"{name}_low"].min() for name in names), 5 * max(rows[f"{name}_high"].max() for name in names)
-    )
+    panel.set_xlim(0.7 * least, 1.25 * most * (most / least) ** 0.15)  # room for the last number
     panel.axvline(1, color="#333333", lw=1)
-    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_major_formatter("{x:,g}")
     panel.set_yticks(range(len(rows)), rows["case"])
     panel.tick_params(axis="y", length=0)

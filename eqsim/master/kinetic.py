@@ -104,3 +104,67 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
     # the last refinement squares the error of the one before it; 1e-11 covers the panels
     error = np.minimum(change, np.maximum(change**1.5 / np.sqrt(total), 0.0)) + 1e-11 * total
     return Moments(total[0], total[1], error[0], error[1])
+
+
+_SHARES = np.array([1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0])
+_FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
+
+
+def survivors(
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | None, b: float, log_w: float, x: Array
+) -> tuple[Array, Array, Array]:
+    """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0 in units of `law.scale`.
+
+    Over xi > x by panels that end at fixed shares of the stronger contacts and where the hazard passes fixed levels.
+    """
+    rms = law.rms / law.scale
+    if law.steps.size:
+        xi, counts = np.unique(law.steps / law.scale, return_counts=True)
+        kappa = relative_stiffness(stiffness, xi, rms)
+        weight = np.array([kappa**power for power in range(3)]) * (counts / counts.sum())
+        total = np.zeros((3, x.size))
+        for j in range(xi.size):
+            total += weight[:, j, None] * survival(barrier, x, xi[j], b * kappa[j], log_w)
+        return total[0], total[1], total[2]
+    low, high = (edge / law.scale for edge in law.support)
+    left = np.maximum(x, low)[:, None]
+    rank = -np.log(np.maximum(law.sf(left * law.scale), 1e-200))
+    edges = np.maximum(np.asarray(law.exceeded_by(np.maximum(rank + _SHARES, 2.0**-54))) / law.scale, left)
+    if barrier is not None:
+        edges = np.sort(np.concatenate((edges, np.minimum(_threshold_at(x, b, barrier, stiffness, rms, log_w), high)), 1))
+    edges = np.clip(np.concatenate((left, edges), axis=1), left, edges[:, -1:])
+    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
+    xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
+    kappa = relative_stiffness(stiffness, xi, rms)
+    with np.errstate(invalid="ignore"):
+        terms = half * _FEW_WEIGHTS * law.pdf(xi * law.scale) * law.scale
+        terms *= survival(barrier, x[:, None, None], xi, b * kappa, log_w)
+    terms = np.where(half > 0, terms, 0.0)
+    return terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))
+
+
+def _threshold_at(x: Array, b: float, barrier: Barrier, stiffness: StiffnessLaw, rms: float, log_w: float) -> Array:
+    """Roughly the threshold whose ln((omega/v) H(x)) passes each level, shape (n, levels): only panels depend on it."""
+    x = x[:, None]
+    xi = x
+    for _ in range(4):
+        a = b * relative_stiffness(stiffness, xi, rms)
+        if barrier == "soft":
+            free = np.log(special.dawsn(np.sqrt(a) * x) / np.sqrt(a))
+            xi = np.sqrt(x**2 + np.maximum(log_w + free - _LEVELS, 0.0) / a)
+        else:
+            free = np.maximum(log_w + np.log(2.0 / (3.0 * a * xi)) - _LEVELS, 0.0)
+            xi = x + xi * np.minimum(free / (a * xi**2), 1e3) ** (2.0 / 3.0)
+    return xi
+
+
+def panels(law: ThresholdLaw, stiffness: StiffnessLaw, b: float) -> Array:
+    """Ascending stretches between which what happens to contacts of a discrete law is smooth: they crowd towards
+    every threshold from below, and towards 0."""
+    xi = np.unique(law.steps) / law.scale
+    rate = 2.0 * (b if math.isfinite(b) else 0.0) * relative_stiffness(stiffness, xi, law.rms / law.scale) * xi
+    edges = [xi[0] * 2.0 ** -np.arange(1.0, 100.0)]
+    for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):
+        depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))
+        edges.append(high - (high - low) * np.append(2.0 ** -(np.arange(2 * depth) / 2), 0.0))
+    return np.unique(np.concatenate(edges))

@@ -2,10 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from eqsim.ensemble import Ensemble
 from eqsim.errors import require_number
 from eqsim.estimate import Averages, Estimate
+from eqsim.laws.stiffness import StiffnessLaw
+from eqsim.laws.thermal import Barrier
+from eqsim.laws.threshold import ThresholdLaw
 from eqsim.master import kinetic, published
 
 
@@ -20,23 +24,51 @@ class Reference(Averages):
     method: str
 
 
-def reference(ensemble: Ensemble, velocity: float) -> Reference:
-    """The steady averages of an ensemble at constant velocity, by quadrature. Raises InputError."""
+class Setting(NamedTuple):
+    """An ensemble at a velocity as the solvers see it: lengths in units of `law.scale`, barrier None at T = 0,
+    `delay` v<tau>, `drag` eta v/k; `annealed` only where it makes a difference."""
+
+    law: ThresholdLaw
+    stiffness: StiffnessLaw
+    barrier: Barrier | None
+    b: float
+    log_w: float
+    delay: float
+    exponential: bool
+    drag: float
+    annealed: bool
+
+
+def setting(ensemble: Ensemble, velocity: float) -> Setting:
+    """What the solvers need to know. Raises InputError if a dimensionless group is beyond 1e+-100."""
     require_number("velocity", velocity, above=0)
     law, thermal, unit = ensemble.thresholds, ensemble.thermal, ensemble.thresholds.scale
     cold = thermal.attempt_frequency == 0 or math.isinf(ensemble.b)
-    log_w = -math.inf if cold else math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
-    annealed = ensemble.disorder == "annealed" and law.steps.size != 1 and not cold
-    if annealed:
-        method = "published master equation"
-        moments = published.stationary(law, ensemble.stiffness_law, thermal.barrier, ensemble.b, log_w)
-    else:
-        method = "joint kinetic equation"
-        barrier = None if cold else thermal.barrier
-        moments = kinetic.stationary(law, ensemble.stiffness_law, barrier, ensemble.b, log_w)
-    stretch, work = moments.stretch, moments.work
+    log_w = 0.0 if cold else math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
+    require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
     delay = velocity * ensemble.delay.time / unit
-    drag = ensemble.eta * velocity / ensemble.stiffness / unit
+    require_number("velocity * delay / threshold", delay, least=0, most=1e100)
+    return Setting(
+        law=law,
+        stiffness=ensemble.stiffness_law,
+        barrier=None if cold else thermal.barrier,
+        b=max(ensemble.b, 1e-100),
+        log_w=log_w,
+        delay=delay,
+        exponential=ensemble.delay.law == "exponential",
+        drag=ensemble.eta * velocity / ensemble.stiffness / unit,
+        annealed=ensemble.disorder == "annealed" and law.steps.size != 1 and not cold,
+    )
+
+
+def reference(ensemble: Ensemble, velocity: float) -> Reference:
+    """The steady averages of an ensemble at constant velocity, by quadrature. Raises InputError."""
+    s = setting(ensemble, velocity)
+    solver = published if s.annealed else kinetic
+    moments = solver.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
+    method = "published master equation" if s.annealed else "joint kinetic equation"
+    unit, delay, drag = s.law.scale, s.delay, s.drag
+    stretch, work = moments.stretch, moments.work
     relative = moments.stretch_error / stretch + moments.work_error / work
     pinned = stretch / (stretch + delay)
     pinned_error = pinned * (1.0 - pinned) * moments.stretch_error / stretch

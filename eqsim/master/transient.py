@@ -1,0 +1,243 @@
+"""Transients from a fresh start and stationary fluctuations, by the renewal equation (derived).
+
+All contacts start pinned and unstretched. With S(x) the probability that a life outlasts x and m(x) = x k1(x) the mean
+force of a life at x, k1(x) = E[k_i/k; x_b > x], births B and breaks Gamma per contact and unit displacement obey
+
+    Gamma = -dS/dX + B * (-dS/dx),     B = Gamma * (law of v delay)
+    pinned = S + B * S,     friction = m + B * m + (eta v/k)(1 - pinned)
+
+with * the convolution over [0, X] (renewal form of Q5a, Q5aG and Q6 of Braun and Peyrard, 2011). Births are spread
+evenly over each cell of a uniform grid and every integral over S and m is exact, so that lives much shorter than a
+cell are no trouble; the scheme is of second order, and two grids give the result and its error.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, signal
+from scipy.interpolate import CubicSpline
+
+from eqsim.ensemble import Drive, Ensemble
+from eqsim.errors import require_integer, require_number
+from eqsim.laws.octaves import Array
+from eqsim.master import kinetic, published
+from eqsim.master.reference import Setting, reference, setting
+
+_CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
+_STEP = 0.04  # in ln x, of the life's profile
+
+
+@dataclass(frozen=True)
+class Transient:
+    """Exact means from a fresh start: `X` (length), `force` = <F>/(N k) (length), `pinned`, `breaks` Gamma per contact
+    and unit displacement, each of shape (points,), and error estimates of the first two."""
+
+    X: Array
+    force: Array
+    pinned: Array
+    breaks: Array
+    force_error: Array
+    pinned_error: Array
+
+
+class Profile:
+    """A life in the mean: S(x), k1 = E[k_i/k; x_b > x], k2 = E[(k_i/k)^2; x_b > x], and their integrals from 0."""
+
+    def __init__(self, s: Setting, grid: Array) -> None:
+        """`grid` holds every x that will be asked for; only discrete laws, with their jumps, need to know."""
+        solver = published if s.annealed else kinetic
+        self.steps = s.law.steps.size > 0
+        if self.steps:
+            self.x = np.unique(np.append(solver.panels(s.law, s.stiffness, s.b), grid[grid > 0]))
+        else:
+            top = math.log(float(s.law.exceeded_by(45.0)) / s.law.scale)
+            self.x = np.exp(np.arange(top, math.log(1e-15), -_STEP)[::-1])
+        self._solve = lambda x: np.array(solver.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
+        if not self.steps:
+            log_x, values = np.log(self.x), self._solve(self.x)
+            self._values = CubicSpline(log_x, values, axis=1)
+            start = self.x[0] ** np.arange(1, 4)[:, None, None] / np.arange(1, 4)[:, None, None] * values[:, :1]
+            powers = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
+            self._integrals = [lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)]
+        else:
+            nodes, weights = np.polynomial.legendre.leggauss(6)
+            edge = np.append(0.0, self.x)
+            half = 0.5 * np.diff(edge)[:, None]
+            inner = edge[:-1, None] + half * (1 + nodes)
+            values = self._solve(inner.ravel()).reshape(3, *inner.shape)
+            self._sums = [(values * inner**power * half * weights).sum(axis=2).cumsum(axis=1) for power in range(3)]
+
+    def at(self, x: Array) -> Array:
+        """S, k1, k2 at x > 0, shape (3, n)."""
+        if self.steps:
+            return np.asarray(self._solve(x))
+        return np.asarray(np.where(x < self.x[-1], self._values(np.log(np.clip(x, self.x[0], self.x[-1]))), 0.0))
+
+    def integral(self, x: Array, power: int) -> Array:
+        """int_0^x y^power (S, k1, k2) dy, shape (3, n)."""
+        if self.steps:
+            index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
+            return np.where(x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0)
+        inside = np.clip(x, self.x[0], self.x[-1])
+        return np.asarray(np.where(x >= self.x[0], self._integrals[power](np.log(inside)), 0.0))
+
+
+class _Means(NamedTuple):
+    force: Array
+    pinned: Array
+    breaks: Array
+
+
+def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient:
+    """F(X), pinned(X) and Gamma(X) from a fresh start at `points` equidistant X. Raises InputError."""
+    require_integer("points", points, 2, 10**8)
+    s = setting(ensemble, drive.velocity)
+    unit = s.law.scale
+    distance = drive.over(ensemble) / unit
+    require_number("distance / threshold", distance, least=1e-100, most=1e100)
+    cells = int(min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS))
+    if points - 1 <= _MOST_CELLS:
+        cells = (points - 1) * max(1, round(cells / (points - 1)))
+    fine = distance / (2 * cells) * np.arange(2 * cells + 1)
+    profile = Profile(s, fine)
+    solved = [_solve(profile, fine[::step], s) for step in (2, 1)]
+    X = np.linspace(0.0, distance, points)
+    found, errors = {}, {}
+    for name in _Means._fields:
+        coarse, better = (np.asarray(getattr(means, name)) for means in solved)
+        if name == "breaks":  # of cells; a pair of fine ones is a coarse one
+            centres = fine[1::2]
+            found[name] = np.interp(X, centres, (better[0::2] + better[1::2]) / 2)
+            continue
+        best = (4 * better[::2] - coarse) / 3
+        error = np.abs(better[::2] - coarse) / 3 + 1e-9 * np.abs(best)
+        if profile.steps:  # equal thresholds break together: near a jump the truth is somewhere between neighbours
+            error += ndimage.maximum_filter1d(coarse, 5) - ndimage.minimum_filter1d(coarse, 5)
+        found[name] = np.interp(X, fine[::2], best)
+        errors[name] = np.interp(X, fine[::2], error)
+    return Transient(
+        X=X * unit,
+        force=found["force"] * unit,
+        pinned=found["pinned"],
+        breaks=found["breaks"] / unit,
+        force_error=errors["force"] * unit,
+        pinned_error=errors["pinned"],
+    )
+
+
+def _solve(profile: Profile, x: Array, s: Setting) -> _Means:
+    """Force and pinned at the edges `x` of a uniform grid of cells, breaks in each cell per unit displacement."""
+    cells, h = x.size - 1, x[1]
+    survive, stiff, _ = np.concatenate(([[1.0], [profile.at(x[1:2] * 1e-9)[1, 0]], [0.0]], profile.at(x[1:])), axis=1)
+    area, _, _ = profile.integral(x, 0)
+    work = profile.integral(x, 1)[1]
+    # chance that a birth spread over a cell breaks in the same cell, 1, 2, ... cells later
+    later = np.append(1.0 - area[1] / h, np.diff(area[:-1]) / h - np.diff(area[1:]) / h) if cells > 1 else np.zeros(1)
+    first = survive[:-1] - survive[1:]
+    breaks, births = np.zeros(cells), np.zeros(cells)
+    delay = _Delay(s, h, breaks)
+    for i in range(cells):
+        # breaks[i] = known + later[0] births[i] and births[i] = now breaks[i] + before
+        known = first[i] + (births[:i] @ later[i:0:-1] if i else 0.0)
+        now, before = delay.births(i)
+        breaks[i] = (known + later[0] * before) / (1.0 - later[0] * now)
+        births[i] = now * breaks[i] + before
+        delay.advance(i)
+    pinned = survive + np.append(0.0, signal.fftconvolve(births, np.diff(area) / h)[:cells])
+    force = x * stiff + np.append(0.0, signal.fftconvolve(births, np.diff(work) / h)[:cells])
+    return _Means(force + s.drag * (1.0 - pinned), pinned, breaks / h)
+
+
+class _Delay:
+    """Births of a cell from its own and earlier breaks, both spread evenly over their cells."""
+
+    def __init__(self, s: Setting, h: float, breaks: Array) -> None:
+        self.exponential, self.breaks, self.waiting = s.exponential and s.delay > 0, breaks, 0.0
+        ratio = h / s.delay if s.delay > 0 else math.inf
+        self.leave = -math.expm1(-ratio)  # chance to be reborn within a cell
+        self.soon = 1.0 - self.leave / ratio if s.delay > 0 else 1.0  # and within the cell of the break
+        self.whole, self.part = divmod(s.delay / h, 1.0)
+
+    def births(self, i: int) -> tuple[float, float]:
+        """Births in cell i are `now` times its breaks, plus `before`."""
+        if self.exponential:
+            return self.soon, self.waiting * self.leave
+        shift = int(min(self.whole, i + 1))
+        earlier = self.breaks[i - shift] if 0 < shift <= i else 0.0
+        before = self.breaks[i - shift - 1] if shift + 1 <= i else 0.0
+        return (1.0 - self.part if shift == 0 else 0.0), (1.0 - self.part) * earlier + self.part * before
+
+    def advance(self, i: int) -> None:
+        if self.exponential:
+            self.waiting += self.breaks[i] * (1.0 - self.soon) - self.waiting * self.leave
+
+
+@dataclass(frozen=True)
+class Fluctuations:
+    """Stationary fluctuations of F for independent contacts: `lag` (length), and N times the autocovariance of
+    F/(N k) (length squared) at these lags; at lag 0 it is N times the variance."""
+
+    lag: Array
+    covariance: Array
+    error: Array
+
+
+def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: int = 101) -> Fluctuations:
+    """Stationary variance and autocovariance of F at `points` lags from 0 to `distance`. Raises InputError.
+
+    A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or breaks after y and begins anew
+    with the transient of a contact that has just broken; one found detached begins with the rest of its delay.
+    """
+    require_integer("points", points, 2, 10**6)
+    require_number("distance", distance, above=0)
+    s = setting(ensemble, velocity)
+    unit = s.law.scale
+    exact = reference(ensemble, velocity)
+    length, cycle = exact.break_stretch.value / unit, exact.break_stretch.value / unit + s.delay
+    mean, pinned = exact.friction.value / unit, exact.pinned.value
+    cells = max(_LEAST_CELLS, min(int(distance / unit / _CELL), _MOST_CELLS))
+    cells = (points - 1) * max(1, round(cells / (points - 1)))
+    fine = distance / unit / (2 * cells) * np.arange(2 * cells + 1)
+    profile = Profile(s, fine)
+    solved = []
+    for step in (2, 1):
+        x = fine[::step]
+        h = x[1]
+        means = _solve(profile, x, s)
+        (_, ones1, ones2), (_, twos1, twos2), (_, _, threes2) = (profile.integral(x, power) for power in range(3))
+        ends1, ends2 = profile.integral(np.array([1e300]), 1), profile.integral(np.array([1e300]), 2)
+        total1 = profile.integral(np.array([1e300]), 0)
+        # E[int_x^xi y (y - x) kappa^2 S dy] of those that survive, and E[int_x^xi (y - x) kappa S dy], whose decrease
+        # weighs breaks by the force they had at the beginning
+        surviving = (ends2[2, 0] - threes2) - x * (ends1[2, 0] - twos2)
+        carried = (ends1[1, 0] - twos1) - x * (total1[1, 0] - ones1)
+        breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
+        after, detached = _reborn(means.force, x, s)
+        back = np.append(0.0, signal.fftconvolve(breaks, np.diff(after) / h)[: x.size - 1])
+        waiting = s.drag * (1.0 - pinned) * detached
+        solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
+    best = (4 * solved[1] - solved[0]) / 3
+    every = cells // (points - 1)
+    error = np.abs(solved[1] - solved[0]) / 3 + 1e-9 * np.abs(best).max()
+    return Fluctuations(np.linspace(0.0, distance, points), best[::every] * unit**2, error[::every] * unit**2)
+
+
+def _reborn(fresh: Array, x: Array, s: Setting) -> tuple[Array, Array]:
+    """Integral of the mean force from a break on, and mean force of a contact found detached, from the mean force
+    `fresh` of one just pinned."""
+    if s.delay == 0:
+        return CubicSpline(x, fresh).antiderivative()(x), np.zeros_like(x)
+    total = CubicSpline(x, fresh).antiderivative()
+    if not s.exponential:
+        late = total(np.maximum(x - s.delay, 0.0))
+        after = s.drag * np.minimum(x, s.delay) + late
+        return after, s.drag * np.maximum(1.0 - x / s.delay, 0.0) + (total(x) - late) / s.delay
+    # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh linear in each cell
+    ratio = x[1] / s.delay
+    keep, first = math.exp(-ratio), -math.expm1(-ratio)
+    slope = 1.0 - first / ratio
+    y = signal.lfilter([1.0], [1.0, -keep], np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]))
+    fading = np.exp(-x / s.delay)
+    return s.drag * s.delay * (1.0 - fading) + total(x) - s.delay * y, s.drag * fading + y

@@ -1,0 +1,93 @@
+"""A slow, obvious simulation of frictional contacts: the script a researcher writes first.
+
+Every contact is an entry of an array, the slider moves by `step` at a time, and whatever can happen to a contact is
+decided once per step with its probability. Nothing here is shared with eqsim. Events are noticed at the end of a step,
+so that the averages have errors of first order in the step.
+
+Model (section numbers of Braun and Peyrard, Phys. Rev. E 83, 046129): thresholds xi with xi^2/x_*^2 ~ Gamma(n+1)
+(II); k_i = k xi/xi_rms (sqrt law) or k; barriers `soft` and `stiff` (IV); delay and viscosity of detached contacts (V).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What the contacts are like and how fast they are driven; the names are those of a run file."""
+
+    n: float = 1.0
+    x_star: float = 1.0
+    stiffness: float = 1.0
+    stiffness_law: str = "sqrt"  # or "uniform"
+    kT: float = 0.0
+    attempt_frequency: float = 1.0
+    barrier: str = "soft"  # or "stiff"
+    disorder: str = "quenched"  # or "annealed"
+    delay: float = 0.0
+    delay_law: str = "fixed"  # or "exponential"
+    eta: float = 0.0
+    velocity: float = 1.0
+
+    def thresholds(self, rng, size):
+        return self.x_star * np.sqrt(rng.gamma(self.n + 1.0, size=size))
+
+    def k(self, xi):
+        """Stiffness of contacts of thresholds xi."""
+        if self.stiffness_law == "uniform":
+            return np.full_like(xi, self.stiffness)
+        return self.stiffness * xi / (self.x_star * np.sqrt(self.n + 1.0))
+
+    def attempt_breaks(self, x, xi):
+        """Probability that one thermal attempt breaks contacts of stretch x and threshold xi; 0 if xi <= x."""
+        gap = np.maximum(1.0 - x / xi, 0.0)
+        if self.barrier == "soft":
+            chance = np.exp(-self.k(xi) * np.maximum(xi**2 - x**2, 0.0) / (2 * self.kT))
+        else:
+            chance = np.sqrt(gap) * np.exp(-self.k(xi) * xi**2 * gap**1.5 / (2 * self.kT))
+        return np.where(xi > x, chance, 0.0)
+
+
+class Record(NamedTuple):
+    """F/(N k) and pinned fraction with their standard errors, arrays over the recorded displacements."""
+
+    force: np.ndarray
+    force_stderr: np.ndarray
+    pinned: np.ndarray
+    pinned_stderr: np.ndarray
+
+
+def simulate(contacts: Contacts, count: int, step: float, record_every: int, records: int, seed: int) -> Record:
+    """Slide from a fresh start (all contacts pinned, unstretched) and look at the force every `record_every` steps."""
+    c, rng = contacts, np.random.default_rng(seed)
+    dt = step / c.velocity
+    x, wait = np.zeros(count), np.zeros(count)
+    xi, pinned = c.thresholds(rng, count), np.ones(count, bool)
+    rows = []
+    for i in range(1, record_every * records + 1):
+        x[pinned] += step
+        breaks = pinned & (x >= xi)
+        if c.kT > 0 and c.disorder == "quenched":
+            rate = c.attempt_frequency * c.attempt_breaks(x, xi)
+            breaks |= pinned & (rng.random(count) < -np.expm1(-rate * dt))
+        elif c.kT > 0:
+            attempts = rng.poisson(c.attempt_frequency * dt, count) * pinned
+            who = np.repeat(np.arange(count), attempts)
+            success = rng.random(who.size) < c.attempt_breaks(x[who], c.thresholds(rng, who.size))
+            breaks[who[success]] = True
+
+        wait[~pinned] -= dt
+        pins = ~pinned & (wait < 1e-6 * dt)
+        if c.delay > 0:
+            wait[breaks] = c.delay if c.delay_law == "fixed" else rng.exponential(c.delay, breaks.sum())
+            pinned[breaks] = False
+        else:
+            pins |= breaks
+        pinned[pins], x[pins], xi[pins] = True, 0.0, c.thresholds(rng, pins.sum())
+
+        if i % record_every == 0:
+            force = np.where(pinned, c.k(xi) * x, c.eta * c.velocity) / c.stiffness
+            rows.append((force.mean(), force.std() / count**0.5, pinned.mean(), pinned.std() / count**0.5))
+    return Record(*np.array(rows).T)

@@ -1,0 +1,259 @@
+"""Laws of thresholds: NumPy side against SciPy and mpmath, kernel side against NumPy, draws, and bad input."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+import scipy.stats
+
+from eqsim import Delta, Distribution, Gamma, InputError, Table
+from eqsim.engine.streams import TRAJECTORY, key, uniforms
+from eqsim.laws.octaves import CELLS
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, threshold_draw
+
+EPS = np.finfo(float).eps
+SMALLEST, LARGEST = 2.0**-64, 1.0 - 2.0**-53  # of the uniforms a kernel sees
+SHAPES = [0.0, 0.5, 1.0, 2.7, 30.0]
+# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (eqsim.laws.octaves). The quantile
+# behaves as e^(1/(2n+2)) at small e and as sqrt(e) at large e; no p in (0, 1/2] gives more than p = 0.38 does.
+TABLE_ERROR = 1.001 / (384 * CELLS**4)
+KERNEL_UNIFORMS = np.array([uniforms(key(11, TRAJECTORY), i, 0, 0)[0] for i in range(100_000)])
+
+
+def nakagami(law):
+    return scipy.stats.nakagami(law.n + 1, scale=law.x_star * math.sqrt(law.n + 1))
+
+
+def drawn(law, u):
+    table, steps = law.table(), law.steps / law.scale
+    return law.scale * np.array([threshold_draw(table, steps, value) for value in u])
+
+
+# --------------------------------------------------------------------------------------------------- NumPy side
+
+
+@pytest.mark.parametrize("n", SHAPES)
+def test_gamma_is_nakagami(n):
+    law, x = Gamma(n, 2.5), np.linspace(0.01, 25.0, 400)
+    reference = nakagami(law)
+    np.testing.assert_allclose(law.pdf(x), reference.pdf(x), rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(law.cdf(x), reference.cdf(x), rtol=1e-12)
+    np.testing.assert_allclose(law.sf(x), reference.sf(x), rtol=1e-12, atol=1e-300)
+    assert law.mean == pytest.approx(reference.mean(), rel=1e-12)
+    assert law.rms == pytest.approx(math.sqrt(reference.moment(2)), rel=1e-12)
+    assert law.support == (0.0, math.inf)
+    np.testing.assert_array_equal(law.pdf(np.array([-1.0, 0.0])), 0.0)
+    np.testing.assert_array_equal(law.cdf(np.array([-1.0, 0.0])), 0.0)
+    np.testing.assert_array_equal(law.sf(np.array([-1.0, 0.0])), 1.0)
+
+
+@pytest.mark.parametrize("n", SHAPES)
+def test_gamma_against_forty_digits(n):
+    """P_c ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2), its moments and its tail, from the definition."""
+    law = Gamma(n, 0.7)
+    with mpmath.workdps(40):
+
+        def density(x):
+            return x ** (1 + 2 * n) * mpmath.exp(-((x / mpmath.mpf(0.7)) ** 2))
+
+        pieces = [0, 0.5, 1, 2, 4, 8, 20]
+        norm, first, second = (mpmath.quad(lambda x, j=j: x**j * density(x), pieces) for j in range(3))
+        assert law.mean == pytest.approx(float(first / norm), rel=1e-13)
+        assert law.rms == pytest.approx(float(mpmath.sqrt(second / norm)), rel=1e-13)
+        for x in (0.05, 0.4, 1.3, 5.0, 12.0):
+            tail = mpmath.quad(density, [x, x + 0.05, x + 0.2, x + 1, x + 5, x + 30]) / norm
+            assert float(law.sf(x)) == pytest.approx(float(tail), rel=1e-11)
+            assert float(law.pdf(x)) == pytest.approx(float(density(mpmath.mpf(x)) / norm), rel=1e-12)
+
+
+@pytest.mark.parametrize("n", SHAPES)
+def test_quantile_inverts_the_survival(n):
+    """J_c(exceeded_by(e)) = exp(-e), up to relative errors of 1e-13 in xi (d ln J_c = -xi P_c/J_c d ln xi) and in e."""
+    law, e = Gamma(n, 3.0), np.geomspace(1e-15, 500, 600)
+    xi = law.exceeded_by(e)
+    small = e < 0.7
+    found = np.append(-np.log1p(-law.cdf(xi[small])), -np.log(law.sf(xi[~small])))
+    assert np.all(np.abs(found - e) < 1e-13 * (e + xi * law.pdf(xi) / law.sf(xi)))
+
+
+def test_discrete_laws():
+    law = Table([3.0, 1.0, 2.0, 2.0])
+    assert law.mean == law.scale == 2.0
+    assert law.rms == pytest.approx(math.sqrt(18 / 4))
+    assert law.support == (1.0, 3.0)
+    x = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(law.cdf(x), [0, 0.25, 0.25, 0.75, 1, 1])
+    np.testing.assert_array_equal(law.sf(x), 1 - law.cdf(x))
+    np.testing.assert_array_equal(law.exceeded_by(-np.log([0.1, 0.26, 0.6, 0.8, 1.0])), [3, 2, 2, 1, 1])
+    one = Delta(2.0)
+    assert (one.mean, one.rms, one.scale, one.support) == (2.0, 2.0, 2.0, (2.0, 2.0))
+    np.testing.assert_array_equal(one.sf([1.0, 2.0, 3.0]), [1, 0, 0])
+    for discrete in (law, one):
+        with pytest.raises(NotImplementedError):
+            discrete.pdf(1.0)
+
+
+def test_table_keeps_order_and_source_out():
+    """Any order and shape, and a copy: what happens to the user's array later does not matter."""
+    source = np.array([[2.0, 1.0], [4.0, 3.0]])
+    law = Table(source)
+    source[:] = 9.0
+    np.testing.assert_array_equal(law.steps, [1, 2, 3, 4])
+
+
+FROZEN = {
+    "lognorm": scipy.stats.lognorm(0.5, scale=2.0),
+    "uniform": scipy.stats.uniform(0.5, 1.0),
+    "weibull": scipy.stats.weibull_min(2.0),
+    "beta": scipy.stats.beta(2.0, 3.0, scale=4.0),
+}
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_distribution_is_what_scipy_says(name):
+    frozen, law = FROZEN[name], Distribution(FROZEN[name])
+    x = np.linspace(0.01, 5.0, 100)
+    for side in ("pdf", "cdf", "sf"):
+        np.testing.assert_array_equal(getattr(law, side)(x), getattr(frozen, side)(x))
+    assert law.mean == law.scale == pytest.approx(frozen.mean())
+    assert law.rms == pytest.approx(math.hypot(frozen.mean(), frozen.std()))
+    assert law.support == frozen.support()
+    e = np.array([1e-12, 1e-3, 0.5, 0.7, 3.0, 40.0])
+    np.testing.assert_allclose(law.sf(law.exceeded_by(e)), np.exp(-e), rtol=1e-9, atol=2 * EPS)
+
+
+# -------------------------------------------------------------------------------------------------- kernel side
+
+
+@pytest.mark.parametrize("n", SHAPES)
+def test_draw_is_the_quantile(n):
+    """Pointwise within the error of the table, from the smallest uniform to the largest; e in [1e-16, 44.4]."""
+    law, rng = Gamma(n, 2.5), np.random.default_rng(3)
+    u = np.concatenate((2.0 ** rng.uniform(-64, 0, 4000), -np.expm1(-(2.0 ** rng.uniform(-53, 0, 4000)))))
+    u = np.concatenate((1.0 - u, u, [SMALLEST, LARGEST]))
+    u = u[(u >= SMALLEST) & (u <= LARGEST)]
+    np.testing.assert_allclose(drawn(law, u), law.exceeded_by(-np.log(u)), rtol=TABLE_ERROR + 1e-13)
+
+
+@pytest.mark.parametrize("name", ["lognorm", "weibull", "beta"])
+def test_draw_of_a_distribution_is_the_quantile(name):
+    """The same for smooth SciPy laws, to 1e-9 where a kernel's uniforms fall."""
+    law, rng = Distribution(FROZEN[name]), np.random.default_rng(4)
+    u = np.concatenate((2.0 ** rng.uniform(-64, 0, 2000), 1 - 2.0 ** rng.uniform(-53, -1, 2000), [SMALLEST, LARGEST]))
+    np.testing.assert_allclose(drawn(law, u), law.exceeded_by(-np.log(u)), rtol=1e-9)
+
+
+def test_the_table_covers_every_uniform():
+    assert -math.log(LARGEST) > 2.0**FIRST_OCTAVE
+    assert -math.log(SMALLEST) < 2.0**LAST_OCTAVE
+
+
+def test_tail_is_not_cut_at_32_bits():
+    """xi^2/x_*^2 reaches 45 at the smallest uniform; 32 bits would end at 22."""
+    top = drawn(Gamma(0.0), [SMALLEST])[0]
+    assert top**2 == pytest.approx(64 * math.log(2), rel=1e-9)
+    assert np.unique(drawn(Gamma(0.0), 2.0**-64 + 2.0**-63 * np.arange(100))).size == 100
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7, 64, 1000, 4097])
+def test_ranks_are_equally_likely(size):
+    """Threshold j of a table belongs to u in [j, j+1)/size counted from the greatest; no uniform falls outside."""
+    steps = np.arange(1.0, size + 1)
+    law = Table(steps)
+    middles = (np.arange(size) + 0.5) / size
+    np.testing.assert_array_equal(drawn(law, middles), steps[::-1] / law.scale * law.scale)
+    assert drawn(law, [SMALLEST])[0] == pytest.approx(size, rel=2 * EPS)
+    assert drawn(law, [LARGEST])[0] == pytest.approx(1.0, rel=2 * EPS)
+    np.testing.assert_allclose(drawn(law, middles), law.exceeded_by(-np.log(middles)), rtol=2 * EPS)
+
+
+# ------------------------------------------------------------------------------------------------------ by draws
+
+
+def ks(sample, cdf):
+    return scipy.stats.kstest(sample, cdf).pvalue
+
+
+@pytest.mark.parametrize("n", SHAPES)
+def test_gamma_draws(n):
+    """KS over 1e5 draws of the engine's streams, p > 1e-5 (false alarm of the whole file 2e-4); n + 0.05 (n+1) must
+    fail."""
+    sample = drawn(Gamma(n, 2.5), KERNEL_UNIFORMS)
+    assert ks(sample, nakagami(Gamma(n, 2.5)).cdf) > 1e-5
+    assert ks(sample, nakagami(Gamma(n + 0.05 * (n + 1), 2.5)).cdf) < 1e-5
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_distribution_draws(name):
+    frozen = FROZEN[name]
+    sample = drawn(Distribution(frozen), KERNEL_UNIFORMS)
+    assert ks(sample, frozen.cdf) > 1e-5
+    assert ks(1.02 * sample, frozen.cdf) < 1e-5  # negative control
+
+
+def test_table_draws():
+    """Chi-square over five equally likely thresholds, p > 1e-5; unequal weights must fail."""
+    counts = np.unique(drawn(Table([5.0, 1.0, 2.0, 4.0, 3.0]), KERNEL_UNIFORMS), return_counts=True)[1]
+    assert scipy.stats.chisquare(counts).pvalue > 1e-5
+    weights = np.array([0.206, 0.2, 0.2, 0.2, 0.194])
+    assert scipy.stats.chisquare(counts, weights * counts.sum()).pvalue < 1e-5
+
+
+# ----------------------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Gamma(n=-0.1), "n = -0.1: must be a finite number >= 0"),
+        (lambda: Gamma(n=math.nan), "n = nan"),
+        (lambda: Gamma(x_star=0.0), "x_star = 0.0: must be a finite number > 0"),
+        (lambda: Gamma(x_star=math.inf), "x_star = inf"),
+        (lambda: Gamma(x_star="1"), "x_star = '1'"),
+        (lambda: Delta(-2.0), "x_star = -2.0"),
+        (lambda: Table([]), "is empty"),
+        (lambda: Table([1.0, -3.0, 2.0]), "holds -3"),
+        (lambda: Table([0.0]), "holds 0"),
+        (lambda: Table([1.0, math.nan]), "holds nan"),
+        (lambda: Table([math.inf]), "holds inf"),
+        (lambda: Table(["soft"]), "every value must be a number"),
+        (lambda: Table([[1.0], [2.0, 3.0]]), "every value must be a number"),
+        (lambda: Table([1j]), "every value must be a number"),
+        (lambda: Distribution(None), "None: must be a frozen continuous"),
+        (lambda: Distribution(1.0), "1.0: must be a frozen continuous"),
+        (lambda: Distribution(scipy.stats.poisson(3)), "must be a frozen continuous"),
+        (lambda: Distribution(scipy.stats.norm(5.0, 1.0)), "support begins at -inf"),
+        (lambda: Distribution(scipy.stats.uniform(-0.5, 1.0)), "support begins at -0.5"),
+        (lambda: Distribution(scipy.stats.uniform(math.nan, 1.0)), "support begins at nan"),
+        (lambda: Distribution(scipy.stats.lomax(2.5)), "<xi^3>"),
+        (lambda: Distribution(scipy.stats.halfcauchy()), "<xi^3>"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_bad_laws(make, message):
+    """One line that names what is wrong."""
+    with pytest.raises(InputError) as caught:
+        make()
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+NOT_FROZEN = {
+    "needs a shape": scipy.stats.lognorm,
+    "needs nothing": scipy.stats.expon,
+    "array": scipy.stats.uniform([0.5, 1.0], 1.0),
+}
+
+
+@pytest.mark.xfail(reason="generators and arrays of distributions are not told from frozen distributions")
+@pytest.mark.parametrize("name", NOT_FROZEN)
+def test_not_quite_frozen(name):
+    with pytest.raises(InputError):
+        Distribution(NOT_FROZEN[name])
+
+
+@pytest.mark.xfail(reason="Distribution.__repr__ needs .dist, which a histogram law does not have")
+def test_histogram_law_can_be_printed():
+    law = Distribution(scipy.stats.rv_histogram(np.histogram([1.0, 2.0, 2.0, 3.0], bins=3)))
+    assert "Distribution" in repr(law)
