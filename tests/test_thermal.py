@@ -378,7 +378,7 @@ def test_pooled_inverse_against_nt09(b):
     """The same against the closed form, at u that G reaches before half of G(inf)."""
     u = np.linspace(0.02, 2.0, 4001)
     end, G = nt09(b, u)
-    early = 2 * G < end
+    early = end > 2 * G
     u, G = u[early], G[early]
     pool = pooled_hazard(Gamma(1.0), "uniform", "soft", b)
     assert inverse_errors(pool, u, G).max() < 1e-8

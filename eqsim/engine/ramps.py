@@ -114,15 +114,15 @@ def fixed(x: float, scale: float) -> int:
 
 
 @inlined
-def leave(row: Array, sign: int, stiffness: float, d: float, scales: Array) -> None:
+def leave(deposits: Array, j: int, sign: int, stiffness: float, d: float, scales: Array) -> None:
     """Add (sign 1) or take back (sign -1) a life's ramp at a grid point where it has slid d."""
     square = stiffness * stiffness
-    row[COUNT] += sign
-    row[SLOPE] += sign * fixed(stiffness, scales[SLOPE])
-    row[FORCE] += sign * fixed(stiffness * d, scales[FORCE])
-    row[SLOPE2] += sign * fixed(square, scales[SLOPE2])
-    row[RAMP2] += sign * fixed(square * d, scales[RAMP2])
-    row[SQUARE] += sign * fixed(square * d * d, scales[SQUARE])
+    deposits[j, COUNT] += sign
+    deposits[j, SLOPE] += sign * fixed(stiffness, scales[SLOPE])
+    deposits[j, FORCE] += sign * fixed(stiffness * d, scales[FORCE])
+    deposits[j, SLOPE2] += sign * fixed(square, scales[SLOPE2])
+    deposits[j, RAMP2] += sign * fixed(square * d, scales[RAMP2])
+    deposits[j, SQUARE] += sign * fixed(square * d * d, scales[SQUARE])
 
 
 @inlined
@@ -134,29 +134,32 @@ def deposit(deposits: Array, run: Run, stiffness: float, born: float, broke: flo
     end = math.ceil(min(broke, 2.0 * run.distance) * per_step)
     if start < end:  # otherwise no grid point sees it
         if start < run.points:
-            leave(deposits[start], 1, stiffness, start * step - born, scales)
+            leave(deposits, start, 1, stiffness, start * step - born, scales)
         if end < run.points:
-            leave(deposits[end], -1, stiffness, end * step - born, scales)
+            leave(deposits, end, -1, stiffness, end * step - born, scales)
 
 
 @inlined
-def record(batch: Array, run: Run, stiffness: float, born: float, broke: float, reborn: float, scales: Array) -> None:
+def record(
+    batches: Array, batch: int, run: Run, stiffness: float, born: float, broke: float, reborn: float, scales: Array
+) -> None:
     """What a life and the delay after it leave in the two quarters of the second half."""
     for quarter in range(2):
         low = run.distance * (0.5 + 0.25 * quarter)
         high = low + 0.25 * run.distance
-        row = batch[quarter]
         start = max(born, low)
         end = min(broke, high)
         if end > start:
-            row[AREA] += fixed(stiffness * (end - start) * (0.5 * (start + end) - born), scales[AREA])
-            row[PINNED] += fixed(end - start, scales[PINNED])
+            batches[batch, quarter, AREA] += fixed(
+                stiffness * (end - start) * (0.5 * (start + end) - born), scales[AREA]
+            )
+            batches[batch, quarter, PINNED] += fixed(end - start, scales[PINNED])
         end = min(reborn, high)
         if end > start:
-            row[ELAPSED] += fixed(end - start, scales[ELAPSED])
+            batches[batch, quarter, ELAPSED] += fixed(end - start, scales[ELAPSED])
         if low < broke <= high:
-            row[BREAKS] += 1
-            row[STRETCH] += fixed(broke - born, scales[STRETCH])
+            batches[batch, quarter, BREAKS] += 1
+            batches[batch, quarter, STRETCH] += fixed(broke - born, scales[STRETCH])
 
 
 @kernel
@@ -183,7 +186,7 @@ def simulate(
             contact[active], life[active], position[active] = upcoming, 0, 0.0
             if run.stationary:
                 life[active] = 1  # what the start finds is life 0
-                batch = batches[upcoming % BATCHES]
+                batch = upcoming % BATCHES
                 u_state, u_residual = uniforms(key, upcoming, 0, 0)
                 if u_state < standing.pinned:
                     kappa, x, ends = standing_contact(c, standing, key, upcoming, u_residual)
@@ -191,10 +194,10 @@ def simulate(
                     broke = ends - x
                     deposit(deposits, run, kappa, -x, broke, scales)
                     position[active] = broke + gap
-                    record(batch, run, kappa, -x, broke, position[active], batch_scales)
+                    record(batches, batch, run, kappa, -x, broke, position[active], batch_scales)
                 else:
                     position[active] = residual_delay_draw(c.delay, c.exponential, u_residual)
-                    record(batch, run, 0.0, 0.0, 0.0, position[active], batch_scales)
+                    record(batches, batch, run, 0.0, 0.0, 0.0, position[active], batch_scales)
             upcoming += 1
             active += position[active] <= run.distance
         if active == 0 or status[1] != 0:
@@ -210,8 +213,8 @@ def simulate(
                 reborn = broke + delay_draw(c.delay, True, uniforms(key, contact[i], life[i], 1)[0])
             deposit(deposits, run, stiffness[i], position[i], broke, scales)
             if reborn > 0.5 * run.distance:
-                batch = batches[(contact[i] + life[i] * run.batch_by_life) % BATCHES]
-                record(batch, run, stiffness[i], position[i], broke, reborn, batch_scales)
+                batch = (contact[i] + life[i] * run.batch_by_life) % BATCHES
+                record(batches, batch, run, stiffness[i], position[i], broke, reborn, batch_scales)
             position[i] = reborn
             life[i] += 1
             if reborn > run.distance:

@@ -84,7 +84,7 @@ def log_hazard(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
 
 # -------------------------------------------------------------------------------------------- quenched, kernels
 
-_LOG_SOFT = math.log(2.0 / math.sqrt(math.pi))
+_SOFT = 2.0 / math.sqrt(math.pi)
 
 
 @functools.cache
@@ -103,28 +103,45 @@ def erfi_inverse_table() -> Array:
 
 
 @inlined
+def log_one_plus(t: float) -> float:
+    """ln(1 + t) to rounding, t >= 0 (Kahan); far faster than libm's log1p."""
+    u = 1.0 + t
+    return t if u == 1.0 else math.log(u) * (t / (u - 1.0))
+
+
+@inlined
 def softplus(y: float) -> float:
     """ln(1 + exp(y)) for any y."""
-    return y if y > 40.0 else math.log1p(math.exp(y))
+    return y if y > 40.0 else log_one_plus(math.exp(y))
+
+
+@inlined
+def softplus_of(factor: float, log: float) -> float:
+    """ln(1 + factor exp(log)), factor > 0."""
+    if abs(log) < 600.0:
+        return log_one_plus(factor * math.exp(log))
+    return softplus(log + math.log(factor))
 
 
 @inlined
 def soft_stretch(erfi_inverse: Array, xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a soft contact breaks: exp(log_w) H(x) = clock or x = xi; log_w = ln(omega/v)."""
-    log_z = _LOG_SOFT + math.log(clock * math.sqrt(a)) + a * xi * xi - log_w  # ln erfi(sqrt(a) x)
-    if log_z > 1e18:  # past the table, and xi to double precision
+    root = math.sqrt(a)
+    s = softplus_of(_SOFT * clock * root, a * xi * xi - log_w)  # ln(1 + erfi(sqrt(a) x))
+    if s > 1e18:  # past the table, and xi to double precision
         return xi
-    return min(xi, look_up(erfi_inverse, softplus(log_z)) / math.sqrt(a))
+    return min(xi, look_up(erfi_inverse, s) / root)
 
 
 @inlined
 def stiff_stretch(xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a stiff contact breaks: exp(log_w) H(x) = clock or x = xi."""
     c = a * xi * xi
-    spent = softplus(c + math.log(1.5 * a * xi * clock) - log_w) / c  # 1 - (1 - x/xi)^1.5
+    spent = softplus_of(1.5 * a * xi * clock, c - log_w) / c  # 1 - (1 - x/xi)^1.5
     if spent >= 1.0:
         return xi
-    return -xi * math.expm1(math.log1p(-spent) * (2.0 / 3.0))
+    q = (1.0 - spent) ** (2.0 / 3.0)
+    return xi * spent * (2.0 - spent) / (1.0 + q + q * q)  # 1 - q without cancellation
 
 
 # ----------------------------------------------------------------------------------------------------- annealed

@@ -106,7 +106,9 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
     return Moments(total[0], total[1], error[0], error[1])
 
 
-_SHARES = np.array([1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0])
+_SHARES = np.array(
+    [1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0]
+)
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
 
 
@@ -131,7 +133,9 @@ def survivors(
     rank = -np.log(np.maximum(law.sf(left * law.scale), 1e-200))
     edges = np.maximum(np.asarray(law.exceeded_by(np.maximum(rank + _SHARES, 2.0**-54))) / law.scale, left)
     if barrier is not None:
-        edges = np.sort(np.concatenate((edges, np.minimum(_threshold_at(x, b, barrier, stiffness, rms, log_w), high)), 1))
+        edges = np.sort(
+            np.concatenate((edges, np.minimum(_threshold_at(x, b, barrier, stiffness, rms, log_w), high)), 1)
+        )
     edges = np.clip(np.concatenate((left, edges), axis=1), left, edges[:, -1:])
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)

@@ -62,7 +62,8 @@ def survivors(
     else:
         inner, weights = _between(x)
         G = x[0] * pooled_rate(law, stiffness, barrier, b, x[:1])[0] + np.append(
-            0.0, np.cumsum((weights * pooled_rate(law, stiffness, barrier, b, inner.ravel()).reshape(inner.shape)).sum(1))
+            0.0,
+            np.cumsum((weights * pooled_rate(law, stiffness, barrier, b, inner.ravel()).reshape(inner.shape)).sum(1)),
         )
         J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
         means = [J, J, J]

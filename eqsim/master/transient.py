@@ -60,7 +60,9 @@ class Profile:
             self._values = CubicSpline(log_x, values, axis=1)
             start = self.x[0] ** np.arange(1, 4)[:, None, None] / np.arange(1, 4)[:, None, None] * values[:, :1]
             powers = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
-            self._integrals = [lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)]
+            self._integrals = [
+                lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)
+            ]
         else:
             nodes, weights = np.polynomial.legendre.leggauss(6)
             edge = np.append(0.0, self.x)
