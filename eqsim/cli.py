@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from eqsim.engine.steady import Steady
-    from eqsim.ensemble import Ensemble
     from eqsim.estimate import Estimate
-    from eqsim.master.reference import Reference
     from eqsim.runfile import RunFile
 
 app = typer.Typer(
@@ -127,20 +125,24 @@ def run(
         "seed": result.seed,
         "versions": tables.versions(),
     }
+    from eqsim.master.transient import expected as exact_run
     from eqsim.plots import trajectory_png
 
+    exact, reason = _if_any(lambda: exact_run(ensemble, drive, output.points))
     tables.publish(
         folder,
         {
             "trajectory.parquet": tables.parquet(columns, origin),
             "summary.json": tables.to_json(summary).encode(),
-            "force.png": trajectory_png(result, level, file.title or path.stem),
+            "force.png": trajectory_png(result, level, exact, file.title or path.stem),
         },
     )
     if json:
         print(tables.to_json(summary))
     elif not quiet:
         _print_run(file, ensemble, averages, level, result, folder)
+        if reason:
+            print(f"no exact curve: {reason}")
 
 
 @app.command()
@@ -170,8 +172,9 @@ def steady(
     if not result.reached and not quiet:
         print(f"eqsim: relative error {rel_error:g} was not reached within {max_lives:.3g} lives", file=sys.stderr)
     from eqsim.estimate import OBSERVABLES, z_score
+    from eqsim.master.reference import reference as solve
 
-    exact, reason = _reference(ensemble, drive.velocity)
+    exact, reason = _if_any(lambda: solve(ensemble, drive.velocity))
     rows = {name: (getattr(result, name), getattr(exact, name, None)) for name in OBSERVABLES}
     z = {name: known and z_score(found, known.value, known.stderr) for name, (found, known) in rows.items()}
     if json:
@@ -195,14 +198,32 @@ def steady(
 
 @app.command()
 @guarded
-def reference(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False) -> None:
-    """Exact steady averages from the master equation, without random numbers."""
+def reference(
+    path: Path_,
+    transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
+    set_: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Exact averages from the master equation, without random numbers."""
     file, _ = _load(path, set_, None)
     ensemble, drive = file.ensemble(path.parent), file.driven()
     from eqsim import tables
     from eqsim.estimate import OBSERVABLES
     from eqsim.master.reference import reference as solve
 
+    if transient:
+        from eqsim.master.transient import expected
+
+        curve = expected(ensemble, drive, file.output.points)
+        columns = {name: getattr(curve, name) for name in ("X", "force", "pinned", "force_error", "pinned_error")}
+        if json:
+            print(tables.to_json({name: column.tolist() for name, column in columns.items()}))
+        elif not quiet:
+            print(*columns, sep="\t")
+            for row in zip(*columns.values(), strict=True):
+                print(*(f"{number:.10g}" for number in row), sep="\t")
+        return
     result = solve(ensemble, drive.velocity)
     found = {name: getattr(result, name) for name in (*OBSERVABLES, "f_k")}
     if json:
@@ -261,12 +282,10 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
     return file, changes
 
 
-def _reference(ensemble: "Ensemble", velocity: float) -> tuple["Reference | None", str]:
-    """The exact averages, or None and why there are none."""
-    from eqsim.master.reference import reference as solve
-
+def _if_any(solve: Callable[[], Any]) -> tuple[Any, str]:
+    """The reference, or None and why there is none."""
     try:
-        return solve(ensemble, velocity), ""
+        return solve(), ""
     except InputError as error:
         return None, str(error)
 

@@ -62,7 +62,8 @@ class Ensemble:
         if math.isinf(self.b) or thermal.attempt_frequency == 0:
             return 0.0
         pool = pooled_hazard_of(self.thresholds, self.stiffness_law, thermal.barrier, self.b)
-        return float(thermal.attempt_frequency * self.thresholds.scale * pool.G[-1])
+        total = pool.G[-1] if pool.G.size else 0.0  # no attempt succeeds at very low temperature
+        return float(thermal.attempt_frequency * self.thresholds.scale * total)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,13 @@ class Estimate:
         return asdict(self)
 
 
+def known(estimate: Estimate) -> float:
+    """The value of an estimate that has one."""
+    if estimate.value is None:
+        raise ValueError("this estimate has no value")
+    return estimate.value
+
+
 OBSERVABLES = ("friction", "pinned", "break_stretch")
 
 

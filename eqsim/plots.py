@@ -3,6 +3,7 @@
 import io
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -10,16 +11,17 @@ from eqsim.engine.steady import Steady
 from eqsim.engine.trajectory import Trajectory
 from eqsim.estimate import Estimate
 from eqsim.laws.octaves import Array
+from eqsim.master.transient import Transient
 
 
-def trajectory_png(run: Trajectory, steady: Steady, title: str) -> bytes:
-    """F(X) with its error band and the steady value, and the pinned fraction below where contacts spend time
-    detached."""
+def trajectory_png(run: Trajectory, steady: Steady, exact: Transient | None, title: str) -> bytes:
+    """F(X) with its error band, the exact mean over it and the steady value; below, the difference from the exact mean
+    in standard errors, and the pinned fraction where contacts spend time detached."""
     delayed = steady.pinned.value is not None and steady.pinned.value < 1
-    figure = Figure(figsize=(8, 6 if delayed else 4.6), dpi=150, layout="constrained")
-    heights = [2, 1] if delayed else [1]
-    panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
-    top = panels[0, 0]
+    heights = [2.6] + [1.0] * ((exact is not None) + delayed)
+    figure = Figure(figsize=(8, 2 + sum(heights)), dpi=150, layout="constrained")
+    panels = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
+    top = panels[0]
     handles, labels = [], []
     if run.force_replica_std is not None:
         spread = run.force_replica_std
@@ -28,20 +30,33 @@ def trajectory_png(run: Trajectory, steady: Steady, title: str) -> bytes:
     handles.append(_curve(top, run.X, run.force, run.force_stderr, "C0"))
     handles.append(_level(top, steady.friction))
     labels += ["particles, mean ± 2 standard errors", "steady value (renewal-reward) ± 2 standard errors"]
+    if exact is not None:
+        handles.append(top.plot(run.X, exact.force, color="k", linewidth=0.8, linestyle=":")[0])
+        labels.append("exact mean (renewal equation)")
+        below = panels[1]
+        sigma = np.hypot(run.force_stderr, exact.force_error)
+        z = np.divide(run.force - exact.force, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+        below.axhspan(-2, 2, color="0.9")
+        below.plot(run.X, z, color="C0", linewidth=0.8)
+        below.set_ylim(-max(4.0, 1.1 * np.abs(z).max()), max(4.0, 1.1 * np.abs(z).max()))
+        below.set_ylabel("difference\n[standard errors]")
     top.set_ylabel("friction force  F / (N k)\n[length unit of the run file]")
     top.set_ylim(bottom=0)
     top.set_title(title, fontsize=10)
     # below the curve there is always room: forces start at 0 or stay near the steady value
     top.legend(handles, labels, loc="lower right", fontsize=8, framealpha=1)
     if delayed:
-        low = panels[1, 0]
-        _curve(low, run.X, run.pinned, run.pinned_stderr, "C2")
-        _level(low, steady.pinned)
-        low.set_ylabel("pinned fraction  N_c / N")
-        low.set_ylim(0, 1.05)
-    panels[-1, 0].set_xlabel("slider displacement  X  [length unit of the run file]")
-    panels[-1, 0].set_xlim(run.X[0], run.X[-1])
-    for panel in panels[:, 0]:
+        last = panels[-1]
+        _curve(last, run.X, run.pinned, run.pinned_stderr, "C2")
+        _level(last, steady.pinned)
+        if exact is not None:
+            last.plot(run.X, exact.pinned, color="k", linewidth=0.8, linestyle=":")
+        last.set_ylabel("pinned fraction\nN_c / N")
+        last.set_ylim(0, 1.05)
+    panels[-1].set_xlabel("slider displacement  X  [length unit of the run file]")
+    panels[-1].set_xlim(run.X[0], run.X[-1])
+    figure.align_ylabels(panels)
+    for panel in panels:
         panel.grid(alpha=0.3)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": "eqsim"})

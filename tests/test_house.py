@@ -56,9 +56,7 @@ def test_committed_run_files_are_valid(path):
 def test_dependencies_are_used():
     """No declared dependency that the code does not import."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    source = "\n".join(
-        path.read_text() for folder in ("eqsim", "analysis") for path in (ROOT / folder).rglob("*.py")
-    )
+    source = "\n".join(path.read_text() for folder in ("eqsim", "analysis") for path in (ROOT / folder).rglob("*.py"))
     for requirement in project["dependencies"]:
         name = re.split(r"[<>=\[]", requirement)[0]
         assert re.search(rf"^\s*(import|from) {name}\b", source, re.MULTILINE), name

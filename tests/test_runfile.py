@@ -62,7 +62,7 @@ BAD = [
     ({"thresholds": {"law": "delta", "n": 1.0}}, 'thresholds.n = 1.0: not allowed with law = "delta"'),
     ({"thresholds": {"law": "table"}}, 'thresholds.file: is required with law = "table"'),
     ({"thresholds": {"law": "table", "file": "x", "x_star": 1.0}}, "thresholds.x_star = 1.0: not allowed"),
-    ({"thresholds": {"law": "weird"}}, "thresholds.law = 'weird': must be \"gamma\", \"delta\" or \"table\""),
+    ({"thresholds": {"law": "weird"}}, 'thresholds.law = \'weird\': must be "gamma", "delta" or "table"'),
     ({"thermal": {"kT": float("nan")}}, "thermal.kT = nan: must be a finite number >= 0"),
     ({"thermal": {"kT": float("inf")}}, "thermal.kT = inf: must be a finite number >= 0"),
     ({"thermal": {"barrier": "hard"}}, "thermal.barrier = 'hard': must be one of"),
@@ -70,7 +70,7 @@ BAD = [
     ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
     ({"delay": {"law": "gamma"}}, "delay.law = 'gamma': must be one of"),
     ({"viscosity": {"eta": -2}}, "viscosity.eta = -2.0: must be a finite number >= 0"),
-    ({"disorder": "frozen"}, "disorder = 'frozen': must be one of \"quenched\", \"annealed\""),
+    ({"disorder": "frozen"}, 'disorder = \'frozen\': must be one of "quenched", "annealed"'),
     ({}, "drive.velocity: is required"),
     ({"drive": {"velocity": 0}}, "drive.velocity = 0.0: must be a finite number > 0"),
     ({"drive": {"velocity": 10**400}}, "drive.velocity"),
@@ -81,10 +81,12 @@ BAD = [
 
 @pytest.mark.parametrize(("data", "message"), BAD)
 def test_bad_input(data, message, tmp_path):
-    with pytest.raises(InputError) as caught:
+    def use():
         file = check(data)
-        file.ensemble(tmp_path)
-        file.driven()
+        return file.ensemble(tmp_path), file.driven()
+
+    with pytest.raises(InputError) as caught:
+        use()
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -144,5 +146,5 @@ def test_changes(tmp_path):
     path.write_text("[drive]\nvelocity = 0.1\n")
     file = load(path, {"drive.velocity": 2.0, "title": "x", "delay.time": 3})
     assert (file.drive.velocity, file.title, file.delay.time) == (2.0, "x", 3.0)
-    with pytest.raises(InputError, match="drive.velocity is not a section|velocity is not a section"):
+    with pytest.raises(InputError, match="velocity is not a section"):
         load(path, {"drive.velocity.x": 1})

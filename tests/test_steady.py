@@ -14,7 +14,7 @@ from scipy import integrate
 
 import eqsim.engine.steady as module
 from eqsim import Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
-from eqsim.estimate import z_score
+from eqsim.estimate import difference, z_score
 
 REFERENCE = pd.read_csv(Path(__file__).parent / "data" / "steady_reference.csv")
 OBSERVABLES = ("friction", "pinned", "break_stretch")
@@ -196,8 +196,7 @@ def test_scipy_laws():
         ours = steady(Ensemble(Gamma(0.0), **given), 0.1, rel_error=1e-5)
         theirs = steady(Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given), 0.1, rel_error=1e-5)
         for name in OBSERVABLES:
-            a, b = getattr(ours, name), getattr(theirs, name)
-            assert abs(a.value - b.value) < 4.5 * math.hypot(a.stderr, b.stderr)
+            assert abs(difference(getattr(ours, name), getattr(theirs, name))) < 4.5
 
 
 def test_viscosity_and_delay():
@@ -207,8 +206,8 @@ def test_viscosity_and_delay():
     wet = steady(Ensemble(thermal=Thermal(0.1), delay=Delay(3.0), stiffness=2.0, eta=4.0), 0.5, rel_error=1e-5)
     drag = 4.0 * 0.5 / 2.0 * (1 - dry.pinned.value)
     assert math.isclose(wet.friction.value, dry.friction.value + drag, rel_tol=1e-12)
-    random = steady(Ensemble(thermal=Thermal(0.1), delay=Delay(3.0, "exponential"), stiffness=2.0), 0.5, rel_error=1e-5)
-    assert abs(random.friction.value - dry.friction.value) < 4.5 * math.hypot(random.friction.stderr, dry.friction.stderr)
+    exponential = Ensemble(thermal=Thermal(0.1), delay=Delay(3.0, "exponential"), stiffness=2.0)
+    assert abs(difference(steady(exponential, 0.5, rel_error=1e-5).friction, dry.friction)) < 4.5
 
 
 def test_asked_for_precision_and_threads():
@@ -228,7 +227,7 @@ def test_refusals():
         steady(Ensemble(), 0.0)
     with pytest.raises(InputError, match="rel_error"):
         steady(Ensemble(), 1.0, rel_error=-1.0)
-    with pytest.raises(InputError, match="1e100|230"):
+    with pytest.raises(InputError, match="velocity"):
         steady(Ensemble(thermal=Thermal(1.0)), 1e-200)
 
 

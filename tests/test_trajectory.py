@@ -13,7 +13,7 @@ from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Table, Therm
 from eqsim.engine.ramps import Run, Scales, moments, simulate
 from eqsim.engine.standing import standing
 from eqsim.engine.streams import TRAJECTORY, key
-from eqsim.engine.trajectory import Totals, predicted_lives
+from eqsim.engine.trajectory import Totals, _arguments, predicted_lives
 from eqsim.ensemble import lower
 from eqsim.estimate import z_score
 
@@ -197,10 +197,8 @@ def test_same_bits_for_any_blocks(start):
         firsts = list(range(0, 300, size))
         np.random.default_rng(size).shuffle(firsts)
         for first in firsts:
-            simulate(
-                c, table, run, scales.deposits, scales.batches, key(1, TRAJECTORY), first, min(first + size, 300),
-                total.deposits, total.batches, total.status,
-            )  # fmt: skip
+            job = (c, table, run, scales, key(1, TRAJECTORY))
+            simulate(*_arguments(job, total), first, min(first + size, 300))
         sums.append(total)
     for total in sums[1:]:
         assert total.deposits.tobytes() == sums[0].deposits.tobytes()
@@ -217,10 +215,7 @@ def test_a_contact_does_not_depend_on_the_others():
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1)
     second = Totals(101, 1)
-    simulate(
-        c, standing(c), run, scales.deposits, scales.batches, key(1, TRAJECTORY), 1, 2,
-        second.deposits, second.batches, second.status,
-    )  # fmt: skip
+    simulate(*_arguments((c, standing(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), atol=1e-12)
 
@@ -258,5 +253,6 @@ def test_refusals():
         Drive(1.0, 0.0)
     with pytest.raises(InputError, match="count"):
         Ensemble(count=0)
+    wide = Ensemble(Table([1e-9] * 999 + [1e9]), count=100)
     with pytest.raises(InputError, match="too much to add up"):
-        trajectory(Ensemble(Table([1e-9] * 999 + [1e9]), stiffness_law="sqrt", count=100), Drive(1.0, 10.0), max_lives=1e15)
+        trajectory(wide, Drive(1.0, 10.0), max_lives=1e15)

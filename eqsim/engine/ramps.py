@@ -170,11 +170,11 @@ def simulate(
     scales: Array,
     batch_scales: Array,
     key: Key,
-    first: int,
-    last: int,
     deposits: Array,
     batches: Array,
     status: Array,
+    first: int,
+    last: int,
 ) -> None:
     """Follow contacts first <= i < last over the whole distance, LANES at a time, and add up what they leave."""
     contact, life = np.empty(LANES, np.int64), np.empty(LANES, np.int64)

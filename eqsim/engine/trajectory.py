@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -102,6 +103,8 @@ def trajectory(
     scales = Scales.of(c, run, contacts, replicas)
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     job = (c, table, run, scales, key(seed, TRAJECTORY))
+    nothing = Totals(2, 1)
+    simulate(*_arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress)
 
@@ -164,8 +167,17 @@ class Totals:
             getattr(self, name)[...] += getattr(other, name)
 
 
+_Job = tuple[Contacts, Standing, Run, Scales, Key]
+
+
+def _arguments(job: _Job, total: Totals) -> tuple[Any, ...]:
+    """What `simulate` needs besides the range of contacts."""
+    c, table, run, scales, stream = job
+    return c, table, run, scales.deposits, scales.batches, stream, total.scratch, total.batches, total.status
+
+
 def _simulate_all(
-    job: tuple[Contacts, Standing, Run, Scales, Key],
+    job: _Job,
     count: int,
     replicas: int,
     drag: float,
@@ -173,7 +185,7 @@ def _simulate_all(
     progress: Progress | None,
 ) -> Totals:
     """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free."""
-    c, table, run, scales, stream = job
+    _, _, run, scales, _ = job
     contacts = count * replicas
     lanes = min(LANES, -(-contacts // threads))
     block = count if replicas > 1 else max(lanes, min(-(-contacts // (16 * threads)), 2**20))
@@ -186,10 +198,7 @@ def _simulate_all(
             if first >= contacts or total.status[1]:
                 return
             last = min(first + block, contacts)
-            simulate(
-                c, table, run, scales.deposits, scales.batches, stream, first, last,
-                total.scratch, total.batches, total.status,
-            )  # fmt: skip
+            simulate(*_arguments(job, total), first, last)
             total.close_replica(scales, run, count, drag)
 
     with ThreadPoolExecutor(threads) as pool:

@@ -36,6 +36,8 @@ class Delay:
     def residual_cdf(self, t: Array) -> Array:
         """P(rest of the delay <= t) for a contact found detached in the stationary state (derived, renewal theory):
         uniform on (0, time) if fixed, again exponential if exponential."""
+        if self.time == 0:
+            return self.cdf(t)
         if self.law == "fixed":
             return np.clip(np.asarray(t) / self.time, 0.0, 1.0)
         return self.cdf(t)

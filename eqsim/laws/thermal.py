@@ -24,13 +24,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy import special
-from scipy.interpolate import CubicSpline
 
 from eqsim.compiled import inlined
 from eqsim.errors import InputError, require_choice, require_number
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.laws.threshold import ThresholdLaw, panels_above
 
 Barrier = Literal["soft", "stiff"]
 
@@ -161,50 +160,72 @@ MOST_POOLED_STEPS = 4096
 
 
 def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, y: Array) -> Array:
-    """h(y) of a smooth law (temper11, temper12 without omega/v), ascending y in units of `law.scale`.
+    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of `law.scale`.
 
-    The integral over xi' > y is a trapezoidal sum in ln(xi' - y) (logistic where the support ends), which converges
-    exponentially and resolves the layer of width 1/(2 b y) next to y at any b.
+    Gauss-Legendre panels over xi' > y follow the law and the layer next to y, of width 1/(2 b y) for large b, in which
+    attempts succeed.
     """
-    low, high = (edge / law.scale for edge in law.support)
-    left = np.maximum(y, low)[:, None]
-    step = 0.1
-    layer = min(1.0, 0.5 / (b * float(y[-1])))
-    s = np.arange(math.log(layer) - 34.0, 40.0, step)[None, :]
-    if math.isinf(high):
-        s = s[:, s[0] < math.log(law.exceeded_by(500.0) / law.scale)]
-        beyond = jacobian = np.exp(s)
-    else:
-        beyond = np.maximum(high - left, 0.0) * special.expit(s)
-        jacobian = beyond * special.expit(-s)
-    xi = left + beyond
-    gap = left - y[:, None] + beyond  # xi - y without cancellation
-    a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
+    rms, y = law.rms / law.scale, np.asarray(y, float)
+    edges = panels_above(law, y, y[:, None] + _layer(stiffness, barrier, b, rms, y))
+    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
+    beyond = edges[:, :-1, None] - y[:, None, None] + half * (1.0 + _NODES)  # xi' - y without cancellation
+    y = y[:, None, None]
+    xi = y + beyond
+    a = b * relative_stiffness(stiffness, xi, rms)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if barrier == "soft":
+            log_r = -a * beyond * (beyond + 2 * y)
+        else:
+            log_r = 0.5 * np.log(beyond / xi) - a * xi**2 * (beyond / xi) ** 1.5
+        terms = law.pdf(xi * law.scale) * law.scale * np.exp(log_r) * half * _WEIGHTS
+    return np.asarray(np.where(half > 0, terms, 0.0).sum(axis=(1, 2)))
+
+
+_NODES, _WEIGHTS = special.roots_legendre(8)
+_EXPONENTS = np.array([1e-9, 1e-6, 1e-4, 3e-3, 0.03, 0.2, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0])
+
+
+def _layer(stiffness: StiffnessLaw, barrier: Barrier, b: float, rms: float, y: Array) -> Array:
+    """Distances xi' - y at which the exponent of the rate is about each of `_EXPONENTS`, were xi' near y, or were it
+    far from it, shape (n, 2 exponents): only panels depend on it."""
+    a, y = np.maximum(b * relative_stiffness(stiffness, y, rms), 1e-300)[:, None], y[:, None]
     if barrier == "soft":
-        log_r = -a * gap * (gap + 2 * y[:, None])
+        near = (_EXPONENTS / a) / (y + np.sqrt(y**2 + _EXPONENTS / a))
     else:
-        with np.errstate(divide="ignore"):
-            log_r = 0.5 * np.log(gap / xi) - a * xi**2 * (gap / xi) ** 1.5
-    with np.errstate(invalid="ignore"):
-        terms = law.pdf(xi * law.scale) * law.scale * np.exp(log_r) * jacobian
-    terms[~np.isfinite(terms)] = 0.0  # an integrable singularity of the density, met exactly
-    return np.asarray(np.sum(terms, axis=1) * step)
+        near = y * np.minimum((_EXPONENTS / (a * y**2)) ** (2.0 / 3.0), 1e6)
+    far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)
+    return np.concatenate((near, np.broadcast_to(far[4:], (y.size, far.size - 4))), axis=1)
 
 
 def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
     """G and its inverse for the annealed ensemble, lengths in units of `law.scale`; Delta U = (omega/v) G (nt09).
 
-    Relative error of the inverse: below 1e-8 for smooth laws, below 1e-4 of the distance between neighbours for
-    discrete ones. Raises InputError for a discrete law of more than 4096 thresholds.
+    Relative error of the inverse: below 2e-7 for smooth laws, 2e-5 where the support of the law has an edge, and below
+    1e-4 of the distance between neighbours for discrete laws. Raises InputError for a discrete law of more than 4096
+    thresholds.
     """
     if law.steps.size:
         return _pooled_steps(law, stiffness, barrier, b)
-    top = float(law.exceeded_by(60.0)) / law.scale
-    y = np.geomspace(1e-14, top, 3072)
+    low, high = (edge / law.scale for edge in law.support)
+    top = min(float(law.exceeded_by(60.0)) / law.scale, high)
+    toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)  # the ends of the support are approached from both sides
+    linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
+    nodes = [np.geomspace(1e-14, linear, 200), np.linspace(0.0, top, 1500)]
+    nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
+    if low > 0:
+        nodes += [low - low * toward, low + (top - low) * toward]
+    if math.isfinite(high):
+        nodes.append(top - (top - low) * toward)
+    y = np.unique(np.concatenate(nodes))
+    y = y[y >= 1e-14]
+    half = 0.5 * np.diff(np.log(y))[:, None]
+    inner = np.exp(np.log(y[:-1, None]) + half * (1.0 + _FEW_NODES))
+    cells = half * _FEW_WEIGHTS * inner * pooled_rate(law, stiffness, barrier, b, inner.ravel()).reshape(inner.shape)
     h = pooled_rate(law, stiffness, barrier, b, y)
-    density = CubicSpline(np.log(y), y * h)  # dG/d ln y
-    G = y[0] * h[0] + density.antiderivative()(np.log(y))
-    return _pool(y, G, h, h)
+    return _pool(y, y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1))), h, h)
+
+
+_FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(3)
 
 
 def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
@@ -220,7 +241,7 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     fine = 8 if xi.size <= 64 else 1  # nodes per halving of the distance to a threshold
     nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0)]  # from the linear beginning
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, 2 * a * xi, strict=True):
-        depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))  # down to a fraction of the layer
+        depth = 12 + math.ceil(math.log2(max(scale * (high - low), 1.0)))  # down to a fraction of the layer
         nodes.append(high - (high - low) * np.append(2.0 ** (-np.arange(depth * fine) / fine), 0.0))
     y = np.unique(np.concatenate(nodes))[1:]
     G, left, right = np.zeros(y.size), np.zeros(y.size), np.zeros(y.size)

@@ -52,6 +52,9 @@ class ThresholdLaw(Protocol):
     def pdf(self, x: Any) -> Array:
         """P_c(x) of a smooth law."""
 
+    def cdf(self, x: Any) -> Array:
+        """P(xi <= x)."""
+
     def sf(self, x: Any) -> Array:
         """J_c(x) = P(xi > x)."""
 
@@ -246,6 +249,26 @@ class Distribution:
         secant = np.gradient(xi, e)
         slope = np.where(np.isfinite(slope), slope, secant)  # where the density vanishes: support ends, gaps
         return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
+
+
+_SHARES = np.array(
+    [1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0]
+)
+
+
+def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Array:
+    """Edges of panels, shape (n, panels + 1), from x (n,) to where no threshold of a smooth law is left: on the scale
+    of the law itself, and of a boundary layer above x whose edges `layer`, shape (n, any), are merged in. Lengths in
+    units of `law.scale`."""
+    low, high = (edge / law.scale for edge in law.support)
+    left = np.maximum(x, low)[:, None]
+    e = np.exp(np.linspace(-36.0, math.log(100.0), 400))  # only panels depend on this table
+    xi = np.asarray(law.exceeded_by(e)) / law.scale
+    rank = np.interp(left, xi, e)
+    edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
+    if layer is not None:
+        edges = np.sort(np.concatenate((edges, np.clip(layer, left, edges[:, -1:])), axis=1))
+    return np.concatenate((left, edges), axis=1)
 
 
 @inlined

@@ -19,7 +19,7 @@ from scipy import special
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_hazard
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.laws.threshold import ThresholdLaw, panels_above
 
 _LEVELS = np.array([-48.0, -24.0, -12.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75, 2.5, 3.25, 4.0])  # of ln Lambda
 _NODES, _WEIGHTS = special.roots_legendre(14)
@@ -106,9 +106,6 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
     return Moments(total[0], total[1], error[0], error[1])
 
 
-_SHARES = np.array(
-    [1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0]
-)
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
 
 
@@ -128,15 +125,8 @@ def survivors(
         for j in range(xi.size):
             total += weight[:, j, None] * survival(barrier, x, xi[j], b * kappa[j], log_w)
         return total[0], total[1], total[2]
-    low, high = (edge / law.scale for edge in law.support)
-    left = np.maximum(x, low)[:, None]
-    rank = -np.log(np.maximum(law.sf(left * law.scale), 1e-200))
-    edges = np.maximum(np.asarray(law.exceeded_by(np.maximum(rank + _SHARES, 2.0**-54))) / law.scale, left)
-    if barrier is not None:
-        edges = np.sort(
-            np.concatenate((edges, np.minimum(_threshold_at(x, b, barrier, stiffness, rms, log_w), high)), 1)
-        )
-    edges = np.clip(np.concatenate((left, edges), axis=1), left, edges[:, -1:])
+    layer = None if barrier is None else _threshold_at(x, b, barrier, stiffness, rms, log_w)
+    edges = panels_above(law, x, layer)
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
     kappa = relative_stiffness(stiffness, xi, rms)

@@ -12,6 +12,8 @@ from eqsim.laws.thermal import Barrier
 from eqsim.laws.threshold import ThresholdLaw
 from eqsim.master import kinetic, published
 
+PUBLISHED, KINETIC = "published master equation", "joint kinetic equation"
+
 
 @dataclass(frozen=True)
 class Reference(Averages):
@@ -64,9 +66,10 @@ def setting(ensemble: Ensemble, velocity: float) -> Setting:
 def reference(ensemble: Ensemble, velocity: float) -> Reference:
     """The steady averages of an ensemble at constant velocity, by quadrature. Raises InputError."""
     s = setting(ensemble, velocity)
-    solver = published if s.annealed else kinetic
-    moments = solver.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
-    method = "published master equation" if s.annealed else "joint kinetic equation"
+    if s.annealed and s.barrier is not None:
+        method, moments = PUBLISHED, published.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
+    else:
+        method, moments = KINETIC, kinetic.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
     unit, delay, drag = s.law.scale, s.delay, s.drag
     stretch, work = moments.stretch, moments.work
     relative = moments.stretch_error / stretch + moments.work_error / work

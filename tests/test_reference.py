@@ -1,0 +1,282 @@
+"""The master-equation reference: against exact values, closed forms, its own error estimates, and a second method."""
+
+import itertools
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.stats
+from scipy import integrate, special
+
+from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference, trajectory
+from eqsim.estimate import OBSERVABLES
+from eqsim.master import kinetic, published
+from eqsim.master.transient import fluctuations, transient
+
+REFERENCE = pd.read_csv(Path(__file__).parent / "data" / "steady_reference.csv")
+UNIFORM = {"stiffness_law": "uniform"}
+
+
+@pytest.mark.parametrize("row", list(REFERENCE.itertuples()), ids=lambda row: row.id)
+def test_table(row):
+    """Every row to 1e-8: its own accuracy is 1e-7, its figures are printed to 9 digits (5e-9)."""
+    ensemble = Ensemble(
+        Gamma(row.n, row.x_star),
+        Thermal(row.kT, row.attempt_frequency, row.barrier),
+        Delay(row.delay),
+        stiffness=row.stiffness,
+        stiffness_law=row.stiffness_law,
+        disorder=row.disorder,
+    )
+    result = reference(ensemble, row.velocity)
+    for name in OBSERVABLES:
+        estimate = getattr(result, name)
+        assert estimate.value == pytest.approx(getattr(row, name), rel=1e-8)
+        assert estimate.stderr <= 1e-9 * estimate.value
+    assert result.f_k.value == pytest.approx(row.friction / row.pinned, rel=2e-8)
+
+
+@pytest.mark.parametrize(
+    ("disorder", "kT", "values"),
+    [
+        ("annealed", 1.0, [0.00224997, 0.0224665, 0.210088, 0.655325, 0.742260]),
+        ("quenched", 1.0, [0.0231447, 0.107846, 0.376666, 0.689265, 0.745742]),
+        ("annealed", 0.1, [0.0348556, 0.217542, 0.620026, 0.737847, 0.750801]),
+        ("quenched", 0.1, [0.690494, 0.718212, 0.746458, 0.751769, 0.752206]),
+    ],
+)
+def test_two_ensembles(disorder, kT, values):
+    """n = 1, uniform, v = 1e-3 .. 10: how far apart the two models are (values printed to six digits)."""
+    for v, value in zip((1e-3, 1e-2, 0.1, 1.0, 10.0), values, strict=True):
+        friction = reference(Ensemble(thermal=Thermal(kT), disorder=disorder, **UNIFORM), v).friction.value
+        assert friction == pytest.approx(value, rel=4e-6)
+
+
+@pytest.mark.parametrize("n", [0.0, 0.5, 1.0, 2.5, 30.0])
+def test_zero_temperature(n):
+    """nt07 for any n, and the sqrt law (derived)."""
+    sqrt = reference(Ensemble(Gamma(n)), 1.0)
+    assert sqrt.friction.value == pytest.approx((n + 1.5) / (2 * math.sqrt(n + 1)), rel=1e-10)
+    assert sqrt.break_stretch.value == pytest.approx(special.poch(n + 1, 0.5), rel=1e-10)
+    uniform = reference(Ensemble(Gamma(n), **UNIFORM), 1.0)
+    assert uniform.friction.value == pytest.approx((n + 1) / (2 * special.poch(n + 1, 0.5)), rel=1e-10)
+
+
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+def test_low_velocity_limits(barrier):
+    """v (1+b)^2/omega of nt15 (soft), and ((1-b)/(1-2b))^(n+1) v/omega for quenched contacts, b < 1/2 (derived)."""
+    v = 1e-11
+    if barrier == "soft":
+        annealed = Ensemble(thermal=Thermal(0.25), disorder="annealed", **UNIFORM)
+        assert reference(annealed, v).friction.value == pytest.approx(v * 9.0, rel=1e-8)
+    quenched = Ensemble(Gamma(0.5), Thermal(2.5, 1.0, barrier), **UNIFORM)
+    assert reference(quenched, v).friction.value == pytest.approx(v * (0.8 / 0.6) ** 1.5, rel=1e-8)
+
+
+def oracle(barrier, xi, b, w):
+    """int S dx and int x S dx of one quenched contact by adaptive quadrature of the bare rate: no closed form."""
+
+    def rate(x):
+        gap = max(1.0 - x / xi, 0.0)
+        if barrier == "soft":
+            return math.exp(-b * (xi * xi - x * x))
+        return math.sqrt(gap) * math.exp(-b * xi * xi * gap**1.5)
+
+    x = np.linspace(0, xi, 4001)
+    cells = [integrate.fixed_quad(np.vectorize(rate), lo, hi, n=6)[0] for lo, hi in itertools.pairwise(x)]
+    survive = np.exp(-w * np.append(0.0, np.cumsum(cells)))
+    return integrate.simpson(survive, x=x), integrate.simpson(x * survive, x=x)
+
+
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+@pytest.mark.parametrize(("xi", "b", "w"), [(1.0, 0.5, 2.0), (1.7, 5.0, 30.0), (0.3, 20.0, 8.0)])
+def test_one_contact(barrier, xi, b, w):
+    """The panels against an independent quadrature of the rate itself (Simpson on 4001 points, 1e-7)."""
+    found = kinetic.life_moments(barrier, np.array([xi]), np.array([b]), math.log(w))
+    exact = oracle(barrier, xi, b, w)
+    assert found[0][0] == pytest.approx(exact[0], rel=1e-7)
+    assert found[1][0] == pytest.approx(exact[1], rel=1e-7)
+    wrong = kinetic.life_moments(barrier, np.array([xi]), np.array([b]), math.log(1.001 * w))
+    assert wrong[0][0] != pytest.approx(exact[0], rel=1e-7)
+
+
+@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
+@pytest.mark.parametrize("stiffness_law", ["sqrt", "uniform"])
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+def test_ends_of_the_range(disorder, stiffness_law, barrier):
+    """b over 12 decades and v over 24: no warning, a stated error of 1e-9, friction between its limits."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for b in (1e-3, 1.0, 1e3, 1e9):
+            for v in (1e-12, 1e-6, 1.0, 1e12):
+                thermal = Thermal(0.5 / b, 1.0, barrier)
+                result = reference(Ensemble(Gamma(0.5), thermal, stiffness_law=stiffness_law, disorder=disorder), v)
+                assert 0 < result.friction.value < 5
+                assert result.friction.stderr <= 1e-9 * result.friction.value
+                assert result.break_stretch.stderr <= 1e-9 * result.break_stretch.value
+    top = (2.0 / (2 * math.sqrt(1.5))) if stiffness_law == "sqrt" else 1.5 / (2 * special.poch(1.5, 0.5))
+    assert result.friction.value == pytest.approx(top, rel=1e-9)
+
+
+@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
+def test_error_estimates(disorder, monkeypatch):
+    """Coarser solvers quote larger errors, and these cover what they miss."""
+    ensemble = Ensemble(thermal=Thermal(0.02), disorder=disorder)
+    best = reference(ensemble, 1e-3)
+    if disorder == "quenched":
+        monkeypatch.setattr(kinetic, "_CONVERGED", 1e-3)
+    else:
+        monkeypatch.setattr(published, "_STEP", 0.8)
+    rough = reference(ensemble, 1e-3)
+    for name in ("friction", "break_stretch"):
+        a, b = getattr(best, name), getattr(rough, name)
+        assert abs(a.value - b.value) <= 3 * b.stderr
+        assert a.stderr <= b.stderr
+
+
+def test_laws_agree():
+    """Weibull thresholds of shape 2 are n = 0; a fine table of quantiles is nearly the law it was taken from."""
+    fine = Table(Gamma(1.0).exceeded_by(-np.log((np.arange(800) + 0.5) / 800)))
+    for disorder in ("quenched", "annealed"):
+        given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
+        ours, theirs = Ensemble(Gamma(0.0), **given), Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given)
+        assert reference(ours, 0.1).friction.value == pytest.approx(reference(theirs, 0.1).friction.value, rel=1e-8)
+        near = reference(Ensemble(fine, **given), 0.1).friction.value
+        assert near == pytest.approx(reference(Ensemble(Gamma(1.0), **given), 0.1).friction.value, rel=3e-3)
+    one = Ensemble(Delta(1.0), Thermal(0.1))
+    assert reference(one, 0.1) == reference(Ensemble(Delta(1.0), Thermal(0.1), disorder="annealed"), 0.1)
+    many = Table(np.linspace(1, 2, 1001))
+    with pytest.raises(InputError, match="at most 1000"):
+        reference(Ensemble(many, Thermal(0.1), disorder="annealed"), 0.1)
+
+
+def test_identical_stiff_contacts_follow_a_power_of_a_logarithm():
+    """Identical stiff contacts at b >> 1: 1 - x_b/x_* ~ (ln(v_0/v)/c)^(2/3), so (1 - friction ratio)^(3/2) is linear
+    in ln v; over seven decades the correlation is closer to a line than that of the unpowered force."""
+    velocities = np.geomspace(1e-9, 1e-2, 15)
+    ensemble = Ensemble(Delta(1.0), Thermal(0.005, 1.0, "stiff"))
+    stretch = np.array([reference(ensemble, v).break_stretch.value for v in velocities])
+    powered = np.corrcoef(np.log(velocities), (1 - stretch) ** 1.5)[0, 1]
+    plain = np.corrcoef(np.log(velocities), 1 - stretch)[0, 1]
+    assert 1 + powered < 1e-4
+    assert 1 + plain > 10 * (1 + powered)
+
+
+# ------------------------------------------------------------------------------------------------------ transients
+
+
+@pytest.mark.parametrize(
+    ("delay", "x", "force", "pinned"),
+    [
+        (Delay(0.0), 1.0, 0.798449, 1.0),
+        (Delay(0.0), 1.19, 0.82150, 1.0),
+        (Delay(2.0), 2.0, 0.183156, 0.091578),
+        (Delay(2.0, "exponential"), 2.0, 0.301469, 0.348039),
+    ],
+)
+def test_transient_at_zero_temperature(delay, x, force, pinned):
+    """Values known to six digits (the second to five), within half a last digit and the stated error."""
+    result = transient(Ensemble(delay=delay, **UNIFORM), Drive(1.0, 4.0), points=401)
+    i = int(np.argmin(abs(result.X - x)))
+    digit = 5e-6 if x == 1.19 else 5e-7
+    assert abs(result.force[i] - force) < digit + result.force_error[i]
+    assert abs(result.pinned[i] - pinned) < 5e-7 + result.pinned_error[i]
+    assert result.force_error.max() < 1e-4
+
+
+CASES = [
+    (Ensemble(thermal=Thermal(0.1)), 0.1),
+    (Ensemble(thermal=Thermal(1.0)), 1e-3),
+    (Ensemble(Gamma(2.5), Thermal(0.3, 1.0, "stiff"), Delay(30.0), eta=1.0), 0.05),
+    (Ensemble(thermal=Thermal(0.1), delay=Delay(5.0, "exponential"), disorder="annealed", eta=0.5), 0.1),
+    (Ensemble(Gamma(0.0), Thermal(0.2, 1.0, "stiff"), disorder="annealed", **UNIFORM), 1.0),
+    (Ensemble(Table([0.5, 0.7, 1.3, 2.0]), Thermal(0.1), Delay(2.0)), 0.1),
+]
+
+
+@pytest.mark.parametrize(("ensemble", "velocity"), CASES)
+def test_transients_end_in_the_steady_state(ensemble, velocity):
+    """F, pinned and Gamma = pinned/C far from the start (discrete laws keep a ripple: their stated error)."""
+    exact = reference(ensemble, velocity)
+    result = transient(ensemble, Drive(velocity, 60.0 * ensemble.thresholds.mean), points=601)
+    loose = 1e-3 if ensemble.thresholds.steps.size else 1e-7
+    assert result.force[-1] == pytest.approx(exact.friction.value, rel=loose)
+    assert result.pinned[-1] == pytest.approx(exact.pinned.value, rel=loose)
+    assert result.breaks[-1] == pytest.approx(exact.pinned.value / exact.break_stretch.value, rel=loose)
+
+
+@pytest.mark.parametrize(("ensemble", "velocity"), CASES[:5])
+def test_transients_refine_as_stated(ensemble, velocity, monkeypatch):
+    """A grid four times as fine differs by no more than three times the stated error."""
+    drive = Drive(velocity, 5.0)
+    coarse = transient(ensemble, drive, points=101)
+    monkeypatch.setattr("eqsim.master.transient._CELL", 0.005)
+    monkeypatch.setattr("eqsim.master.transient._LEAST_CELLS", 2000)
+    fine = transient(ensemble, drive, points=101)
+    assert np.all(abs(fine.force - coarse.force) <= 3 * coarse.force_error)
+    assert np.all(abs(fine.pinned - coarse.pinned) <= 3 * coarse.pinned_error + 1e-9)
+
+
+@pytest.mark.parametrize(("ensemble", "velocity"), CASES)
+def test_particles_follow_the_transient(ensemble, velocity):
+    """The engine on 21 points (|z| < 4.5; with both observables and six cases 250 scores, false alarm 2e-3)."""
+    drive = Drive(velocity, 6.1 * ensemble.thresholds.mean)
+    exact = transient(ensemble, drive, points=22)
+    found = trajectory(ensemble, drive, points=22, seed=6, threads=2)
+    z = (found.force - exact.force)[1:] / np.hypot(found.force_stderr, exact.force_error)[1:]
+    assert np.abs(z).max() < 4.5
+    assert np.all(abs(found.pinned - exact.pinned) <= 4.5 * np.hypot(found.pinned_stderr, exact.pinned_error) + 1e-8)
+    wrong = transient(Ensemble(ensemble.thresholds, Thermal(0.5), ensemble.delay), drive, points=22)
+    assert np.abs((found.force - wrong.force)[1:] / found.force_stderr[1:]).max() > 10
+
+
+@pytest.mark.parametrize("law", [Gamma(0.0), Gamma(1.0), Gamma(2.5), Gamma(10.0)])
+def test_first_peak(law):
+    """T = 0: the first maximum of F over its plateau lies in [1, 2] (Farkas, Dahmen and Wolf, 2005)."""
+    result = transient(Ensemble(law, **UNIFORM), Drive(1.0, 60.0 * law.mean), points=3001)
+    assert 1.0 < result.force.max() / reference(Ensemble(law, **UNIFORM), 1.0).friction.value < 2.0
+
+
+@pytest.mark.parametrize("law", ["fixed", "exponential"])
+def test_fluctuations(law):
+    """T = 0, tau = 1, eta = 2: the standard deviation .163412 at N = 20 in closed form; the covariance decays."""
+    ensemble = Ensemble(delay=Delay(1.0, law), eta=2.0, **UNIFORM)
+    result = fluctuations(ensemble, 1.0, 40.0, points=401)
+    assert math.sqrt(result.covariance[0] / 20) == pytest.approx(0.163412, abs=5e-7)
+    assert abs(result.covariance[-1]) < 1e-5 * result.covariance[0]
+
+
+@pytest.mark.parametrize(("ensemble", "velocity"), [*CASES[:1], *CASES[2:4]])
+def test_particles_fluctuate_as_stated(ensemble, velocity):
+    """Autocovariance of a stationary ensemble of N = 200 over 2000 seeds at five lags: |z| < 4.5 (15 scores)."""
+    small = Ensemble(**{**ensemble.__dict__, "count": 200})
+    exact = fluctuations(small, velocity, 2.0, points=5)
+    runs = trajectory_sample(small, Drive(velocity, 2.0, "stationary"), 2000)
+    level = reference(small, velocity).friction.value
+    products = (runs - level) * (runs[:, :1] - level) * 200
+    error = products.std(axis=0, ddof=1) / math.sqrt(len(runs))
+    assert np.abs((products.mean(axis=0) - exact.covariance) / error).max() < 4.5
+
+
+def trajectory_sample(ensemble, drive, runs):
+    """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
+    from eqsim.engine.ramps import Run, Scales, moments, simulate
+    from eqsim.engine.standing import standing
+    from eqsim.engine.streams import TRAJECTORY, key
+    from eqsim.engine.trajectory import Totals, _arguments
+    from eqsim.ensemble import lower
+
+    c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
+    run = Run(drive.distance / unit, 5, True, False)
+    scales = Scales.of(c, run, n, 1)
+    job = (c, standing(c), run, scales, key(12, TRAJECTORY))
+    drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
+    forces = []
+    for first in range(0, runs * n, n):
+        total = Totals(5, 1)
+        simulate(*_arguments(job, total), first, first + n)
+        forces.append(moments(total.deposits, scales, run, n, drag)[0] * unit)
+    return np.array(forces)
