@@ -37,9 +37,7 @@ def test_no_delay(law):
     assert residual_delay_draw(0.0, law == "exponential", 0.3) == 0.0
 
 
-@pytest.mark.parametrize(
-    "law", [pytest.param("fixed", marks=pytest.mark.xfail(reason="0/0 in Delay.residual_cdf")), "exponential"]
-)
+@pytest.mark.parametrize("law", LAWS)
 def test_no_delay_leaves_no_rest(law):
     np.testing.assert_array_equal(Delay(0.0, law).residual_cdf(np.array([0.0, 1.0])), 1.0)
 

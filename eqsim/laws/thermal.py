@@ -160,7 +160,7 @@ MOST_POOLED_STEPS = 4096
 
 
 def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, y: Array) -> Array:
-    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of `law.scale`.
+    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of `law.scale`, to 1e-8 relative.
 
     Gauss-Legendre panels over xi' > y follow the law and the layer next to y, of width 1/(2 b y) for large b, in which
     attempts succeed.
@@ -200,7 +200,7 @@ def _layer(stiffness: StiffnessLaw, barrier: Barrier, b: float, rms: float, y: A
 def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
     """G and its inverse for the annealed ensemble, lengths in units of `law.scale`; Delta U = (omega/v) G (nt09).
 
-    Relative error of the inverse: below 2e-7 for smooth laws, 2e-5 where the support of the law has an edge, and below
+    Relative error of the inverse: below 2e-7 for smooth laws, 5e-5 where the support of the law has an edge, and below
     1e-4 of the distance between neighbours for discrete laws. Raises InputError for a discrete law of more than 4096
     thresholds.
     """

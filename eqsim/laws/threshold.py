@@ -207,11 +207,15 @@ class Distribution:
     """
 
     def __init__(self, frozen: Any) -> None:
-        if not all(callable(getattr(frozen, name, None)) for name in ("pdf", "cdf", "sf", "isf", "ppf")):
+        try:
+            least, scalar = frozen.ppf(0.0), np.ndim(frozen.pdf(1.0)) == 0
+        except (AttributeError, TypeError):
+            scalar = False
+        if not scalar:
             raise InputError(f"threshold distribution = {frozen!r}: must be a frozen continuous scipy.stats one")
         self.frozen = frozen
-        if not float(frozen.ppf(0.0)) >= 0.0:
-            raise InputError(f"threshold distribution: its support begins at {frozen.ppf(0.0):g}; must be >= 0")
+        if not least >= 0.0:
+            raise InputError(f"threshold distribution: its support begins at {least:g}; must be >= 0")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a divergent integral is refused in our words
             third = float(frozen.moment(3))
@@ -222,7 +226,8 @@ class Distribution:
         self.support = tuple(float(edge) for edge in frozen.support())
 
     def __repr__(self) -> str:
-        return f"Distribution({self.frozen.dist.name}, args={self.frozen.args}, kwds={self.frozen.kwds})"
+        law = getattr(self.frozen, "dist", self.frozen)
+        return f"Distribution({law.name}, mean {self.mean:g}, rms {self.rms:g})"
 
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
