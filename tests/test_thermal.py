@@ -384,17 +384,14 @@ def test_pooled_inverse_against_nt09(b):
     assert inverse_errors(pool, u * (1 + 1e-6), G).min() > ERROR["smooth"]  # negative control
 
 
-STEEP = pytest.mark.xfail(reason="3e-5 and 2e-4: cubics in nodes 1 % apart do not follow exp(b x^2)")
-
-
 @pytest.mark.parametrize(
     ("low", "high", "b"),
     [
         (0.9, 1.1, 1.0),
-        pytest.param(0.9, 1.1, 1e3, marks=STEEP),
+        (0.9, 1.1, 1e3),
         (0.9, 1.1, 1e5),
         (0.1, 1.9, 1e3),
-        pytest.param(0.1, 1.9, 1e4, marks=STEEP),
+        (0.1, 1.9, 1e4),
     ],
 )
 def test_pooled_inverse_with_a_gap_below_the_support(low, high, b):

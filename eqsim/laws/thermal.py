@@ -212,8 +212,9 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
     nodes = [np.geomspace(1e-14, linear, 200), np.linspace(0.0, top, 1500)]
     nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
-    if low > 0:
-        nodes += [low - low * toward, low + (top - low) * toward]
+    if low > 0:  # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its exponent
+        nodes.append(low - low * 2.0 ** -np.arange(0.0, min(46.0, 14.0 + math.log2(1.0 + b)), 1 / 32))
+        nodes.append(low + (top - low) * toward)
     if math.isfinite(high):
         nodes.append(top - (top - low) * toward)
     y = np.unique(np.concatenate(nodes))
