@@ -266,7 +266,7 @@ def trajectory_sample(ensemble, drive, runs):
     from eqsim.engine.ramps import Run, Scales, moments, simulate
     from eqsim.engine.standing import standing
     from eqsim.engine.streams import TRAJECTORY, key
-    from eqsim.engine.trajectory import Totals, _arguments
+    from eqsim.engine.trajectory import Totals, arguments
     from eqsim.ensemble import lower
 
     c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
@@ -277,6 +277,6 @@ def trajectory_sample(ensemble, drive, runs):
     forces = []
     for first in range(0, runs * n, n):
         total = Totals(5, 1)
-        simulate(*_arguments(job, total), first, first + n)
+        simulate(*arguments(job, total), first, first + n)
         forces.append(moments(total.deposits, scales, run, n, drag)[0] * unit)
     return np.array(forces)

@@ -13,7 +13,7 @@ from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Table, Therm
 from eqsim.engine.ramps import Run, Scales, moments, simulate
 from eqsim.engine.standing import standing
 from eqsim.engine.streams import TRAJECTORY, key
-from eqsim.engine.trajectory import Totals, _arguments, predicted_lives
+from eqsim.engine.trajectory import Totals, arguments, predicted_lives
 from eqsim.ensemble import lower
 from eqsim.estimate import z_score
 
@@ -198,7 +198,7 @@ def test_same_bits_for_any_blocks(start):
         np.random.default_rng(size).shuffle(firsts)
         for first in firsts:
             job = (c, table, run, scales, key(1, TRAJECTORY))
-            simulate(*_arguments(job, total), first, min(first + size, 300))
+            simulate(*arguments(job, total), first, min(first + size, 300))
         sums.append(total)
     for total in sums[1:]:
         assert total.deposits.tobytes() == sums[0].deposits.tobytes()
@@ -215,7 +215,7 @@ def test_a_contact_does_not_depend_on_the_others():
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1)
     second = Totals(101, 1)
-    simulate(*_arguments((c, standing(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
+    simulate(*arguments((c, standing(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), atol=1e-12)
 

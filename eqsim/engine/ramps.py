@@ -42,12 +42,14 @@ class Run(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers."""
+    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and the
+    typical force of a pinned contact."""
 
     deposits: Array
     batches: Array
     replica: float
     replica_square: float
+    typical: float
 
     @classmethod
     def of(cls, c: Contacts, run: Run, contacts: int, replicas: int) -> "Scales":
@@ -83,7 +85,8 @@ class Scales(NamedTuple):
         by_column[COUNT] = 1.0
         by_batch = power(batches, contacts)
         by_batch[BREAKS] = 1.0
-        return cls(by_column, by_batch, float(power([force], replicas)[0]), float(power([force**2], replicas)[0]))
+        by_replica = power([force, force**2], replicas)
+        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), typical)
 
 
 def _before(x: Array) -> Array:

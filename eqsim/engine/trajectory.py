@@ -104,12 +104,15 @@ def trajectory(
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     job = (c, table, run, scales, key(seed, TRAJECTORY))
     nothing = Totals(2, 1)
-    simulate(*_arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
+    simulate(*arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress)
 
     force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)
-    one = 1.0 / contacts  # no sample of N contacts tells what less than one of them does
+    one = 1.0 / contacts  # no sample of N contacts tells what less than one of them does: a typical one at that X
+    typical = np.full(points, scales.typical)
+    if not run.stationary:
+        typical = np.minimum(typical, run.distance / (points - 1) * np.arange(points))
     pinned_variance = pinned * (1 - pinned) + one if c.delay > 0 else np.zeros(points)
     if not run.stationary:
         pinned_variance[0] = 0.0  # all contacts are pinned at X = 0
@@ -123,7 +126,7 @@ def trajectory(
         X=grid,
         t=grid / drive.velocity,
         force=force * unit,
-        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (force * one) ** 2) * unit,
+        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (typical * one) ** 2) * unit,
         pinned=pinned,
         pinned_stderr=np.sqrt(pinned_variance * one),
         force_replica_std=std,
@@ -170,7 +173,7 @@ class Totals:
 _Job = tuple[Contacts, Standing, Run, Scales, Key]
 
 
-def _arguments(job: _Job, total: Totals) -> tuple[Any, ...]:
+def arguments(job: _Job, total: Totals) -> tuple[Any, ...]:
     """What `simulate` needs besides the range of contacts."""
     c, table, run, scales, stream = job
     return c, table, run, scales.deposits, scales.batches, stream, total.scratch, total.batches, total.status
@@ -198,7 +201,7 @@ def _simulate_all(
             if first >= contacts or total.status[1]:
                 return
             last = min(first + block, contacts)
-            simulate(*_arguments(job, total), first, last)
+            simulate(*arguments(job, total), first, last)
             total.close_replica(scales, run, count, drag)
 
     with ThreadPoolExecutor(threads) as pool:
