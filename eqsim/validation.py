@@ -41,6 +41,7 @@ from eqsim.master.transient import Profile, fluctuations, transient
 KINDS = (*OBSERVABLES, "transient", "hazard", "mean", "variance", "covariance")
 SUITES = {"quick": (32, 3), "full": (240, 18)}  # points, and how many of them are also tested for fluctuations
 ALARM = 1e-4
+_ENOUGH = 400  # contacts of either state for a mean over them to be normal
 _SIZES = ((20, 2000), (100, 1000), (10_000, 150))  # contacts and ensembles of the fluctuation tests
 
 Mutation = Callable[[Ensemble], Ensemble]
@@ -176,6 +177,9 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
     for i in range(1, 9):
         if predicted_lives(shown, Drive(v, 5 * mean)) > 1e8:  # very low velocity: nothing for a test of minutes
             break
+        pinned = shown.count * float(exact.pinned[i])
+        if pinned < _ENOUGH or (ensemble.eta > 0 and ensemble.delay.time > 0 and shown.count - pinned < _ENOUGH):
+            continue
         run = trajectory(shown, Drive(v, 5 * mean * i / 8), points=2, seed=seed * 10 + i, threads=threads)
         sigma = math.hypot(run.force_stderr[1], exact.force_error[i])
         scores.append(_score("transient", ensemble, v, float(run.force[1]), float(exact.force[i]), sigma))
@@ -235,7 +239,7 @@ def _stationary_forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: i
     """F/(N k) at the beginning and the end of the drive's distance, shape (ensembles, 2)."""
     c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.over(ensemble) / unit, 2, True, False)
-    scales = Scales.of(c, run, n, 1)
+    scales = Scales.of(c, run, n, 1, 0.0)
     job = (c, standing(c), run, scales, key(seed, TRAJECTORY))
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = np.empty((ensembles, 2))

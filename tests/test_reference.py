@@ -271,7 +271,7 @@ def trajectory_sample(ensemble, drive, runs):
 
     c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.distance / unit, 5, True, False)
-    scales = Scales.of(c, run, n, 1)
+    scales = Scales.of(c, run, n, 1, 0.0)
     job = (c, standing(c), run, scales, key(12, TRAJECTORY))
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = []

@@ -214,7 +214,7 @@ def test_wrong_barrier_fails_the_round_trip(barrier):
 
 # ------------------------------------------------------------------------------------------ annealed, smooth laws
 
-ERROR = {"smooth": 2e-7, "edge": 2e-5}  # documented relative error of the pooled inverse: by kind of support
+ERROR = {"smooth": 2e-7, "edge": 1e-4}  # documented relative error of the pooled inverse: by kind of support
 B = [1e-8, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12]
 
 
@@ -323,7 +323,6 @@ def test_pooled_rate_of_narrow_laws(law, b):
     np.testing.assert_allclose(pooled_rate(law, "uniform", "soft", b, y), exact, rtol=ERROR["smooth"])
 
 
-@pytest.mark.xfail(reason="panels do not begin and end where the density jumps: 3 % of the rate")
 def test_pooled_rate_of_a_histogram():
     """Two equal blocks with nothing between: closed form in erf."""
     law = Distribution(scipy.stats.rv_histogram((np.array([1.0, 0.0, 0.0, 0.0, 1.0]), np.linspace(1.0, 3.0, 6))))
@@ -335,7 +334,6 @@ def test_pooled_rate_of_a_histogram():
     np.testing.assert_allclose(pooled_rate(law, "uniform", "soft", b, y), exact, rtol=ERROR["edge"])
 
 
-@pytest.mark.xfail(reason="infinite: a node of the quadrature meets the end of the support")
 def test_pooled_rate_of_an_integrable_singularity():
     """The arcsine law xi = sin^2(t), t uniform, whose density is infinite at both ends."""
     law = Distribution(scipy.stats.beta(0.5, 0.5))

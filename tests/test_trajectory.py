@@ -81,6 +81,15 @@ def test_stationary_start_and_fluctuations(law):
     )
 
 
+def test_strong_drag_between_replicas():
+    """Drag far above every elastic force: Var(F) N = drag^2 pinned (1 - pinned) to 1 %, whatever the springs do."""
+    ensemble = Ensemble(delay=Delay(1.0), count=200, eta=1000.0, **UNIFORM)
+    result = trajectory(ensemble, Drive(1.0, 40.0, "stationary"), points=5, replicas=400)
+    pinned = steady(ensemble, 1.0).pinned.value
+    expected = 1000.0 * math.sqrt(pinned * (1 - pinned) / 200)
+    assert np.mean(result.force_replica_std) == pytest.approx(expected, rel=0.01 + 4.5 / math.sqrt(2 * 400 * 5))
+
+
 CASES = [
     Ensemble(thermal=Thermal(0.1), delay=Delay(4.0)),
     Ensemble(thermal=Thermal(1.0), disorder="annealed", delay=Delay(4.0, "exponential"), eta=1.0),
@@ -189,7 +198,7 @@ def test_same_bits_for_any_blocks(start):
     ensemble = Ensemble(thermal=Thermal(0.1), count=300, delay=Delay(1.0))
     c = lower(ensemble, 0.1)
     run = Run(10.0, 101, start == "stationary", False)
-    scales = Scales.of(c, run, 300, 1)
+    scales = Scales.of(c, run, 300, 1, 0.0)
     table = standing(c)
     sums = []
     for size in (1, 37, 128, 300):
@@ -213,7 +222,7 @@ def test_a_contact_does_not_depend_on_the_others():
     both = trajectory(Ensemble(thermal=Thermal(0.1), count=2), drive, points=1001)
     c = lower(Ensemble(thermal=Thermal(0.1)), 0.1)
     run = Run(10.0, 101, False, False)
-    scales = Scales.of(c, run, 2, 1)
+    scales = Scales.of(c, run, 2, 1, 0.0)
     second = Totals(101, 1)
     simulate(*arguments((c, standing(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)

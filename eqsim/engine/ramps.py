@@ -42,8 +42,8 @@ class Run(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and the
-    typical force of a pinned contact."""
+    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and
+    the typical force of a pinned contact."""
 
     deposits: Array
     batches: Array
@@ -52,7 +52,7 @@ class Scales(NamedTuple):
     typical: float
 
     @classmethod
-    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int) -> "Scales":
+    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
         """The finest that no sum over all contacts can overflow, from the longest life there can be.
 
         Raises InputError if these are too coarse for the typical contact.
@@ -85,7 +85,8 @@ class Scales(NamedTuple):
         by_column[COUNT] = 1.0
         by_batch = power(batches, contacts)
         by_batch[BREAKS] = 1.0
-        by_replica = power([force, force**2], replicas)
+        most = max(force, drag)
+        by_replica = power([most, most**2], replicas)
         return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), typical)
 
 

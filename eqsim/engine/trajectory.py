@@ -100,8 +100,8 @@ def trajectory(
     contacts = ensemble.count * replicas
     run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", contacts < BATCHES)
     table = standing(c) if run.stationary else _FRESH
-    scales = Scales.of(c, run, contacts, replicas)
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
+    scales = Scales.of(c, run, contacts, replicas, drag)
     job = (c, table, run, scales, key(seed, TRAJECTORY))
     nothing = Totals(2, 1)
     simulate(*arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
@@ -109,13 +109,14 @@ def trajectory(
     total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress)
 
     force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)
-    one = 1.0 / contacts  # no sample of N contacts tells what less than one of them does: a typical one at that X
+    # A sample of N contacts does not tell what fewer than about two of them do (Agresti and Coull, 1998): without these
+    # two, of typical force at that X, an error bar would vanish wherever no contact happens to be pinned or detached.
+    two = 2.0 / contacts
     typical = np.full(points, scales.typical)
-    if not run.stationary:
+    pinned_variance = pinned * (1 - pinned) / contacts + (two**2 if c.delay > 0 else 0.0)
+    if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         typical = np.minimum(typical, run.distance / (points - 1) * np.arange(points))
-    pinned_variance = pinned * (1 - pinned) + one if c.delay > 0 else np.zeros(points)
-    if not run.stationary:
-        pinned_variance[0] = 0.0  # all contacts are pinned at X = 0
+        pinned_variance[0] = 0.0
     std = None
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
@@ -126,9 +127,9 @@ def trajectory(
         X=grid,
         t=grid / drive.velocity,
         force=force * unit,
-        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (typical * one) ** 2) * unit,
+        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (typical * two) ** 2) * unit,
         pinned=pinned,
-        pinned_stderr=np.sqrt(pinned_variance * one),
+        pinned_stderr=np.sqrt(pinned_variance),
         force_replica_std=std,
         friction=_in(friction, unit),
         pinned_fraction=pinned_fraction,

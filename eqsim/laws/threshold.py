@@ -1,8 +1,8 @@
 """Threshold stretches xi of newborn contacts: P_c(xi), its moments, and how a kernel draws from it.
 
 A smooth law is drawn as xi(e), e ~ Exp(1): the threshold that a fraction exp(-e) of the contacts exceeds, that is
-J_c(xi) = exp(-e) (PcP of Braun and Peyrard, 2011). In this variable both tails of the law are resolved to the last
-bit of a 64-bit uniform, and one table serves every law. A law of finitely many thresholds is drawn by its rank.
+J_c(xi) = exp(-e) (PcP of Braun and Peyrard, 2011). In this variable rare strong contacts are resolved to 1e-19 of all
+births and weak ones to 1e-16, and one table serves every law. A law of finitely many thresholds is drawn by its rank.
 """
 
 import math
@@ -48,6 +48,10 @@ class ThresholdLaw(Protocol):
     @property
     def support(self) -> tuple[float, float]:
         """Least and greatest threshold."""
+
+    @property
+    def breakpoints(self) -> Array:
+        """Where the density of a smooth law jumps inside its support."""
 
     def pdf(self, x: Any) -> Array:
         """P_c(x) of a smooth law."""
@@ -97,6 +101,10 @@ class Gamma:
     def support(self) -> tuple[float, float]:
         return 0.0, math.inf
 
+    @property
+    def breakpoints(self) -> Array:
+        return NO_STEPS
+
     def pdf(self, x: Any) -> Array:
         """P_c(x) (PxPf2, normalised)."""
         u = np.asarray(x, float) / self.x_star
@@ -145,6 +153,10 @@ class _Discrete:
     def support(self) -> tuple[float, float]:
         return float(self.steps[0]), float(self.steps[-1])
 
+    @property
+    def breakpoints(self) -> Array:
+        return self.steps
+
     def pdf(self, x: Any) -> Array:
         raise NotImplementedError("a discrete law of thresholds has no density")
 
@@ -192,7 +204,10 @@ class Table(_Discrete):
             raise InputError("threshold table: is empty; at least one positive threshold is needed")
         bad = steps[~((steps >= 1e-150) & (steps <= 1e150))]
         if bad.size:
-            raise InputError(f"threshold table: holds {bad[0]:g}; every threshold must be a finite number > 0")
+            raise InputError(
+                f"threshold table: holds {bad[0]:g}; every threshold must be a number from 1e-150 to 1e150"
+            )
+        steps.flags.writeable = False
         self.steps = steps
 
     def __repr__(self) -> str:
@@ -201,12 +216,12 @@ class Table(_Discrete):
 
 class Distribution:
     """Any frozen continuous `scipy.stats` distribution of positive thresholds with a finite mean cube (the work of a
-    contact with the sqrt law).
+    contact with the sqrt law). `breakpoints` are where its density jumps inside the support (a histogram's are known).
 
     Raises InputError if the argument is something else.
     """
 
-    def __init__(self, frozen: Any) -> None:
+    def __init__(self, frozen: Any, breakpoints: Any = None) -> None:
         try:
             least, scalar = frozen.ppf(0.0), np.ndim(frozen.pdf(1.0)) == 0
         except (AttributeError, TypeError):
@@ -224,6 +239,9 @@ class Distribution:
         self.scale = self.mean
         self.steps = NO_STEPS
         self.support = tuple(float(edge) for edge in frozen.support())
+        self.breakpoints = np.asarray(
+            getattr(frozen, "_hbins", NO_STEPS) if breakpoints is None else breakpoints, float
+        )
 
     def __repr__(self) -> str:
         law = getattr(self.frozen, "dist", self.frozen)
@@ -271,8 +289,9 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     xi = np.asarray(law.exceeded_by(e)) / law.scale
     rank = np.interp(left, xi, e)
     edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
-    if layer is not None:
-        edges = np.sort(np.concatenate((edges, np.clip(layer, left, edges[:, -1:])), axis=1))
+    inside = [np.broadcast_to(law.breakpoints / law.scale, (left.size, law.breakpoints.size))]
+    inside += [] if layer is None else [layer]
+    edges = np.sort(np.concatenate((edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1))
     return np.concatenate((left, edges), axis=1)
 
 

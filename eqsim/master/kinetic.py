@@ -133,7 +133,7 @@ def survivors(
     with np.errstate(invalid="ignore"):
         terms = half * _FEW_WEIGHTS * law.pdf(xi * law.scale) * law.scale
         terms *= survival(barrier, x[:, None, None], xi, b * kappa, log_w)
-    terms = np.where(half > 0, terms, 0.0)
+    terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     return terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))
 
 

@@ -123,9 +123,7 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
     unit = s.law.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
-    cells = int(min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS))
-    if points - 1 <= _MOST_CELLS:
-        cells = (points - 1) * max(1, round(cells / (points - 1)))
+    cells, resolved = _cells(s, distance, points, known(reference(ensemble, drive.velocity).break_stretch) / unit)
     fine = distance / (2 * cells) * np.arange(2 * cells + 1)
     profile = Profile(s, fine)
     solved = [_solve(profile, fine[::step], s) for step in (2, 1)]
@@ -142,6 +140,8 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
         error = ndimage.maximum_filter1d(np.abs(better[::2] - coarse) / 3, cells // 20) + _SPLINE * np.abs(best)
         if profile.steps:  # equal thresholds break together: near a jump the truth is somewhere between neighbours
             error += ndimage.maximum_filter1d(coarse, 5) - ndimage.minimum_filter1d(coarse, 5)
+        if not resolved:
+            error += np.ptp(best)
         found[name] = np.interp(X, fine[::2], best)
         errors[name] = np.interp(X, fine[::2], error)
     return Transient(
@@ -152,6 +152,16 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
         force_error=errors["force"] * unit,
         pinned_error=errors["pinned"],
     )
+
+
+def _cells(s: Setting, distance: float, points: int, life: float) -> tuple[int, bool]:
+    """How many cells the coarser grid has, and whether they resolve what has to be resolved: after a fixed delay much
+    longer than a life contacts stay in step for many cycles, and only cells shorter than a life keep them there."""
+    cell = min(_CELL, life / 8) if s.delay > 0 and not s.exponential else _CELL
+    cells = int(min(max(distance / cell, _LEAST_CELLS), _MOST_CELLS))
+    if points - 1 <= _MOST_CELLS:
+        cells = (points - 1) * max(1, round(cells / (points - 1)))
+    return cells, cell == _CELL or distance / cells < 2 * cell
 
 
 def _solve(profile: Profile, x: Array, s: Setting) -> _Means:
@@ -224,8 +234,7 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
     exact = reference(ensemble, velocity)
     cycle = known(exact.break_stretch) / unit + s.delay
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
-    cells = max(_LEAST_CELLS, min(int(distance / unit / _CELL), _MOST_CELLS))
-    cells = (points - 1) * max(1, round(cells / (points - 1)))
+    cells, resolved = _cells(s, distance / unit, points, cycle - s.delay)
     fine = distance / unit / (2 * cells) * np.arange(2 * cells + 1)
     profile = Profile(s, fine)
     solved = []
@@ -246,7 +255,7 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best = (4 * solved[1] - solved[0]) / 3
     every = cells // (points - 1)
-    error = np.abs(solved[1] - solved[0]) / 3 + _SPLINE * np.abs(best).max()
+    error = np.abs(solved[1] - solved[0]) / 3 + (_SPLINE if resolved else 1.0) * np.abs(best).max()
     return Fluctuations(np.linspace(0.0, distance, points), best[::every] * unit**2, error[::every] * unit**2)
 
 
