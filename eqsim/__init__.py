@@ -17,6 +17,7 @@ _HOMES = {
     "steady": "eqsim.engine.steady",
     "Reference": "eqsim.master.reference",
     "reference": "eqsim.master.reference",
+    "validate": "eqsim.validation",
     "Trajectory": "eqsim.engine.trajectory",
     "trajectory": "eqsim.engine.trajectory",
     "InputError": "eqsim.errors",

@@ -1,5 +1,6 @@
 """The command line: arguments and printing only."""
 
+import dataclasses
 import functools
 import os
 import sys
@@ -240,6 +241,61 @@ def reference(
 
 @app.command()
 @guarded
+def validate(
+    suite: Annotated[str, typer.Argument(help='"quick" (seconds) or "full" (minutes).')] = "quick",
+    out: Annotated[Path, typer.Option(help="Folder for the table of scores and the picture.")] = Path(
+        "runs/out/validation"
+    ),
+    seed: Annotated[int, typer.Option(help="Random seed: other parameter points, other lives.")] = 1,
+    threads: Threads = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Particles against the master equation over the parameter space; exit code 1 if they disagree."""
+    require_integer("--seed", seed, 0, 2**63 - 1)
+    cores = _threads(threads)
+    from eqsim import tables
+    from eqsim.validation import ALARM, columns
+    from eqsim.validation import validate as run_suite
+
+    tables.check_folder(out)
+    with _bar("validating", quiet or json, "points") as progress:
+        result = run_suite(suite, seed=seed, threads=cores, progress=progress)
+    from eqsim.plots import validation_png
+
+    origin = tables.provenance("validate", {"suite": suite}, "", seed)
+    verdicts = [dataclasses.asdict(verdict) for verdict in result.verdicts]
+    summary = {
+        "suite": suite,
+        "seed": seed,
+        "passed": result.passed,
+        "verdicts": verdicts,
+        "versions": tables.versions(),
+    }
+    table = tables.parquet(columns(result.scores), origin)
+    files = {"scores.parquet": table, "validation.png": validation_png(result)}
+    tables.publish(out, {**files, "summary.json": tables.to_json(summary).encode()})
+    if json:
+        print(tables.to_json(summary))
+    elif not quiet:
+        shown = _table("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
+        for v in result.verdicts:
+            numbers = (
+                str(v.count),
+                f"{v.chi_square:.1f}",
+                f"{v.p_chi_square:.2g}",
+                f"{v.largest:.2f}",
+                f"{v.p_largest:.2g}",
+            )
+            shown.add_row(v.kind, *numbers, "passed" if v.passed else "FAILED")
+        _show(f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {ALARM:g}", shown)
+        print(f"{out}/: scores.parquet, summary.json, validation.png")
+    if not result.passed:
+        raise typer.Exit(1)
+
+
+@app.command()
+@guarded
 def info(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False) -> None:
     """Dimensionless groups and regime of a run file, without simulating it."""
     file, _ = _load(path, set_, None)
@@ -305,7 +361,16 @@ def _threads(asked: int | None) -> int:
 
 @contextmanager
 def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None]]:
-    """A progress bar with lives per second, on the terminal's standard error, for work of more than a second."""
+    """A progress bar with lives per second."""
+    from eqsim.compiled import cold
+
+    with _bar("compiling kernels, first run only" if cold() else "simulating", silent, "lives", total) as progress:
+        yield progress
+
+
+@contextmanager
+def _bar(title: str, silent: bool, unit: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """A progress bar on the terminal's standard error: `progress(done)` or `progress(done, total)`."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -313,13 +378,11 @@ def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None
     if silent or not console.is_terminal:
         yield lambda *_: None
         return
-    from eqsim.compiled import cold
-
     bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} lives/s"), TimeRemainingColumn(),
-        console=console, transient=True,
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
+        TimeRemainingColumn(), console=console, transient=True,
     )  # fmt: skip
-    task = bar.add_task("compiling kernels, first run only" if cold() else "simulating", total=total, rate="0")
+    task = bar.add_task(title, total=total, rate="0")
     begin: list[float] = []
 
     def progress(done: int, of: int | None = None) -> None:
@@ -327,7 +390,8 @@ def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None
         if not begin and done:
             begin.append(now)
         rate = done / (now - begin[0]) if begin and now > begin[0] else 0.0
-        bar.update(task, completed=done, total=of or total, description="simulating", rate=_lives(rate))
+        description = "simulating" if unit == "lives" else title
+        bar.update(task, completed=done, total=of or total, description=description, rate=_lives(rate))
 
     with bar:
         yield progress

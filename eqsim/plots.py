@@ -12,6 +12,7 @@ from eqsim.engine.trajectory import Trajectory
 from eqsim.estimate import Estimate
 from eqsim.laws.octaves import Array
 from eqsim.master.transient import Transient
+from eqsim.validation import Validation
 
 
 def trajectory_png(run: Trajectory, steady: Steady, exact: Transient | None, title: str) -> bytes:
@@ -58,6 +59,42 @@ def trajectory_png(run: Trajectory, steady: Steady, exact: Transient | None, tit
     figure.align_ylabels(panels)
     for panel in panels:
         panel.grid(alpha=0.3)
+    return _png(figure)
+
+
+def validation_png(result: Validation) -> bytes:
+    """Every score of a suite by kind, ensemble by colour, and all of them against the normal law."""
+    figure = Figure(figsize=(11, 5), dpi=150, layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[3, 1], sharey=True)
+    rng = np.random.default_rng(0)
+    styles = {"quenched": ("C0", "o"), "annealed": ("C1", "^")}
+    for disorder, (color, marker) in styles.items():
+        shown = [score for score in result.scores if score.ensemble.disorder == disorder]
+        x = [[v.kind for v in result.verdicts].index(score.kind) for score in shown] + rng.uniform(
+            -0.3, 0.3, len(shown)
+        )
+        z = np.clip([score.z for score in shown], -8, 8)
+        left.scatter(x, z, s=9, color=color, marker=marker, alpha=0.6, label=disorder)
+    names = [f"{v.kind}\n{v.count} scores\n{'passed' if v.passed else 'FAILED'}" for v in result.verdicts]
+    left.set_xticks(range(len(names)), names, fontsize=8)
+    left.set_ylabel("z = (engine - master) / standard error")
+    left.set_title(f"suite {result.suite}, seed {result.seed}: {'passed' if result.passed else 'FAILED'}", fontsize=10)
+    left.legend(fontsize=8, loc="upper right")
+    grid = np.linspace(-8, 8, 401)
+    every = np.clip([score.z for score in result.scores], -8, 8)
+    right.hist(every, bins=np.arange(-8, 8.5, 0.5), density=True, orientation="horizontal", color="0.8")
+    right.plot(np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), grid, color="k", linewidth=1, label="standard normal")
+    right.set_xlabel(f"density of all {every.size} scores")
+    right.legend(fontsize=8, loc="upper right")
+    for axes in (left, right):
+        axes.axhline(0, color="0.5", linewidth=0.5)
+        axes.grid(alpha=0.3)
+    low, high = min(-4.5, every.min() - 0.5), max(4.5, every.max() + 0.5)
+    left.set_ylim(low, high)
+    return _png(figure)
+
+
+def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": "eqsim"})
     return buffer.getvalue()
