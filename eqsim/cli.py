@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eqsim.errors import InputError, require_integer
+from eqsim.errors import InputError, require_integer, require_number, under
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -66,7 +66,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _fail(message: str, code: int) -> None:
-    print(f"eqsim: {message}", file=sys.stderr)
+    print("eqsim: " + " ".join(message.split()), file=sys.stderr)
     raise typer.Exit(code)
 
 
@@ -89,6 +89,7 @@ def run(
     file, changes = _load(path, set_, seed)
     from eqsim import tables
 
+    require_number("--max-lives", max_lives, above=0)
     folder = out or path.parent / "out" / path.stem
     tables.check_folder(folder)
     ensemble, drive = file.ensemble(path.parent), file.driven()
@@ -99,7 +100,7 @@ def run(
     output = file.output
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     with _lives_bar(expected, quiet or json) as progress:
-        level = steady(ensemble, drive.velocity, seed=output.seed, threads=cores)
+        level = steady(ensemble, drive.velocity, seed=output.seed, threads=cores, max_lives=max_lives)
         result = trajectory(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=cores,
             max_lives=max_lives, progress=progress,
@@ -171,7 +172,7 @@ def steady(
             progress=progress,
         )  # fmt: skip
     if not result.reached and not quiet:
-        print(f"eqsim: relative error {rel_error:g} was not reached within {max_lives:.3g} lives", file=sys.stderr)
+        print(f"eqsim: relative error {rel_error:g} was not reached", file=sys.stderr)
     from eqsim.estimate import OBSERVABLES, z_score
     from eqsim.master.reference import reference as solve
 
@@ -203,11 +204,14 @@ def reference(
     path: Path_,
     transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
     set_: Set = None,
+    seed: Seed = None,
+    threads: Threads = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Exact averages from the master equation, without random numbers."""
-    file, _ = _load(path, set_, None)
+    file, _ = _load(path, set_, seed)
+    _threads(threads)
     ensemble, drive = file.ensemble(path.parent), file.driven()
     from eqsim import tables
     from eqsim.estimate import OBSERVABLES
@@ -296,9 +300,17 @@ def validate(
 
 @app.command()
 @guarded
-def info(path: Path_, set_: Set = None, json: Json = False, quiet: Quiet = False) -> None:
+def info(
+    path: Path_,
+    set_: Set = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
     """Dimensionless groups and regime of a run file, without simulating it."""
-    file, _ = _load(path, set_, None)
+    file, _ = _load(path, set_, seed)
+    _threads(threads)
     ensemble, drive = file.ensemble(path.parent), file.driven()
     from eqsim import tables
     from eqsim.ensemble import groups
@@ -326,15 +338,18 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
         if not equals or not key.strip():
             raise InputError(f"--set {item}: must be section.key=value")
         try:
-            changes[key.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+            parsed = tomllib.loads(f"value = {text}")
+            changes[key.strip()] = parsed["value"] if len(parsed) == 1 else text
+        except (ValueError, RecursionError):
             changes[key.strip()] = text
     if seed is not None:
         changes["output.seed"] = seed
+    from eqsim.ensemble import check_output
     from eqsim.runfile import load
 
     file = load(path, changes)
-    require_integer("output.seed", file.output.seed, 0, 2**63 - 1)
+    with under("output"):
+        check_output(file.output.points, file.output.seed, file.output.replicas)
     return file, changes
 
 

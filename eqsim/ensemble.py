@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from eqsim.errors import require_choice, require_integer, require_number
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number
 from eqsim.laws.delay import Delay
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw
@@ -43,16 +43,22 @@ class Ensemble:
 
     def __post_init__(self) -> None:
         require_integer("count", self.count, 1, 10**12)
-        require_number("stiffness", self.stiffness, above=0)
+        require_number("stiffness", self.stiffness, **POSITIVE)
         require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
-        require_number("eta", self.eta, least=0)
+        require_number("eta", self.eta, **NOT_NEGATIVE)
 
     @property
     def b(self) -> float:
         """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at kT = 0."""
-        energy = 0.5 * self.stiffness * self.thresholds.scale**2
+        energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
         return energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
+
+    def drag(self, velocity: float) -> float:
+        """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond 1e100."""
+        drag = self.eta / self.stiffness * velocity / self.thresholds.scale
+        require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
+        return drag
 
     @property
     def crossover_velocity(self) -> float:
@@ -78,14 +84,21 @@ class Drive:
     start: Start = "fresh"
 
     def __post_init__(self) -> None:
-        require_number("velocity", self.velocity, above=0)
+        require_number("velocity", self.velocity, **POSITIVE)
         if self.distance is not None:
-            require_number("distance", self.distance, above=0)
+            require_number("distance", self.distance, **POSITIVE)
         require_choice("start", self.start, ("fresh", "stationary"))
 
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
         return 200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
+
+
+def check_output(points: int, seed: int, replicas: int) -> None:
+    """Raise InputError unless the size and seed of a recording can be used."""
+    require_integer("points", points, 2, 2 * 10**7)
+    require_integer("seed", seed, 0, 2**63 - 1)
+    require_integer("replicas", replicas, 1, 10**9)
 
 
 class Group(NamedTuple):
@@ -118,7 +131,7 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
     if ensemble.delay.time > 0:
         found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
     if ensemble.eta > 0:
-        found.append(Group("eta v/(k x_*)", ensemble.eta * v / (ensemble.stiffness * unit), "viscous force, detached"))
+        found.append(Group("eta v/(k x_*)", ensemble.drag(v), "viscous force, detached"))
     found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
     if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
         if ensemble.stiffness_law == "sqrt":

@@ -4,6 +4,10 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+# Bounds of dimensional quantities: their products stay finite.
+POSITIVE = {"above": 0.0, "least": 1e-100, "most": 1e100}
+NOT_NEGATIVE = {"least": 0.0, "most": 1e100}
+
 
 class InputError(ValueError):
     """Something the user gave cannot be used; the message is a single line meant to be printed as it is."""
@@ -27,7 +31,7 @@ def require_number(
     if above is not None:
         allowed += f" > {above:g}"
     if least is not None:
-        allowed += f" >= {least:g}"
+        allowed += f", >= {least:g}" if above is not None else f" >= {least:g}"
     if math.isfinite(most):
         allowed += f" and <= {most:g}"
     try:

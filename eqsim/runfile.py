@@ -5,6 +5,7 @@ Structure and types are checked here; what a value may be is known to the law it
 
 import csv
 import difflib
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +14,7 @@ import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from eqsim.ensemble import Drive, Ensemble
-from eqsim.errors import InputError, under
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_number, under
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
@@ -94,21 +95,30 @@ class RunFile(_Section):
 
     def ensemble(self, folder: Path) -> Ensemble:
         """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
+        with under("aging"):
+            if self.aging.rate != math.inf:
+                require_number("rate", self.aging.rate, **NOT_NEGATIVE)
+            require_number("x_star_final", self.aging.x_star_final, **POSITIVE)
         with under("thermal"):
             thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)  # type: ignore[arg-type]
         with under("delay"):
             delay = Delay(self.delay.time, self.delay.law)  # type: ignore[arg-type]
         law = self._threshold_law(folder)
-        parts = {"contacts": {"count", "stiffness", "stiffness_law"}, "viscosity": {"eta"}}
-        try:
+        drag, springs = self.viscosity.eta, self.contacts
+        with under("viscosity"):
+            require_number("eta", drag, **NOT_NEGATIVE)
+        require_choice("disorder", self.disorder, ("quenched", "annealed"))
+        with under("contacts"):
             return Ensemble(
-                law, thermal, delay, self.contacts.count, self.contacts.stiffness, self.contacts.stiffness_law,  # type: ignore[arg-type]
-                self.disorder, self.viscosity.eta,  # type: ignore[arg-type]
-            )  # fmt: skip
-        except InputError as error:
-            field = str(error).split(" ", 1)[0]
-            section = next((f"{name}." for name, keys in parts.items() if field in keys), "")
-            raise InputError(f"{section}{error}") from None
+                thresholds=law,
+                thermal=thermal,
+                delay=delay,
+                count=springs.count,
+                stiffness=springs.stiffness,
+                stiffness_law=springs.stiffness_law,  # type: ignore[arg-type]
+                disorder=self.disorder,  # type: ignore[arg-type]
+                eta=drag,
+            )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
         given = self.thresholds
@@ -140,7 +150,7 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
         raise InputError(f"{path}: is not valid TOML: {error}") from None
     for key, value in (changes or {}).items():
         *sections, last = key.split(".")
@@ -220,8 +230,10 @@ def read_thresholds(path: Path) -> Table:
                 values.append(value)
     except OSError as error:
         raise InputError(f"thresholds.file = {path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"thresholds.file = {path}: is not a CSV text file") from None
+    except InputError:
+        raise
+    except (ValueError, csv.Error):  # not UTF-8, or not a path
+        raise InputError(f"thresholds.file = {str(path)!r}: is not a CSV text file") from None
     if not values:
         raise InputError(f"thresholds.file = {path}: is empty; at least one threshold is needed")
     return Table(values)

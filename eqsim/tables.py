@@ -64,6 +64,9 @@ def check_folder(folder: Path) -> None:
 
 def publish(folder: Path, files: dict[str, bytes]) -> None:
     """Write files so that either all of them appear under their names or none does. Raises InputError."""
+    for name in files:
+        if (folder / name).is_dir():
+            raise InputError(f"--out {folder}: {name} is a folder there")
     made = not folder.exists()
     staging: Path | None = None
     try:

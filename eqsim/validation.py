@@ -241,7 +241,7 @@ def _stationary_forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: i
     run = Run(drive.over(ensemble) / unit, 2, True, False)
     scales = Scales.of(c, run, n, 1, 0.0)
     job = (c, standing(c), run, scales, key(seed, TRAJECTORY))
-    drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
+    drag = ensemble.drag(drive.velocity)
     forces = np.empty((ensembles, 2))
     for index in range(ensembles):
         total = Totals(2, 1)

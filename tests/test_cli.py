@@ -126,7 +126,7 @@ def test_steady_and_info(run_file):
         (["--max-lives", "100"], "more than max_lives = 100"),
         (["--threads", "0"], "--threads = 0: must be an integer from 1"),
         (["--set", "drive.velocity=1e-300"], "must be a finite number"),
-        (["--set", "drive.distance=1e300"], "distance / threshold"),
+        (["--set", "drive.distance=1e300"], "drive.distance = 1e+300: must be a finite number > 0"),
         (["--set", "delay.time=1e300"], "delay"),
     ],
 )

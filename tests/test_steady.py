@@ -184,7 +184,7 @@ def test_discrete_laws():
     pieces = [(g, np.array([survival(x) for x in np.clip(g, g[0] + 1e-12, g[-1] - 1e-12)])) for g in grid]
     mean = sum(integrate.simpson(s, x=g) for g, s in pieces)
     first = sum(integrate.simpson(g * s, x=g) for g, s in pieces)
-    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), 0.1, rel_error=1e-5)
+    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), 0.1, rel_error=1e-4)
     assert abs(z_score(annealed.break_stretch, mean, 1e-6)) < 4.5
     assert abs(z_score(annealed.friction, first / mean, 1e-6)) < 4.5
 

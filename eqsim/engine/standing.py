@@ -62,7 +62,7 @@ def standing(c: Contacts) -> Standing:
     below, above, log_e = below[use] / mean, above[use] / mean, _LOG_E[use]
     rank = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
     log_rank = np.log(rank)
-    rising = np.append(True, np.diff(log_rank) > 0)
+    rising = np.append(True, log_rank[1:] > np.maximum.accumulate(log_rank)[:-1])
     log_rank, log_e = log_rank[rising], log_e[rising]
     edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
     to_e = interpolate.PchipInterpolator(log_rank, log_e)

@@ -26,8 +26,8 @@ from scipy.stats import qmc
 
 from eqsim.engine.life import lives
 from eqsim.engine.streams import STEADY
-from eqsim.ensemble import MECHANICAL, Contacts, Ensemble, lower
-from eqsim.errors import InputError, require_number
+from eqsim.ensemble import MECHANICAL, POOLED, Contacts, Ensemble, lower
+from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.estimate import Averages, Estimate
 from eqsim.laws.octaves import Array
 
@@ -35,6 +35,7 @@ RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
 _DECAY = 0.75  # assumed when lives are predicted: error ~ lives^-0.75, between Monte Carlo and smooth integrands
 _NEGLIGIBLE = 1e-12
+_POOLED_SMOOTH, _POOLED_STEPS = 2e-7, 3e-5  # relative error of averages over the tabulated inverse
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
 
 Progress = Callable[[int, int], None]
@@ -65,24 +66,27 @@ def steady(
     `threads` changes speed only; `progress(done, total)` is told about lives. Raises InputError for arguments out of
     range and, before the work starts, if more than `max_lives` lives would be needed.
     """
-    require_number("velocity", velocity, above=0)
+    require_number("velocity", velocity, **POSITIVE)
     require_number("rel_error", rel_error, above=0)
+    require_number("max_lives", max_lives, above=0)
     contacts = lower(ensemble, velocity)
     proposal = Proposal.of(contacts)
     begin = time.perf_counter()
-    drag = ensemble.eta * velocity / ensemble.stiffness / ensemble.thresholds.scale
+    drag = ensemble.drag(velocity)
+    tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
     size, done = _FIRST, 0
     while True:
         if RANDOMISATIONS * size > max_lives:
             raise InputError(f"this needs {RANDOMISATIONS * size:.3g} lives, more than max_lives = {max_lives:.3g}")
         sums = _randomise(contacts, proposal, size, seed, threads, progress)
         done += RANDOMISATIONS * size
-        result = _averages(sums, contacts.delay, drag, ensemble.thresholds.scale, size, proposal.covered)
-        excess = max((e.stderr or 0.0) / (e.value or 1.0) for e in result) / rel_error
+        result = _averages(sums, contacts.delay, drag, ensemble.thresholds.scale, size, proposal.covered, tables)
+        error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
+        excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
         # the next attempt aims at half of what was asked for, so that stopping hardly selects lucky error bars
         needed = 2 ** math.ceil(math.log2(max(size * (2 * excess) ** (1 / _DECAY), 2.0 * size)))
         if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
-            return Steady(*result, done, seed, time.perf_counter() - begin, excess <= 1)
+            return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error)
         size = needed
 
 
@@ -188,9 +192,10 @@ def _randomise(
 
 
 def _averages(
-    sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool
+    sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool, tables: float
 ) -> tuple[Estimate, Estimate, Estimate]:
-    """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length."""
+    """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length, `tables` the relative
+    error of the tables that lives are drawn from."""
     reliable = covered and float(sums[:, 2].max()) < _DOMINANT
     work, stretch = sums[:, 0], sums[:, 1]
     cycle = stretch + delay
@@ -198,13 +203,14 @@ def _averages(
     pinned = float(stretch.mean() / cycle.mean())
     n = RANDOMISATIONS * size
 
-    def estimate(value: float, residual: Array) -> Estimate:
+    def estimate(value: float, residual: Array, unit: float) -> Estimate:
         stderr = float(np.std(residual, ddof=1)) / math.sqrt(RANDOMISATIONS)
-        return Estimate(value, stderr, n, RANDOMISATIONS - 1, reliable)
+        return Estimate(value * unit, math.hypot(stderr, tables * abs(value)) * unit, n, RANDOMISATIONS - 1, reliable)
 
     return (
-        estimate(friction * unit, (work + drag * delay - friction * cycle) / cycle.mean() * unit),
-        # without delay the fraction is 1 for certain
-        estimate(pinned, (stretch - pinned * cycle) / cycle.mean() if delay else np.zeros(RANDOMISATIONS)),
-        estimate(float(stretch.mean()) * unit, stretch * unit),
+        estimate(friction, (work + drag * delay - friction * cycle) / cycle.mean(), unit),
+        estimate(pinned, (stretch - pinned * cycle) / cycle.mean(), 1.0)
+        if delay
+        else Estimate(1.0, 0.0, n, RANDOMISATIONS - 1, reliable),  # for certain
+        estimate(float(stretch.mean()), stretch, unit),
     )

@@ -17,9 +17,9 @@ from eqsim.engine.life import lives
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, LANES, PINNED, STRETCH, Run, Scales, moments, simulate
 from eqsim.engine.standing import Standing, standing
 from eqsim.engine.streams import TRAJECTORY, Key, key
-from eqsim.ensemble import Contacts, Drive, Ensemble, lower
-from eqsim.errors import InputError, require_integer, require_number
-from eqsim.estimate import Estimate, drifts, ratio
+from eqsim.ensemble import Contacts, Drive, Ensemble, check_output, lower
+from eqsim.errors import InputError, require_number
+from eqsim.estimate import Estimate, drifts, known, ratio
 from eqsim.laws.octaves import Array
 from eqsim.laws.threshold import NO_STEPS, NO_TABLE
 
@@ -68,9 +68,7 @@ def predicted_lives(ensemble: Ensemble, drive: Drive, replicas: int = 1) -> floa
 
 def check_run(ensemble: Ensemble, drive: Drive, points: int, seed: int, replicas: int, max_lives: float) -> float:
     """The predicted lives of a run. Raises InputError if it cannot be done, or takes more than `max_lives` lives."""
-    require_integer("points", points, 2, 10**8)
-    require_integer("replicas", replicas, 1, 10**9)
-    require_integer("seed", seed, 0, 2**63 - 1)
+    check_output(points, seed, replicas)
     require_number("distance / threshold", drive.over(ensemble) / ensemble.thresholds.scale, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, replicas)
     if not expected <= max_lives:
@@ -100,7 +98,7 @@ def trajectory(
     contacts = ensemble.count * replicas
     run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", contacts < BATCHES)
     table = standing(c) if run.stationary else _FRESH
-    drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
+    drag = ensemble.drag(drive.velocity)
     scales = Scales.of(c, run, contacts, replicas, drag)
     job = (c, table, run, scales, key(seed, TRAJECTORY))
     nothing = Totals(2, 1)
@@ -109,6 +107,7 @@ def trajectory(
     total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress)
 
     force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)
+    grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
     # A sample of N contacts does not tell what fewer than about two of them do (Agresti and Coull, 1998): without these
     # two, of typical force at that X, an error bar would vanish wherever no contact happens to be pinned or detached.
     two = 2.0 / contacts
@@ -117,17 +116,19 @@ def trajectory(
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         typical = np.minimum(typical, run.distance / (points - 1) * np.arange(points))
         pinned_variance[0] = 0.0
+    if c.delay > 0 and drag > 0:
+        typical[pinned_variance > 0] = np.maximum(typical, drag)[pinned_variance > 0]
+    rounding = 1e-15 * run.distance  # of the cumulative sums
     std = None
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
     friction, pinned_fraction, stretch = _second_half(total.batches / scales.batches, total.lives, contacts, drag)
-    grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
         force=force * unit,
-        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (typical * two) ** 2) * unit,
+        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (typical * two) ** 2 + rounding**2 * (grid > 0)) * unit,
         pinned=pinned,
         pinned_stderr=np.sqrt(pinned_variance),
         force_replica_std=std,
@@ -233,6 +234,9 @@ def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tupl
 
     def over(numerator: Array, denominator: Array) -> Estimate:
         found = ratio(numerator.sum(1), denominator.sum(1), lives)
+        if found.stderr is not None and seen and not (numerator is pinned and found.stderr == 0):
+            # nor does a sample of lives tell what fewer than about two of them do
+            found = replace(found, stderr=math.hypot(found.stderr, 2.0 / seen * abs(known(found))))
         steady = found.reliable and not drifts(numerator, denominator, sigmas=4.0)
         return replace(found, reliable=bool(steady and enough))
 

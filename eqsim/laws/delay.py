@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from eqsim.compiled import inlined
-from eqsim.errors import require_choice, require_number
+from eqsim.errors import NOT_NEGATIVE, require_choice, require_number
 from eqsim.laws.octaves import Array
 
 DelayLaw = Literal["fixed", "exponential"]
@@ -24,7 +24,7 @@ class Delay:
     law: DelayLaw = "fixed"
 
     def __post_init__(self) -> None:
-        require_number("time", self.time, least=0)
+        require_number("time", self.time, **NOT_NEGATIVE)
         require_choice("law", self.law, ("fixed", "exponential"))
 
     def cdf(self, t: Array) -> Array:

@@ -26,7 +26,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.compiled import inlined
-from eqsim.errors import InputError, require_choice, require_number
+from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw, panels_above
@@ -46,8 +46,8 @@ class Thermal:
     barrier: Barrier = "soft"
 
     def __post_init__(self) -> None:
-        require_number("kT", self.kT, least=0)
-        require_number("attempt_frequency", self.attempt_frequency, least=0)
+        require_number("kT", self.kT, **NOT_NEGATIVE)
+        require_number("attempt_frequency", self.attempt_frequency, **NOT_NEGATIVE)
         require_choice("barrier", self.barrier, ("soft", "stiff"))
 
 
@@ -78,7 +78,7 @@ def log_hazard(barrier: Barrier, x: Any, xi: Any, a: Any) -> Array:
     # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
     with np.errstate(divide="ignore"):  # x = xi
         gap15 = -np.expm1(1.5 * np.log1p(-x / xi))  # 1 - (1 - x/xi)^1.5 without cancellation
-    return math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15) + np.log(-np.expm1(-c * gap15))
+        return math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15) + np.log(-np.expm1(-c * gap15))
 
 
 # -------------------------------------------------------------------------------------------- quenched, kernels
@@ -147,8 +147,9 @@ def stiff_stretch(xi: float, a: float, log_w: float, clock: float) -> float:
 
 
 class PooledHazard(NamedTuple):
-    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape (nodes,), and the slope dx/dG at
-    the left and right end of each cell between them, shape (nodes - 1, 2)."""
+    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape (nodes,), and the slope
+    d ln x/d ln G at the left and right end of each cell between them, shape (nodes - 1, 2). In logarithms the inverse
+    is a straight line where G is a power of x, and nearly one where G rises exponentially towards a threshold."""
 
     x: Array
     G: Array
@@ -239,8 +240,8 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
         )
     weight = np.unique(law.steps, return_counts=True)[1] / law.steps.size
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    fine = 8 if xi.size <= 64 else 1  # nodes per halving of the distance to a threshold
-    nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0)]  # from the linear beginning
+    fine = 8 if xi.size <= 64 else 4 if xi.size <= 512 else 1  # nodes per halving of the distance to a threshold
+    nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0, 0.25)]  # from the linear beginning
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, 2 * a * xi, strict=True):
         depth = 12 + math.ceil(math.log2(max(scale * (high - low), 1.0)))  # down to a fraction of the layer
         nodes.append(high - (high - low) * np.append(2.0 ** (-np.arange(depth * fine) / fine), 0.0))
@@ -262,10 +263,10 @@ def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
     (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
     x, G = x[keep], G[keep]
-    limit = 3.0 * np.diff(x) / np.diff(G)
     with np.errstate(divide="ignore", over="ignore"):
-        slopes = 1.0 / np.stack((right[keep][:-1], left[keep][1:]), axis=1)
-    return PooledHazard(x, G, np.minimum(slopes, limit[:, None]))
+        limit = 3.0 * np.diff(np.log(x)) / np.diff(np.log(G))
+        left, right = G / (x * left[keep]), G / (x * right[keep])
+    return PooledHazard(x, G, np.minimum(np.stack((right[:-1], left[1:]), axis=1), limit[:, None]))
 
 
 @inlined
@@ -283,7 +284,7 @@ def pooled_stretch(x: Array, G: Array, slopes: Array, target: float) -> float:
             low = middle
         else:
             high = middle
-    width = G[high] - G[low]
-    t = (target - G[low]) / width
-    left, right, rise = slopes[low, 0] * width, slopes[low, 1] * width, x[high] - x[low]
-    return x[low] + t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise)))
+    width, rise = math.log(G[high] / G[low]), math.log(x[high] / x[low])
+    t = math.log(target / G[low]) / width
+    left, right = slopes[low, 0] * width, slopes[low, 1] * width
+    return x[low] * math.exp(t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise))))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.compiled import inlined
-from eqsim.errors import InputError, require_number
+from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
@@ -79,7 +79,7 @@ class Gamma:
 
     def __post_init__(self) -> None:
         require_number("n", self.n, least=0, most=1e6)
-        require_number("x_star", self.x_star, above=0)
+        require_number("x_star", self.x_star, **POSITIVE)
 
     @property
     def scale(self) -> float:
@@ -182,7 +182,7 @@ class Delta(_Discrete):
     x_star: float = 1.0
 
     def __post_init__(self) -> None:
-        require_number("x_star", self.x_star, above=0)
+        require_number("x_star", self.x_star, **POSITIVE)
 
     @property
     def steps(self) -> Array:  # type: ignore[override]
@@ -192,7 +192,7 @@ class Delta(_Discrete):
 class Table(_Discrete):
     """Measured or computed thresholds, in any order, resampled with equal weights as they are (the empirical law).
 
-    Raises InputError if there is none, or one is not a number from 1e-150 to 1e150.
+    Raises InputError if there is none, one is not a number from 1e-100 to 1e100, or they span over 30 decades.
     """
 
     def __init__(self, thresholds: Any) -> None:
@@ -202,11 +202,13 @@ class Table(_Discrete):
             raise InputError("threshold table: every value must be a number") from None
         if steps.size == 0:
             raise InputError("threshold table: is empty; at least one positive threshold is needed")
-        bad = steps[~((steps >= 1e-150) & (steps <= 1e150))]
+        bad = steps[~((steps >= 1e-100) & (steps <= 1e100))]
         if bad.size:
             raise InputError(
-                f"threshold table: holds {bad[0]:g}; every threshold must be a number from 1e-150 to 1e150"
+                f"threshold table: holds {bad[0]:g}; every threshold must be a number from 1e-100 to 1e100"
             )
+        if steps[-1] > 1e30 * steps[0]:
+            raise InputError(f"threshold table: spans {steps[0]:g} to {steps[-1]:g}; at most 30 decades")
         steps.flags.writeable = False
         self.steps = steps
 

@@ -39,7 +39,8 @@ def survival(barrier: Barrier | None, x: Array, xi: Array, a: Array, log_w: floa
     """S(x|xi) for 0 < x < xi; log_w = ln(omega/v) in the unit of length of x; no barrier means T = 0."""
     if barrier is None:
         return np.where(x < xi, 1.0, 0.0)
-    return np.where(x < xi, np.exp(-np.exp(np.minimum(log_hazard(barrier, x, xi, a) + log_w, 7.0))), 0.0)
+    log_lambda = log_hazard(barrier, np.minimum(x, xi), xi, a) + log_w
+    return np.where(x < xi, np.exp(-np.exp(np.minimum(log_lambda, 7.0))), 0.0)
 
 
 def life_moments(barrier: Barrier | None, xi: Array, a: Array, log_w: float) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from eqsim.ensemble import Ensemble
-from eqsim.errors import require_number
+from eqsim.errors import POSITIVE, require_number
 from eqsim.estimate import Averages, Estimate
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Barrier
@@ -43,7 +43,7 @@ class Setting(NamedTuple):
 
 def setting(ensemble: Ensemble, velocity: float) -> Setting:
     """What the solvers need to know. Raises InputError if a dimensionless group is beyond 1e+-100."""
-    require_number("velocity", velocity, above=0)
+    require_number("velocity", velocity, **POSITIVE)
     law, thermal, unit = ensemble.thresholds, ensemble.thermal, ensemble.thresholds.scale
     cold = thermal.attempt_frequency == 0 or math.isinf(ensemble.b)
     log_w = 0.0 if cold else math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
@@ -58,7 +58,7 @@ def setting(ensemble: Ensemble, velocity: float) -> Setting:
         log_w=log_w,
         delay=delay,
         exponential=ensemble.delay.law == "exponential",
-        drag=ensemble.eta * velocity / ensemble.stiffness / unit,
+        drag=ensemble.drag(velocity),
         annealed=ensemble.disorder == "annealed" and law.steps.size != 1 and not cold,
     )
 

@@ -90,7 +90,8 @@ class Profile:
             index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
             return np.where(x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0)
         inside = np.clip(x, self.x[0], self.x[-1])
-        return np.asarray(np.where(x >= self.x[0], self._integrals[power](np.log(inside)), 0.0))
+        start = self._values(np.log(self.x[:1])) * x ** (power + 1) / (power + 1)
+        return np.asarray(np.where(x >= self.x[0], self._integrals[power](np.log(inside)), start))
 
 
 def expected(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient:
@@ -243,7 +244,7 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
         h = x[1]
         means = _solve(profile, x, s)
         # int_x^inf y^power (S, k1, k2) dy
-        rest = [profile.integral(np.array([math.inf]), power) - profile.integral(x, power) for power in range(3)]
+        rest = [profile.integral(np.array([1e90]), power) - profile.integral(x, power) for power in range(3)]
         # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy, whose decrease weighs breaks by
         # the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
