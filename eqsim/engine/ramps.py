@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.compiled import inlined, kernel
-from eqsim.engine.life import draw_lives, lives
+from eqsim.engine.life import draw_lives, typical_lives
 from eqsim.engine.standing import Standing, standing_contact, stretches, thresholds
 from eqsim.engine.streams import Key, uniforms
 from eqsim.ensemble import Contacts
@@ -72,9 +72,7 @@ class Scales(NamedTuple):
         def power(bounds: list[float], terms: int) -> Array:
             return 2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))
 
-        u, v = (grid.ravel() for grid in np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64]))
-        stiffness, stretch = np.empty(u.size), np.empty(u.size)
-        lives(c, u, v, stiffness, stretch)
+        stiffness, stretch = typical_lives(c)
         typical = float(np.mean(0.5 * stiffness * stretch**2) / np.mean(stretch))
         by_column = power(deposits, contacts)
         if not typical * by_column[FORCE] > _LEAST_UNITS:

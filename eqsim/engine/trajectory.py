@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.engine.life import lives
+from eqsim.engine.life import typical_lives
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, LANES, PINNED, STRETCH, Run, Scales, moments, simulate
 from eqsim.engine.standing import Standing, standing
 from eqsim.engine.streams import TRAJECTORY, Key, key
@@ -57,11 +57,7 @@ def predicted_lives(ensemble: Ensemble, drive: Drive, replicas: int = 1) -> floa
     uses up min(life and delay, distance) each time fills the distance."""
     c = lower(ensemble, drive.velocity)
     distance = drive.over(ensemble) / ensemble.thresholds.scale
-    # mid-points of equal shares of thresholds and of clocks
-    share = (np.arange(64) + 0.5) / 64
-    u, v = (grid.ravel() for grid in np.meshgrid(share, share))
-    stiffness, stretch = np.empty(u.size), np.empty(u.size)
-    lives(c, u, v, stiffness, stretch)
+    _, stretch = typical_lives(c)
     mean = float(np.mean(np.minimum(stretch + c.delay, distance)))
     return ensemble.count * replicas * (1.0 + distance / mean) if mean > 0 else math.inf
 

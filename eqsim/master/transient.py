@@ -124,7 +124,10 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
     unit = s.law.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
-    cells, resolved = _cells(s, distance, points, known(reference(ensemble, drive.velocity).break_stretch) / unit)
+    # only a fixed delay asks how long lives are
+    in_step = s.delay > 0 and not s.exponential
+    life = known(reference(ensemble, drive.velocity).break_stretch) / unit if in_step else math.inf
+    cells, resolved = _cells(s, distance, points, life)
     fine = distance / (2 * cells) * np.arange(2 * cells + 1)
     profile = Profile(s, fine)
     solved = [_solve(profile, fine[::step], s) for step in (2, 1)]
