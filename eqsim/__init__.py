@@ -12,6 +12,7 @@ _HOMES = {
     "Distribution": "eqsim.laws.threshold",
     "Thermal": "eqsim.laws.thermal",
     "Delay": "eqsim.laws.delay",
+    "Aging": "eqsim.laws.aging",
     "Estimate": "eqsim.estimate",
     "Steady": "eqsim.engine.steady",
     "steady": "eqsim.engine.steady",

@@ -100,7 +100,10 @@ def run(
     output = file.output
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     with _lives_bar(expected, quiet or json) as progress:
-        level = steady(ensemble, drive.velocity, seed=output.seed, threads=cores, max_lives=max_lives)
+        rough = 5e-3 if ensemble.aging.rule == "langevin" and ensemble.disorder == "quenched" else 1e-3
+        level = steady(
+            ensemble, drive.velocity, rel_error=rough, seed=output.seed, threads=cores, max_lives=max_lives
+        )
         result = trajectory(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=cores,
             max_lives=max_lives, progress=progress,

@@ -56,3 +56,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a scalar routine into its callers, so that loops over lanes of contacts can vectorise."""
     return numba.njit(function, forceinline=True)
+
+
+def routine(function: Callable[..., Any]) -> Any:
+    """Compile a longer scalar routine that kernels call."""
+    return numba.njit(function)

@@ -6,16 +6,27 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number
+from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, Aging, Pooled, flow_work_table
 from eqsim.laws.delay import Delay
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw
-from eqsim.laws.thermal import MOST_POOLED_STEPS, NO_POOL, PooledHazard, Thermal, erfi_inverse_table, pooled_hazard
+from eqsim.laws.thermal import (
+    MECHANICAL,
+    MOST_POOLED_STEPS,
+    NO_POOL,
+    POOLED,
+    SOFT,
+    STIFF,
+    PooledHazard,
+    Thermal,
+    erfi_inverse_table,
+    pooled_hazard,
+)
 from eqsim.laws.threshold import NO_TABLE, Gamma, ThresholdLaw
 
 Disorder = Literal["quenched", "annealed"]
 Start = Literal["fresh", "stationary"]
 
-MECHANICAL, SOFT, STIFF, POOLED = range(4)
 _LEAST_B, _FLAT_OUT = (
     1e-100,
     1e16,
@@ -28,13 +39,15 @@ class Ensemble:
 
     `count` N; `stiffness` k (force/length), the mean of the ensemble's k_i at the mean threshold force, with
     `stiffness_law` "sqrt" (k_i ~ sqrt(f_si)) or "uniform"; `eta`, viscous coefficient of a detached contact
-    (force eta v); `disorder` "quenched" (a contact keeps its threshold for life: the literal model) or "annealed"
-    (every thermal attempt draws a fresh threshold: the published master equation). Raises InputError.
+    (force eta v); `disorder` "quenched" (a contact keeps its threshold for life, or its threshold ages: the literal
+    model) or "annealed" (every thermal attempt draws a fresh threshold: the published master equation). Raises
+    InputError.
     """
 
     thresholds: ThresholdLaw = field(default_factory=Gamma)
     thermal: Thermal = field(default_factory=Thermal)
     delay: Delay = field(default_factory=Delay)
+    aging: Aging = field(default_factory=Aging)
     count: int = 100_000
     stiffness: float = 1.0
     stiffness_law: StiffnessLaw = "sqrt"
@@ -47,6 +60,26 @@ class Ensemble:
         require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         require_number("eta", self.eta, **NOT_NEGATIVE)
+        self.aging.check(self.thresholds, self.disorder)
+
+    @property
+    def self_consistent(self) -> bool:
+        """Whether births depend on the mean pinned time: annealed contacts that age at a finite rate."""
+        return self.disorder == "annealed" and self.aging.active and self.aging.rate < math.inf
+
+    def births(self, velocity: float, mean_stretch: float | None = None) -> ThresholdLaw:
+        """Law of thresholds at birth: newborn ones, final ones if they age at once, or those of star1 for annealed
+        contacts with `mean_stretch` = C (length). Raises InputError."""
+        law, aging = self.thresholds, self.aging
+        if not aging.active or not isinstance(law, Gamma):
+            return law
+        if aging.rate == math.inf:
+            return Pooled(law, aging.x_star_final, math.inf)
+        if self.disorder == "quenched":
+            return law
+        if mean_stretch is None:
+            raise ValueError("annealed contacts that age need their mean stretch at breaking")
+        return Pooled(law, aging.x_star_final, aging.alpha(law.x_star, velocity) * mean_stretch / law.x_star)
 
     @property
     def b(self) -> float:
@@ -63,7 +96,7 @@ class Ensemble:
     @property
     def crossover_velocity(self) -> float:
         """v_* of the annealed ensemble, where Delta U(inf) = 1: nt12 (S_0 = 1) for n = 1, soft, uniform; the same
-        definition for every other law (derived). 0 at kT = 0."""
+        definition for every other law (derived), of newborn thresholds. 0 at kT = 0."""
         thermal = self.thermal
         if math.isinf(self.b) or thermal.attempt_frequency == 0:
             return 0.0
@@ -128,6 +161,10 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
             Group("v_*", star, "crossover velocity of the annealed ensemble, Delta U(inf) = 1 (nt12 and derived)"),
             Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
         ]
+    aging = ensemble.aging
+    if aging.active:
+        found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
+        found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "D_v, aging over sliding"))
     if ensemble.delay.time > 0:
         found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
     if ensemble.eta > 0:
@@ -145,7 +182,9 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
 class Contacts(NamedTuple):
     """The plain numbers a kernel needs, lengths in units of the threshold law's scale, time as displacement.
 
-    `breaking` says how a life ends: MECHANICAL (at its threshold), SOFT, STIFF (quenched), POOLED (annealed).
+    `breaking` says how a life ends: MECHANICAL (at its threshold), SOFT, STIFF (quenched), POOLED (annealed); `aging`
+    how thresholds move: UNAGED, FLOW, LANGEVIN, with `final2` = (x_*f/x_*i)^2 and `alpha` of `laws.aging`, `shape` n,
+    and `spring_work` the table of `flow_work_table`.
     """
 
     threshold_table: Array
@@ -161,14 +200,20 @@ class Contacts(NamedTuple):
     pool_slopes: Array
     delay: float
     exponential: bool
+    aging: int
+    final2: float
+    alpha: float
+    shape: float
+    spring_work: Array
 
 
-def lower(ensemble: Ensemble, velocity: float) -> Contacts:
-    """Ensemble and velocity as plain numbers; the only place where objects become kernel arguments.
+def lower(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Contacts:
+    """Ensemble and velocity as plain numbers; the only place where objects become kernel arguments. Annealed contacts
+    that age need their `mean_stretch` C (length).
 
     Raises InputError if a dimensionless group is beyond 1e+-100.
     """
-    law, thermal = ensemble.thresholds, ensemble.thermal
+    law, thermal = ensemble.births(velocity, mean_stretch), ensemble.thermal
     unit, b = law.scale, ensemble.b
     breaking, pool = MECHANICAL, NO_POOL
     thermally = thermal.attempt_frequency > 0 and not math.isinf(b)
@@ -185,6 +230,10 @@ def lower(ensemble: Ensemble, velocity: float) -> Contacts:
         log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
         require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
     sqrt = ensemble.stiffness_law == "sqrt"
+    rule, final2, alpha = UNAGED, 1.0, 0.0
+    if ensemble.aging.active and law is ensemble.thresholds:
+        rule = FLOW if ensemble.aging.rule == "flow" else LANGEVIN
+        final2, alpha = (ensemble.aging.x_star_final / unit) ** 2, ensemble.aging.alpha(unit, velocity)
     return Contacts(
         threshold_table=threshold_table_of(law),
         steps=law.steps / unit,
@@ -199,6 +248,11 @@ def lower(ensemble: Ensemble, velocity: float) -> Contacts:
         pool_slopes=pool.slopes,
         delay=delay,
         exponential=ensemble.delay.law == "exponential",
+        aging=rule,
+        final2=final2,
+        alpha=alpha,
+        shape=getattr(law, "n", 0.0),
+        spring_work=flow_work_table(final2, alpha) if rule == FLOW and sqrt else NO_TABLE,
     )
 
 

@@ -5,7 +5,6 @@ Structure and types are checked here; what a value may be is known to the law it
 
 import csv
 import difflib
-import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +13,8 @@ import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from eqsim.ensemble import Drive, Ensemble
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_number, under
+from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number, under
+from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
@@ -51,10 +51,10 @@ class ThermalSection(_Section):
     barrier: str = "soft"
 
 
-class Aging(_Section):
-    rule: Literal["none"] = "none"
+class AgingSection(_Section):
+    rule: str = "none"
     rate: float = 0.0
-    x_star_final: float = 1.0
+    x_star_final: float | None = None
 
 
 class DelaySection(_Section):
@@ -86,7 +86,7 @@ class RunFile(_Section):
     contacts: Contacts = Contacts()
     thresholds: Thresholds = Thresholds()
     thermal: ThermalSection = ThermalSection()
-    aging: Aging = Aging()
+    aging: AgingSection = AgingSection()
     delay: DelaySection = DelaySection()
     viscosity: Viscosity = Viscosity()
     drive: DriveSection = DriveSection()
@@ -95,24 +95,27 @@ class RunFile(_Section):
 
     def ensemble(self, folder: Path) -> Ensemble:
         """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
-        with under("aging"):
-            if self.aging.rate != math.inf:
-                require_number("rate", self.aging.rate, **NOT_NEGATIVE)
-            require_number("x_star_final", self.aging.x_star_final, **POSITIVE)
         with under("thermal"):
             thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)  # type: ignore[arg-type]
         with under("delay"):
             delay = Delay(self.delay.time, self.delay.law)  # type: ignore[arg-type]
         law = self._threshold_law(folder)
+        require_choice("disorder", self.disorder, ("quenched", "annealed"))
+        with under("aging"):
+            final = self.aging.x_star_final
+            aging = Aging(self.aging.rule, self.aging.rate, 1.0 if final is None else final)  # type: ignore[arg-type]
+            aging.check(law, self.disorder)
+            if final is None and aging.rule != "none":
+                raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
         drag, springs = self.viscosity.eta, self.contacts
         with under("viscosity"):
             require_number("eta", drag, **NOT_NEGATIVE)
-        require_choice("disorder", self.disorder, ("quenched", "annealed"))
         with under("contacts"):
             return Ensemble(
                 thresholds=law,
                 thermal=thermal,
                 delay=delay,
+                aging=aging,
                 count=springs.count,
                 stiffness=springs.stiffness,
                 stiffness_law=springs.stiffness_law,  # type: ignore[arg-type]
@@ -180,8 +183,6 @@ def _explain(error: pydantic.ValidationError) -> str:
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] == "extra_forbidden":
         return f"{field}: unknown key; {_nearest([str(part) for part in first['loc']])}{more}"
-    if field == "aging.rule" and first["input"] in ("langevin", "flow"):
-        return f'{field} = {value}: must be "none"; this version has no aging thresholds'
     if first["type"] in ("model_type", "dict_type"):
         return f"{field} = {value}: must be a section, [{field}]{more}"
     allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')

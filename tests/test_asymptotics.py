@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from scipy import integrate, optimize
+from scipy import integrate, optimize, special
 
 from eqsim import Ensemble, InputError, Thermal, reference
 from eqsim.laws.thermal import pooled_rate
 from eqsim.laws.threshold import Gamma
-from eqsim.master.asymptotics import C_0, Published, beta, minimum_velocity
+from eqsim.master.asymptotics import C_0, Published, PublishedAging, beta, minimum_velocity
 
 
 def solved(kT, v):
@@ -97,3 +97,128 @@ def test_limits_and_refusals():
     assert Published(1e-9).v_star == pytest.approx(0.443 * 2e-9, rel=1e-3)
     with pytest.raises(InputError, match="kT"):
         Published(0.0)
+
+
+def panels(edges, order=12):
+    """Gauss-Legendre nodes and weights between ascending edges, end to end."""
+    nodes, weights = special.roots_legendre(order)
+    half = 0.5 * np.diff(edges)[:, None]
+    return (edges[:-1, None] + half * (1 + nodes)).ravel(), (half * weights).ravel()
+
+
+def star1(v, D, x_i, x_f, kT=0.0):
+    """C, f_k and P_c(x) of aging annealed contacts (n = 1, soft, uniform, k = omega = 1) by plain quadrature over the
+    ages s C/v, s ~ Exp(1), of a mixture of gamma laws (derived; solves star1 exactly)."""
+    s, share = panels(np.append(0.0, 45 * 2.0 ** np.arange(-30.0, 1.0)))
+    share = share * np.exp(-s)
+    x, dx = panels(np.append(0.0, 7 * max(x_i, x_f) * 2.0 ** (np.arange(-40.0, 1.0) / 3)))
+
+    def mixture(C):
+        scale = np.sqrt(x_f**2 - (x_f**2 - x_i**2) * np.exp(-4 * D * s * C / v / x_f**2))
+        u = x[:, None] / scale
+        survive = ((1 + u**2) * np.exp(-(u**2))) @ share
+        if kT > 0:
+            b = scale**2 / (2 * kT)  # int_0^u of the rate of each component (nt08), per attempt
+            G = math.sqrt(math.pi) / 2 * special.erf(u) * (1 + (1 + b) / 2) - (1 + b) / 2 * u * np.exp(-(u**2))
+            survive = survive * np.exp(-(scale * G / (1 + b) ** 2 / v) @ share)
+        return scale, survive
+
+    C = optimize.brentq(lambda C: dx @ mixture(C)[1] - C, 1e-9, 2 * max(x_i, x_f), xtol=1e-15, rtol=1e-14)
+    scale, survive = mixture(C)
+
+    def P_c(x):
+        u = np.asarray(x)[:, None] / scale
+        return (2 * u**3 * np.exp(-(u**2)) / scale) @ share
+
+    return C, (dx * x) @ survive / C, P_c
+
+
+def exponent(x, y):
+    return np.polyfit(np.log(x), np.log(np.abs(y)), 1)[0]
+
+
+def test_oracle_of_aging():
+    """Its unaged limit is the solver, and at T = 0 it has these four values of friction (6 digits)."""
+    assert star1(0.3, 0.0, 1.0, 2.0, kT=0.5)[1] == pytest.approx(solved(0.5, 0.3).friction.value, rel=1e-9)
+    for v, friction in ((0.01, 0.746793), (0.1, 0.697612), (1.0, 0.347086), (10.0, 0.0986062)):
+        assert star1(v, 0.1, 0.1, 1.0)[1] == pytest.approx(friction, rel=2e-6)
+
+
+@pytest.mark.parametrize("x_f", [1.0, 0.3])
+@pytest.mark.parametrize("kT", [0.0, 1.0])
+def test_aging_expansion(kT, x_f):
+    """star4: C and f_k as corrected leave an error of second order in 1/v, as printed one of first (slopes within 0.1:
+    over the decade the next order changes an error by a factor 1 + O(S), S < 0.02, that is a slope by a few 0.01);
+    strengthening and weakening contacts."""
+    form = PublishedAging(rate=0.2, x_star_initial=0.5, x_star_final=x_f, kT=kT)
+    v = max(form.S_2(1.0), abs(form.S_3(1.0))) / np.geomspace(0.002, 0.02, 5)
+    exact = np.array([star1(speed, 0.2, 0.5, x_f, kT)[:2] for speed in v])
+    for column, quantity in enumerate((form.C, form.f_k)):
+        error = {printed: quantity(v, printed=printed) / exact[:, column] - 1 for printed in (False, True)}
+        assert exponent(1 / v, error[False]) == pytest.approx(2.0, abs=0.1)
+        assert exponent(1 / v, error[True]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_aging_changes_the_law():
+    """star3a, star3b: J' = -P; corrected, P_c - P_ci integrates to 0 and misses the exact one in second order only."""
+    form, x = PublishedAging(0.2, 0.5, 1.0), np.linspace(0.1, 1.5, 30)
+    step = 1e-5  # central differences, to 1e-5^2 times a third derivative of order 100
+    slope = (form.J_change(x + step, 10.0) - form.J_change(x - step, 10.0)) / (2 * step)
+    np.testing.assert_allclose(form.P_change(x, 10.0), -slope, atol=1e-7)
+    whole = [integrate.quad(form.P_change, 0, 5, args=(10.0,), epsabs=1e-12)[0]]
+    assert whole[0] == pytest.approx(0.0, abs=1e-10)
+    assert abs(integrate.quad(lambda x: form.P_change(x, 10.0, printed=True), 0, 5)[0]) > form.S_3(10.0) / 2
+    v = form.S_3(1.0) / np.geomspace(0.001, 0.01, 4)
+    change = [star1(speed, 0.2, 0.5, 1.0)[2](x) - Gamma(1.0, 0.5).pdf(x) for speed in v]
+    for printed, order in ((False, 2.0), (True, 1.0)):
+        off = [np.abs(form.P_change(x, s, printed=printed) - c).max() for s, c in zip(v, change, strict=True)]
+        assert exponent(1 / v, off) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("kT", [0.05, 0.5, 5.0])
+def test_aging_coefficients(kT):
+    """The closed forms of a, c, C_12 and C~_12 are the moments of nt09, by quadrature (to its 1e-9), and have the
+    digits .883573 + .169524 b and .920403 + .215413 b."""
+    newborn, v = Published(kT), 1.0
+    hot = PublishedAging(0.0, 1.0, 2.0, kT)
+    a = integrate.quad(lambda u: newborn.J_c(u) * newborn.dU(u, v), 0, 9, epsabs=1e-13)[0] / newborn.S_2(v)
+    c = integrate.quad(lambda u: u * newborn.J_c(u) * newborn.dU(u, v), 0, 9, epsabs=1e-13)[0] / newborn.S_2(v)
+    assert hot.S_2(v) == pytest.approx(newborn.S_2(v))
+    assert (1 / C_0 - hot.C(v)) / hot.S_2(v) == pytest.approx(a, rel=1e-9)
+    assert (1 - hot.f_k(v) * hot.C(v)) / hot.S_2(v) == pytest.approx(c, rel=1e-9)
+    assert a == pytest.approx(0.883573 + 0.169524 * hot.b, abs=6e-7 * (1 + hot.b))
+    assert c == pytest.approx(0.920403 + 0.215413 * hot.b, abs=6e-7 * (1 + hot.b))
+    cold = PublishedAging(0.1, 1.0, 2.0)
+    moments = [integrate.quad(lambda u, p=p: u**p * math.exp(-(u**2)), 0, 9, epsabs=1e-13)[0] for p in (4, 5)]
+    assert (cold.C(v) - 1 / C_0) / cold.S_3(v) == pytest.approx(moments[0], rel=1e-9)
+    assert (cold.f_k(v) * cold.C(v) - 1) / cold.S_3(v) == pytest.approx(moments[1], rel=1e-9)
+    assert moments == pytest.approx([0.664670, 1.0], abs=5e-7)
+
+
+def test_aging_at_zero_temperature():
+    """Given C, f_k = ((n+1)/2C)(x_*f^2 - (x_*f^2 - x_*i^2)/(1 + 4DC/(v x_*f^2))) (derived), which falls from its value
+    at rest as v/D and reaches that of newborn contacts as D/v (section on aging): slopes within 0.1, at velocities
+    where the next order is a few per cent."""
+    D, x_i, x_f = 0.1, 0.3, 1.0
+    for v in (1e-3, 0.1, 10.0):
+        C, f_k, _ = star1(v, D, x_i, x_f)
+        assert f_k == pytest.approx((x_f**2 - (x_f**2 - x_i**2) / (1 + 4 * D * C / (v * x_f**2))) / C, rel=1e-9)
+    slow, fast = D * np.geomspace(1e-3, 1e-2, 4), D * np.geomspace(1e3, 1e4, 4)
+    falling = [star1(v, D, x_i, x_f)[1] - C_0 * x_f for v in slow]
+    last = [star1(v, D, x_i, x_f)[1] - C_0 * x_i for v in fast]
+    assert max(falling) < 0 < min(last)
+    assert exponent(slow, falling) == pytest.approx(1.0, abs=0.1)
+    assert exponent(fast, last) == pytest.approx(-1.0, abs=0.1)
+    # the same D/v, the same friction
+    assert star1(0.2, 2 * D, x_i, x_f)[1] == pytest.approx(star1(0.1, D, x_i, x_f)[1], rel=1e-12)
+
+
+def test_aging_limits_and_refusals():
+    cold, hot = PublishedAging(0.0, 0.5, 1.0), PublishedAging(0.0, 0.5, 1.0, kT=1e-3)
+    assert cold.f_k(3.0) == pytest.approx(0.5 * C_0)
+    assert hot.f_k(1e9) == pytest.approx(0.5 * C_0)
+    assert PublishedAging(0.1, 0.1, 1.0).inverse_x_if_squared == pytest.approx(99.0)
+    np.testing.assert_allclose(cold.C(np.array([1.0, 2.0])), 0.5 / C_0)
+    for wrong in ({"rate": -1.0}, {"x_star_initial": 0.0}, {"kT": -1.0}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            PublishedAging(**{"rate": 0.1, "x_star_initial": 0.1, "x_star_final": 1.0, **wrong})

@@ -17,28 +17,31 @@ import numpy as np
 from scipy import integrate, interpolate
 
 from eqsim.compiled import inlined, kernel
-from eqsim.engine.life import break_stretch
+from eqsim.engine.life import break_stretch, lives
 from eqsim.engine.streams import Key, uniforms
-from eqsim.ensemble import POOLED, SOFT, Contacts
+from eqsim.engine.streams import key as key_of
+from eqsim.ensemble import Contacts
+from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, flow_end, flow_stretch
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.thermal import log_hazard
+from eqsim.laws.thermal import MECHANICAL, POOLED, SOFT, log_hazard
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, NO_TABLE, threshold_draw
 
-_LOG_E = np.linspace(-53 * math.log(2), math.log(500), 3000)
+_LEAST_LOG_E, _MOST_LOG_E = -53 * math.log(2), math.log(500)
+_EXTREME_RANK, _EXTREME_CLOCK = 45.0, 110.0  # -ln of no 63-bit uniform, no clock of a standing contact, exceeds these
 _MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 
 class Standing(NamedTuple):
     """Tables of the stationary state, in the units of `Contacts`.
 
-    `pinned` is the pinned fraction, `mean_stretch` C. A smooth law has `biased`, e of a standing threshold against
-    -ln of a uniform, and `life`, m against e; a discrete one has `share`, the cumulative share of its thresholds, and
-    `step_life`, m of each.
+    `pinned` is the pinned fraction. A smooth law has `biased`, e of a standing threshold against -ln of a uniform, and
+    `life`, m against e; a discrete one has `share`, the cumulative share of its thresholds, and `step_life`, m of each.
+    `langevin` contacts, whose lives are found by trying, only have `longest`: no life is longer.
     """
 
     pinned: float
-    mean_stretch: float
+    longest: float
     biased: Array
     life: Array
     share: Array
@@ -46,20 +49,26 @@ class Standing(NamedTuple):
 
 
 def standing(c: Contacts) -> Standing:
-    """The stationary state of contacts; tables are good to 1e-6 relative."""
+    """The stationary state of contacts; tables are good to 1e-6 relative. The longest `langevin` life is taken to be
+    twice the longest of 32 768, or the strongest threshold if that is less."""
+    if c.aging == LANGEVIN:
+        u, v = np.random.default_rng(0).random((2, 2**15)) * (1 - 2e-16) + 1e-16
+        _, stretch = lives(c, key_of(0, 0), 0, u, v)
+        return Standing(1.0, min(2.0 * float(stretch.max()), extremes(c)[1]), NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
     if c.steps.size:
         life = mean_lives(c, c.steps)
         mean = float(life.mean())
-        return Standing(mean / (mean + c.delay), mean, NO_TABLE, NO_TABLE, np.cumsum(life) / life.sum(), life)
-    xi = np.empty(_LOG_E.size)
-    thresholds(c, np.exp(-np.exp(_LOG_E)), xi)
+        return Standing(mean / (mean + c.delay), math.inf, NO_TABLE, NO_TABLE, np.cumsum(life) / life.sum(), life)
+    grid = np.linspace(_LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging == UNAGED else 600)  # lives that age take long
+    xi = np.empty(grid.size)
+    thresholds(c, np.exp(-np.exp(grid)), xi)
     life = mean_lives(c, xi)
-    time = life * np.exp(_LOG_E - np.exp(_LOG_E))  # density of standing contacts in ln e, times C
-    below = integrate.cumulative_simpson(time, dx=_LOG_E[1] - _LOG_E[0], initial=0)
-    above = integrate.cumulative_simpson(time[::-1], dx=_LOG_E[1] - _LOG_E[0], initial=0)[::-1]
+    time = life * np.exp(grid - np.exp(grid))  # density of standing contacts in ln e, times C
+    below = integrate.cumulative_simpson(time, dx=grid[1] - grid[0], initial=0)
+    above = integrate.cumulative_simpson(time[::-1], dx=grid[1] - grid[0], initial=0)[::-1]
     mean = float(below[-1])
     use = (below > 0) & (above > 1e-200 * mean)  # beyond, nothing to draw
-    below, above, log_e = below[use] / mean, above[use] / mean, _LOG_E[use]
+    below, above, log_e = below[use] / mean, above[use] / mean, grid[use]
     rank = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
     log_rank = np.log(rank)
     rising = np.append(True, log_rank[1:] > np.maximum.accumulate(log_rank)[:-1])
@@ -70,11 +79,11 @@ def standing(c: Contacts) -> Standing:
     e = np.exp(to_e(at))
     inside = at == np.log(edges)
     biased = octave_table(FIRST_OCTAVE, e, np.where(inside, e * to_e(at, 1) / edges, 0.0))
-    to_life = interpolate.CubicSpline(_LOG_E, np.log(life))
-    at = np.clip(np.log(edges), _LOG_E[0], _LOG_E[-1])
+    to_life = interpolate.CubicSpline(grid, np.log(life))
+    at = np.clip(np.log(edges), grid[0], grid[-1])
     m = np.exp(to_life(at))
     table = octave_table(FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0))
-    return Standing(mean / (mean + c.delay), mean, biased, table, NO_STEPS, NO_STEPS)
+    return Standing(mean / (mean + c.delay), math.inf, biased, table, NO_STEPS, NO_STEPS)
 
 
 def mean_lives(c: Contacts, xi: Array) -> Array:
@@ -82,7 +91,12 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
 
     The integrand has a kink where x_b reaches xi, at the integrated hazard of xi; panels shrink towards it.
     """
-    if c.breaking == POOLED:
+    if c.aging == FLOW:
+        kink, ends = np.empty(xi.size), np.empty(xi.size)
+        flow_ends(c, xi, ends, kink)
+        if c.breaking == MECHANICAL:
+            return ends
+    elif c.breaking == POOLED:
         kink = np.exp(c.log_w) * np.interp(xi, c.pool_x, c.pool_G)
     elif c.breaking:
         stiffness = c.kappa_constant + c.kappa_slope * xi
@@ -102,7 +116,29 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
             log_clock = 0.5 * (a + b) + 0.5 * (b - a) * node
             stretches(c, xi, np.exp(log_clock), stretch)
             total += 0.5 * (b - a) * weight * stretch * np.exp(log_clock - np.exp(log_clock))
-    return total + xi * np.exp(-np.exp(end))
+    return total + (ends if c.aging == FLOW else xi) * np.exp(-np.exp(end))
+
+
+def extremes(c: Contacts) -> tuple[float, float]:
+    """A threshold and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
+    ranks = np.linspace(0.01, _EXTREME_RANK, 2000)
+    xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
+    thresholds(c, np.exp(-ranks), xi)
+    strongest = 1.1 * float(xi.max()) * max(1.0, math.sqrt(c.final2))
+    if c.aging == LANGEVIN:
+        return strongest, strongest
+    stretches(c, xi, np.full(ranks.size, _EXTREME_CLOCK), stretch)
+    return strongest, 1.1 * float(stretch.max())
+
+
+@kernel
+def flow_ends(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
+    """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically, `hazard` with their integrated
+    hazards until then."""
+    for i in range(xi.size):
+        ends[i], hazard[i] = flow_stretch(
+            c.final2, c.alpha, c.breaking, c.kappa_slope, c.kappa_constant, c.b, c.log_w, xi[i], math.inf
+        )
 
 
 @kernel
@@ -128,8 +164,9 @@ def standing_contact(c: Contacts, s: Standing, key: Key, contact: int, u: float)
     else:
         e = look_up(s.biased, -math.log(u))
         xi, m = threshold_draw(c.threshold_table, c.steps, math.exp(-e)), look_up(s.life, e)
-    m = min(m * _MARGIN, xi)
-    plateau = 1.0 / (1.0 + math.log(xi / m))  # share of the envelope's area where it is 1
+    top = flow_end(c.final2, c.alpha, xi) if c.aging == FLOW else xi
+    m = min(m * _MARGIN, top)
+    plateau = 1.0 / (1.0 + math.log(top / m))  # share of the envelope's area where it is 1
     draw = 1
     while True:
         u_stretch, u_clock = uniforms(key, contact, 0, draw)

@@ -9,7 +9,12 @@ A life needs two uniforms, threshold and clock, so it is sampled by randomised q
 scrambled Sobol sequences, whose scatter is the error. Births are a poor sample where strong contacts are rare at birth
 but dominate time, so both are drawn from densities proportional to births times the root mean square of what a life
 contributes, found beforehand on a fixed grid, and weighted back: exact for any such density, and of finite variance
-in the heavy-tailed regime where plain averages over births never converge.
+in the heavy-tailed regime where plain averages over births never converge. The path of a `langevin` threshold is
+plain Monte Carlo on top of these two.
+
+Annealed contacts that age are born with thresholds whose age is set by their own mean pinned time C/v. Each
+randomisation finds its own fixed point C = E[x_b; C], to first order from lives at two values of C near it, so that the
+errors quoted hold the error of C.
 """
 
 import hashlib
@@ -24,17 +29,21 @@ import numpy as np
 from scipy import integrate, interpolate
 from scipy.stats import qmc
 
-from eqsim.engine.life import lives
-from eqsim.engine.streams import STEADY
-from eqsim.ensemble import MECHANICAL, POOLED, Contacts, Ensemble, lower
+from eqsim.engine.life import lives, rough_stretch
+from eqsim.engine.streams import STEADY, Key, key
+from eqsim.ensemble import Contacts, Ensemble, lower
 from eqsim.errors import POSITIVE, InputError, require_number
-from eqsim.estimate import Averages, Estimate
+from eqsim.estimate import Averages, Estimate, known
+from eqsim.laws.aging import LANGEVIN, UNAGED
 from eqsim.laws.octaves import Array
+from eqsim.laws.thermal import MECHANICAL, POOLED
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
 _DECAY = 0.75  # assumed when lives are predicted: error ~ lives^-0.75, between Monte Carlo and smooth integrands
 _NEGLIGIBLE = 1e-12
+_NUDGE = 1e-2  # relative change of C that shows how births respond to it; the fixed point is linearised within 1e-4
+_SETTLED = 3e-5  # relative error of the C that a trajectory's births are given
 _POOLED_SMOOTH, _POOLED_STEPS = 2e-7, 3e-5  # relative error of averages over the tabulated inverse
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
 
@@ -69,25 +78,68 @@ def steady(
     require_number("velocity", velocity, **POSITIVE)
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
-    contacts = lower(ensemble, velocity)
-    proposal = Proposal.of(contacts)
+    rough = rough_stretch(ensemble, velocity)
+    contacts = lower(ensemble, velocity, rough)
+    job = _Job(ensemble, velocity, Proposal.of(contacts), _identity(contacts), seed, threads, progress)
     begin = time.perf_counter()
-    drag = ensemble.drag(velocity)
+    drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale
     tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
     size, done = _FIRST, 0
     while True:
         if RANDOMISATIONS * size > max_lives:
             raise InputError(f"this needs {RANDOMISATIONS * size:.3g} lives, more than max_lives = {max_lives:.3g}")
-        sums = _randomise(contacts, proposal, size, seed, threads, progress)
-        done += RANDOMISATIONS * size
-        result = _averages(sums, contacts.delay, drag, ensemble.thresholds.scale, size, proposal.covered, tables)
+        if rough is None:
+            sums, lives_used = _randomise(job, contacts, size), RANDOMISATIONS * size
+        else:
+            sums, rough, lives_used = _self_consistent(job, rough, size)
+        done += lives_used
+        result = _averages(sums, contacts.delay, drag, unit, size, job.proposal.covered, tables)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
-        # the next attempt aims at half of what was asked for, so that stopping hardly selects lucky error bars
-        needed = 2 ** math.ceil(math.log2(max(size * (2 * excess) ** (1 / _DECAY), 2.0 * size)))
+        # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
+        aim, decay = (1.3, 0.5) if contacts.aging == LANGEVIN else (2.0, _DECAY)
+        needed = 2 ** math.ceil(math.log2(max(size * (aim * excess) ** (1 / decay), 2.0 * size)))
         if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
             return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error)
         size = needed
+
+
+def settled(ensemble: Ensemble, velocity: float, seed: int, threads: int = 1) -> Contacts:
+    """The ensemble as plain numbers; births of annealed contacts that age are settled by a steady estimate."""
+    if not ensemble.self_consistent:
+        return lower(ensemble, velocity)
+    stretch = steady(ensemble, velocity, rel_error=_SETTLED, seed=seed, threads=threads).break_stretch
+    return lower(ensemble, velocity, known(stretch))
+
+
+class _Job(NamedTuple):
+    """What does not change while a steady estimate is refined."""
+
+    ensemble: Ensemble
+    velocity: float
+    proposal: "Proposal"
+    identity: int
+    seed: int
+    threads: int
+    progress: Progress | None
+
+
+def _self_consistent(job: _Job, stretch: float, size: int) -> tuple[Array, float, int]:
+    """Sums of each randomisation at its own fixed point of C, the mean fixed point, and the lives this took."""
+    used = 0
+    for _ in range(20):
+        near, far = (
+            _randomise(job, lower(job.ensemble, job.velocity, stretch * factor), size) for factor in (1.0, 1.0 + _NUDGE)
+        )
+        used += 2 * RANDOMISATIONS * size
+        unit = job.ensemble.thresholds.scale
+        slopes = (far.mean(axis=0) - near.mean(axis=0)) / (_NUDGE * stretch / unit)  # d sums/dC
+        shift = (near[:, 1] - stretch / unit) / (1.0 - slopes[1])
+        stretch += float(shift.mean()) * unit
+        if abs(shift.mean()) * unit < _NUDGE * _NUDGE * stretch:
+            break
+    near[:, :2] += shift[:, None] * slopes[:2]
+    return near, stretch, used
 
 
 class Density(NamedTuple):
@@ -129,13 +181,14 @@ class Proposal(NamedTuple):
     def of(cls, contacts: Contacts) -> "Proposal":
         """Births times the root mean square of what a life contributes to friction and to break_stretch, plus a tenth
         of plain births so that no weight can grow large; all on a fixed grid."""
-        log_e, log_clock = np.linspace(-53 * math.log(2), math.log(500), 1000), np.linspace(-12, math.log(40), 100)
+        fine = (1000, 100) if contacts.aging == UNAGED else (200, 40)  # lives that age take long
+        log_e = np.linspace(-53 * math.log(2), math.log(500), fine[0])
+        log_clock = np.linspace(-12, math.log(40), fine[1])
         births, clock_births = np.exp(log_e - np.exp(log_e)), np.exp(log_clock - np.exp(log_clock))
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
-        stiffness, stretch = np.empty(u.size), np.empty(u.size)
-        lives(contacts, u, v, stiffness, stretch)
+        work, stretch = lives(contacts, key(0, STEADY), 0, u, v)
         squares, sizes = [], []
-        for part in (stretch, stiffness * stretch**2):
+        for part in (stretch, work):
             part = part.reshape(log_e.size, log_clock.size)
             size = part.max(axis=1)  # squares of extreme thresholds overflow
             squares.append((part / size[:, None]) ** 2)
@@ -157,35 +210,35 @@ class Proposal(NamedTuple):
         return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
 
 
-def _randomise(
-    contacts: Contacts, proposal: Proposal, size: int, seed: int, threads: int, progress: Progress | None
-) -> Array:
-    """Per randomisation: mean elastic work per k, mean stretch at breaking, largest single share of either."""
+def _identity(contacts: Contacts) -> int:
+    """Parameters enter the streams, so that the scores of many parameter sets at one seed are independent."""
+    return int.from_bytes(hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in contacts)).digest()[:8])
 
-    # parameters enter the streams, so that the scores of many parameter sets at one seed are independent
-    identity = int.from_bytes(hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in contacts)).digest()[:8])
+
+def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
+    """Per randomisation: mean elastic work per k, mean stretch at breaking, largest single share of either."""
+    paths: Key = key(job.seed, STEADY + job.identity)
 
     def one(index: int) -> tuple[float, float, float]:
-        sobol = qmc.Sobol(2, rng=np.random.default_rng((seed, STEADY, identity, size, index)))
+        sobol = qmc.Sobol(2, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
         sums, largest = np.zeros(2), np.zeros(2)
-        for _ in range(0, size, _BLOCK):
+        for first in range(0, size, _BLOCK):
             points = sobol.random(min(size, _BLOCK)) + 2.0**-31  # 30 bits, centred in their cells, away from 0
-            u, weight = proposal.threshold.draw(points[:, 0])
-            v, clock_weight = proposal.clock.draw(points[:, 1])
-            stiffness, stretch = np.empty(u.size), np.empty(u.size)
-            lives(contacts, u, v, stiffness, stretch)
-            terms = weight * clock_weight * stretch * np.stack((0.5 * stiffness * stretch, np.ones(u.size)))
+            u, weight = job.proposal.threshold.draw(points[:, 0])
+            v, clock_weight = job.proposal.clock.draw(points[:, 1])
+            work, stretch = lives(contacts, paths, index * size + first, u, v)
+            terms = weight * clock_weight * np.stack((work, stretch))
             sums += terms.sum(axis=1)
             largest = np.maximum(largest, terms.max(axis=1))
         return sums[0] / size, sums[1] / size, float(np.max(largest / sums))
 
     rows = []
-    pool = ThreadPoolExecutor(max(1, threads))
+    pool = ThreadPoolExecutor(max(1, job.threads))
     try:
         for row in pool.map(one, range(RANDOMISATIONS)):
             rows.append(row)
-            if progress:
-                progress(len(rows) * size, RANDOMISATIONS * size)
+            if job.progress:
+                job.progress(len(rows) * size, RANDOMISATIONS * size)
     finally:
         pool.shutdown(cancel_futures=True)
     return np.array(rows)

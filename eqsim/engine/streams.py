@@ -47,8 +47,18 @@ def uniform(low: Any, high: Any) -> float:
 
 @inlined
 def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
-    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^48, draw < 2^16."""
+    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw < 2^16."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
     a, b, d, e = philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
     return uniform(a, b), uniform(d, e)
+
+
+@inlined
+def words(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
+    """Four independent 32-bit integers of a contact's path, as floats; contact < 2^63, life < 2^32, draw < 2^31. None
+    of their counters is one of `uniforms`."""
+    c = np.uint64(contact)
+    last = np.uint64(draw) | np.uint64(0x80000000)
+    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key[0], key[1])
+    return np.float64(a), np.float64(b), np.float64(d), np.float64(e)

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.engine.life import typical_lives
+from eqsim.engine.life import rough_stretch, typical_lives
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, LANES, PINNED, STRETCH, Run, Scales, moments, simulate
 from eqsim.engine.standing import Standing, standing
+from eqsim.engine.steady import settled
 from eqsim.engine.streams import TRAJECTORY, Key, key
 from eqsim.ensemble import Contacts, Drive, Ensemble, check_output, lower
 from eqsim.errors import InputError, require_number
@@ -23,7 +24,7 @@ from eqsim.estimate import Estimate, drifts, known, ratio
 from eqsim.laws.octaves import Array
 from eqsim.laws.threshold import NO_STEPS, NO_TABLE
 
-_FRESH = Standing(1.0, 1.0, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
+_FRESH = Standing(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
 Progress = Callable[[int], None]
 
 
@@ -55,7 +56,7 @@ class Trajectory:
 def predicted_lives(ensemble: Ensemble, drive: Drive, replicas: int = 1) -> float:
     """How many lives a run will take, within a few per cent or somewhat too many: by Wald's identity a contact that
     uses up min(life and delay, distance) each time fills the distance."""
-    c = lower(ensemble, drive.velocity)
+    c = lower(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
     distance = drive.over(ensemble) / ensemble.thresholds.scale
     _, stretch = typical_lives(c)
     mean = float(np.mean(np.minimum(stretch + c.delay, distance)))
@@ -89,7 +90,7 @@ def trajectory(
     Raises InputError for arguments out of range, and if more than `max_lives` lives are predicted.
     """
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    c = lower(ensemble, drive.velocity)
+    c = settled(ensemble, drive.velocity, seed, threads)
     unit = ensemble.thresholds.scale
     contacts = ensemble.count * replicas
     run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", contacts < BATCHES)

@@ -32,6 +32,7 @@ from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw, panels_above
 
 Barrier = Literal["soft", "stiff"]
+MECHANICAL, SOFT, STIFF, POOLED = range(4)  # how a life ends, for the kernels
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """Closed forms and limits of the published master equation, printed and corrected, side by side.
 
-All for the annealed ensemble with n = 1, soft barriers and uniform stiffness (Braun and Peyrard, 2011, nt01-nt16); no
-one of them applies to literal (quenched) contacts at T > 0. Where the printed formula is in error, `printed=True` gives
-it as it stands in the paper and the default the correction (derived), so that readers can compare. `u = x/x_*`.
+All for the annealed ensemble with n = 1, soft barriers and uniform stiffness (Braun and Peyrard, 2011, nt01-nt16, and
+star3-star4 for aging contacts); no one of them applies to literal (quenched) contacts at T > 0. Where the printed
+formula is in error, `printed=True` gives it as it stands in the paper and the default the correction (derived), so that
+readers can compare. `u = x/x_*`.
 """
 
 import math
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from eqsim.errors import require_number
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_number
 from eqsim.laws.octaves import Array
 
 C_0 = 4.0 / (3.0 * math.sqrt(math.pi))  # nt05
@@ -132,6 +133,85 @@ class Published:
         first = m[1] / m[0] - c[1] / c[0]
         second = m[2] / m[0] - c[2] / c[0] - c[1] / c[0] * first
         return first, second
+
+
+@dataclass(frozen=True)
+class PublishedAging:
+    """Aging contacts at high velocity, to first order in 1/v (star3-star4): newborn thresholds follow nt01 with
+    `x_star_initial` x_*i, and age at the `rate` D (length^2/time) towards nt01 with `x_star_final` x_*f.
+
+    `kT` may be 0. The expansions hold for S_2, |S_3| << 1, and `u_i = x/x_*i`. Raises InputError.
+    """
+
+    rate: float
+    x_star_initial: float
+    x_star_final: float
+    kT: float = 0.0
+    stiffness: float = 1.0
+    attempt_frequency: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "kT", "attempt_frequency"):
+            require_number(name, getattr(self, name), **NOT_NEGATIVE)
+        for name in ("x_star_initial", "x_star_final", "stiffness"):
+            require_number(name, getattr(self, name), **POSITIVE)
+
+    @property
+    def b(self) -> float:
+        """k x_*i^2/(2 kT) of newborn contacts (nt08a); infinite at kT = 0."""
+        energy = 0.5 * self.stiffness * self.x_star_initial**2
+        return energy / self.kT if self.kT > 0 else math.inf
+
+    @property
+    def inverse_x_if_squared(self) -> float:
+        """1/x_if^2 = 1/x_*i^2 - 1/x_*f^2, negative if contacts weaken (star3c)."""
+        return 1.0 / self.x_star_initial**2 - 1.0 / self.x_star_final**2
+
+    def S_2(self, v: Any) -> Array:
+        """Initial slope of dU in u_i (nt14 of newborn contacts); 0 at kT = 0."""
+        return np.asarray(self.attempt_frequency * self.x_star_initial / (np.asarray(v) * (1 + self.b) ** 2))
+
+    def S_3(self, v: Any) -> Array:
+        """4 D_v C/x_if^2, D_v = D/v (star4c). C is C[P] of newborn contacts at T = 0, x_*i/C_0: whatever C gains from
+        aging or loses to temperature is of first order in 1/v, and changes S_3 in the second only."""
+        return np.asarray(4 * self.rate / np.asarray(v) * self.x_star_initial / C_0 * self.inverse_x_if_squared)
+
+    def P_change(self, x: Any, v: float, *, printed: bool = False) -> Array:
+        """P_c - P_ci (star3a). The paper has u_i in place of u_i^3, which does not integrate to 0."""
+        u = np.asarray(x) / self.x_star_initial
+        power = u if printed else u**3
+        return np.asarray(-4 * self.S_3(v) / self.x_star_initial * power * np.exp(-(u**2)) * (1 - u**2 / 2))
+
+    def J_change(self, x: Any, v: float) -> Array:
+        """J_c - J_ci (star3b, correct as printed)."""
+        u = np.asarray(x) / self.x_star_initial
+        return np.asarray(self.S_3(v) * u**4 * np.exp(-(u**2)))
+
+    def C(self, v: Any, *, printed: bool = False) -> Array:
+        """Mean stretch at breaking x_*i (1/C_0 - a S_2 + C_12 S_3) (star4a).
+
+        Printed: a = 1, from dU ~ S_2 u, and C_12 = 1.324, from the slip in star3a. Corrected (derived):
+        a = int J_ci dU/S_2 du = 9 pi/32 + (3 pi/32 - 1/8) b and C_12 = int u^4 exp(-u^2) du = 3 sqrt(pi)/8.
+        """
+        C_12 = 1.324 if printed else 3 * math.sqrt(math.pi) / 8
+        slope = (1.0, 0.0) if printed else (9 * math.pi / 32, 3 * math.pi / 32 - 1 / 8)
+        return np.asarray(self.x_star_initial * (1 / C_0 - self._thermal(v, *slope) + C_12 * self.S_3(v)))
+
+    def f_k(self, v: Any, *, printed: bool = False) -> Array:
+        """Kinetic friction (x_*i^2/C)(1 - c S_2 + C~_12 S_3), a length (star4b).
+
+        Printed: c = C_0 + C_1 = 5 sqrt(pi)/8 and C~_12 = 1.789, for the same reasons as in `C`. Corrected (derived):
+        c = int u J_ci dU/S_2 du = sqrt(pi/2) (47 + 11 b)/64 and C~_12 = int u^5 exp(-u^2) du = 1.
+        """
+        C_12 = 1.789 if printed else 1.0
+        root = math.sqrt(math.pi / 2) / 64
+        slope = (5 * math.sqrt(math.pi) / 8, 0.0) if printed else (47 * root, 11 * root)
+        bracket = 1 - self._thermal(v, *slope) + C_12 * self.S_3(v)
+        return np.asarray(self.x_star_initial**2 / self.C(v, printed=printed) * bracket)
+
+    def _thermal(self, v: Any, constant: float, slope: float) -> Array:
+        """(constant + slope b) S_2; 0 at kT = 0, where b is infinite."""
+        return np.asarray((constant + slope * self.b) * self.S_2(v) if self.kT > 0 else 0.0 * np.asarray(v))
 
 
 def beta(v: Any, v_eta: float, v_d: float) -> Array:

@@ -6,14 +6,15 @@ form of `laws.thermal`. The joint density of pinned contacts is P_c(xi) S(x|xi)/
     C = E[int_0^xi S dx],        friction * C = E[(k_i/k) int_0^xi x S dx]        (no delay).
 
 Inside, x = xi sin^2(phi) makes the integrand smooth at xi, and Gauss-Legendre panels end where the integrated hazard
-passes fixed levels, so that the drop of S is resolved however sharp. Outside, the trapezoidal rule in ln(-ln J_c(xi))
-converges exponentially; it is refined until it stands still.
+passes fixed levels, so that the drop of S is resolved however sharp. Outside, panels in ln(-ln J_c(xi)) are halved
+until the highest Chebyshev coefficients of the integrands are negligible.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from scipy import special
 
 from eqsim.laws.octaves import Array
@@ -23,7 +24,21 @@ from eqsim.laws.threshold import ThresholdLaw, panels_above
 
 _LEVELS = np.array([-48.0, -24.0, -12.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75, 2.5, 3.25, 4.0])  # of ln Lambda
 _NODES, _WEIGHTS = special.roots_legendre(14)
-_NEGLIGIBLE, _CONVERGED = 1e-17, 2e-12
+# births: the first panels in ln(-ln J_c(xi)), from 2^-50 to 500; the errors that end refinement; that of life_moments
+_BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
+_CONVERGED, _NARROWEST, _PANELS = 2e-12, 1e-3, 1e-11
+
+
+class ClenshawCurtis:
+    """Nodes on [-1, 1], which hold both ends; weights; `cumulative` (value, node), integrals from -1 to each node; and
+    `tail`, the two highest Chebyshev coefficients, which say whether a function is resolved."""
+
+    _order = 16
+    nodes = -np.cos(math.pi * np.arange(_order + 1) / _order)
+    _coefficients = np.linalg.inv(chebyshev.chebvander(nodes, _order))
+    cumulative = chebyshev.chebval(nodes, chebyshev.chebint(_coefficients, lbnd=-1))
+    weights = cumulative[:, -1]
+    tail = _coefficients[-2:].T
 
 
 class Moments(NamedTuple):
@@ -68,8 +83,10 @@ def _stretch_at(barrier: Barrier, xi: Array, a: Array, log_w: float) -> Array:
             z2 = np.maximum(log_erfi + 0.5 * np.log(math.pi * z2), 1.0)
         small = 0.5 * math.sqrt(math.pi) * np.exp(np.minimum(log_erfi, 1.0))
         return np.asarray(np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0)) / np.sqrt(a)[:, None])
-    gap = np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + _LEVELS - log_w) / c
-    return xi[:, None] * (1.0 - np.maximum(1.0 - gap, 0.0) ** (2.0 / 3.0))
+    spent = np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + _LEVELS - log_w) / c  # 1 - (1 - x/xi)^1.5
+    spent = np.minimum(spent, 1.0)
+    q = (1.0 - spent) ** (2.0 / 3.0)
+    return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))  # 1 - q without cancellation
 
 
 def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | None, b: float, log_w: float) -> Moments:
@@ -87,24 +104,32 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
         mean = moments(xi) @ (counts / counts.sum())
         return Moments(mean[0], mean[1], *(1e-11 * mean))
 
-    def terms(log_e: Array) -> Array:
-        e = np.exp(log_e)
-        return moments(np.asarray(law.exceeded_by(e)) / law.scale) * (e * np.exp(-e))
+    def integrate(left: Array, right: Array) -> tuple[Array, Array]:
+        """Both integrals over panels of ln(-ln J_c), shape (2, panels), and what is left unresolved of them."""
+        half = 0.5 * (right - left)[:, None]
+        e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
+        found = moments(np.asarray(law.exceeded_by(e.ravel())) / law.scale).reshape(2, *e.shape)
+        terms = found * (half * e * np.exp(-e))
+        return terms @ ClenshawCurtis.weights, np.abs(terms @ ClenshawCurtis.tail).sum(axis=2)
 
-    step = 0.16
-    log_e = np.arange(-50 * math.log(2), math.log(500.0), step)
-    found = terms(log_e)
-    keep = np.flatnonzero((found > _NEGLIGIBLE * found.max(axis=1, keepdims=True)).any(axis=0))
-    low, high = log_e[max(keep[0] - 1, 0)], log_e[min(keep[-1] + 1, log_e.size - 1)]
-    total = found.sum(axis=1) * step
+    with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
+        kinks = np.log(-np.log(law.sf(law.breakpoints)))
+    edges = np.union1d(_BIRTHS, kinks[(kinks > _BIRTHS[0]) & (kinks < _BIRTHS[-1])])
+    left, right = edges[:-1], edges[1:]
+    parts, errors = integrate(left, right)
     while True:
-        finer = 0.5 * total + 0.5 * step * terms(np.arange(low + 0.5 * step, high, step)).sum(axis=1)
-        change, total, step = np.abs(finer - total), finer, 0.5 * step
-        if np.all(change <= _CONVERGED * total) or step < 0.004:
+        total = parts.sum(axis=1)
+        split = (errors > _CONVERGED * total[:, None]).any(axis=0) & (right - left > _NARROWEST)
+        if not split.any():
             break
-    # the last refinement squares the error of the one before it; 1e-11 covers the panels
-    error = np.minimum(change, np.maximum(change**1.5 / np.sqrt(total), 0.0)) + 1e-11 * total
-    return Moments(total[0], total[1], error[0], error[1])
+        middle = 0.5 * (left[split] + right[split])
+        new_left, new_right = np.append(left[split], middle), np.append(middle, right[split])
+        new_parts, new_errors = integrate(new_left, new_right)
+        left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
+        parts = np.append(parts[:, ~split], new_parts, axis=1)
+        errors = np.append(errors[:, ~split], new_errors, axis=1)
+    error = errors.sum(axis=1) + _PANELS * total
+    return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
 
 
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
@@ -126,7 +151,9 @@ def survivors(
         for j in range(xi.size):
             total += weight[:, j, None] * survival(barrier, x, xi[j], b * kappa[j], log_w)
         return total[0], total[1], total[2]
-    layer = None if barrier is None else _threshold_at(x, b, barrier, stiffness, rms, log_w)
+    layer = weakest(law) + np.zeros((x.size, 1))
+    if barrier is not None:
+        layer = np.concatenate((layer, _threshold_at(law, x, b, barrier, stiffness, log_w)), axis=1)
     edges = panels_above(law, x, layer)
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
@@ -138,19 +165,31 @@ def survivors(
     return terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))
 
 
-def _threshold_at(x: Array, b: float, barrier: Barrier, stiffness: StiffnessLaw, rms: float, log_w: float) -> Array:
-    """Roughly the threshold whose ln((omega/v) H(x)) passes each level, shape (n, levels): only panels depend on it."""
+def weakest(law: ThresholdLaw) -> Array:
+    """Thresholds that 1e-14 to 1e-7 of the contacts stay below: edges of panels where the law rises steeply."""
+    return np.asarray(law.exceeded_by(10.0 ** np.arange(-14.0, -6.0))) / law.scale
+
+
+_SHALLOWEST, _BISECTIONS = -44.0, 13  # ln(xi/x - 1), where levels are sought
+
+
+def _threshold_at(
+    law: ThresholdLaw, x: Array, b: float, barrier: Barrier, stiffness: StiffnessLaw, log_w: float
+) -> Array:
+    """Roughly the threshold whose ln((omega/v) H(x)) passes each level, shape (n, levels): only panels depend on it.
+
+    By bisection, as stronger contacts are safer; where attempts hardly need energy that may fail, but nothing is steep.
+    """
     x = x[:, None]
-    xi = x
-    for _ in range(4):
-        a = b * relative_stiffness(stiffness, xi, rms)
-        if barrier == "soft":
-            free = np.log(special.dawsn(np.sqrt(a) * x) / np.sqrt(a))
-            xi = np.sqrt(x**2 + np.maximum(log_w + free - _LEVELS, 0.0) / a)
-        else:
-            free = np.maximum(log_w + np.log(2.0 / (3.0 * a * xi)) - _LEVELS, 0.0)
-            xi = x + xi * np.minimum(free / (a * xi**2), 1e3) ** (2.0 / 3.0)
-    return xi
+    low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
+    high = np.log1p(float(law.exceeded_by(100.0)) / law.scale / x) + np.zeros_like(low)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        xi = x * (1.0 + np.exp(middle))
+        a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
+        weak = log_hazard(barrier, x, xi, a) + log_w > _LEVELS
+        low, high = np.where(weak, middle, low), np.where(weak, high, middle)
+    return np.asarray(x * (1.0 + np.exp(high)))
 
 
 def panels(law: ThresholdLaw, stiffness: StiffnessLaw, b: float) -> Array:

@@ -20,15 +20,16 @@ from scipy import ndimage, signal
 from scipy.interpolate import CubicSpline
 
 from eqsim.ensemble import Drive, Ensemble
-from eqsim.errors import require_integer, require_number
+from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
 from eqsim.laws.octaves import Array
-from eqsim.master import kinetic, published
-from eqsim.master.reference import Setting, reference, setting
+from eqsim.master import flow, kinetic, published
+from eqsim.master.reference import Setting, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _STEP = 0.015  # in ln x, of the life's profile, whose splines are then good to 2e-8
 _SPLINE = 3e-8
+_COARSE_SPLINE = 3e-6  # of the steps that the Fokker-Planck equation takes
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,12 @@ class Profile:
 
     def __init__(self, s: Setting, grid: Array) -> None:
         """`grid` holds every x that will be asked for; only discrete laws, with their jumps, need to know."""
-        self.setting = s
+        self.setting, self.error = s, _SPLINE
         self.steps = s.law.steps.size > 0
         if self.steps:
             self.x = np.unique(np.append(kinetic.panels(s.law, s.stiffness, s.b), grid[grid > 0]))
         else:
-            top = math.log(float(s.law.exceeded_by(45.0)) / s.law.scale)
+            top = math.log(float(s.law.exceeded_by(45.0)) / s.law.scale * max(1.0, s.final))
             self.x = np.exp(np.arange(top, math.log(1e-15), -_STEP)[::-1])
         if not self.steps:
             log_x, values = np.log(self.x), self._solve(self.x)
@@ -76,6 +77,15 @@ class Profile:
         s = self.setting
         if s.annealed and s.barrier is not None:
             return np.array(published.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
+        if s.aging == "flow":
+            return np.array(flow.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, s.final, s.alpha, x))
+        if s.aging == "langevin":
+            found = survival(s)
+            self.error = float(found.errors[0].max()) + _COARSE_SPLINE
+            values = CubicSpline(np.log(found.x[1:]), found.values[:, 1:], axis=1)(
+                np.log(np.clip(x, found.x[1], found.x[-1]))
+            )
+            return np.where(x > found.x[-1], 0.0, values)
         return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
 
     def at(self, x: Array) -> Array:
@@ -141,7 +151,7 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
             continue
         best = (4 * better[::2] - coarse) / 3
         # the difference may vanish by chance where the error does not
-        error = ndimage.maximum_filter1d(np.abs(better[::2] - coarse) / 3, cells // 20) + _SPLINE * np.abs(best)
+        error = ndimage.maximum_filter1d(np.abs(better[::2] - coarse) / 3, cells // 20) + profile.error * np.abs(best)
         if profile.steps:  # equal thresholds break together: near a jump the truth is somewhere between neighbours
             error += ndimage.maximum_filter1d(coarse, 5) - ndimage.minimum_filter1d(coarse, 5)
         if not resolved:
@@ -229,11 +239,14 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
     """Stationary variance and autocovariance of F at `points` lags from 0 to `distance`. Raises InputError.
 
     A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or breaks after y and begins anew
-    with the transient of a contact that has just broken; one found detached begins with the rest of its delay.
+    with the transient of a contact that has just broken; one found detached begins with the rest of its delay. What
+    the stiffness was a while ago is not known where it follows an aging threshold: refused.
     """
     require_integer("points", points, 2, 10**6)
     require_number("distance", distance, above=0)
     s = setting(ensemble, velocity)
+    if s.aging != "none" and s.stiffness == "sqrt":
+        raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
     unit = s.law.scale
     exact = reference(ensemble, velocity)
     cycle = known(exact.break_stretch) / unit + s.delay
@@ -259,7 +272,7 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best = (4 * solved[1] - solved[0]) / 3
     every = cells // (points - 1)
-    error = np.abs(solved[1] - solved[0]) / 3 + (_SPLINE if resolved else 1.0) * np.abs(best).max()
+    error = np.abs(solved[1] - solved[0]) / 3 + (profile.error if resolved else 1.0) * np.abs(best).max()
     return Fluctuations(np.linspace(0.0, distance, points), best[::every] * unit**2, error[::every] * unit**2)
 
 

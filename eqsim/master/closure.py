@@ -1,0 +1,314 @@
+"""Transient of aging annealed contacts from a fresh start: the time-dependent closure of star1 (derived).
+
+Pinned contacts share one law of thresholds P_c(xi; X) and one density of stretches Q(x; X). Thresholds age by the
+Smoluchowski operator L (Braun and Peyrard, 2011, L, Bx), D_v = D/v, and whenever contacts break, newborn ones replace
+a share of the pool, Gamma_c being breaks per pinned contact and unit displacement:
+
+    dP_c/dX = D_v L P_c + Gamma_c(X) (P_ci - P_c),                         P_c(.; 0) = P_ci,
+    dQ/dX + dQ/dx = -P_T[P_c] Q,  P_T = P_c/J_c + (omega/v) h[P_c],        Q(0; X) = Gamma(X)        (Q5a, Q5aG)
+
+with friction = int x Q dx (Q6). Its stationary state is star1; D = 0 gives the transient of contacts that do not age.
+
+The pair that the paper prints, Q5a with dP_c/dX = D_v L P_c - P_T Q + P_ci Gamma (Q15), is not implemented, as it is no
+theory of transients: a contact that breaks at stretch x is removed as if its threshold were x. At T > 0, where it is
+not, P_T E_PT != P_c and the stationary state is not star1; at T = 0 some contacts of a fresh start outrun every
+threshold, and the force grows without end.
+
+L maps a gamma law onto gamma laws, so that after aging over a displacement y the unbroken law P_ci has the scale
+x_*(y)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4 D y/(v x_*f^2)) (derived), and P_c is a mixture of ages, whose weights are
+exp(-int_0^X Gamma_c) at age X and Gamma_c(Y) exp(-int_Y^X Gamma_c) at age X - Y. All integrals over it are linear in
+the laws, which depend smoothly on ln x_*: a few dozen of them, at Chebyshev nodes, represent every age.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy import integrate, ndimage, special
+from scipy.interpolate import CubicSpline
+
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_integer, require_number
+from eqsim.laws.octaves import Array
+from eqsim.laws.thermal import Thermal, pooled_rate
+from eqsim.laws.threshold import Gamma
+
+_LEAST_CELLS, _MOST_CELLS = 500, 2000  # of the coarser grid
+_CELL, _AGING = 0.015, 0.1  # a cell in units of the shortest mean life, and of the displacement in which contacts age
+_SETTLED = 30.0  # longest mean lives after which a fresh start is forgotten
+_LAWS, _INTERPOLATION = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300), 1e-11
+_FLOOR = 1e-7  # relative, of the pooled rate and its spline
+_FORGOTTEN = 1e-20  # weight of an age that no longer matters
+_NODES, _WEIGHTS = special.roots_legendre(3)
+_SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS  # on the unit interval
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A transient from a fresh start: `X` (length), `force` = <F>/(N k) (length), `breaks` Gamma per contact and unit
+    displacement, `mean_threshold` <xi> of the pool of pinned contacts (length), each of shape (points,), and error
+    estimates of all three. Every contact is pinned at all times."""
+
+    X: Array
+    force: Array
+    breaks: Array
+    mean_threshold: Array
+    force_error: Array
+    breaks_error: Array
+    mean_threshold_error: Array
+
+
+def closure(
+    n: float,
+    x_star_initial: float,
+    x_star_final: float,
+    rate: float,
+    *,
+    stiffness: float = 1.0,
+    thermal: Thermal | None = None,
+    velocity: float,
+    distance: float,
+    points: int = 2001,
+) -> Closure:
+    """Force, breaks and mean threshold at `points` equidistant X from 0 to `distance`, of annealed contacts of uniform
+    `stiffness` k (force/length) without delay, which start fresh: unstretched, with newborn thresholds (derived).
+
+    Newborn thresholds follow Gamma(n, x_star_initial), fully aged ones Gamma(n, x_star_final); `rate` is D
+    (length^2/time), infinite if contacts have their final law at once. Errors are those of the finer of two grids, of
+    at most some 4000 cells, while the values are extrapolated from both; after 30 mean lives the values are held.
+    Raises InputError, also if the laws are too narrow for their change of scale.
+    """
+    newborn = Gamma(n, x_star_initial)  # checks n and its scale
+    thermal = thermal or Thermal()
+    for name, value in (("x_star_final", x_star_final), ("stiffness", stiffness), ("velocity", velocity)):
+        require_number(name, value, **POSITIVE)
+    require_number("distance", distance, **POSITIVE)
+    if rate != math.inf:
+        require_number("rate", rate, **NOT_NEGATIVE)
+    require_integer("points", points, 2, 10**6)
+    unit = newborn.x_star
+    require_number("x_star_final / x_star_initial", x_star_final / unit, least=1e-3, most=1e6)
+    reach = distance / unit
+    require_number("distance / x_star_initial", reach, least=1e-6, most=1e6)
+    aging = _Aging((x_star_final / unit) ** 2, 4 * rate / velocity / x_star_final**2 * unit)
+    pool = _Pool(n, aging, reach, *_activation(thermal, stiffness, unit, velocity))
+
+    shortest, longest = pool.lives()
+    end = min(reach, _SETTLED * longest)
+    wanted = end * max(1.0 / (_CELL * shortest), aging.rate / _AGING if aging.rate < math.inf else 0.0)
+    cells = int(min(max(wanted, _LEAST_CELLS), _MOST_CELLS))
+    solved = [_march(pool, end / fine, fine) for fine in (cells, 2 * cells)]
+    # both schemes are of second order; a grid too coarse to show it has the error of its finer member
+    share = 1 / 3 if wanted < 2 * cells else 1.0
+    X, nodes = np.linspace(0.0, reach, points), np.linspace(0.0, end, cells + 1)
+    found = []
+    for coarse, better in zip(*solved, strict=True):
+        best, change = (4 * better[::2] - coarse) / 3, np.abs(better[::2] - coarse)
+        # the difference may vanish by chance where the error does not
+        error = share * ndimage.maximum_filter1d(change, cells // 20) + _FLOOR * np.abs(best).max()
+        held = np.ptp(best[-cells // 10 :]) * (end < X)  # what has settled stays as it is
+        found += [CubicSpline(nodes, best)(np.minimum(X, end)), np.interp(X, nodes, error) + held]
+    return Closure(
+        X=X * unit,
+        force=found[0] * unit,
+        breaks=found[2] / unit,
+        mean_threshold=found[4] * unit,
+        force_error=found[1] * unit,
+        breaks_error=found[3] / unit,
+        mean_threshold_error=found[5] * unit,
+    )
+
+
+def _activation(
+    thermal: Thermal, stiffness: float, unit: float, velocity: float
+) -> tuple[Thermal | None, float, float]:
+    """The thermal law if contacts break by it, b = k x_*i^2/(2 kT), and omega x_*i/v."""
+    energy = 0.5 * stiffness * unit * unit
+    if thermal.attempt_frequency == 0 or thermal.kT <= energy * 1e-300:
+        return None, math.inf, 0.0
+    log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
+    require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
+    return thermal, max(energy / thermal.kT, 1e-100), math.exp(log_w)
+
+
+class _Aging(NamedTuple):
+    """x_*f^2 and 4 D/(v x_*f^2), lengths in units of x_*i."""
+
+    final: float
+    rate: float
+
+    def log_square(self, age: Array) -> Array:
+        """ln x_*(age)^2 after aging over a displacement."""
+        spent = self.rate * age if math.isfinite(self.rate) else np.full_like(age, math.inf)
+        return np.asarray(np.log(np.exp(-spent) - self.final * np.expm1(-spent)))
+
+
+class _Tables(NamedTuple):
+    """J_c, P_c and h of each law of a pool, shape (x, laws), and P_c/J_c of its widest law, shape (x,)."""
+
+    J: Array
+    P: Array
+    h: Array
+    least: Array
+
+
+class _Pool:
+    """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages share in them."""
+
+    def __init__(self, n: float, aging: _Aging, reach: float, thermal: Thermal | None, b: float, w: float) -> None:
+        self.n, self.aging, self.b, self.w = n, aging, b, w
+        self._low, self._high = np.sort(aging.log_square(np.array([0.0, reach])))
+        for laws in _LAWS:
+            self._t = np.cos(math.pi * (np.arange(laws) + 0.5) / laws)
+            self.x_star = np.exp(0.25 * (self._low + self._high + (self._high - self._low) * self._t))
+            if self._high == self._low or (laws > 1 and self._missed() < _INTERPOLATION):
+                break
+        else:
+            raise InputError(
+                f"x_star_final = {math.sqrt(aging.final):g} x_star_initial: too far from it for thresholds of n = {n:g}"
+            )
+        self._rates = [self._rate(thermal, Gamma(n, scale)) for scale in self.x_star] if thermal else []
+        # beyond, nothing survives
+        self.top = float(Gamma(n, math.exp(0.5 * self._high)).exceeded_by(45.0))
+
+    def shares(self, log_square: Array) -> Array:
+        """Weights, shape (..., laws), by which the laws represent Gamma(n, x_*) of any x_* between them: Chebyshev
+        interpolation, to `_INTERPOLATION`."""
+        laws = self._t.size
+        if laws == 1:
+            return np.ones((*log_square.shape, 1))
+        t = (2 * log_square - self._low - self._high) / (self._high - self._low)
+        back = chebyshev.chebvander(self._t, laws - 1) * (2.0 / laws)
+        back[:, 0] *= 0.5
+        return np.asarray(chebyshev.chebvander(t, laws - 1) @ back.T)
+
+    def lives(self) -> tuple[float, float]:
+        """Mean lives of the shortest and the longest-lived law: scales only, to 1 %."""
+        x = np.append(0.0, np.geomspace(1e-12 * self.top, self.top, 2000))
+        table = self.tables(x)
+        hazard = integrate.cumulative_trapezoid(table.h, x, axis=0, initial=0.0)
+        lives = integrate.trapezoid(table.J * np.exp(-self.w * hazard), x, axis=0)
+        return float(lives.min()), float(lives.max())
+
+    def _missed(self) -> float:
+        """Largest error of J_c and x P_c between the nodes."""
+        probe = np.linspace(self._low, self._high, 3 * self._t.size + 1)
+        scales = np.exp(0.5 * probe)
+        x = np.outer(scales[:: max(1, scales.size // 12)], Gamma(self.n).exceeded_by(np.geomspace(1e-3, 10, 7))).ravel()
+        worst = 0.0
+        for name, power in (("sf", 0), ("pdf", 1)):
+            at = [np.array([getattr(Gamma(self.n, s), name)(x) * x**power for s in of]) for of in (self.x_star, scales)]
+            worst = max(worst, float(np.abs(self.shares(probe) @ at[0] - at[1]).max()))
+        return worst
+
+    def tables(self, x: Array) -> _Tables:
+        """The laws at stretches x, ascending from 0."""
+        laws = [Gamma(self.n, s) for s in self.x_star]
+        widest = Gamma(self.n, math.exp(0.5 * self._high))
+        found = (
+            [law.sf(x) for law in laws],
+            [law.pdf(x) for law in laws],
+            [rate(x) for rate in self._rates] or [np.zeros(x.size)] * len(laws),
+        )
+        # subnormal numbers would take most of the time
+        J, P, h = (np.where(table > 1e-250, table, 0.0) for table in (np.stack(each, axis=1) for each in found))
+        return _Tables(J, P, h, least=widest.pdf(x) / widest.sf(x))
+
+    def _rate(self, thermal: Thermal, law: Gamma) -> Callable[[Array], Array]:
+        """Pooled rate h of one law (temper11, temper12) as a spline in logarithms."""
+        low, high = 1e-6, float(law.exceeded_by(60.0)) / law.scale
+        log_y = np.linspace(math.log(low), math.log(high), 600)
+        h = pooled_rate(law, "uniform", thermal.barrier, self.b * law.scale**2, np.exp(log_y))
+        spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))
+
+        def rate(x: Array) -> Array:
+            y = x / law.scale
+            return np.where(y < high, np.exp(spline(np.log(np.clip(y, low, high)))), 0.0)
+
+        return rate
+
+
+class _Means(NamedTuple):
+    """At the edges of the cells: force, breaks per unit displacement and mean threshold."""
+
+    force: Array
+    breaks: Array
+    mean_threshold: Array
+
+
+_LEAST_J = 1e-13  # below, a sum of shares of both signs is all rounding
+
+
+def _march(pool: _Pool, h: float, cells: int) -> _Means:
+    """The closure on a uniform grid of stretches, displacements and ages, second order in the cell h.
+
+    ln E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that of the fresh ones. Births are
+    spread evenly over each cell; E is taken as exponential within one, which is exact however short lives are, if it is
+    the young that break. Births of the last cell follow from the count of contacts, which is conserved.
+    """
+    x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
+    table = pool.tables(x)
+    edges = h * np.arange(cells + 1)
+    fresh = pool.shares(pool.aging.log_square(edges))
+    inside = pool.shares(pool.aging.log_square(edges[:-1, None] + h * _SHARE))
+    aged = np.einsum("q,cql->cl", _WEIGHTS, inside)  # mean over the ages of a cell
+    parts = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))  # the youngest may age within a fraction of it
+    inside = pool.shares(pool.aging.log_square(parts[:-1, None] + np.diff(parts)[:, None] * _SHARE))
+    aged[0] = np.einsum("p,q,pql->l", np.diff(parts) / h, _WEIGHTS, inside)
+    scales = pool.x_star * special.poch(pool.n + 1.0, 0.5)
+
+    def sums(share: Array, top: int) -> Array:
+        return np.stack([table.J[: top + 1] @ share, table.P[: top + 1] @ share, table.h[: top + 1] @ share])
+
+    young = sums(aged[0], x.size - 1)
+
+    def hazard(of: Array) -> Array:
+        J, P, rate = of
+        least = table.least[: J.size]
+        mechanical = np.where(J > _LEAST_J, np.maximum(P / np.maximum(J, _LEAST_J), least), least)
+        return np.asarray(mechanical + pool.w * np.maximum(rate, 0.0))
+
+    force, births, threshold = np.zeros(cells + 1), np.zeros(cells), np.zeros(cells + 1)
+    threshold[0] = scales @ fresh[0]
+    unbroken, weight, first = 1.0, np.zeros(cells), 0
+    log_E, P_T = np.zeros(1), hazard(sums(fresh[0], 0))
+    broken = 0.0  # Gamma_c h of the last cell
+    for i in range(1, cells + 1):
+        top = min(i, x.size - 1)
+        # the pool after aging, before the breaks of this cell
+        share = unbroken * fresh[i] + weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
+        old = sums(share, top)
+        earlier = births[i - top : i - 1][::-1]
+        for _ in range(2 if i > 1 else 4):  # the pool at the end of the cell needs its breaks
+            stay = math.exp(-broken)
+            now = hazard(stay * old + (1.0 - stay) * young[:, : top + 1])
+            log_next = np.append(0.0, log_E[:top] - 0.5 * h * (P_T[:top] + now[1:]))
+            mean, moment = _in_cells(log_next)
+            atom = math.exp(log_next[i]) if i < x.size else 0.0
+            births[i - 1] = (1.0 - atom - h * (earlier @ mean[1:])) / (h * mean[0])
+            broken = h * births[i - 1]
+        cohorts = births[i - top : i][::-1]
+        force[i] = x[top] * atom + h * (cohorts @ (x[:top] * mean + h * moment))
+        stay = math.exp(-broken)
+        log_E, P_T = log_next, hazard(stay * old + (1.0 - stay) * young[:, : top + 1])
+        threshold[i] = scales @ (stay * share + (1.0 - stay) * aged[0])
+        unbroken *= stay
+        weight[first : i - 1] *= stay
+        weight[i - 1] = 1.0 - stay
+        if weight[first] < _FORGOTTEN:
+            first += 1
+    count = CubicSpline(edges, h * np.append(0.0, np.cumsum(births)))
+    return _Means(force, count.derivative()(edges), threshold)
+
+
+def _in_cells(log_E: Array) -> tuple[Array, Array]:
+    """int E dt and int t E dt over each cell, 0 < t < 1, of E that is exponential between its values at the edges."""
+    z = log_E[:-1] - log_E[1:]
+    small = np.abs(z) < 1e-3
+    safe = np.where(small, 1.0, z)
+    mean = np.where(small, 1 - z / 2 + z**2 / 6, -np.expm1(-safe) / safe)
+    moment = np.where(small, 0.5 - z / 3 + z**2 / 8, (mean - np.exp(-safe)) / safe)
+    E = np.exp(log_E[:-1])
+    return E * mean, E * moment

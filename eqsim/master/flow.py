@@ -1,0 +1,320 @@
+"""Quenched contacts whose thresholds age by `flow` (derived), by quadrature along their paths.
+
+A contact born with threshold xi0 has, at stretch x (its displacement since birth), the deterministic threshold
+
+    xi(x) = xi0 s(x),   s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),   rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
+
+in units of x_*i, the scale of the newborn law: at every age the law of unbroken thresholds is that of the Smoluchowski
+equation from P_ci to P_cf, without its fluctuations. It breaks mechanically where xi(x) = x, thermally at the rate of
+`laws.thermal` for its current threshold,
+
+    S(x|xi0) = exp(-(omega/v) int_0^x r(y, xi(y)) dy),
+
+and with the sqrt law its stiffness follows the threshold. C and friction are those of the joint kinetic equation,
+
+    C = E[int S dx],        friction * C = E[int (k_i(x)/k) x S dx]        (no delay).
+
+Aging is over after 1/alpha, lives may end at v/omega, and ln r may fall and then rise with slopes of 1e9; no two of
+these scales are related, and the panels of the path are found by refinement.
+"""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy import special
+from scipy.optimize import elementwise
+
+from eqsim.laws.octaves import Array
+from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
+from eqsim.laws.thermal import Barrier, log_rate
+from eqsim.laws.threshold import ThresholdLaw, panels_above
+from eqsim.master.kinetic import Moments
+
+# Clenshaw-Curtis: the nodes hold both ends of a panel, where r is greatest, so that no peak of it can be missed
+_ORDER = 16
+_NODES = -np.cos(math.pi * np.arange(_ORDER + 1) / _ORDER)
+_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_NODES, _ORDER))
+_CUMULATIVE = chebyshev.chebval(_NODES, chebyshev.chebint(_COEFFICIENTS, lbnd=-1))  # (value, node)
+_WEIGHTS = _CUMULATIVE[:, -1]
+_TAIL = _COEFFICIENTS[-2:].T
+
+# paths: the first panels in phi, the errors that end refinement, hazards and survivals too small to matter
+_FIRST = 0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
+_RESOLVED, _RARE, _DEAD, _MOST_ROUNDS = 1e-11, 1e-13, 1e-45, 60
+_EVEN, _TOWARDS_0 = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1.0])
+# births: the first panels in ln(-ln J_c(xi0)), from 2^-50 to 500
+_BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
+_CONVERGED, _ROUNDING = 1e-11, 1e-12
+
+# of survivors: panels in ln x and their resolution; step and truncation of the hazard; its levels, where to seek them
+_LONGEST, _SHORTEST, _SMOOTH = 2.0, 0.02, 1e-9
+_STEP, _UNSEEN = 0.45, 1e-12
+_LEVELS = np.array([3.5, 2.75, 2.0, 1.25, 0.5, -0.5, -1.5, -3.0, -6.0, -12.0, -20.0])  # of ln((omega/v) H)
+_DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
+_FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
+
+
+class Contact(NamedTuple):
+    """What all contacts share, lengths in units of the newborn law's scale: `barrier` None at T = 0, b = k x_*i^2/
+    (2 kT), log_w = ln(omega x_*i/v), `final` = x_*f/x_*i, alpha = 4 D x_*i/(v x_*f^2), `rms` of the newborn law."""
+
+    stiffness: StiffnessLaw
+    barrier: Barrier | None
+    b: float
+    log_w: float
+    final: float
+    alpha: float
+    rms: float
+
+    def aged(self, x: Array) -> Array:
+        """s(x): by how much thresholds have grown."""
+        if self.final < 1:  # sums of positive terms, either way
+            return np.sqrt(self.final**2 + (1 - self.final**2) * np.exp(-self.alpha * x))
+        return np.sqrt(1 - (self.final**2 - 1) * np.expm1(-self.alpha * x))
+
+    def ends(self, xi0: Array) -> Array:
+        """Where contacts break mechanically: the root of xi0 s(x) = x."""
+        bracket = (xi0 * min(1.0, self.final), xi0 * max(1.0, self.final))
+        found = elementwise.find_root(lambda x, xi0: np.log(xi0 * self.aged(x) / x), bracket, args=(xi0,))
+        return np.asarray(found.x)
+
+    def kappa(self, xi: Array) -> Array:
+        return relative_stiffness(self.stiffness, xi, self.rms)
+
+    def rate(self, x: Array, xi: Array) -> Array:
+        """Thermal breaking per unit displacement."""
+        if self.barrier is None:
+            return np.zeros(np.broadcast_shapes(x.shape, xi.shape))
+        with np.errstate(divide="ignore"):  # a stiff contact at its threshold
+            return np.exp(self.log_w + log_rate(self.barrier, x, np.maximum(xi, x), self.b * self.kappa(xi)))
+
+    def free_rate(self, x: Array, xi: Array) -> Array:
+        """What the rate would be without a barrier; falls along a path."""
+        if self.barrier is None:
+            return np.zeros_like(x)
+        with np.errstate(divide="ignore"):
+            return np.exp(self.log_w + log_rate(self.barrier, x, np.maximum(xi, x), 0.0))
+
+
+class _Panels(NamedTuple):
+    """Pieces of paths, in the order of contacts and along each path, shape (panels,): which contact, the ends in phi,
+    the hazard inside, int S dx and int kappa x S dx with S = 1 at the left end (2, panels), and the highest Chebyshev
+    coefficients of the hazard and of the two integrands, which say whether the panel resolves them, and whether its
+    nodes may have missed a peak at either end of a path, where dx/dphi = 0."""
+
+    contact: Array
+    left: Array
+    right: Array
+    hazard: Array
+    parts: Array
+    hazard_tail: Array
+    tails: Array
+    blind: Array
+
+
+def _panels(c: Contact, xi0: Array, end: Array, contact: Array, left: Array, right: Array) -> _Panels:
+    half = 0.5 * (right - left)[:, None]
+    phi = left[:, None] + half * (1 + _NODES)
+    xi0, end = xi0[contact, None], end[contact, None]
+    # x = end sin^2(phi) makes a stiff rate smooth at the threshold
+    x = end * np.sin(phi) ** 2
+    width = half * end * np.sin(2 * phi)
+    xi = xi0 * c.aged(x)
+    rate = c.rate(x, xi)
+    hazard = rate * width
+    # where the panel is too wide for its polynomial, that may be negative
+    passed = np.maximum(hazard @ _CUMULATIVE, 0.0)
+    alive = np.exp(-passed) * width
+    work = alive * c.kappa(xi) * x
+    # the least barrier on any piece of a path is at one of its ends, and that at the end of life is 0
+    peak = np.where(left == 0, np.maximum(rate[:, 0], rate[:, -1]), c.free_rate(x[:, 0], xi[:, 0])) * np.ptp(x, axis=1)
+    blind = (peak > _RARE) & ((peak > 20 * passed[:, -1]) | ((left == 0) & (passed[:, -1] > 0.5)))
+    return _Panels(
+        contact,
+        left,
+        right,
+        passed[:, -1],
+        np.array([alive @ _WEIGHTS, work @ _WEIGHTS]),
+        np.abs(hazard @ _TAIL).sum(axis=1),
+        np.array([np.abs(alive @ _TAIL).sum(axis=1), np.abs(work @ _TAIL).sum(axis=1)]),
+        blind & ((left == 0) | ((right == _FIRST[-1]) & (np.cos(left) > 1e-7))),
+    )
+
+
+def life_moments(c: Contact, xi0: Array) -> tuple[Array, Array]:
+    """int S dx and int kappa x S dx of contacts born with thresholds `xi0` (n,), and bounds of their errors; both of
+    shape (2, n).
+
+    Panels are split until the highest coefficients of the hazard, times the life that is left, and of the integrands
+    are negligible.
+    """
+    n, end = xi0.size, c.ends(xi0)
+    contact, piece = (part.ravel() for part in np.indices((n, _FIRST.size - 1)))
+    p = _panels(c, xi0, end, contact, _FIRST[piece], _FIRST[piece + 1])
+    for last in range(_MOST_ROUNDS, -1, -1):
+        counts = np.bincount(p.contact, minlength=n)
+        at = p.contact, np.arange(p.contact.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        table = np.zeros((3, n, counts.max() + 1))
+        table[0, at[0], at[1] + 1] = p.hazard
+        alive = np.exp(-table[0].cumsum(axis=1)[at])
+        table[1:, at[0], at[1]] = alive * p.parts
+        moments = table[1:].sum(axis=2)
+        left = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, at[0], at[1]]  # of the moments, from here on
+        errors = alive * p.tails + (p.hazard_tail + p.blind) * left
+        split = (errors > _RESOLVED * moments[:, p.contact]).any(axis=0) & (p.right - p.left > 1e-14 * p.right)
+        split |= p.blind & (alive > _DEAD)
+        if last == 0 or not split.any():
+            break
+        p = _split(c, xi0, end, p, split)
+    return moments, np.array([np.bincount(p.contact, error, n) for error in errors])
+
+
+def _split(c: Contact, xi0: Array, end: Array, p: _Panels, split: Array) -> _Panels:
+    """Four panels for each marked one; the first of a path is split towards 0, where all scales are possible."""
+    left, right = p.left[split, None], p.right[split, None]
+    edges = left + (right - left) * np.where(left > 0, _EVEN, _TOWARDS_0)
+    new = _panels(c, xi0, end, np.repeat(p.contact[split], 4), edges[:, :-1].ravel(), edges[:, 1:].ravel())
+    pieces = np.where(split, 4, 1)
+    fresh = np.repeat(split, pieces)
+    merged = []
+    for old, found in zip(p, new, strict=True):
+        value = np.repeat(old, pieces, axis=-1)
+        value[..., fresh] = found
+        merged.append(value)
+    return _Panels(*merged)
+
+
+def stationary(
+    law: ThresholdLaw,
+    stiffness: StiffnessLaw,
+    barrier: Barrier | None,
+    b: float,
+    log_w: float,
+    final: float,
+    alpha: float,
+) -> Moments:
+    """C and work of quenched contacts under flow aging (derived), lengths in units of `law.scale`.
+
+    `law`, of newborn thresholds, is smooth; barrier None at T = 0; see `Contact` for the rest. Births are
+    integrated by panels in ln(-ln J_c(xi0)), paths by panels of their own; the errors are what either leave unresolved.
+    """
+    c = Contact(stiffness, barrier, b, log_w, final, alpha, law.rms / law.scale)
+
+    def integrate(left: Array, right: Array) -> tuple[Array, Array, Array]:
+        """Both integrals over panels of ln(-ln J_c), what is left unresolved along paths, and across panels."""
+        half = 0.5 * (right - left)[:, None]
+        e = np.exp(left[:, None] + half * (1 + _NODES))
+        moments, errors = life_moments(c, np.asarray(law.exceeded_by(e.ravel())) / law.scale)
+        weight = half * e * np.exp(-e)
+        terms = moments.reshape(2, *e.shape) * weight
+        return terms @ _WEIGHTS, (errors.reshape(2, *e.shape) * weight) @ _WEIGHTS, np.abs(terms @ _TAIL).sum(axis=2)
+
+    left, right = _BIRTHS[:-1], _BIRTHS[1:]
+    parts, along, across = integrate(left, right)
+    while True:
+        total = parts.sum(axis=1)
+        split = (across > _CONVERGED * total[:, None]).any(axis=0) & (right - left > 1e-3)
+        if not split.any():
+            break
+        middle = 0.5 * (left[split] + right[split])
+        new_left, new_right = np.append(left[split], middle), np.append(middle, right[split])
+        found = integrate(new_left, new_right)
+        left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
+        parts, along, across = (
+            np.append(old[:, ~split], new, axis=1) for old, new in zip((parts, along, across), found, strict=True)
+        )
+    error = (along + across).sum(axis=1) + _ROUNDING * total
+    return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
+
+
+def survivors(
+    law: ThresholdLaw,
+    stiffness: StiffnessLaw,
+    barrier: Barrier | None,
+    b: float,
+    log_w: float,
+    final: float,
+    alpha: float,
+    x: Array,
+) -> tuple[Array, Array, Array]:
+    """S(x) = P(x_b > x), E[kappa(x); x_b > x] and E[kappa(x)^2; x_b > x] under flow aging, each of the shape (n,) of
+    the ascending x > 0, lengths in units of `law.scale`; the parameters are those of `stationary`.
+
+    To about 1e-8 of the greatest value of each, and of each times x and x^2, by Chebyshev panels in ln x, split until
+    they resolve them all.
+    """
+    c = Contact(stiffness, barrier, b, log_w, final, alpha, law.rms / law.scale)
+    log_x = np.log(x)
+    low, high = log_x[0], max(log_x[-1], log_x[0] + 1e-3)
+    edges = np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1)
+    todo = list(itertools.pairwise(edges))
+    done: dict[tuple[float, float], Array] = {}
+    greatest = np.zeros((3, 3, 1))
+    while todo:
+        left, right = np.array(todo).T
+        nodes = np.exp(left[:, None] + 0.5 * (right - left)[:, None] * (1 + _NODES))
+        values = _surviving(c, law, nodes.ravel()).reshape(3, *nodes.shape)
+        # as they are, and times x and x^2: when most lives are short the rare long ones decide the integrals
+        weighed = np.array([values * nodes**power for power in range(3)])
+        greatest = np.maximum(greatest, weighed.max(axis=(2, 3))[:, :, None])
+        rough = (np.abs(weighed @ _TAIL).sum(axis=3) > _SMOOTH * greatest).any(axis=(0, 1))
+        again = rough & (right - left > _SHORTEST)
+        done |= {todo[j]: values[:, j] for j in np.flatnonzero(~again)}
+        middle = 0.5 * (left + right)[again]
+        todo = [*zip(left[again], middle, strict=True), *zip(middle, right[again], strict=True)]
+    found = np.empty((3, x.size))
+    for (left, right), at_nodes in done.items():
+        inside = (log_x >= left) & (log_x <= right)
+        t = (2 * log_x[inside] - left - right) / (right - left)
+        found[:, inside] = chebyshev.chebval(t, (at_nodes @ _COEFFICIENTS.T).T)
+    return found[0], found[1], found[2]
+
+
+def _surviving(c: Contact, law: ThresholdLaw, x: Array) -> Array:
+    """The three means of `survivors` at every x (n,), shape (3, n): over births xi0 > x/s(x), by panels that end at
+    fixed shares of the stronger contacts and where the hazard passes fixed levels."""
+    grown = c.aged(x)
+    least = x / grown
+    edges = panels_above(law, least, None if c.barrier is None else _births_at(c, law, x, least))
+    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
+    xi0 = (edges[:, :-1, None] + half * (1 + _FEW_NODES)).reshape(x.size, -1)
+    weight = (half * _FEW_WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
+    weight *= np.exp(-_hazard(c, x, xi0))
+    kappa = c.kappa(xi0 * grown[:, None])
+    return np.array([(weight * kappa**power).sum(axis=1) for power in range(3)])
+
+
+def _hazard(c: Contact, x: Array, xi0: Array) -> Array:
+    """(omega/v) int_0^x r dy along the paths of births `xi0`, shape (n, any), to stretches x (n,).
+
+    ln r may be steep at either end: the trapezoidal rule in ln(y/(x - y)) converges exponentially whatever the slopes,
+    with as many nodes as it takes to leave out a hazard of 1e-12.
+    """
+    found = np.zeros(xi0.shape)
+    if c.barrier is None:
+        return found
+    reach = c.log_w + np.log(x) - math.log(_UNSEEN)
+    for i in np.flatnonzero(reach > 0):
+        u = _STEP * np.arange(-math.ceil(reach[i] / _STEP), math.ceil(reach[i] / _STEP) + 1)
+        y = x[i] * special.expit(u)
+        found[i] = c.rate(y, xi0[i, :, None] * c.aged(y)) @ (_STEP * y * special.expit(-u))
+    return found
+
+
+def _births_at(c: Contact, law: ThresholdLaw, x: Array, least: Array) -> Array:
+    """Roughly the birth whose hazard at x passes each level, shape (n, levels): only panels depend on it."""
+    beyond = np.maximum(float(law.exceeded_by(60.0)) / law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
+    with np.errstate(divide="ignore"):
+        log_hazard = np.log(_hazard(c, x, least[:, None] + beyond))
+        for _ in range(2):
+            # stronger contacts are safer; where attempts hardly need energy that may fail, but there nothing is steep
+            falling = np.maximum(np.minimum.accumulate(log_hazard, axis=1), -1e3)
+            found = np.array([np.interp(-_LEVELS, -h, d) for h, d in zip(falling, beyond, strict=True)])
+            beyond = np.concatenate((beyond, found), axis=1)
+            log_hazard = np.concatenate((log_hazard, np.log(_hazard(c, x, least[:, None] + found))), axis=1)
+            order = np.argsort(beyond, axis=1)
+            beyond, log_hazard = (np.take_along_axis(part, order, axis=1) for part in (beyond, log_hazard))
+    return least[:, None] + found

@@ -1,0 +1,326 @@
+"""Quenched contacts whose thresholds fluctuate and age: the joint kinetic equation (derived from the
+aging operator L of Braun and Peyrard, 2011, eq. `L`).
+
+A pinned contact of stretch x has a threshold xi; their joint density q(xi, x) obeys, lengths in units of the newborn
+scale x_*i, with rho = x_*f/x_*i, D_v = D/(v x_*i) and r the thermal rate of `laws.thermal`,
+
+    dq/dx = D_v d/dxi [dq/dxi - ((2n+1)/xi - 2 xi/rho^2) q] - (omega x_*i/v) r(x, xi) q    on xi > x,    q(x, x) = 0
+
+from q(xi, 0) = P_ci(xi). Without breaking q would stay in the family of P_ci, with scale s(x), where
+s^2 = rho^2 - (rho^2 - 1) exp(-4 D_v x/rho^2). Divide by that law: u = q/P(xi; s) is the share of contacts now at xi
+that is still pinned, and in the coordinate eta = xi/s aging drops out of its equation,
+
+    du/dx = (D_v/s^2) [d2u/deta2 + ((2n+1)/eta - 2 eta) du/deta] - (omega x_*i/v) r(x, s eta) u,    u = 1 at x = 0,
+
+but for the boundary eta = x/s, which only moves up. u is smooth also where the density is negligible.
+
+Method: central differences of second order on nodes that ride on the boundary (y = eta - x/s = const) and crowd
+towards it, on three grids, and extrapolation; in x an L-stable Runge-Kutta method of fourth order, whose steps are
+chosen on the coarsest grid, used on all, and halved there once. The error is the last correction of the extrapolation
+plus a third of what halving the steps changes; true errors are some ten times smaller. It is usually below 1e-6 after
+half a second; the steep front of very many attempts (log_w = 50) takes seconds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, ndimage, optimize, special
+
+from eqsim.errors import require_choice, require_number
+from eqsim.laws.octaves import Array
+from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
+from eqsim.laws.thermal import Barrier, log_rate
+from eqsim.laws.threshold import Gamma
+
+# ESDIRK4(3)6L[2]SA of Kennedy and Carpenter (2003): the implicit part of ARK4(3)6L[2]SA; last row = weights
+_C = np.array([0.0, 1 / 2, 83 / 250, 31 / 50, 17 / 20, 1.0])
+_A = np.zeros((6, 6))
+_A[1, :1] = 1 / 4
+_A[2, :2] = 8611 / 62500, -1743 / 31250
+_A[3, :3] = 5012029 / 34652500, -654441 / 2922500, 174375 / 388108
+_A[4, :4] = 15267082809 / 155376265600, -71443401 / 120774400, 730878875 / 902184768, 2285395 / 8070912
+_A[5, :5] = 82889 / 524892, 0.0, 15625 / 83664, 69875 / 102672, -2260 / 8211
+_GAMMA = 1 / 4
+_B = np.append(_A[5, :5], _GAMMA)
+_B_ERROR = _B - (
+    [4586570599 / 29645900160, 0.0, 178811875 / 945068544, 814220225 / 1159782912, -3700637 / 11593932, 61727 / 225920]
+)
+
+_CELL, _RATIOS = 0.04, (2.0, 1.5, 1.0)  # dz of the finest grid and, in its units, of the three
+_WIDE = 1.0  # y beyond which cells grow no further
+_CROWD, _BLEND = 0.3, 0.4  # more cells where the thermal front may be, per e-fold of the rate; blur of that region
+_LEAST_GAP, _LEAST_MOBILITY = 1e-14, 1e-12  # smaller ones change nothing that could be seen
+_TOLERANCE = 1e-6  # error of S and of a tenth of u per step
+_FALL, _STRIDE = 0.04, 0.01  # most of S, and of the longest life, in a step: the values are to be interpolated
+_NEGLIGIBLE = 1e-11  # share of what is left in stretch and work
+_MOST_STEPS = 20_000
+
+
+class Survival(NamedTuple):
+    """A life in the mean, lengths in units of x_*i and stiffness in units of k.
+
+    `x` (points,): ascending stretches from 0 to where nothing that matters survives; `values` (3, points):
+    S(x) = P(x_b > x), E[k_i/k; x_b > x], E[(k_i/k)^2; x_b > x], k_i of the current threshold; `errors` (3, points)
+    absolute. `stretch` = int S dx = E[x_b], `work` = int x E[k_i/k; x_b > x] dx, and absolute errors of both.
+    """
+
+    x: Array
+    values: Array
+    errors: Array
+    stretch: float
+    work: float
+    stretch_error: float
+    work_error: float
+
+
+def survival(
+    n: float,
+    final: float,
+    mobility: float,
+    stiffness: StiffnessLaw,
+    barrier: Barrier | None,
+    b: float,
+    log_w: float,
+) -> Survival:
+    """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law).
+
+    Newborn law `Gamma(n, 1)`, `final` = x_*f/x_*i, `mobility` = D/(v x_*i), b = k x_*i^2/(2 kT) and
+    log_w = ln(omega x_*i/v); barrier None at T = 0, where the last two do not matter. The rms threshold of the sqrt law
+    is the newborn one, k_i follows the current threshold. A mobility below 1e-12 counts as 1e-12. Raises InputError
+    outside 0 <= n <= 1000, 1e-3 <= final <= 1e3, mobility <= 1e6, 0 < b <= 1e9 and abs(log_w) <= 230.
+    """
+    require_number("n", n, least=0, most=1000)
+    require_number("x_star_final / x_star", final, least=1e-3, most=1e3)
+    require_number("rate / (velocity * x_star)", mobility, least=0, most=1e6)
+    require_choice("stiffness_law", stiffness, ("sqrt", "uniform"))
+    if barrier is not None:
+        require_number("b", b, above=0, most=1e9)
+        require_number("ln(attempt_frequency * x_star / velocity)", log_w, least=-230, most=230)
+    life = _Life(n, final, max(mobility, _LEAST_MOBILITY), stiffness, barrier, b, log_w)
+    coarse, middle, fine = (_Grid(life, cells * _CELL) for cells in _RATIOS)
+    first = _march(life, coarse)
+    halved = _march(life, coarse, np.sort(np.append(first.x, 0.5 * (first.x[1:] + first.x[:-1]))))
+    second, third = _march(life, middle, first.x), _march(life, fine, first.x)
+    values, errors = _extrapolated(first.values, second.values, third.values, halved.values[:, ::2] - first.values)
+    # along x a front that passes the nodes makes the error swing through 0; its neighbours know how far
+    size = np.maximum(np.abs(values), 1e-300)
+    errors = ndimage.maximum_filter1d(errors / size, 15, axis=1) * size
+    totals, total_errors = _extrapolated(
+        first.totals, second.totals, third.totals, halved.totals[:, ::2] - first.totals
+    )
+    # the worst on the way to the end, where errors may cancel by chance
+    return Survival(first.x, values, errors, *totals[:, -1].tolist(), *total_errors.max(axis=1).tolist())
+
+
+def _extrapolated(first: Array, second: Array, third: Array, halving: Array) -> tuple[Array, Array]:
+    """The value and its error from three grids, whose errors go with the second and fourth power of dz, and from what
+    halving the steps changes."""
+    h = np.array(_RATIOS) ** 2
+    early = second + (second - first) * h[1] / (h[0] - h[1])
+    late = third + (third - second) * h[2] / (h[1] - h[2])
+    last = (late - early) * h[2] / (h[0] - h[2])
+    # steps are of fourth order, so that a fifteenth of `halving` is left; a hundredth of the bare change guards
+    # against a last correction that is small by chance
+    error = np.abs(last) + 0.01 * np.abs(third - second) + np.abs(halving) / 3.0 + 1e-9 * np.abs(late)
+    return late + last + halving, error
+
+
+class _Life:
+    """The coefficients of the equation of u, and where it ends."""
+
+    def __init__(
+        self,
+        n: float,
+        final: float,
+        mobility: float,
+        stiffness: StiffnessLaw,
+        barrier: Barrier | None,
+        b: float,
+        log_w: float,
+    ) -> None:
+        self.n, self.final, self.mobility = n, final, mobility
+        self.stiffness, self.barrier, self.b, self.log_w = stiffness, barrier, b, log_w
+        law = Gamma(n)
+        self.rms = law.rms
+        self.log_norm = math.log(2.0) - special.gammaln(n + 1.0)
+        # where lives are short by exp(-log_w), contacts as rare as that still count in the mean
+        rarest = 45.0 + (0.0 if barrier is None else max(log_w, 0.0))
+        self.top = float(law.exceeded_by(rarest))
+        self.end = float(optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, 2 * self.top * max(1.0, final)))
+
+    def scale(self, x: float) -> float:
+        """s(x), the scale of the unbroken law (derived)."""
+        return math.sqrt(1.0 - (self.final**2 - 1.0) * math.expm1(-4.0 * self.mobility * x / self.final**2))
+
+    def matrix(self, x: float, grid: "_Grid") -> Array:
+        """du/dx = A u: lower, main and upper diagonal of A, those of node j in column j, shape (3, N)."""
+        s = self.scale(x)
+        eta = x / s + grid.y
+        boundary = 1.0 / s - 2.0 * self.mobility * x / s * (1.0 / s**2 - 1.0 / self.final**2)  # d(x/s)/dx
+        spread = self.mobility / s**2
+        drift = (boundary + spread * ((2 * self.n + 1) / eta - 2.0 * eta)) * grid.first
+        a: Array = spread * grid.second
+        a[0] -= drift
+        a[2] += drift
+        if self.barrier is not None:
+            xi = x + s * grid.y
+            with np.errstate(divide="ignore"):  # xi = x to rounding
+                a[1] -= np.exp(self.log_w + log_rate(self.barrier, x, xi, self.b * self.kappa(xi)))
+        return a
+
+    def kappa(self, xi: Array) -> Array:
+        """k_i/k."""
+        return relative_stiffness(self.stiffness, xi, self.rms)
+
+    def gains(self, x: float, grid: "_Grid", u: Array) -> Array:
+        """S and x E[k_i/k] of the pinned contacts."""
+        share, kappa = self.pinned(x, grid, u)
+        return np.array([share.sum(), x * np.dot(share, kappa)])
+
+    def survivors(self, x: float, grid: "_Grid", u: Array) -> Array:
+        """S, E[k_i/k] and E[(k_i/k)^2] of the pinned contacts."""
+        share, kappa = self.pinned(x, grid, u)
+        return np.array([share.sum(), np.dot(share, kappa), np.dot(share, kappa**2)])
+
+    def pinned(self, x: float, grid: "_Grid", u: Array) -> tuple[Array, Array]:
+        """Contacts at each node as a share of all births, and their k_i/k."""
+        s = self.scale(x)
+        eta = x / s + grid.y
+        share = np.exp(self.log_norm + (2 * self.n + 1) * np.log(eta) - eta**2) * grid.width * u
+        return share, self.kappa(s * eta)
+
+
+class _Grid:
+    """Nodes y_j = y(j dz), j = 1 .. N, of a smooth map; u = 0 at y_0 = 0, the boundary.
+
+    dz/dy = 1/(y + least) + 1/_WIDE: even near the boundary, then as ln y, then even again; where the thermal front may
+    be the first term is raised by the number of e-folds of the rate that the front must tell apart.
+    """
+
+    def __init__(self, life: _Life, dz: float) -> None:
+        low, high = sorted((1.0, life.scale(life.end)))
+        # contacts drift into the boundary within D_v; where they diffuse to it, lives are as short as 1/D_v
+        self.least = 1e-3 * min(life.mobility / high, low, low**2 / life.mobility)
+        self.front, self.crowd = (0.0, 0.0), 0.0
+        if life.barrier is not None:
+            self.front, self.crowd = _front(life, low, high), _CROWD * min(max(life.log_w, 0.0), 60.0)
+            self.least = min(self.least, 0.1 * math.exp(self.front[0]))
+        self.least = max(self.least, _LEAST_GAP)
+        count = math.ceil(float(self._z(np.array([life.top]))[0]) / dz)
+        y, slope = self._invert(0.5 * dz * np.arange(1, 2 * count + 2))  # at y_1/2, y_1, y_3/2 ...
+        cell = slope * dz  # dy/dj
+        self.y, self.width = y[1::2], cell[1::2].copy()
+        self.first = 0.5 / self.width  # of the differences u_j+1 - u_j-1
+        left, right = 1.0 / (cell[:-1:2] * self.width), 1.0 / (cell[2::2] * self.width)
+        left[-1], right[-1], self.first[-1] = left[-1] + right[-1], 0.0, 0.0  # du/dy = 0 at the far end
+        self.second = np.array([left, -left - right, right])
+        self.width[-1] *= 0.5
+
+    def _z(self, y: Array) -> Array:
+        t = np.log(np.append(0.0, y) + self.least)
+        near, far = (_BLEND * np.logaddexp(0.0, (t - edge) / _BLEND) for edge in self.front)
+        return np.asarray((t + self.crowd * (near - far))[1:] - (t + self.crowd * (near - far))[0] + y / _WIDE)
+
+    def _slope(self, y: Array) -> Array:
+        """dz/dy."""
+        t = np.log(y + self.least)
+        near, far = (special.expit((t - edge) / _BLEND) for edge in self.front)
+        return np.asarray((1.0 + self.crowd * (near - far)) / (y + self.least) + 1.0 / _WIDE)
+
+    def _invert(self, z: Array) -> tuple[Array, Array]:
+        """y and dy/dz, by Newton's method in t = ln(1 + y/least)."""
+        t = np.linspace(0.0, math.log1p(1e4 / self.least), 20_001)
+        t = np.interp(z, self._z(self.least * np.expm1(t)), t)
+        for _ in range(5):
+            y = self.least * np.expm1(t)
+            t -= (self._z(y) - z) / (self._slope(y) * (y + self.least))
+        y = self.least * np.expm1(t)
+        return y, 1.0 / self._slope(y)
+
+
+def _front(life: _Life, low: float, high: float) -> tuple[float, float]:
+    """ln y of the nearest and the farthest gap at which thermal breaking may end: the rate falls within `layer` at
+    large stretch, and at no stretch with the barrier itself."""
+    x = life.top * high
+    a = life.b * float(life.kappa(np.array(x)))
+    layer = x * min(0.5 / (a * x**2) if life.barrier == "soft" else (a * x**2) ** (-2 / 3), 1.0)
+    attempts = max(life.log_w, 1.0)
+    near = 0.5 * layer * max(life.log_w + math.log(layer), 1.0)
+    far = 1.4 * (
+        (attempts * life.rms / life.b) ** (1 / 3) if life.stiffness == "sqrt" else math.sqrt(attempts / life.b)
+    )
+    near = min(near / high, life.top)
+    return math.log(near), math.log(min(max(far / low, near), life.top))
+
+
+class _March(NamedTuple):
+    """`x` (steps + 1,), `values` of `survivors` there (3, steps + 1), `totals` = stretch and work up to
+    there (2, steps + 1)."""
+
+    x: Array
+    values: Array
+    totals: Array
+
+
+def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
+    """u from x = 0 on: by steps that end at `stops`, or of controlled error until nothing that matters is left."""
+    u, slope = np.ones(grid.y.size), life.matrix(0.0, grid)
+    slope[0, 0] = 0.0  # it belongs to the boundary, where u = 0
+    u_slope = slope.sum(axis=0)
+    path, values, totals = [0.0], [life.survivors(0.0, grid, u)], [np.zeros(2)]
+    h = 1e-10 * min(life.end, 1.0 if life.barrier is None else math.exp(-life.log_w))
+    for _ in range(_MOST_STEPS):
+        x = path[-1]
+        h = min(h, life.end - x) if stops is None else stops[len(path)] - x
+        step = _step(life, grid, x, h, u, u_slope)
+        survivors = life.survivors(x + h, grid, step.u)
+        if stops is None:
+            # u never grows, neither in the mean nor anywhere, so that errors at most add up
+            error = np.abs(step.u_error)
+            sizes = (
+                life.survivors(x + h, grid, error) / survivors,
+                np.abs(step.gain_error) / (totals[-1] + step.gain),
+                [0.1 * error.max() / step.u.max()],
+            )
+            size = np.append(np.concatenate(sizes) / _TOLERANCE, ((values[-1][0] - survivors[0]) / _FALL) ** 4)
+            worst = max(float(np.where(size >= 0.0, size, np.inf).max()), 1e-9)
+            following = h * min(5.0, max(0.1, 0.9 * worst**-0.25))
+            if worst > 1.0:
+                h = following
+                continue
+            h, after = min(following, _STRIDE * life.end), x + h
+        else:
+            after = stops[len(path)]
+        u, u_slope = step.u, step.slope
+        path.append(after)
+        values.append(survivors)
+        totals.append(totals[-1] + step.gain)
+        left = survivors[:2] * (life.end - after, life.end**2)
+        if (np.all(left < _NEGLIGIBLE * totals[-1]) or after >= life.end) if stops is None else len(path) == stops.size:
+            return _March(np.array(path), np.array(values).T, np.array(totals).T)
+    raise ArithmeticError(f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}")
+
+
+class _Step(NamedTuple):
+    """u and du/dx after a step, (int S, int x E[k_i/k]) over it, and the estimated errors of u and of these."""
+
+    u: Array
+    slope: Array
+    gain: Array
+    u_error: Array
+    gain_error: Array
+
+
+def _step(life: _Life, grid: _Grid, x: float, h: float, u: Array, slope: Array) -> _Step:
+    """From x to x + h."""
+    slopes, rates = np.empty((6, u.size)), np.empty((6, 2))
+    slopes[0], rates[0] = slope, life.gains(x, grid, u)
+    for i in range(1, 6):
+        at = x + _C[i] * h
+        known = u + h * (_A[i, :i] @ slopes[:i])
+        lower, main, upper = life.matrix(at, grid) * (-_GAMMA * h)
+        stage = linalg.lapack.dgtsv(lower[1:], 1.0 + main, upper[:-1], known)[3]
+        slopes[i] = (stage - known) / (_GAMMA * h)
+        rates[i] = life.gains(at, grid, stage)
+    return _Step(stage, slopes[-1], h * (_B @ rates), h * (_B_ERROR @ slopes), h * (_B_ERROR @ rates))

@@ -1,0 +1,257 @@
+"""Solvers of the master equations where they are hardest: laws with edges, very short lives, steep layers."""
+
+import itertools
+import math
+import warnings
+
+import numpy as np
+import pytest
+import scipy.stats
+from scipy import integrate, optimize, special
+
+from eqsim import Distribution, Gamma
+from eqsim.laws.stiffness import relative_stiffness
+from eqsim.laws.thermal import log_hazard
+from eqsim.master import flow, kinetic, published
+
+LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
+
+
+def exponent(barrier, x, xi, a):
+    return a * (xi - x) * (xi + x) if barrier == "soft" else a * xi**2 * (1 - x / xi) ** 1.5
+
+
+def rate(barrier, x, xi, a):
+    """The bare rate of `laws.thermal`, whose integrals are closed forms there."""
+    return (1.0 if barrier == "soft" else math.sqrt(1 - x / xi)) * math.exp(-exponent(barrier, x, xi, a))
+
+
+# ------------------------------------------------------------------------------------------- annealed, laws with edges
+
+# densities constant between edges; lengths in units of the mean, as the solvers have them
+EDGED = {
+    "above 0": ([1.0, 2.0], [1.0]),
+    "from 0": ([0.0, 1.0], [1.0]),
+    "gap and jumps": ([0.4, 0.8, 1.1, 1.7, 2.5], [1.0, 0.0, 1.0, 0.25]),
+}
+
+
+def histogram(name):
+    edges, heights = np.array(EDGED[name][0]), np.array(EDGED[name][1])
+    density = heights / (heights @ np.diff(edges))
+    law = Distribution(scipy.stats.rv_histogram((density, edges), density=True))
+    return law, edges / law.scale, density * law.scale
+
+
+def plain_annealed(edges, density, rms, stiffness, barrier, b, w):
+    """C and work by SciPy: an adaptive quadrature of the bare rate inside an ODE solver."""
+    pieces = list(zip(edges[:-1], edges[1:], density, strict=True))
+
+    def beyond(x, power):
+        """E[xi^power; xi > x]."""
+        return sum(p * (hi ** (power + 1) - max(lo, x) ** (power + 1)) / (power + 1) for lo, hi, p in pieces if hi > x)
+
+    def pooled(x):
+        def term(xi):
+            return rate(barrier, x, xi, b * xi / rms if stiffness == "sqrt" else b)
+
+        return sum(
+            p * integrate.quad(term, max(lo, x), hi, epsabs=1e-14, epsrel=1e-11)[0] for lo, hi, p in pieces if hi > x
+        )
+
+    def slope(x, y):
+        alive = math.exp(-y[0])
+        stiff = beyond(x, 1) / rms if stiffness == "sqrt" else beyond(x, 0)
+        return [w * pooled(x), alive * beyond(x, 0), alive * x * stiff]
+
+    state = np.zeros(3)
+    for pair in itertools.pairwise(np.unique(np.append(0.0, edges))):
+        state = integrate.solve_ivp(slope, pair, state, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+    return state[1:]
+
+
+def test_uniform_law_above_zero():
+    """Thresholds even on (1, 2), kT = v = 1: C = 1.1232368 by nested adaptive quadrature (7 digits: 5e-8)."""
+    law = Distribution(scipy.stats.uniform(1, 1))
+    m = published.stationary(law, "uniform", "soft", 1.5**2 / 2, math.log(1.5))
+    assert 1.5 * m.stretch == pytest.approx(1.1232368, abs=6e-8)
+    assert m.stretch_error < 1e-9 * m.stretch
+
+
+@pytest.mark.parametrize("name", EDGED)
+@pytest.mark.parametrize(("barrier", "stiffness"), LAWS)
+def test_annealed_laws_with_edges(name, barrier, stiffness):
+    """Both moments to 1e-8, the ODE solver being good to some 1e-9; a law moved by 1e-4 is 1000 times that off."""
+    law, edges, density = histogram(name)
+    for b, w in ((1.0, 2.0), (40.0, 100.0)):
+        m = published.stationary(law, stiffness, barrier, b, math.log(w))
+        plain = plain_annealed(edges, density, law.rms / law.scale, stiffness, barrier, b, w)
+        assert m[:2] == pytest.approx(plain, rel=1e-8, abs=0)
+        assert m.stretch_error < 1e-9 * m.stretch
+        assert m.work_error < 1e-9 * m.work
+        moved = published.stationary(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001))
+        assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
+
+
+@pytest.mark.parametrize("b", [1e-3, 1.0, 30.0])
+@pytest.mark.parametrize("n", [0.0, 1.0, 30.0])
+def test_annealed_lives_much_shorter_than_any_threshold(n, b):
+    """Soft, uniform: the rate of newborn contacts is omega (1 + b)^-(n+1) (nt15), so C is (v/omega) (1 + b)^(n+1) as
+    long as that is small; corrections are of relative order b C^2 = 1e-38."""
+    C = math.exp(-46.0)
+    m = published.stationary(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b))
+    assert m.stretch == pytest.approx(C, rel=1e-10, abs=0)
+    assert m.work == pytest.approx(C**2, rel=1e-10, abs=0)
+
+
+SMOOTH = [Gamma(0.0), Gamma(0.37), Gamma(1.0), Gamma(30.0), Gamma(1000.0)]
+OTHERS = [
+    histogram("above 0")[0],
+    Distribution(scipy.stats.beta(1.3, 2.7, loc=1)),
+    Distribution(scipy.stats.lognorm(1)),
+]
+
+
+def scan(laws, seed):
+    """Random b from 1e-3 to 1e9 and log_w from -50 to 50 for each law, barrier and stiffness."""
+    rng = np.random.default_rng(seed)
+    for law, (barrier, stiffness) in itertools.product(laws, LAWS):
+        yield law, stiffness, barrier, 10 ** rng.uniform(-3, 9), rng.uniform(-50, 50)
+
+
+def covered(law, m, exact):
+    """Errors cover the difference; they are below 1e-9 except for laws whose density has no power series at an end."""
+    for value, error, true in zip(m[:2], m[2:], exact[:2], strict=True):
+        assert 0 < error < (1e-9 if law is not OTHERS[1] else 1e-6) * value
+        assert abs(value - true) < error
+
+
+def test_annealed_errors_cover_a_refined_result(monkeypatch):
+    """The quoted errors, always below 1e-9, against twice as many panels, of x and of the rate, with more nodes."""
+    cases = list(scan(SMOOTH + OTHERS, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = [published.stationary(*case) for case in cases]
+    between = np.sqrt(published._EXPONENTS[1:] * published._EXPONENTS[:-1])
+    monkeypatch.setattr(published, "_EXPONENTS", np.sort(np.append(published._EXPONENTS, between)))
+    monkeypatch.setattr(published, "_NEAR_ENDS", 10.0 ** np.arange(-13.0, 0.0, 0.5))
+    monkeypatch.setattr(published, "_UNSEEN", -60.0)
+    monkeypatch.setattr(published, "_RISE", 2.2)
+    monkeypatch.setattr(published, "_RESOLVED", 5e-13)
+    monkeypatch.setattr(published._hazard_rate, "__defaults__", (24,))
+    for case, m in zip(cases, found, strict=True):
+        covered(case[0], m, published.stationary(*case))
+
+
+# ---------------------------------------------------------------------------------------------- quenched, short lives
+
+
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+@pytest.mark.parametrize("stiffness", ["uniform", "sqrt"])
+def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
+    """Every contact breaks at the rate of a newborn one: C = (v/omega) E[exp(barrier/kT)] by quadrature over xi, work =
+    E[(k_i/k) exp(2 barrier/kT)] (v/omega)^2, both barriers alike; corrections are of the order of C. To the quoted
+    1e-11 and the quadrature's 1e-12; another n fails."""
+    law = Gamma(1.0)
+    for b, log_w in ((1e-3, 50.0), (1e-3, 40.0), (0.02, 45.0)):
+        m = kinetic.stationary(law, stiffness, barrier, b, log_w)
+
+        def mean(power, b=b):
+            def term(xi):
+                kappa = float(relative_stiffness(stiffness, xi, law.rms))
+                return float(law.pdf(xi)) * kappa ** (power - 1) * math.exp(power * b * kappa * xi**2)
+
+            return integrate.quad(term, 0, 4, epsabs=0, epsrel=1e-13)[0] + integrate.quad(term, 4, 12, epsabs=0)[0]
+
+        assert m.stretch == pytest.approx(math.exp(-log_w) * mean(1), rel=2e-11, abs=0)
+        assert m.work == pytest.approx(math.exp(-2 * log_w) * mean(2), rel=2e-11, abs=0)
+        wrong = kinetic.stationary(Gamma(1.01), stiffness, barrier, b, log_w)
+        assert wrong.stretch != pytest.approx(m.stretch, rel=1e-6, abs=0)
+
+
+def test_heavy_tailed_short_lives():
+    """Stiff, uniform, b = 1, log_w = 50: C = 2.2494e-19 (five digits)."""
+    assert kinetic.stationary(Gamma(1.0), "uniform", "stiff", 1.0, 50.0).stretch == pytest.approx(
+        2.2494e-19, rel=3e-5, abs=0
+    )
+
+
+@pytest.mark.parametrize("n", [0.0, 0.37, 1.0, 30.0])
+def test_quenched_errors_cover_another_solver(n):
+    """Against the solver for aging contacts, without aging: it has the bare rate and panels of its own."""
+    law = Gamma(n)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = [(*case, kinetic.stationary(*case)) for case in scan([law] * 4, 2)]
+    for law, stiffness, barrier, b, log_w, m in found:
+        other = flow.stationary(law, stiffness, barrier, b, log_w, 1.0, 1.0)
+        assert 0 < m.stretch_error < 1e-9 * m.stretch
+        assert 0 < m.work_error < 1e-9 * m.work
+        assert abs(m.stretch - other.stretch) < m.stretch_error + other.stretch_error
+        assert abs(m.work - other.work) < m.work_error + other.work_error
+
+
+def test_quenched_errors_cover_a_refined_result(monkeypatch):
+    """The quoted errors against a start from a hundred panels; chance agreement of two rules has no say in them."""
+    cases = [*scan(SMOOTH + OTHERS, 3), (Gamma(1.0), "uniform", "soft", 1e3, 50.0)]
+    found = [kinetic.stationary(*case) for case in cases]
+    monkeypatch.setattr(kinetic, "_BIRTHS", np.linspace(-34.7, 6.2, 101))
+    monkeypatch.setattr(kinetic, "_CONVERGED", 1e-13)
+    for case, m in zip(cases, found, strict=True):
+        covered(case[0], m, kinetic.stationary(*case))
+
+
+def test_levels_are_where_the_hazard_says():
+    """Stiff: (omega/v) H at the stretches of `_stretch_at` is exp(level) to 1e-12 however short the lives."""
+    xi, log_w = np.array([0.1, 1.0, 3.0]), 50.0
+    for b in (1e-3, 1.0, 1e3):
+        a = np.full(3, b)
+        x = kinetic._stretch_at("stiff", xi, a, log_w)
+        inside = x < xi[:, None]
+        reached = log_hazard("stiff", np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
+        far = inside & (x < 0.9 * xi[:, None])
+        np.testing.assert_allclose(reached[far], np.broadcast_to(kinetic._LEVELS, x.shape)[far], atol=1e-10)
+
+
+# ------------------------------------------------------------------------------------------------ quenched, survivors
+
+
+@pytest.mark.parametrize("law", [Gamma(0.0), Gamma(1.0)])
+@pytest.mark.parametrize(("barrier", "stiffness"), LAWS)
+def test_survivors(law, barrier, stiffness):
+    """S, E[k] and E[k^2] against adaptive quadrature over thresholds, cut where S passes 1/2, to 1e-10 of their values
+    at 0. A temperature 1e-4 off shows."""
+    rms = law.rms
+
+    def hazard(b, log_w, x, xi):
+        """ln((omega/v) H(x)) through the bare rate at its end: closed forms written anew."""
+        a = b * float(relative_stiffness(stiffness, xi, rms))
+        if barrier == "soft":
+            return log_w - exponent("soft", x, xi, a) + math.log(special.dawsn(math.sqrt(a) * x) / math.sqrt(a))
+        most, least = exponent("stiff", 0.0, xi, a), exponent("stiff", x, xi, a)
+        spent = -most * math.expm1(1.5 * math.log1p(-x / xi))
+        return log_w + math.log(2 / (3 * a * xi)) - least + math.log(-math.expm1(-spent))
+
+    worst = 0.0
+    for b, log_w, x in ((1e3, 10.0, 0.0338), (1.0, 10.0, 0.05), (1.0, 10.0, 1e-6), (30.0, 4.0, 0.6), (1e6, 30.0, 0.2)):
+        found = kinetic.survivors(law, stiffness, barrier, b, log_w, np.array([x]))
+        off = kinetic.survivors(law, stiffness, barrier, 1.0001 * b, log_w, np.array([x]))
+        depth = np.geomspace(1e-12, 8.0, 241)
+        drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
+        middle = 0.0
+        if drop[0] and not drop[-1]:
+            bracket = depth[drop.index(False) - 1], depth[drop.index(False)]
+            middle = optimize.brentq(lambda d, b=b, w=log_w, x=x: hazard(b, w, x, x + d) + 0.37, *bracket, xtol=1e-15)
+        edges = x + np.unique(np.concatenate(([0.0, middle], depth[::6])))
+        for power in range(3):
+
+            def term(xi, b=b, log_w=log_w, x=x, power=power):
+                if xi <= x:
+                    return 0.0
+                alive = math.exp(-math.exp(min(hazard(b, log_w, x, xi), 7.0)))
+                return float(law.pdf(xi)) * alive * float(relative_stiffness(stiffness, xi, rms)) ** power
+
+            plain = sum(integrate.quad(term, *pair, epsabs=1e-13)[0] for pair in itertools.pairwise(edges))
+            assert found[power][0] == pytest.approx(plain, abs=1e-10)
+            worst = max(worst, abs(off[power][0] - plain))
+    assert worst > 1e-8
