@@ -101,9 +101,7 @@ def run(
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     with _lives_bar(expected, quiet or json) as progress:
         rough = 5e-3 if ensemble.aging.rule == "langevin" and ensemble.disorder == "quenched" else 1e-3
-        level = steady(
-            ensemble, drive.velocity, rel_error=rough, seed=output.seed, threads=cores, max_lives=max_lives
-        )
+        level = steady(ensemble, drive.velocity, rel_error=rough, seed=output.seed, threads=cores, max_lives=max_lives)
         result = trajectory(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=cores,
             max_lives=max_lives, progress=progress,
@@ -206,6 +204,9 @@ def steady(
 def reference(
     path: Path_,
     transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
+    closure: Annotated[
+        bool, typer.Option("--closure", help="F(X) of annealed contacts whose pool of thresholds ages from newborn.")
+    ] = False,
     set_: Set = None,
     seed: Seed = None,
     threads: Threads = None,
@@ -220,11 +221,12 @@ def reference(
     from eqsim.estimate import OBSERVABLES
     from eqsim.master.reference import reference as solve
 
-    if transient:
+    if transient or closure:
+        from eqsim.master.closure import closure as solve_closure
         from eqsim.master.transient import expected
 
-        curve = expected(ensemble, drive, file.output.points)
-        columns = {name: getattr(curve, name) for name in ("X", "force", "pinned", "force_error", "pinned_error")}
+        curve = (solve_closure if closure else expected)(ensemble, drive, file.output.points)
+        columns = {field.name: getattr(curve, field.name) for field in dataclasses.fields(curve)}
         if json:
             print(tables.to_json({name: column.tolist() for name, column in columns.items()}))
         elif not quiet:

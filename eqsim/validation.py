@@ -3,11 +3,17 @@
 A suite draws parameter points with a seeded sampler and compares, point by point, what particles estimate with what the
 master equation says, each difference as a score z in units of the quoted errors:
 
-    friction, pinned, break_stretch    steady averages, rel_error 1e-4
+    friction, pinned, break_stretch    steady averages, rel_error 1e-4 (3e-3 of `langevin` contacts)
     transient                          F(X) from a fresh start, every X from its own ensemble
     hazard                             the integrated hazard at breaking is Exp(1): events less hazard, over its root
     hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
     mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at one lag
+
+A third of the points age. Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is below
+1e-3 in friction: no score at 3e-3 moves by more than a third for it, scores at 1e-4 would. Their hazard is not known
+path by path; the whole law of x_b, S(x_b) uniform, stands in for it. Fluctuations of aging quenched contacts whose
+stiffness follows their thresholds (sqrt law) have no reference. Births of annealed contacts that age are found once a
+point, with the steady averages, and then held.
 
 Scores of one kind are independent. A kind passes if their sum of squares has a chi-square probability above 1e-4 on
 both sides, and the largest |z| a probability above 1e-4 given their number. With nine kinds and three tests each a
@@ -21,30 +27,34 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import integrate, stats
 
 from eqsim.engine.life import lives
 from eqsim.engine.ramps import Run, Scales, moments, simulate
-from eqsim.engine.standing import standing, thresholds
-from eqsim.engine.steady import steady
+from eqsim.engine.standing import flow_ends, standing, thresholds
+from eqsim.engine.steady import Steady, steady
 from eqsim.engine.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments, predicted_lives, trajectory
 from eqsim.ensemble import Drive, Ensemble, lower
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, known, z_score
+from eqsim.laws.aging import FLOW, Aging, AgingRule
 from eqsim.laws.delay import Delay
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.thermal import Thermal, log_hazard
 from eqsim.laws.threshold import Gamma
-from eqsim.master.reference import reference, setting
+from eqsim.master.flow import Contact
+from eqsim.master.reference import Setting, reference, setting
 from eqsim.master.transient import Profile, fluctuations, transient
 
 KINDS = (*OBSERVABLES, "transient", "hazard", "hazard law", "mean", "variance", "covariance")
 SUITES = {"quick": (32, 3), "full": (240, 18)}  # points, and how many of them are also tested for fluctuations
 ALARM = 1e-4
+_REL_ERROR, _REL_ERROR_LANGEVIN, _MOST_LIVES_LANGEVIN = 1e-4, 3e-3, 3e5
 _ENOUGH = 400  # contacts of either state for a mean over them to be normal
 _SIZES = ((20, 2000), (100, 1000), (10_000, 150))  # contacts and ensembles of the fluctuation tests
+_DEAR = 20  # `langevin` lives take that much longer than others, and stationary ones are found by trying
 
 Mutation = Callable[[Ensemble], Ensemble]
 Progress = Callable[[int, int], None]
@@ -94,7 +104,8 @@ class Validation:
 
 def sample(count: int, seed: int) -> list[tuple[Ensemble, float]]:
     """Ensembles and velocities over the whole parameter space, the same for the same seed."""
-    rng = np.random.default_rng((seed, 1))
+    rng, aging_rng = np.random.default_rng((seed, 1)), np.random.default_rng((seed, 3))  # all else is as without aging
+    ages = aging_rng.permutation(count) < count // 3
     points = []
     for index in range(count):
         v = 10 ** rng.uniform(-4, 2)
@@ -109,8 +120,36 @@ def sample(count: int, seed: int) -> list[tuple[Ensemble, float]]:
             disorder=("quenched", "annealed")[index % 2],
             eta=float(rng.choice([0.0, 10 ** rng.uniform(-2, 0) / v])),
         )
+        if ages[index]:
+            ensemble = _aging(ensemble, v * law.x_star, aging_rng)
         points.append((ensemble, v * law.x_star))
     return points
+
+
+def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
+    """The same contacts, aging: D/(v x_*i) from 1e-3 to 10, sometimes infinite, x_*f/x_*i from 0.3 to 10; sometimes
+    at T = 0."""
+    rules: tuple[AgingRule, AgingRule] = ("langevin", "flow")
+    unit, rule = ensemble.thresholds.scale, rules[int(rng.integers(2))]
+    rate, final = 10 ** rng.uniform(-3, 1) * v * unit, 10 ** rng.uniform(math.log10(0.3), 1) * unit
+    at_once, cold = rng.random() < 0.15, rng.random() < 0.25
+    if at_once and (rule == "flow" or ensemble.disorder == "annealed"):
+        rate = math.inf
+    thermal = dataclasses.replace(ensemble.thermal, kT=0.0) if cold else ensemble.thermal
+    return dataclasses.replace(ensemble, thermal=thermal, aging=Aging(rule, rate, final))
+
+
+def _fluctuates(ensemble: Ensemble) -> bool:
+    """Whether thresholds fluctuate while their contacts are pinned."""
+    return ensemble.disorder == "quenched" and ensemble.aging.active and ensemble.aging.rule == "langevin"
+
+
+def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
+    """The same contacts; births of annealed ones that age are held at the stretch C that was `found`."""
+    if not ensemble.self_consistent:
+        return ensemble
+    births: Any = ensemble.births(v, known(found.break_stretch))
+    return dataclasses.replace(ensemble, thresholds=births, aging=Aging())
 
 
 def validate(
@@ -130,7 +169,10 @@ def validate(
     points = sample(count, seed)
     for index, (ensemble, v) in enumerate(points):
         shown = wrong(ensemble) if wrong else ensemble
-        scores += _averages(ensemble, shown, v, seed, threads)
+        rel_error, most = (_REL_ERROR_LANGEVIN, _MOST_LIVES_LANGEVIN) if _fluctuates(shown) else (_REL_ERROR, 1e10)
+        found = steady(shown, v, rel_error=rel_error, seed=seed, threads=threads, max_lives=most)
+        scores += _averages(ensemble, shown, v, found)
+        shown = _held(shown, v, found)
         if index % 3 == 0:
             scores += _transient(ensemble, shown, v, seed + index, threads)
         if index % 3 == 1:
@@ -158,9 +200,8 @@ def _score(kind: str, ensemble: Ensemble, v: float, value: float, exact: float, 
     return Score(kind, ensemble, v, value, exact, sigma, float((value - exact) / sigma))
 
 
-def _averages(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads: int) -> list[Score]:
-    found, exact = steady(shown, v, rel_error=1e-4, seed=seed, threads=threads), reference(ensemble, v)
-    scores = []
+def _averages(ensemble: Ensemble, shown: Ensemble, v: float, found: Steady) -> list[Score]:
+    exact, scores = reference(ensemble, v), []
     for name in OBSERVABLES:
         ours, theirs = getattr(found, name), getattr(exact, name)
         sigma = math.hypot(ours.stderr, theirs.stderr)
@@ -175,7 +216,8 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
     """Eight ensembles, each asked for F at one displacement of its own."""
     mean = ensemble.thresholds.mean
     cost = predicted_lives(dataclasses.replace(ensemble, count=1), Drive(v, 5 * mean))
-    shown = dataclasses.replace(shown, count=int(min(20_000, max(200, 1e6 / cost))))
+    lives = 1e6 / _DEAR if _fluctuates(shown) else 1e6
+    shown = dataclasses.replace(shown, count=int(min(20_000, max(200, lives / cost))))
     exact = transient(ensemble, Drive(v, 5 * mean), points=9)
     scores = []
     for i in range(1, 9):
@@ -196,49 +238,79 @@ def _hazard(ensemble: Ensemble, shown: Ensemble, v: float, seed: int) -> list[Sc
     A life that ends by heat counts 1; the integrated hazard it went through has the same mean, and is the variance of
     the difference. And of the lives that heat would have ended somewhere before the threshold, a fraction
     U = (1 - exp(-Lambda))/(1 - exp(-Lambda(xi))) ends where they did or earlier: U of those it did end is uniform.
+    Of `langevin` contacts S(x_b) is uniform, S the mean over paths.
     """
     s = setting(ensemble, v)
-    if s.barrier is None:
+    if s.barrier is None and s.aging != "langevin":
         return []
     rng = np.random.default_rng((seed, 2))
     u, clock = rng.random((2, 20_000)) * (1 - 2e-16) + 1e-16
+    if s.aging == "flow":  # hazards along paths are quadratures
+        u, clock = u[:4000], clock[:4000]
     c = lower(shown, v)
     _, stretch = lives(c, key(seed, TRAJECTORY), 0, u, clock)
+    unit = shown.thresholds.scale / ensemble.thresholds.scale
+    if s.aging == "langevin":
+        return [_law(ensemble, v, Profile(s, np.empty(0)).at(stretch * unit)[0])]
     xi = np.empty(u.size)
     thresholds(c, u, xi)
-    thermal = stretch < xi
-    unit = shown.thresholds.scale / ensemble.thresholds.scale
-    at = np.stack((stretch, xi)) * unit
+    end = xi
+    if c.aging == FLOW:
+        end = np.empty(u.size)
+        flow_ends(c, xi, end, np.empty(u.size))
+    thermal = stretch < end
+    at = np.stack((stretch, end)) * unit
     if s.annealed:
         profile = Profile(s, np.empty(0))
-        ahead = np.asarray(ensemble.thresholds.sf(at * ensemble.thresholds.scale))
+        ahead = np.asarray(s.law.sf(at * s.law.scale))
         hazard, total = -np.log(np.clip(profile.at(at.ravel())[0].reshape(at.shape) / ahead, 1e-300, 1.0))
+    elif s.aging == "flow":
+        hazard, total = _hazard_along(s, xi * unit, at)
     else:
         a = s.b * relative_stiffness(s.stiffness, at[1], s.law.rms / s.law.scale)
         hazard, total = np.exp(log_hazard(s.barrier, at, at[1], a) + s.log_w)
     mean = float(hazard.sum())
     scores = [_score("hazard", ensemble, v, float(thermal.sum()), mean, math.sqrt(mean))]
     if thermal.any():
-        uniform = np.expm1(-hazard[thermal]) / np.expm1(-total[thermal])
-        distance, p = stats.kstest(uniform, "uniform")
-        z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))  # low if U is too even
-        scores.append(Score("hazard law", ensemble, v, float(distance), 0.0, 1 / math.sqrt(uniform.size), z))
+        scores.append(_law(ensemble, v, np.expm1(-hazard[thermal]) / np.expm1(-total[thermal])))
     return scores
+
+
+def _law(ensemble: Ensemble, v: float, uniform: Array) -> Score:
+    """Whether what should be uniform is."""
+    distance, p = stats.kstest(uniform, "uniform")
+    z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))  # low if it is too even
+    return Score("hazard law", ensemble, v, float(distance), 0.0, 1 / math.sqrt(uniform.size), z)
+
+
+def _hazard_along(s: Setting, xi: Array, x: Array) -> Array:
+    """Integrated hazards to stretches `x` (any, n) of contacts born with thresholds `xi` (n,) that age by `flow`. The
+    rate is greatest at the ends of a life, where the nodes crowd."""
+    c = Contact(s.stiffness, s.barrier, s.b, s.log_w, s.final, s.alpha, s.law.rms / s.law.scale)
+    found = integrate.tanhsinh(
+        lambda y, born: c.rate(y, born * c.aged(y)), 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
+    )
+    return np.asarray(found.integral)
 
 
 def _fluctuations(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, size: tuple[int, int]) -> list[Score]:
     """Mean, variance and one autocovariance of F/(N k) of stationary ensembles."""
+    s = setting(ensemble, v)
+    if s.aging != "none" and s.stiffness == "sqrt":  # no reference
+        return []
     contacts, ensembles = size
+    if _fluctuates(shown):
+        contacts = min(contacts, 40_000 // ensembles)
     lag = 0.5 * ensemble.thresholds.mean
     shown = dataclasses.replace(shown, count=contacts)
-    if predicted_lives(shown, Drive(v, lag)) * ensembles > 2e8:
+    if predicted_lives(shown, Drive(v, lag)) * ensembles > (2e8 / _DEAR**2 if _fluctuates(shown) else 2e8):
         return []
     exact, level = fluctuations(ensemble, v, lag, points=2), reference(ensemble, v).friction
     F = _stationary_forces(shown, Drive(v, lag, "stationary"), ensembles, seed)
     first, second = (F - known(level)).T
-    scores = [
-        _score("mean", ensemble, v, float(F[:, 0].mean()), known(level), float(first.std()) / math.sqrt(ensembles))
-    ]
+    births = _REL_ERROR * known(level) if ensemble.self_consistent else 0.0  # what the error of C can do
+    sigma = math.hypot(float(first.std()) / math.sqrt(ensembles), births)
+    scores = [_score("mean", ensemble, v, float(F[:, 0].mean()), known(level), sigma)]
     for kind, products, value in (
         ("variance", first**2, exact.covariance[0]),
         ("covariance", first * second, exact.covariance[1]),
@@ -276,6 +348,9 @@ def columns(scores: list[Score]) -> dict[str, list[Any]]:
             "n": getattr(law, "n", math.nan),
             "x_star": law.scale,
             "kT": e.thermal.kT,
+            "aging": e.aging.rule,
+            "aging_rate": e.aging.rate,
+            "x_star_final": e.aging.x_star_final if e.aging.rule != "none" else math.nan,
             "delay": e.delay.time,
             "delay_law": e.delay.law,
             "eta": e.eta,

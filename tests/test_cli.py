@@ -223,3 +223,23 @@ def test_help_needs_no_numba():
 )
 def test_printed_errors(value, stderr, text):
     assert _text_of(Estimate(value, stderr, 1)) == text
+
+
+def test_reference_curves(tmp_path):
+    """Transients as JSON columns; the closure of aging annealed contacts, and its refusal of others in one line."""
+    path = tmp_path / "a.toml"
+    path.write_text(
+        'disorder = "annealed"\n[contacts]\nstiffness_law = "uniform"\n[thresholds]\nx_star = 0.5\n'
+        '[aging]\nrule = "flow"\nrate = 0.1\nx_star_final = 1.0\n[drive]\nvelocity = 1.0\ndistance = 2.0\n'
+        "[output]\npoints = 21\n"
+    )
+    for flag, extra in (("--transient", "pinned"), ("--closure", "mean_threshold")):
+        result = CliRunner().invoke(app, ["reference", str(path), flag, "--json"])
+        assert result.exit_code == 0, result.output
+        columns = json.loads(result.stdout)
+        assert {"X", "force", "breaks", "force_error", extra} <= set(columns)
+        assert all(len(column) == 21 for column in columns.values())
+    result = CliRunner().invoke(app, ["reference", str(path), "--closure", "--set", "disorder=quenched"])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("eqsim: disorder")
+    assert result.stderr.count("\n") == 1

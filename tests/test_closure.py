@@ -7,9 +7,18 @@ import pytest
 from scipy import linalg
 from test_asymptotics import exponent, star1
 
-from eqsim import Drive, Ensemble, Gamma, InputError, Thermal
-from eqsim.master.closure import _activation, _Aging, _march, _Pool, closure
+from eqsim import Aging, Delay, Drive, Ensemble, Gamma, InputError, Thermal
+from eqsim.master.closure import _Aging, _march, _Pool
+from eqsim.master.closure import closure as solve
 from eqsim.master.transient import transient
+
+
+def closure(n, x_i, x_f, rate, *, velocity, distance, points, thermal=None, stiffness=1.0):
+    contacts = Ensemble(
+        Gamma(n, x_i), thermal or Thermal(), aging=Aging("flow", rate, x_f), stiffness=stiffness,
+        stiffness_law="uniform", disorder="annealed",
+    )  # fmt: skip
+    return solve(contacts, Drive(velocity, distance), points)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +68,8 @@ def test_values_at_zero_temperature():
 
 
 def marched(cells, x_f, rate, thermal):
-    pool = _Pool(1.0, _Aging(x_f**2, rate), 4.0, *_activation(thermal, 1.0, 1.0, 0.5))
+    b, w = (0.5 / thermal.kT, 2.0 * thermal.attempt_frequency) if thermal.kT > 0 else (math.inf, 0.0)
+    pool = _Pool(1.0, _Aging(x_f**2, rate), 4.0, thermal if w else None, b, w)
     means = _march(pool, 4.0 / cells, cells)
     return np.array([quantity[:: cells // 50] for quantity in means])[:, 2:]
 
@@ -157,22 +167,16 @@ def test_units_and_limits():
 
 
 def test_refusals():
-    right = {"n": 1.0, "x_star_initial": 0.1, "x_star_final": 1.0, "rate": 0.1, "velocity": 1.0, "distance": 1.0}
-    for name, value in (
-        ("n", -1.0),
-        ("x_star", 0.0),
-        ("x_star_final", 0.0),
-        ("rate", -0.1),
-        ("rate", math.nan),
-        ("velocity", 0.0),
-        ("distance", 0.0),
-        ("points", 1),
-        ("stiffness", 0.0),
-        ("distance / x_star_initial", 1e9),
-        ("x_star_final / x_star_initial", 1e9),
-    ):
-        key = "x_star_initial" if name == "x_star" else name.split(" / ")[0]
+    """Contacts that the closure does not describe."""
+    right = {"aging": Aging("flow", 0.1, 1.0), "stiffness_law": "uniform", "disorder": "annealed"}
+    wrong = {"disorder": "quenched", "stiffness_law": "sqrt", "delay": Delay(1.0)}
+    for name, value in wrong.items():
         with pytest.raises(InputError, match=name):
-            closure(**{**right, key: value})
+            solve(Ensemble(Gamma(1.0, 0.1), **{**right, name: value}), Drive(1.0, 1.0), 11)
+    contacts = Ensemble(Gamma(1.0, 0.1), **right)
+    for drive, points, name in ((Drive(1.0, 1e9), 11, "distance"), (Drive(1.0), 1, "points")):
+        with pytest.raises(InputError, match=name):
+            solve(contacts, drive, points)
+    narrow = Ensemble(Gamma(1000.0, 1e-3), **right)
     with pytest.raises(InputError, match="too far"):
-        closure(**{**right, "n": 1e5})
+        solve(narrow, Drive(1.0, 1e-2), 11)

@@ -3,18 +3,17 @@
 import itertools
 import math
 import warnings
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from rows import aging
 from scipy import integrate, optimize
 from scipy.interpolate import CubicSpline
 
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, kinetic
 
-ROWS = pd.read_csv(Path(__file__).parent / "data" / "flow_reference.csv")
+ROWS = aging("flow")
 LAW = Gamma(1.0)
 COLD = (None, math.inf, -math.inf)
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))

@@ -5,18 +5,17 @@ What fails by chance: `test_simulation` alone, see there; its seeds are fixed.
 
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from rows import aging
 from scipy.interpolate import CubicSpline
 
 from eqsim import Gamma, InputError
 from eqsim.master import fokker_planck, kinetic
 from eqsim.master.fokker_planck import survival
 
-ROWS = list(pd.read_csv(Path(__file__).parent / "data" / "langevin_reference.csv").itertuples())
+ROWS = list(aging("langevin").itertuples())
 
 
 def solve(row, mobility=1.0, final=1.0):

@@ -104,6 +104,20 @@ def test_annealed_lives_much_shorter_than_any_threshold(n, b):
     assert m.work == pytest.approx(C**2, rel=1e-10, abs=0)
 
 
+@pytest.mark.parametrize("law", [*(histogram(name)[0] for name in EDGED), Gamma(0.0), Gamma(0.37), Gamma(1000.0)])
+def test_annealed_attempts_without_a_barrier(law):
+    """Soft, b -> 0: h = J_c, hence C = int J_c exp(-(omega/v) int J_c) dx = (v/omega) (1 - exp(-omega <xi>/v))
+    for any law (derived), within the quoted error and a rounding of 1e-13."""
+    mean = law.mean / law.scale
+    for w in (1e-3, 1.0, 30.0):
+        for stiffness in ("uniform", "sqrt"):
+            m = published.stationary(law, stiffness, "soft", 1e-15, math.log(w))
+            assert abs(m.stretch + math.expm1(-w * mean) / w) < m.stretch_error + 1e-13 * m.stretch
+            assert m.stretch_error < 1e-9 * m.stretch
+        wrong = published.stationary(law, "uniform", "stiff", 1e-15, math.log(w))
+        assert abs(wrong.stretch + math.expm1(-w * mean) / w) > 1e3 * m.stretch_error
+
+
 SMOOTH = [Gamma(0.0), Gamma(0.37), Gamma(1.0), Gamma(30.0), Gamma(1000.0)]
 OTHERS = [
     histogram("above 0")[0],

@@ -1,5 +1,7 @@
 """Run files: defaults, bad input in one line that names the field, and threshold tables."""
 
+import math
+
 import pytest
 
 from eqsim import Delay, Delta, Drive, Gamma, InputError, Thermal, load
@@ -66,7 +68,18 @@ BAD = [
     ({"thermal": {"kT": float("nan")}}, "thermal.kT = nan: must be a finite number >= 0"),
     ({"thermal": {"kT": float("inf")}}, "thermal.kT = inf: must be a finite number >= 0"),
     ({"thermal": {"barrier": "hard"}}, "thermal.barrier = 'hard': must be one of"),
-    ({"aging": {"rule": "flow"}}, "aging.rule = 'flow': must be \"none\"; this version has no aging thresholds"),
+    ({"aging": {"rule": "flow"}}, 'aging.x_star_final: is required with rule = "flow"'),
+    ({"aging": {"rule": "slow"}}, "aging.rule = 'slow': must be one of"),
+    ({"aging": {"rule": "flow", "rate": -1.0, "x_star_final": 1.0}}, "aging.rate = -1.0: must be a finite number >= 0"),
+    (
+        {"aging": {"rule": "langevin", "rate": math.inf, "x_star_final": 1.0}},
+        'aging.rate = inf: must be finite with rule = "langevin" and quenched disorder',
+    ),
+    (
+        {"aging": {"rule": "flow", "x_star_final": 1.0}, "thresholds": {"law": "delta"}},
+        'aging.rule = "flow": needs thresholds of law "gamma"',
+    ),
+    ({"aging": {"rule": "flow", "x_star_final": 1e9}}, "aging.x_star_final = 1000000000.0: must be within a factor"),
     ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
     ({"delay": {"law": "gamma"}}, "delay.law = 'gamma': must be one of"),
     ({"viscosity": {"eta": -2}}, "viscosity.eta = -2.0: must be a finite number >= 0"),

@@ -4,32 +4,18 @@ Seeds are fixed, so a pass today is a pass tomorrow; the stated false-alarm rate
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import scipy.stats
+from rows import REFERENCE, ensemble_of
 from scipy import integrate
 
 import eqsim.engine.steady as module
-from eqsim import Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
+from eqsim import Aging, Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
 from eqsim.estimate import difference, z_score
 
-REFERENCE = pd.read_csv(Path(__file__).parent / "data" / "steady_reference.csv")
 OBSERVABLES = ("friction", "pinned", "break_stretch")
-
-
-def ensemble_of(row, **changes):
-    given = {
-        "thresholds": Gamma(row.n, row.x_star),
-        "thermal": Thermal(row.kT, row.attempt_frequency, row.barrier),
-        "delay": Delay(row.delay),
-        "stiffness": row.stiffness,
-        "stiffness_law": row.stiffness_law,
-        "disorder": row.disorder,
-    }
-    return Ensemble(**(given | changes))
 
 
 def scores(row, result):
@@ -49,10 +35,15 @@ def chi_square_tail(values):
 
 
 def test_reference_table():
-    """Every row: |z| < 4.5 (some 150 scores, false alarm 1e-3), and chi-square over friction with p > 1e-4."""
-    table = [scores(row, steady(ensemble_of(row), row.velocity, seed=11)) for row in REFERENCE.itertuples()]
+    """Every row: |z| < 4.5 (some 220 scores, false alarm 2e-3), and chi-square over friction with p > 1e-4. Paths of
+    `langevin` contacts are plain Monte Carlo, whose steps may be off by 1e-3 of the value (half of the error asked)."""
+    table = []
+    for row in REFERENCE.itertuples():
+        path = row.rule == "langevin" and row.disorder == "quenched"
+        result = steady(ensemble_of(row), row.velocity, rel_error=2e-3 if path else 1e-3, seed=11, threads=2)
+        table.append(scores(row, result))
     found = [z for row in table for z in row if z is not None]
-    assert len(found) > 120
+    assert len(found) > 200
     assert max(map(abs, found)) < 4.5
     assert chi_square_tail([row[0] for row in table]) > 1e-4
     assert chi_square_tail([row[2] for row in table]) > 1e-4
@@ -77,6 +68,8 @@ def test_error_bars_over_seeds(name):
         ("public-042", {"thermal": Thermal(0.1075, 1.02)}),
         ("public-008", {"thermal": Thermal(0.1, 1.0, "soft")}),
         ("public-020", {"thresholds": Gamma(0.02)}),
+        ("public-022", {"aging": Aging("flow", 0.25, 1.0)}),
+        ("public-011", {"aging": Aging("langevin", 0.0091, 1.0)}),
     ],
 )
 def test_negative_controls(name, wrong):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from eqsim import Delay, Ensemble, InputError
 from eqsim.cli import app
-from eqsim.validation import KINDS, Score, _hazard, sample, validate, verdict
+from eqsim.validation import KINDS, SUITES, Score, _hazard, sample, validate, verdict
 
 
 def changed(**changes):
@@ -24,6 +24,21 @@ def faster(ensemble):
     return dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, attempt_frequency=omega))
 
 
+def aged(**changes):
+    """Another law of aging for those that age; D of annealed contacts that age at once stays infinite."""
+
+    def change(ensemble):
+        aging = dataclasses.replace(ensemble.aging, **changes)
+        return dataclasses.replace(ensemble, aging=aging) if ensemble.aging.active else ensemble
+
+    return change
+
+
+def aging_faster(ensemble):
+    """D 20 % too high."""
+    return aged(rate=1.2 * ensemble.aging.rate)(ensemble)
+
+
 @pytest.mark.parametrize(
     ("wrong", "kinds"),
     [
@@ -31,8 +46,19 @@ def faster(ensemble):
         (changed(disorder="quenched"), {"friction", "break_stretch", "transient", "hazard", "hazard law"}),
         (faster, {"friction", "break_stretch"}),
         (changed(delay=Delay(0.0)), {"friction", "pinned", "transient"}),
+        (aging_faster, {"friction", "break_stretch"}),
+        (aged(rule="flow"), {"friction", "break_stretch"}),
+        (aged(rule="none"), {"friction", "break_stretch", "hazard law"}),
     ],
-    ids=["uniform instead of sqrt", "quenched instead of annealed", "omega 2 % off", "delay ignored"],
+    ids=[
+        "uniform instead of sqrt",
+        "quenched instead of annealed",
+        "omega 2 % off",
+        "delay ignored",
+        "D 20 % off",
+        "flow instead of langevin",
+        "x_*f ignored",
+    ],
 )
 def test_negative_controls(wrong, kinds):
     """One thing wrong in the engine alone: the suite fails, where it should."""
@@ -61,7 +87,7 @@ def test_hazard(was, wrong):
     passes (false alarm 4e-4 for a fresh seed)."""
     passed, failed = [], []
     for index, (ensemble, v) in enumerate(sample(32, 1)):
-        if index % 3 == 1 and ensemble.thermal.barrier == was:
+        if index % 3 == 1 and ensemble.thermal.barrier == was and not ensemble.aging.active:
             other = dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, barrier=wrong))
             passed += _hazard(ensemble, ensemble, v, index)
             failed += _hazard(ensemble, other, v, index)
@@ -84,3 +110,18 @@ def test_verdict():
     assert not of(np.append(normal, 6.0)).passed
     with pytest.raises(InputError, match="suite"):
         validate("everything")
+
+
+def test_sample():
+    """A third of the points age, in every way there is, and all else is drawn as if they did not."""
+    points = [ensemble for ensemble, _ in sample(SUITES["full"][0], 1)]
+    aging = [ensemble for ensemble in points if ensemble.aging.active]
+    assert len(aging) == len(points) // 3
+    for name in ("disorder", "stiffness_law"):
+        assert len({(getattr(e, name), e.aging.rule, e.thermal.barrier, e.thermal.kT > 0) for e in aging}) == 16
+    assert {e.aging.rate == math.inf for e in aging} == {True, False}
+    ratio = np.array([e.aging.x_star_final / e.thresholds.x_star for e in aging])
+    assert 0.3 <= ratio.min() < 0.5
+    assert 6 < ratio.max() <= 10
+    share = np.mean([e.disorder == "quenched" for e in aging])
+    assert abs(share - 0.5) < 5 * math.sqrt(0.25 / len(aging))

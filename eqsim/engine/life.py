@@ -37,7 +37,7 @@ def break_stretch(c: Contacts, xi: float, clock: float) -> float:
 def spring_work(c: Contacts, stiffness: float, x: float) -> float:
     """int_0^x (k_i/k) y dy of a contact of relative stiffness `stiffness` at birth (not `langevin`)."""
     if c.aging == FLOW and c.kappa_slope > 0.0:
-        return stiffness * x * look_up(c.spring_work, x)
+        return stiffness * look_up(c.spring_work, x)
     return 0.5 * stiffness * x * x
 
 

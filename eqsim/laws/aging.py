@@ -183,8 +183,9 @@ class Pooled:
 
 
 def flow_work_table(final2: float, alpha: float) -> Array:
-    """(1/x) int_0^x y x_*(y)/x_*i dy, for the work of a contact whose stiffness follows its threshold (sqrt law)."""
-    first, last = -60, 16
+    """int_0^x y x_*(y)/x_*i dy, for the work of a contact whose stiffness follows its threshold (sqrt law); tabulated
+    as it is, because it rises with x however thresholds move."""
+    first, last = -60, 22
     x = octave_edges(first, last)
     half = 0.5 * np.diff(np.append(0.0, x))[:, None]
     y = x[:, None] - half + half * _NODES
@@ -192,8 +193,7 @@ def flow_work_table(final2: float, alpha: float) -> Array:
     def s(x: Array) -> Array:
         return np.sqrt(1.0 - (final2 - 1.0) * np.expm1(-np.minimum(alpha * x, 800.0)))
 
-    mean = np.cumsum((half * _WEIGHTS * y * s(y)).sum(axis=1)) / x
-    return octave_table(first, mean, s(x) - mean / x)
+    return octave_table(first, np.cumsum((half * _WEIGHTS * y * s(y)).sum(axis=1)), x * s(x))
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)

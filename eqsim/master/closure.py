@@ -20,6 +20,7 @@ exp(-int_0^X Gamma_c) at age X and Gamma_c(Y) exp(-int_Y^X Gamma_c) at age X - Y
 the laws, which depend smoothly on ln x_*: a few dozen of them, at Chebyshev nodes, represent every age.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,10 +31,13 @@ from numpy.polynomial import chebyshev
 from scipy import integrate, ndimage, special
 from scipy.interpolate import CubicSpline
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_integer, require_number
+from eqsim.ensemble import Drive, Ensemble
+from eqsim.errors import InputError, require_integer, require_number
+from eqsim.laws.aging import Aging
 from eqsim.laws.octaves import Array
 from eqsim.laws.thermal import Thermal, pooled_rate
 from eqsim.laws.threshold import Gamma
+from eqsim.master.reference import setting
 
 _LEAST_CELLS, _MOST_CELLS = 500, 2000  # of the coarser grid
 _CELL, _AGING = 0.015, 0.1  # a cell in units of the shortest mean life, and of the displacement in which contacts age
@@ -60,44 +64,31 @@ class Closure:
     mean_threshold_error: Array
 
 
-def closure(
-    n: float,
-    x_star_initial: float,
-    x_star_final: float,
-    rate: float,
-    *,
-    stiffness: float = 1.0,
-    thermal: Thermal | None = None,
-    velocity: float,
-    distance: float,
-    points: int = 2001,
-) -> Closure:
-    """Force, breaks and mean threshold at `points` equidistant X from 0 to `distance`, of annealed contacts of uniform
-    `stiffness` k (force/length) without delay, which start fresh: unstretched, with newborn thresholds (derived).
+def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
+    """Force, breaks and mean threshold at `points` equidistant X of annealed contacts of uniform stiffness without
+    delay, which start fresh: unstretched, with newborn thresholds (derived).
 
-    Newborn thresholds follow Gamma(n, x_star_initial), fully aged ones Gamma(n, x_star_final); `rate` is D
-    (length^2/time), infinite if contacts have their final law at once. Errors are those of the finer of two grids, of
-    at most some 4000 cells, while the values are extrapolated from both; after 30 mean lives the values are held.
-    Raises InputError, also if the laws are too narrow for their change of scale.
+    Errors are those of the finer of two grids, of at most some 4000 cells, while the values are extrapolated from
+    both; after 30 mean lives the values are held. Raises InputError for other contacts, and if the laws are too narrow
+    for their change of scale.
     """
-    newborn = Gamma(n, x_star_initial)  # checks n and its scale
-    thermal = thermal or Thermal()
-    for name, value in (("x_star_final", x_star_final), ("stiffness", stiffness), ("velocity", velocity)):
-        require_number(name, value, **POSITIVE)
-    require_number("distance", distance, **POSITIVE)
-    if rate != math.inf:
-        require_number("rate", rate, **NOT_NEGATIVE)
+    law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale
+    if not isinstance(law, Gamma) or ensemble.disorder != "annealed":
+        raise InputError('disorder, thresholds.law: the closure needs "annealed" contacts of law "gamma"')
+    if ensemble.stiffness_law != "uniform" or ensemble.delay.time > 0 or drive.start != "fresh":
+        raise InputError('the closure needs contacts.stiffness_law = "uniform", no delay, and drive.start = "fresh"')
     require_integer("points", points, 2, 10**6)
-    unit = newborn.x_star
-    require_number("x_star_final / x_star_initial", x_star_final / unit, least=1e-3, most=1e6)
-    reach = distance / unit
-    require_number("distance / x_star_initial", reach, least=1e-6, most=1e6)
-    aging = _Aging((x_star_final / unit) ** 2, 4 * rate / velocity / x_star_final**2 * unit)
-    pool = _Pool(n, aging, reach, *_activation(thermal, stiffness, unit, velocity))
+    reach = drive.over(ensemble) / unit
+    require_number("distance / x_star", reach, least=1e-6, most=1e6)
+    final = aging.x_star_final / unit if aging.active else 1.0
+    rates = _Aging(final**2, aging.alpha(unit, drive.velocity))
+    s = setting(dataclasses.replace(ensemble, aging=Aging()), drive.velocity)
+    thermal = ensemble.thermal if s.barrier else None
+    pool = _Pool(law.n, rates, reach, thermal, s.b, math.exp(s.log_w))
 
     shortest, longest = pool.lives()
     end = min(reach, _SETTLED * longest)
-    wanted = end * max(1.0 / (_CELL * shortest), aging.rate / _AGING if aging.rate < math.inf else 0.0)
+    wanted = end * max(1.0 / (_CELL * shortest), rates.rate / _AGING if rates.rate < math.inf else 0.0)
     cells = int(min(max(wanted, _LEAST_CELLS), _MOST_CELLS))
     solved = [_march(pool, end / fine, fine) for fine in (cells, 2 * cells)]
     # both schemes are of second order; a grid too coarse to show it has the error of its finer member
@@ -119,18 +110,6 @@ def closure(
         breaks_error=found[3] / unit,
         mean_threshold_error=found[5] * unit,
     )
-
-
-def _activation(
-    thermal: Thermal, stiffness: float, unit: float, velocity: float
-) -> tuple[Thermal | None, float, float]:
-    """The thermal law if contacts break by it, b = k x_*i^2/(2 kT), and omega x_*i/v."""
-    energy = 0.5 * stiffness * unit * unit
-    if thermal.attempt_frequency == 0 or thermal.kT <= energy * 1e-300:
-        return None, math.inf, 0.0
-    log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
-    require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
-    return thermal, max(energy / thermal.kT, 1e-100), math.exp(log_w)
 
 
 class _Aging(NamedTuple):

@@ -24,9 +24,10 @@ from eqsim.laws.threshold import ThresholdLaw, panels_above
 
 _LEVELS = np.array([-48.0, -24.0, -12.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75, 2.5, 3.25, 4.0])  # of ln Lambda
 _NODES, _WEIGHTS = special.roots_legendre(14)
-# births: the first panels in ln(-ln J_c(xi)), from 2^-50 to 500; the errors that end refinement; that of life_moments
+# births: the first panels in ln(-ln J_c(xi)), from 2^-50 to 500; the errors that end refinement, the
+# narrowest panels and how many more there may be (laws known with noise never converge); the error of life_moments
 _BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
-_CONVERGED, _NARROWEST, _PANELS = 2e-12, 1e-3, 1e-11
+_CONVERGED, _NARROWEST, _MORE_PANELS, _PANELS = 2e-12, 1e-4, 500, 1e-11
 
 
 class ClenshawCurtis:
@@ -120,7 +121,7 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
     while True:
         total = parts.sum(axis=1)
         split = (errors > _CONVERGED * total[:, None]).any(axis=0) & (right - left > _NARROWEST)
-        if not split.any():
+        if not split.any() or left.size > edges.size + _MORE_PANELS:
             break
         middle = 0.5 * (left[split] + right[split])
         new_left, new_right = np.append(left[split], middle), np.append(middle, right[split])

@@ -1,0 +1,130 @@
+"""The maximum of kinetic friction against velocity that aging makes (Braun and Peyrard, 2011, section IV).
+
+f_k(v) at kT = k x_*f^2 (soft, uniform, n = 1, x_*i = 0.1, x_*f = 1, omega = k = 1) for D = 1, 0.1 and 0.01, of annealed
+contacts (the published master equation) and of literal ones whose thresholds `flow` or fluctuate (`langevin`): at low
+velocity heat breaks contacts before they carry much, at high velocity they have no time to age. Curves and maxima come
+from the references, and a steady estimate from particles confirms each maximum: `python -m analysis.aging_maximum`
+writes aging_maximum.png, aging_maximum.parquet (curves) and aging_maximum_peaks.parquet.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+from matplotlib.figure import Figure
+from rich.progress import track
+from scipy import optimize
+
+from eqsim import Aging, Ensemble, Gamma, Thermal, reference, steady
+from eqsim.estimate import z_score
+
+MODELS = ("annealed", "flow", "langevin")
+RATES = (1.0, 0.1, 0.01)
+LOW, HIGH = 1e-4, 1e3  # velocities
+
+
+def ensemble(model: str, D: float) -> Ensemble:
+    """Contacts of one of the MODELS; without delay f_k is the friction."""
+    rule, disorder = ("flow", "annealed") if model == "annealed" else (model, "quenched")
+    return Ensemble(
+        Gamma(1.0, 0.1), Thermal(kT=1.0), aging=Aging(rule, D, 1.0), stiffness_law="uniform", disorder=disorder
+    )
+
+
+def curves(points: int) -> pd.DataFrame:
+    """One row per model, D and velocity: f_k and the error of the reference."""
+    jobs = [(model, D, v) for model in MODELS for D in RATES for v in np.geomspace(LOW, HIGH, points)]
+    rows = []
+    for model, D, v in track(jobs, description="solving"):
+        f_k = reference(ensemble(model, D), v).f_k
+        rows.append({"model": model, "D": D, "velocity": v, "f_k": f_k.value, "error": f_k.stderr})
+    return pd.DataFrame(rows)
+
+
+def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
+    """The maximum of each curve: velocity, height and error of the reference, the estimate of particles there, z, how
+    far friction falls from there to the ends of the curve (per cent), and whether it is a maximum at all."""
+    rows = []
+    for model, D in track([(model, D) for model in MODELS for D in RATES], description="maxima"):
+        contacts = ensemble(model, D)
+        curve = frame[(frame.model == model) & (frame.D == D)]
+        best = int(curve.f_k.to_numpy().argmax())
+        inside = 0 < best < len(curve) - 1
+        v = float(curve.velocity.iloc[best])
+        if inside:
+            bounds = np.log(curve.velocity.iloc[[best - 1, best + 1]])
+            v = math.exp(
+                optimize.minimize_scalar(
+                    lambda log_v, e=contacts: -reference(e, math.exp(log_v)).f_k.value,
+                    bounds=bounds,
+                    method="bounded",
+                    options={"xatol": 1e-3},
+                ).x
+            )
+        exact = reference(contacts, v).f_k
+        found = steady(contacts, v, rel_error=1e-3 if model == "langevin" else rel_error, threads=2).friction
+        rows.append(
+            {
+                "model": model,
+                "D": D,
+                "velocity": v,
+                "f_k": exact.value,
+                "error": exact.stderr,
+                "particles": found.value,
+                "particles_stderr": found.stderr,
+                "z": z_score(found, exact.value, exact.stderr),
+                "fall_low": 100 * (1 - curve.f_k.iloc[0] / exact.value),
+                "fall_high": 100 * (1 - curve.f_k.iloc[-1] / exact.value),
+                "maximum": inside,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def picture(frame: pd.DataFrame, found: pd.DataFrame) -> Figure:
+    """f_k(v), one panel per D, with the particles' estimates at the maxima."""
+    figure = Figure(figsize=(12, 4.4), dpi=150, layout="constrained")
+    panels = figure.subplots(1, len(RATES), sharex=True)
+    for axes, D in zip(panels, RATES, strict=True):
+        for color, model in zip(("C1", "C0", "C2"), MODELS, strict=True):
+            curve = frame[(frame.model == model) & (frame.D == D)]
+            axes.plot(curve.velocity, curve.f_k, color=color, linewidth=1.2, label=model)
+            top = found[(found.model == model) & (found.D == D)]
+            axes.errorbar(
+                top.velocity, top.particles, 2 * top.particles_stderr, fmt="o", color=color, markersize=4, capsize=3
+            )
+        axes.set(xscale="log", xlabel="velocity  v / (omega x_*f)", title=f"D = {D:g} omega x_*f^2")
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("f_k / (k x_*f)")
+    panels[0].errorbar([], [], [], fmt="o", color="k", markersize=4, capsize=3, label="particles, at the maximum")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
+    return figure
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for the picture and the tables.")] = Path("analysis/out"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer velocities, larger errors.")] = False,
+) -> None:
+    """Solve, find the maxima, confirm them, save, draw."""
+    out.mkdir(parents=True, exist_ok=True)
+    frame = curves(15 if quick else 43)
+    frame.to_parquet(out / "aging_maximum.parquet", index=False)
+    found = peaks(frame, 1e-3 if quick else 1e-4)
+    found.to_parquet(out / "aging_maximum_peaks.parquet", index=False)
+    picture(frame, found).savefig(out / "aging_maximum.png")
+    for row in found.itertuples():
+        print(
+            f"{row.model:9} D = {row.D:<5g} "
+            + (f"maximum at v = {row.velocity:.4g}" if row.maximum else "no maximum inside the curve")
+            + f": f_k = {row.f_k:.7g} ± {row.error:.1g}, particles {row.particles:.6g} ± {row.particles_stderr:.1g} "
+            f"(z = {row.z:+.2f}); {row.fall_low:.1f} % lower at v = {LOW:g}, {row.fall_high:.1f} % at v = {HIGH:g}"
+        )
+
+
+if __name__ == "__main__":
+    typer.run(main)
