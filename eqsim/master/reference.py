@@ -88,14 +88,16 @@ def _settled(s: Setting, ensemble: Ensemble, velocity: float) -> Setting:
     """Annealed contacts that age: births at the fixed point C = int J_c exp(-Delta U) dx of star1."""
     unit = s.law.scale
 
-    def next_one(log_stretch: float) -> float:
+    def excess(log_stretch: float) -> float:
         births = s._replace(law=ensemble.births(velocity, math.exp(log_stretch) * unit))
-        return math.log(_moments(births)[1].stretch)
+        return math.log(_moments(births)[1].stretch) - log_stretch
 
-    fixed = float(optimize.fixed_point(next_one, math.log(ensemble.thresholds.mean / unit), xtol=1e-9))  # Steffensen's
-    response = (next_one(fixed + 1e-3) - next_one(fixed - 1e-3)) / 2e-3
+    first = math.log(ensemble.thresholds.mean / unit)
+    second = first + excess(first) + 1e-3  # in case births do not age at all
+    fixed = float(optimize.root_scalar(excess, method="secant", x0=first, x1=second, xtol=1e-9).root)
+    slope = -(excess(fixed + 1e-3) - excess(fixed)) / 1e-3  # 1 - d ln C/d ln C of births
     law = ensemble.births(velocity, math.exp(fixed) * unit)
-    return s._replace(law=law, sensitivity=1.0 / max(1.0 - response, 1e-3))
+    return s._replace(law=law, sensitivity=1.0 / max(slope, 1e-3))
 
 
 def _moments(s: Setting) -> tuple[str, Moments]:
