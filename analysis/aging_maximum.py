@@ -89,20 +89,28 @@ def picture(frame: pd.DataFrame, found: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(12, 4.4), dpi=150, layout="constrained")
     panels = figure.subplots(1, len(RATES), sharex=True)
     for axes, D in zip(panels, RATES, strict=True):
-        for color, model in zip(("C1", "C0", "C2"), MODELS, strict=True):
+        for color, marker, model in zip(("C1", "C0", "C2"), "^os", MODELS, strict=True):
             curve = frame[(frame.model == model) & (frame.D == D)]
-            axes.plot(curve.velocity, curve.f_k, color=color, linewidth=1.2, label=model)
             top = found[(found.model == model) & (found.D == D)]
+            drawn = pd.concat((curve, top)).sort_values("velocity")
+            axes.plot(drawn.velocity, drawn.f_k, color=color, linewidth=1.2, label=model)
             axes.errorbar(
-                top.velocity, top.particles, 2 * top.particles_stderr, fmt="o", color=color, markersize=4, capsize=3
+                top.velocity,
+                top.particles,
+                2 * top.particles_stderr,
+                fmt=marker,
+                color=color,
+                markersize=8,
+                markerfacecolor="none",
+                capsize=3,
+                label=f"{model}, particles",
             )
         axes.set(xscale="log", xlabel="velocity  v / (omega x_*f)", title=f"D = {D:g} omega x_*f^2")
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("f_k / (k x_*f)")
-    panels[0].errorbar([], [], [], fmt="o", color="k", markersize=4, capsize=3, label="particles, at the maximum")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=9)
     return figure
 
 

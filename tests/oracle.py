@@ -6,9 +6,13 @@ so that the averages have errors of first order in the step.
 
 Model (section numbers of Braun and Peyrard, Phys. Rev. E 83, 046129): thresholds xi with xi^2/x_*^2 ~ Gamma(n+1)
 (II); k_i = k xi/xi_rms (sqrt law) or k; barriers `soft` and `stiff` (IV); delay and viscosity of detached contacts (V).
+Thresholds of pinned contacts age from x_* to x_*f at the rate D: under `langevin` xi is the length of a vector of 2n+2
+components (n a half-integer), each of which relaxes at the rate 2D/x_*f^2 to the variance x_*f^2/2; under `flow` it
+grows as the scale of that law. Annealed contacts are born with thresholds aged for an Exp(1) multiple of the mean
+pinned time, and keep them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +34,35 @@ class Contacts:
     delay_law: str = "fixed"  # or "exponential"
     eta: float = 0.0
     velocity: float = 1.0
+    aging: str = "none"  # or "langevin", "flow"
+    rate: float = 0.0  # D
+    x_star_final: float = 1.0
+    pinned_time: float = 0.0  # mean, of annealed contacts that age: see `settled`
 
     def thresholds(self, rng, size):
-        return self.x_star * np.sqrt(rng.gamma(self.n + 1.0, size=size))
+        scale = self.x_star
+        if self.disorder == "annealed" and self.aging != "none":
+            scale = self.scale(rng.exponential(self.pinned_time, size))
+        return scale * np.sqrt(rng.gamma(self.n + 1.0, size=size))
+
+    def scale(self, age):
+        """x_*(age) of unbroken thresholds."""
+        final2 = self.x_star_final**2
+        return np.sqrt(final2 + (self.x_star**2 - final2) * np.exp(-4 * self.rate * age / final2))
+
+    def aged(self, rng, xi, age, dt):
+        """Thresholds xi of age `age` after one more time step."""
+        if self.aging == "flow":
+            return xi * self.scale(age + dt) / self.scale(age)
+        keep = np.exp(-2 * self.rate * dt / self.x_star_final**2)
+        vector = np.zeros((round(2 * self.n + 2), xi.size))
+        vector[0] = xi * keep
+        vector += rng.normal(scale=self.x_star_final * np.sqrt((1 - keep**2) / 2), size=vector.shape)
+        return np.sqrt((vector**2).sum(axis=0))
+
+    def crossed(self, rng, gap, gap_after, dt):
+        """Whether a fluctuating gap between threshold and stretch was closed within a step: a Brownian bridge."""
+        return rng.random(gap.size) < np.exp(-gap * np.maximum(gap_after, 0.0) / (self.rate * dt))
 
     def k(self, xi):
         """Stiffness of contacts of thresholds xi."""
@@ -67,8 +97,13 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
     xi, pinned = c.thresholds(rng, count), np.ones(count, bool)
     rows = []
     for i in range(1, record_every * records + 1):
+        gap = xi - x
+        if c.aging != "none" and c.disorder == "quenched":
+            xi = np.where(pinned, c.aged(rng, xi, x / c.velocity, dt), xi)
         x[pinned] += step
         breaks = pinned & (x >= xi)
+        if c.aging == "langevin" and c.disorder == "quenched":
+            breaks |= pinned & c.crossed(rng, gap, xi - x, dt)
         if c.kT > 0 and c.disorder == "quenched":
             rate = c.attempt_frequency * c.attempt_breaks(x, xi)
             breaks |= pinned & (rng.random(count) < -np.expm1(-rate * dt))
@@ -91,3 +126,23 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
             force = np.where(pinned, c.k(xi) * x, c.eta * c.velocity) / c.stiffness
             rows.append((force.mean(), force.std() / count**0.5, pinned.mean(), pinned.std() / count**0.5))
     return Record(*np.array(rows).T)
+
+
+def settled(contacts: Contacts, count: int, step: float, seed: int) -> Contacts:
+    """Annealed contacts that age, with the mean pinned time that they themselves have: lives are simulated with a
+    guess of it, again and again."""
+    for i in range(12):
+        rng = np.random.default_rng((seed, i))
+        xi, alive, total = contacts.thresholds(rng, count), np.ones(count, bool), 0.0
+        x = 0.0
+        while alive.any():
+            x += step
+            total += step * alive.sum()
+            alive &= x < xi
+            if contacts.kT > 0:
+                attempts = rng.poisson(contacts.attempt_frequency * step / contacts.velocity, count) * alive
+                who = np.repeat(np.arange(count), attempts)
+                success = rng.random(who.size) < contacts.attempt_breaks(x, contacts.thresholds(rng, who.size))
+                alive[who[success]] = False
+        contacts = replace(contacts, pinned_time=(total / count - step / 2) / contacts.velocity)
+    return contacts

@@ -167,6 +167,12 @@ def walk(
     if c.kappa_slope > 0.0:
         k1 = kappa(c.kappa_slope, c.kappa_constant, end)
         work = h * (k0 * (3.0 * x + h) + k1 * (3.0 * x + 2.0 * h)) / 6.0
+        if not broke:  # Simpson's rule: half-way the bridge of the process between its ends is not half-way in mean
+            turn = 0.25 * c.alpha * h
+            along = (xi * xi + 2.0 * xi * along + end * end) * (0.5 / math.cosh(turn)) ** 2
+            middle = math.sqrt(along + (2.0 * c.shape + 1.0) * 0.5 * c.final2 * math.tanh(turn))
+            k01 = kappa(c.kappa_slope, c.kappa_constant, middle)
+            work = h * (k0 * x + 4.0 * k01 * (x + 0.5 * h) + k1 * (x + h)) / 6.0
     return broke, end, x + h, left, work, draw
 
 

@@ -18,9 +18,11 @@ from scipy import integrate, interpolate
 
 from eqsim.compiled import inlined, kernel
 from eqsim.engine.life import break_stretch, lives
+from eqsim.engine.steady import Proposal
 from eqsim.engine.streams import Key, uniforms
 from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts
+from eqsim.errors import InputError
 from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, flow_end, flow_stretch
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import kappa
@@ -49,12 +51,10 @@ class Standing(NamedTuple):
 
 
 def standing(c: Contacts) -> Standing:
-    """The stationary state of contacts; tables are good to 1e-6 relative. The longest `langevin` life is taken to be
-    twice the longest of 32 768, or the strongest threshold if that is less."""
+    """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where `langevin` contacts
+    that live 1000 times longer than the mean still matter, too rare to be found by trying."""
     if c.aging == LANGEVIN:
-        u, v = np.random.default_rng(0).random((2, 2**15)) * (1 - 2e-16) + 1e-16
-        _, stretch = lives(c, key_of(0, 0), 0, u, v)
-        return Standing(1.0, min(2.0 * float(stretch.max()), extremes(c)[1]), NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
+        return Standing(1.0, _longest(c), NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
     if c.steps.size:
         life = mean_lives(c, c.steps)
         mean = float(life.mean())
@@ -84,6 +84,25 @@ def standing(c: Contacts) -> Standing:
     m = np.exp(to_life(at))
     table = octave_table(FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0))
     return Standing(mean / (mean + c.delay), math.inf, biased, table, NO_STEPS, NO_STEPS)
+
+
+def _longest(c: Contacts) -> float:
+    """A life so long that a share of 1e-5 of all time lies in what others have beyond it."""
+    proposal = Proposal.of(c)
+    p, q = np.random.default_rng(0).random((2, 2**15))
+    (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
+    _, stretch = lives(c, key_of(0, 0), 0, u, v)
+    order = np.argsort(-stretch)
+    stretch, weight = stretch[order], (weight * clock_weight)[order]
+    beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(weight)  # time spent beyond each of these lives
+    longest = float(stretch[np.searchsorted(beyond, 1e-5 * (weight @ stretch))])
+    mean = float(weight @ stretch / weight.sum())
+    if not longest < 1000.0 * mean:
+        raise InputError(
+            'drive.start = "stationary": contacts that live 1000 times longer than the mean still matter, and are too '
+            'rare to be found where thresholds fluctuate; start "fresh"'
+        )
+    return min(1.1 * longest, extremes(c)[1])
 
 
 def mean_lives(c: Contacts, xi: Array) -> Array:

@@ -84,6 +84,7 @@ def steady(
     begin = time.perf_counter()
     drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale
     tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
+    response: Array | None = None
     size, done = _FIRST, 0
     while True:
         if RANDOMISATIONS * size > max_lives:
@@ -91,7 +92,7 @@ def steady(
         if rough is None:
             sums, lives_used = _randomise(job, contacts, size), RANDOMISATIONS * size
         else:
-            sums, rough, lives_used = _self_consistent(job, rough, size)
+            sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
         result = _averages(sums, contacts.delay, drag, unit, size, job.proposal.covered, tables)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
@@ -124,22 +125,27 @@ class _Job(NamedTuple):
     progress: Progress | None
 
 
-def _self_consistent(job: _Job, stretch: float, size: int) -> tuple[Array, float, int]:
-    """Sums of each randomisation at its own fixed point of C, the mean fixed point, and the lives this took."""
-    used = 0
+def _self_consistent(job: _Job, stretch: float, response: Array | None, size: int) -> tuple[Array, float, Array, int]:
+    """Sums of each randomisation at its own fixed point of C, the mean fixed point, the response of the sums to C
+    (measured unless it is known), and the lives this took."""
+    used, unit = 0, job.ensemble.thresholds.scale
+
+    def sums(stretch: float) -> Array:
+        nonlocal used
+        used += RANDOMISATIONS * size
+        return _randomise(job, lower(job.ensemble, job.velocity, stretch), size)
+
+    if response is None:
+        near, far = (sums(stretch * factor).mean(axis=0) for factor in (1.0, 1.0 + _NUDGE))
+        response = (far - near) / (_NUDGE * stretch / unit)
     for _ in range(20):
-        near, far = (
-            _randomise(job, lower(job.ensemble, job.velocity, stretch * factor), size) for factor in (1.0, 1.0 + _NUDGE)
-        )
-        used += 2 * RANDOMISATIONS * size
-        unit = job.ensemble.thresholds.scale
-        slopes = (far.mean(axis=0) - near.mean(axis=0)) / (_NUDGE * stretch / unit)  # d sums/dC
-        shift = (near[:, 1] - stretch / unit) / (1.0 - slopes[1])
+        rows = sums(stretch)
+        shift = (rows[:, 1] - stretch / unit) / (1.0 - response[1])
         stretch += float(shift.mean()) * unit
         if abs(shift.mean()) * unit < _NUDGE * _NUDGE * stretch:
             break
-    near[:, :2] += shift[:, None] * slopes[:2]
-    return near, stretch, used
+    rows[:, :2] += shift[:, None] * response[:2]
+    return rows, stretch, response, used
 
 
 class Density(NamedTuple):

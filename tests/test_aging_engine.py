@@ -1,0 +1,352 @@
+"""The engine with aging thresholds: steps of a path, lives, trajectories and steady averages against the references.
+
+Statistical limits: |z| < 4.5 for single scores (false alarm 7e-6 each, some 700 of them: 5e-3), p > 1e-5 for
+Kolmogorov-Smirnov tests (some 30: 3e-4). All seeds are fixed.
+"""
+
+import functools
+import math
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+import scipy.stats
+from scipy.interpolate import CubicSpline
+
+from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
+from eqsim.engine.life import lives
+from eqsim.engine.paths import random_step
+from eqsim.engine.streams import key
+from eqsim.ensemble import lower
+from eqsim.laws.aging import Aging
+from eqsim.master.fokker_planck import survival
+from eqsim.master.transient import transient
+
+LIMIT, RARE = 4.5, 1e-5
+STEPS = 1e-3  # what steps of the default accuracy may cost, relative (documented in `engine.paths`)
+
+# ---------------------------------------------------------------------------------------------------------- steps
+
+
+@numba.njit
+def _deviates(stream, shape, count):
+    found = np.empty((count, 3))
+    for i in range(count):
+        found[i, 0], found[i, 1], found[i, 2], _ = random_step(stream, i // 50, 3, (i % 50) * 1000, shape)
+    return found
+
+
+@pytest.mark.parametrize("n", [0.0, 0.3, 0.5, 1.0, 2.5, 6.0, 10.7])
+def test_deviates_of_a_step(n):
+    """A normal, a chi-square of 2n+1 and a uniform deviate, not correlated: 60 000 each."""
+    found = _deviates(key(1, 99), n, 60_000)
+    assert scipy.stats.kstest(found[:, 0], "norm").pvalue > RARE
+    assert scipy.stats.kstest(found[:, 1], scipy.stats.chi2(2 * n + 1).cdf).pvalue > RARE
+    assert scipy.stats.kstest(found[:, 2], "uniform").pvalue > RARE
+    assert scipy.stats.kstest(found[:, 1], scipy.stats.chi2(2.1 * n + 1.1).cdf).pvalue < RARE  # control
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        for power in (1, 2):
+            assert scipy.stats.spearmanr(np.abs(found[:, i]) ** power, found[:, j]).pvalue > RARE
+            assert scipy.stats.spearmanr(found[:, i], found[:, j]).pvalue > RARE
+
+
+# ---------------------------------------------------------------------------------------------------------- lives
+
+LIVES = 8_000
+PATHS = [  # n, x_*f/x_*i, D_v, kT/(k x_*^2), omega x_*/v, barrier, stiffness
+    (1.0, 10.0, 0.05, 0.0, 1.0, "soft", "uniform"),
+    (1.0, 10.0, 1.0, 0.0, 1.0, "soft", "sqrt"),
+    (0.0, 0.3, 0.3, 0.0, 1.0, "soft", "sqrt"),
+    (2.5, 1.0, 3.0, 0.0, 1.0, "soft", "sqrt"),
+    (1.0, 10.0, 1.0, 0.01, 20.0, "soft", "uniform"),
+    (0.5, 3.0, 0.1, 0.1, 5.0, "soft", "sqrt"),
+    (1.0, 10.0, 0.05, 0.1, 20.0, "stiff", "uniform"),
+    (0.0, 0.3, 0.3, 0.1, 20.0, "stiff", "sqrt"),
+    (6.0, 2.0, 0.3, 0.2, 10.0, "stiff", "uniform"),
+]
+
+
+@functools.cache
+def lived(path, factor=1.0):
+    """Work and stretch of lives on one `path`, D_v times `factor`."""
+    n, final, mobility, kT, omega, barrier, stiffness = path
+    aging = Aging("langevin", factor * mobility, final)
+    c = lower(Ensemble(Gamma(n), Thermal(kT, omega, barrier), aging=aging, stiffness_law=stiffness), 1.0)
+    u, v = np.random.default_rng(11).random((2, LIVES))
+    return lives(c, key(2, 98), 0, u, v)
+
+
+def expected(path):
+    n, final, mobility, kT, omega, barrier, stiffness = path
+    if kT == 0:
+        return survival(n, final, mobility, stiffness, None, 1.0, 0.0)
+    return survival(n, final, mobility, stiffness, barrier, 0.5 / kT, math.log(omega))
+
+
+def distance(stretch, life):
+    """Greatest difference between the empirical and the expected law, times sqrt(N)."""
+    x = np.sort(stretch)
+    spline = CubicSpline(np.log(life.x[1:]), life.values[0, 1:])
+    cdf = 1 - np.where(x > life.x[-1], 0.0, spline(np.log(np.clip(x, life.x[1], life.x[-1]))))
+    rank = np.arange(x.size) / x.size
+    return max(np.max(cdf - rank), np.max(rank + 1 / x.size - cdf)) * math.sqrt(x.size)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_lives_of_fluctuating_thresholds(path):
+    """S(x) of the Fokker-Planck equation (Kolmogorov: P(sqrt(N) D > 2.5) = 7e-6, and steps may move S by 1e-3), mean
+    stretch and mean work (|z| < 4.5 beyond 1e-3)."""
+    work, stretch = lived(path)
+    life = expected(path)
+    assert distance(stretch, life) < 2.5 + STEPS * math.sqrt(LIVES)
+    for sample, exact in ((stretch, life.stretch), (work, life.work)):
+        assert abs(sample.mean() - exact) < STEPS * exact + LIMIT * sample.std() / math.sqrt(LIVES)
+
+
+@pytest.mark.parametrize("path", PATHS[:5])
+def test_lives_with_another_rate_fail(path):
+    """Negative control: D 20 % off."""
+    assert distance(lived(path, 1.2)[1], expected(path)) > 2.5 + STEPS * math.sqrt(LIVES)
+
+
+@pytest.mark.parametrize("path", [PATHS[2], PATHS[3]])
+def test_work_of_a_stiffness_that_fluctuates(path):
+    """Work under the sqrt law with the same lives under the uniform law as a control variate (at T = 0 they break at
+    the same stretch): within 1e-3 and 4.5 of what errors are left."""
+    size = 25_000
+    u, v = np.random.default_rng(12).random((2, size))
+    excess = []
+    for law in ("sqrt", "uniform"):
+        one = (*path[:6], law)
+        aging = Aging("langevin", path[2], path[1])
+        work, stretch = lives(lower(Ensemble(Gamma(path[0]), aging=aging, stiffness_law=law), 1.0), key(3, 98), 0, u, v)
+        life = expected(one)
+        excess += [work / life.work - 1.0, stretch / life.stretch - 1.0]
+    basis = np.stack((excess[2], excess[3], np.ones(size)), axis=1)
+    fit = np.linalg.lstsq(basis, excess[0])[0]
+    assert abs(fit[2]) < STEPS + LIMIT * np.std(excess[0] - basis @ fit) / math.sqrt(size)
+
+
+# --------------------------------------------------------------------------------------------------- trajectories
+
+UNIT = {"thresholds": Gamma(1.0, 0.1), "thermal": Thermal(0.01)}
+RUNS = {
+    "flow sqrt": Ensemble(**UNIT, delay=Delay(0.1), aging=Aging("flow", 0.1, 1.0), count=20_000),
+    "flow uniform exponential": Ensemble(
+        **UNIT, delay=Delay(0.1, "exponential"), aging=Aging("flow", 0.1, 1.0), stiffness_law="uniform", eta=0.3
+    ),
+    "flow weaker": Ensemble(
+        Gamma(0.5), Thermal(0.2, 2.0, "stiff"), Delay(0.4), Aging("flow", 0.5, 0.2), stiffness_law="sqrt"
+    ),
+    "langevin sqrt": Ensemble(
+        **UNIT, delay=Delay(0.1), aging=Aging("langevin", 0.1, 1.0), stiffness_law="sqrt", count=2_000
+    ),
+    "langevin sqrt exponential": Ensemble(
+        **UNIT, delay=Delay(0.3, "exponential"), aging=Aging("langevin", 0.02, 1.0), count=2_000, eta=0.2
+    ),
+    "langevin uniform": Ensemble(
+        Gamma(1.0), Thermal(0.1, 3.0), Delay(0.5), Aging("langevin", 0.2, 0.7), stiffness_law="uniform", count=2_000
+    ),
+    "langevin cold exponential": Ensemble(
+        Gamma(0.0), delay=Delay(0.5, "exponential"), aging=Aging("langevin", 0.3, 2.0), stiffness_law="uniform",
+        count=2_000,
+    ),
+    "annealed sqrt": Ensemble(
+        **UNIT, delay=Delay(0.1), aging=Aging("langevin", 0.1, 1.0), disorder="annealed", count=20_000
+    ),
+    "annealed uniform exponential": Ensemble(
+        Gamma(2.5), Thermal(0.3, 1.0, "stiff"), Delay(0.5, "exponential"), Aging("flow", 0.5, 0.4),
+        stiffness_law="uniform", disorder="annealed", count=20_000,
+    ),
+}  # fmt: skip
+# what is known only so well, relative: C of annealed births (`_SETTLED`) and steps of paths
+KNOWN = {"annealed": 2e-4, "langevin": STEPS, "flow": 1e-6}
+
+
+@functools.cache
+def run(name, start, points=21, seed=4):
+    ensemble = RUNS[name]
+    return trajectory(ensemble, Drive(1.0, 2.0, start), points=points, seed=seed, threads=2)
+
+
+@functools.cache
+def fresh(name):
+    return transient(RUNS[name], Drive(1.0, 2.0), points=21)
+
+
+def scores(result, exact_force, exact_pinned, known):
+    """Force and pinned at every grid point that is not certain, in standard errors beyond `known` relative."""
+    found = []
+    for value, stderr, exact in (
+        (result.force, result.force_stderr, exact_force),
+        (result.pinned, result.pinned_stderr, exact_pinned),
+    ):
+        excess = np.maximum(np.abs(value - exact) - known * np.abs(exact), 0.0)
+        random = stderr > 0
+        assert np.all(excess[~random] < 1e-12)
+        found.append(excess[random] / stderr[random])
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_fresh_start(name):
+    """F(X) and pinned(X) from a fresh start at 21 points, 40 scores a run, against the renewal equation."""
+    exact = fresh(name)
+    known = KNOWN[name.split()[0]] + 1e-5
+    assert scores(run(name, "fresh"), exact.force, exact.pinned, known).max() < LIMIT
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_stationary_start(name):
+    """Level from X = 0 on, at 21 points (42 scores), and in the averages over the second half (3 scores)."""
+    exact, known = reference(RUNS[name], 1.0), KNOWN[name.split()[0]]
+    result = run(name, "stationary")
+    assert scores(result, exact.friction.value, exact.pinned.value, known).max() < LIMIT
+    for particles, value in (
+        (result.friction, exact.friction.value),
+        (result.pinned_fraction, exact.pinned.value),
+        (result.break_stretch, exact.break_stretch.value),
+    ):
+        assert particles.reliable
+        assert abs(particles.value - value) < LIMIT * particles.stderr + known * value
+
+
+def test_stationary_averages_over_seeds():
+    """25 seeds of N = 4000, flow and sqrt law: mean (|z| < 4.5) and scatter (chi-square, p > 1e-4) of their scores are
+    those of normal deviates, for each of three averages."""
+    ensemble = Ensemble(**UNIT, delay=Delay(0.1), aging=Aging("flow", 0.1, 1.0), count=4000)
+    exact = reference(ensemble, 1.0)
+    runs = [trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=3, seed=seed) for seed in range(25)]
+    for name, level in (
+        ("friction", exact.friction), ("pinned_fraction", exact.pinned), ("break_stretch", exact.break_stretch)
+    ):  # fmt: skip
+        z = np.array([(getattr(r, name).value - level.value) / getattr(r, name).stderr for r in runs])
+        assert abs(z.mean()) * 5 < LIMIT
+        assert 1e-4 < scipy.stats.chi2.cdf(np.sum(z**2), 25) < 1 - 1e-4
+
+
+@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt", "langevin uniform"])
+def test_negative_controls(name):
+    """The other rule, D 10 % off, and births instead of survivors at X = 0 do not pass."""
+    ensemble, result = replace(RUNS[name], count=60_000), run(name, "fresh")
+    other = "flow" if ensemble.aging.rule == "langevin" else "langevin"
+    wrong = replace(ensemble, aging=replace(ensemble.aging, rule=other))
+    exact = transient(wrong, Drive(1.0, 2.0), points=21)
+    assert scores(result, exact.force, exact.pinned, 1e-3).max() > LIMIT
+    wrong = replace(ensemble, aging=replace(ensemble.aging, rate=1.1 * ensemble.aging.rate))
+    exact = fresh(name)
+    result = trajectory(wrong, Drive(1.0, 2.0), points=21, threads=2)
+    assert scores(result, exact.force, exact.pinned, 1e-3).max() > LIMIT
+    level = reference(ensemble, 1.0)
+    assert scores(result, level.friction.value, level.pinned.value, 1e-3).max() > 10.0
+
+
+@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt exponential", "langevin uniform", "annealed sqrt"])
+def test_same_bits_for_any_threads(name):
+    ensemble = replace(RUNS[name], count=600)
+    if ensemble.disorder == "annealed":
+        ensemble = replace(ensemble, aging=replace(ensemble.aging, rate=math.inf))
+    for replicas in (1, 3):
+        runs = [
+            trajectory(ensemble, Drive(1.0, 1.0, "stationary"), points=31, threads=threads, replicas=replicas)
+            for threads in (1, 2)
+        ]
+        for field in ("force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std"):
+            first, second = (getattr(one, field) for one in runs)
+            assert first is second is None or first.tobytes() == second.tobytes()
+        assert runs[0].friction == runs[1].friction
+        assert runs[0].lives == runs[1].lives
+
+
+@pytest.mark.parametrize("name", ["flow sqrt", "flow uniform exponential", "langevin uniform", "annealed sqrt"])
+def test_a_finer_grid_sees_the_same(name):
+    """Where steps do not end at grid points, every tenth point of a fine grid is the coarse one, to rounding."""
+    coarse, fine = (run(name, "stationary", points) for points in (21, 201))
+    np.testing.assert_allclose(fine.force[::10], coarse.force, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(fine.pinned[::10], coarse.pinned)
+    assert fine.friction.value == pytest.approx(coarse.friction.value, rel=1e-12)
+
+
+def test_grids_of_steps():
+    """The sqrt law under `langevin` ends its steps at grid points: 2 and 401 points both agree with the reference."""
+    exact = reference(RUNS["langevin sqrt"], 1.0)
+    for points in (2, 401):
+        result = run("langevin sqrt", "stationary", points)
+        assert scores(result, exact.friction.value, exact.pinned.value, STEPS).max() < LIMIT + 0.5  # 802 scores
+        assert abs(result.friction.value - exact.friction.value) < LIMIT * result.friction.stderr + STEPS
+
+
+@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt", "langevin uniform"])
+def test_conservation(name):
+    """Every contact is pinned or detached: with a huge drag the force counts the detached ones; without delay all are
+    pinned at every X."""
+    ensemble = replace(RUNS[name], count=300, eta=1e6)
+    result = trajectory(ensemble, Drive(1.0, 1.0, "stationary"), points=11)
+    np.testing.assert_allclose(result.force / 1e6, 1.0 - result.pinned, atol=2e-4)
+    assert np.all(np.isclose(result.pinned * 300, np.rint(result.pinned * 300), atol=1e-9))
+    for start in ("fresh", "stationary"):
+        result = trajectory(replace(ensemble, delay=Delay(), eta=0.0), Drive(1.0, 1.0, start), points=11)
+        assert np.all(result.pinned == 1.0)
+
+
+# --------------------------------------------------------------------------------------------------------- steady
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_steady(name):
+    """Steady averages to 2e-3 or better against the reference: |z| < 4.5 in three averages."""
+    exact, known = reference(RUNS[name], 1.0), KNOWN[name.split()[0]]
+    langevin = RUNS[name].aging.rule == "langevin" and RUNS[name].disorder == "quenched"
+    found = steady(RUNS[name], 1.0, rel_error=1e-2 if langevin else 2e-4)
+    for one, level in zip((found.friction, found.pinned, found.break_stretch), (exact.friction, exact.pinned,
+                          exact.break_stretch), strict=True):  # fmt: skip
+        assert one.reliable
+        assert abs(one.value - level.value) < LIMIT * one.stderr + known * level.value * langevin
+
+
+@pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
+def test_limits(stiffness):
+    """No aging at D -> 0; the final law at infinite rate, with the newborn rms; weaker contacts; and fluctuations that
+    lower friction at large D_v."""
+    base = {"thresholds": Gamma(1.0, 0.5), "thermal": Thermal(0.05), "stiffness_law": stiffness}
+    plain = steady(Ensemble(**base), 1.0, rel_error=1e-4).friction
+    for rule, disorder in (("flow", "quenched"), ("langevin", "quenched"), ("flow", "annealed")):
+        slow = Ensemble(**base, aging=Aging(rule, 1e-12, 1.0), disorder=disorder)
+        like = plain if disorder == "quenched" else steady(Ensemble(**base, disorder=disorder), 1.0).friction
+        found = steady(slow, 1.0, rel_error=2e-3).friction
+        assert abs(found.value - like.value) < LIMIT * math.hypot(found.stderr, like.stderr)
+    for final in (1.0, 0.2):
+        aged = steady(Ensemble(Gamma(1.0, final), Thermal(0.05), stiffness_law="uniform"), 1.0, rel_error=1e-4)
+        for disorder in ("quenched", "annealed"):
+            at_once = Ensemble(
+                **(base | {"thermal": Thermal(0.0)}), aging=Aging("flow", math.inf, final), disorder=disorder
+            )
+            found = steady(at_once, 1.0, rel_error=1e-4).friction
+            # T = 0: <x^2>/2<x> of the final law, times <x^3>/<x> over the newborn rms for the sqrt law
+            if stiffness == "uniform":
+                exact = final * 4.0 / (3.0 * math.sqrt(math.pi))
+            else:
+                exact = 0.5 * 2.5 * final**2 / (0.5 * math.sqrt(2.0))
+            assert abs(found.value - exact) < LIMIT * found.stderr + 1e-8
+        if stiffness == "uniform":
+            found = steady(Ensemble(**base, aging=Aging("flow", math.inf, final)), 1.0, rel_error=1e-4).friction
+            assert abs(found.value - aged.friction.value) < LIMIT * math.hypot(found.stderr, aged.friction.stderr)
+    few = [
+        steady(Ensemble(**base, aging=Aging("langevin", rate, 0.5)), 1.0, rel_error=1e-2).friction.value
+        for rate in (1e-6, 0.1, 1.0, 10.0)
+    ]
+    assert np.all(np.diff(few) < -0.05 * np.array(few[:-1]))
+
+
+@pytest.mark.parametrize(("v", "annealed", "flow", "langevin"), [
+    (0.01, 0.746793, 0.752253, 0.228496), (1.0, 0.347086, 0.463275, 0.333598), (10.0, 0.0986062, 0.108048, 0.100408)
+])  # fmt: skip
+def test_given_friction(v, annealed, flow, langevin):
+    """x_*i = .1, x_*f = 1, D = .1, T = 0, uniform stiffness (six printed digits), by `steady`."""
+    for rule, disorder, exact in (
+        ("flow", "annealed", annealed), ("flow", "quenched", flow), ("langevin", "quenched", langevin)
+    ):  # fmt: skip
+        ensemble = Ensemble(Gamma(1.0, 0.1), aging=Aging(rule, 0.1, 1.0), stiffness_law="uniform", disorder=disorder)
+        found = steady(ensemble, v, rel_error=1e-2 if exact == langevin else 1e-4).friction
+        assert abs(found.value - exact) < LIMIT * found.stderr + (STEPS if exact == langevin else 1e-6) * exact
