@@ -16,6 +16,8 @@ import typer
 from eqsim.errors import InputError, require_integer, require_number, under
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from rich.table import Table
 
     from eqsim.engine.steady import Steady
@@ -81,6 +83,17 @@ def run(
     set_: Set = None,
     seed: Seed = None,
     threads: Threads = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Split the ensemble over so many processes: the same bits.", show_default=False)
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            show_default=False,
+            help="Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits.",
+        ),
+    ] = None,
     max_lives: MaxLives = 1e10,
     json: Json = False,
     quiet: Quiet = False,
@@ -99,12 +112,12 @@ def run(
 
     output = file.output
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
-    with _lives_bar(expected, quiet or json) as progress:
+    with _executor(workers, dask, cores) as (executor, many), _lives_bar(expected, quiet or json) as progress:
         rough = 5e-3 if ensemble.aging.rule == "langevin" and ensemble.disorder == "quenched" else 1e-3
         level = steady(ensemble, drive.velocity, rel_error=rough, seed=output.seed, threads=cores, max_lives=max_lives)
         result = trajectory(
-            ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=cores,
-            max_lives=max_lives, progress=progress,
+            ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=many,
+            max_lives=max_lives, progress=progress, executor=executor,
         )  # fmt: skip
     columns = {
         "X": result.X,
@@ -143,7 +156,7 @@ def run(
     if json:
         print(tables.to_json(summary))
     elif not quiet:
-        _print_run(file, ensemble, averages, level, result, folder)
+        _print_run(file, ensemble, averages, level, result, folder, "workers" if executor else "threads")
         if reason:
             print(f"no exact curve: {reason}")
 
@@ -305,6 +318,70 @@ def validate(
 
 @app.command()
 @guarded
+def sweep(
+    path: Path_,
+    out: Annotated[Path, typer.Option(help="Folder of the dataset; the same command continues it.")],
+    rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-2,
+    transient: Annotated[
+        bool, typer.Option("--transient", help="Second half of the run's distance instead of steady averages.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine. Default: all cores.", show_default=False)
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Scheduler (or its file) of a dask.distributed cluster to compute on."),
+    ] = None,
+    set_: Set = None,
+    seed: Seed = None,
+    threads: Annotated[
+        int | None, typer.Option(help="Threads per process. Default: cores that are left.", show_default=False)
+    ] = None,
+    max_lives: Annotated[float, typer.Option(help="Most lives per point.")] = 1e10,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
+    file, changes = _load(path, set_, seed)
+    if dask is not None and workers is not None:
+        raise InputError("--workers: not with --dask, whose cluster has its own")
+    cores, each = _threads(None), None if threads is None else _threads(threads)
+    if workers is None:
+        workers = max(1, cores // (each or 1))
+    require_integer("--workers", workers, 1, 1024)
+    each = each or (1 if dask else max(1, cores // workers))
+    from eqsim import tables
+    from eqsim.sweep import Asked
+    from eqsim.sweep import sweep as compute
+
+    asked, silent = Asked(rel_error, max_lives, transient), quiet or json
+    try:
+        with _bar("sweeping", silent, "points") as progress:
+            found = compute(
+                file, path.parent, out, asked=asked, text=_text(path, changes), workers=workers, threads=each,
+                dask=dask, progress=progress, note=(lambda _: None) if silent else print,
+            )  # fmt: skip
+    except KeyboardInterrupt as stop:
+        _fail(f"interrupted; {stop or 'nothing was computed'}; the same command continues", 130)
+    failures = found.failures[:10]
+    if json:
+        print(tables.to_json({**dataclasses.asdict(found), "failures": failures, "out": str(out)}))
+    elif not quiet:
+        doubtful = f", {found.unreliable} unreliable" if found.unreliable else ""
+        failed = f", {found.failed} FAILED" if found.failed else ""
+        print(f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}")
+        if found.computed:
+            each_ms = found.point_seconds / found.computed * 1e3
+            print(f"{found.computed} computed in {found.seconds:.1f} s, {each_ms:.3g} ms of engine and reference each")
+    if found.failed:
+        for failure in failures if not json else []:
+            values = ", ".join(f"{key} = {value}" for key, value in failure["changes"].items())
+            print(f"eqsim: point {failure['point']} ({values}) failed: {failure['message']}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+@app.command()
+@guarded
 def info(
     path: Path_,
     set_: Set = None,
@@ -334,6 +411,55 @@ def info(
             )
         table.add_row("lives", _lives(lives), "predicted for `eqsim run`")
         _show(file.title or path.stem, table)
+
+
+@app.command()
+@guarded
+def plot(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of Parquet files, one point a row.", show_default=False)
+    ],
+    x: Annotated[str, typer.Option(help="Column along the x axis.")] = "drive.velocity",
+    y: Annotated[str, typer.Option(help="Column along the y axis.")] = "friction",
+    by: Annotated[
+        str | None, typer.Option(help="Column of which every value is a series of its own.", show_default=False)
+    ] = None,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Only points at which a column has this value; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Default: DIR.png beside DIR.", show_default=False)
+    ] = None,
+    log_x: Annotated[
+        bool | None,
+        typer.Option("--log-x/--linear-x", help="Default: logarithmic above a factor 30.", show_default=False),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw a sweep: an observable against a parameter, with error bars and the reference."""
+    pairs = [item.partition("=") for item in where or []]
+    for item, (key, equals, _) in zip(where or [], pairs, strict=True):
+        if not key.strip() or not equals:
+            raise InputError(f"--where {item}: must be KEY=VALUE")
+    place = folder.absolute()
+    file = out or place.parent / f"{place.name}.png"
+    if file.suffix != ".png":
+        raise InputError(f"--out {file}: must end in .png")
+    if file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"--out {file}: must be outside {folder}, where everything is read as points")
+    from eqsim import tables
+    from eqsim.plots import read_points, select, sweep_png
+
+    tables.check_folder(file.parent)
+    points = select(read_points(folder), {key.strip(): value.strip() for key, _, value in pairs})
+    png, notes = sweep_png(points, x, y, by, log_x, ", ".join([place.name, *(where or [])]))
+    tables.publish(file.parent, {file.name: png})
+    if json:
+        print(tables.to_json({"file": str(file), "points": len(points), "notes": notes}))
+    elif not quiet:
+        print("; ".join([str(file), *notes]))
 
 
 def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
@@ -380,6 +506,82 @@ def _threads(asked: int | None) -> int:
 
 
 @contextmanager
+def _executor(workers: int | None, dask: str | None, threads: int) -> Iterator[tuple["Executor | None", int]]:
+    """Who simulates the contacts, and how many they are: threads of this process (None), worker processes, or dask."""
+    if workers is not None and dask is not None:
+        raise InputError("--workers, --dask: only one of them")
+    if dask is not None:
+        with _dask(dask) as client:
+            yield client.get_executor(), sum(client.nthreads().values())
+    elif workers is not None:
+        require_integer("--workers", workers, 1, 1024)
+        with _processes(workers) as pool:
+            yield pool, workers
+    else:
+        yield None, threads
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator["Executor"]:
+    """Worker processes, ended at once if the work inside is broken off."""
+    import multiprocessing
+    import signal
+    from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+
+    pool = ProcessPoolExecutor(
+        workers, multiprocessing.get_context("spawn"),
+        initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN),  # a terminal sends Ctrl-C to all of them
+    )  # fmt: skip
+    try:
+        yield pool
+    except BrokenExecutor:
+        raise InputError("--workers: a worker process died, perhaps for want of memory") from None
+    except BaseException:
+        for worker in multiprocessing.active_children():
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[Any]:
+    """A client of the dask scheduler at an address, or of the one that wrote the file of this name."""
+    import logging
+    import re
+    from concurrent.futures import CancelledError
+    from importlib import import_module
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        distributed = import_module("distributed")
+    except ImportError:
+        raise InputError('--dask: needs the package "distributed" (pip install "eqsim[dask]")') from None
+    where = {"scheduler_file" if Path(address).is_file() else "address": address}
+    if "address" in where and not re.fullmatch(r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+", address):
+        raise InputError(f"--dask {address}: must be HOST:PORT of a scheduler or an existing scheduler file")
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost cluster is told in one line
+    try:
+        client = distributed.Client(**where, timeout=10, set_as_default=False)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"--dask {address}: no scheduler answers ({error})") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=10)
+            found = {str(number) for number in client.run(version, "eqsim").values()}
+        except PackageNotFoundError:
+            raise InputError(f"--dask {address}: eqsim is not installed on its workers") from None
+        except OSError:
+            raise InputError(f"--dask {address}: it has no workers") from None
+        if found != {version("eqsim")}:
+            raise InputError(f"--dask {address}: its workers have eqsim {', '.join(found)}, not {version('eqsim')}")
+        try:
+            yield client
+        except (OSError, CancelledError, distributed.KilledWorker) as error:
+            raise InputError(f"--dask {address}: the workers were lost ({type(error).__name__}: {error})") from None
+
+
+@contextmanager
 def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None]]:
     """A progress bar with lives per second."""
     from eqsim.compiled import cold
@@ -410,14 +612,14 @@ def _bar(title: str, silent: bool, unit: str, total: float | None = None) -> Ite
         if not begin and done:
             begin.append(now)
         rate = done / (now - begin[0]) if begin and now > begin[0] else 0.0
-        description = "simulating" if unit == "lives" else title
+        description = "simulating" if unit == "lives" else f"{title} {done}/{of or total or '?'}"
         bar.update(task, completed=done, total=of or total, description=description, rate=_lives(rate))
 
     with bar:
         yield progress
 
 
-def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result: Any, folder: Path) -> None:
+def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result: Any, folder: Path, who: str) -> None:
     from eqsim.estimate import difference
 
     table = _table("", "second half of the run", "steady value", "difference / s.e.")
@@ -431,7 +633,7 @@ def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result:
     print(
         f"{_lives(result.lives)} lives of {_lives(ensemble.count * file.output.replicas)} contacts in "
         f"{result.engine_seconds:.2f} s ({_lives(result.lives / max(result.engine_seconds, 1e-9))}/s), "
-        f"{result.threads} threads, seed {result.seed}"
+        f"{result.threads} {who}, seed {result.seed}"
     )
     print(f"{folder}/: trajectory.parquet, summary.json, force.png")
 

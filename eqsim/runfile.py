@@ -5,9 +5,10 @@ Structure and types are checked here; what a value may be is known to the law it
 
 import csv
 import difflib
+import functools
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict
@@ -166,6 +167,49 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     return check(data)
 
 
+@functools.cache
+def keys() -> dict[str, type]:
+    """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str."""
+
+    def kind(annotation: Any) -> type:
+        choices = [choice for choice in get_args(annotation) or (annotation,) if choice is not type(None)]
+        return choices[0] if isinstance(choices[0], type) else str  # else of a Literal
+
+    known: dict[str, type] = {}
+    for name, field in RunFile.model_fields.items():
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, BaseModel):
+            known |= {f"{name}.{key}": kind(part.annotation) for key, part in section.model_fields.items()}
+        elif name not in ("title", "sweep"):
+            known[name] = kind(section)
+    return known
+
+
+def parameters(file: RunFile) -> dict[str, Any]:
+    """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
+    data = file.model_dump()
+    found = {key: data[key] if "." not in key else data[key.split(".")[0]][key.split(".")[1]] for key in keys()}
+    if file.thresholds.law != "table" and found["thresholds.x_star"] is None:
+        found["thresholds.x_star"] = 1.0
+    if file.thresholds.law == "gamma" and found["thresholds.n"] is None:
+        found["thresholds.n"] = 1.0
+    return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
+
+
+def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
+    """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
+    data = file.model_dump(exclude={"sweep"})
+    for key, value in changes.items():
+        if key not in keys():
+            same = [known for known in keys() if known.split(".")[-1] == key.split(".")[-1]]
+            close = same + difflib.get_close_matches(key, keys(), 1)
+            hint = f'did you mean "{close[0]}"?' if close else "known are " + ", ".join(keys())
+            raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
+        *section, last = key.split(".")
+        (data[section[0]] if section else data)[last] = value
+    return check(data)
+
+
 def check(data: dict[str, Any]) -> RunFile:
     """A run file from its content. Raises InputError with one line that names the field."""
     try:
@@ -207,6 +251,16 @@ def _nearest(location: list[str]) -> str:
 
 def read_thresholds(path: Path) -> Table:
     """A CSV file with a column `threshold`, one positive number a row. Raises InputError."""
+    try:
+        stamp = (path.stat().st_mtime_ns, path.stat().st_size)
+    except (OSError, ValueError):  # the reader says why
+        stamp = None
+    return _read_thresholds(path, stamp)
+
+
+@functools.lru_cache(maxsize=8)
+def _read_thresholds(path: Path, stamp: tuple[int, int] | None) -> Table:
+    """Remembered for as long as the file stays as it is: all points of a sweep share it."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.DictReader(file, skipinitialspace=True)

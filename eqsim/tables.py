@@ -51,6 +51,49 @@ def parquet(columns: dict[str, Any], origin: dict[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
+def sealed(table: Any) -> bytes:
+    """A pyarrow table as a Parquet file whose pages carry checksums."""
+    from pyarrow import parquet as pq
+
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, write_page_checksum=True)
+    return buffer.getvalue()
+
+
+def unsealed(content: bytes, schema: Any) -> Any:
+    """The pyarrow table of a Parquet file from `sealed`; None if it is damaged or its columns are not those of
+    `schema`."""
+    import pyarrow
+    from pyarrow import parquet as pq
+
+    try:
+        table = pq.read_table(pyarrow.BufferReader(content), page_checksum_verification=True)
+    except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
+        return None
+    return table if table.schema.equals(schema) else None
+
+
+def save(path: Path, content: bytes) -> None:
+    """Write one file, whole or not at all, whenever the process or the machine dies."""
+    handle, name = tempfile.mkstemp(prefix=".eqsim-", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(name, 0o644)  # mkstemp's files are private
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    if os.name == "posix":  # the name itself must reach the disk too
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
 def check_folder(folder: Path) -> None:
     """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
     present = next(path for path in (folder, *folder.absolute().parents) if path.exists())

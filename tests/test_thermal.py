@@ -541,8 +541,8 @@ DRAWN = [
 def break_stretches(ensemble, velocity, count=40_000):
     stream = key(21, TRAJECTORY)
     u, v = np.array([uniforms(stream, i, 0, 0) for i in range(count)]).T.copy()
-    stiffness, stretch = np.empty(count), np.empty(count)
-    lives(lower(ensemble, velocity), u, v, stiffness, stretch)
+    work, stretch = lives(lower(ensemble, velocity), stream, 0, u, v)
+    stiffness = 2.0 * work / stretch**2
     xi = ensemble.thresholds.exceeded_by(-np.log(u))
     np.testing.assert_allclose(
         stiffness, relative_stiffness(ensemble.stiffness_law, xi, ensemble.thresholds.rms), rtol=1e-9

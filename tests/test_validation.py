@@ -92,7 +92,7 @@ def test_hazard(was, wrong):
             passed += _hazard(ensemble, ensemble, v, index)
             failed += _hazard(ensemble, other, v, index)
     for kind in ("hazard", "hazard law"):
-        assert verdict(kind, passed).count >= 4
+        assert verdict(kind, passed).count >= 3
         assert verdict(kind, passed).passed
         assert not verdict(kind, failed).passed
 
@@ -118,7 +118,8 @@ def test_sample():
     aging = [ensemble for ensemble in points if ensemble.aging.active]
     assert len(aging) == len(points) // 3
     for name in ("disorder", "stiffness_law"):
-        assert len({(getattr(e, name), e.aging.rule, e.thermal.barrier, e.thermal.kT > 0) for e in aging}) == 16
+        assert len({(getattr(e, name), e.aging.rule, e.thermal.barrier) for e in aging}) == 8
+    assert {e.thermal.kT > 0 for e in aging} == {True, False}
     assert {e.aging.rate == math.inf for e in aging} == {True, False}
     ratio = np.array([e.aging.x_star_final / e.thresholds.x_star for e in aging])
     assert 0.3 <= ratio.min() < 0.5

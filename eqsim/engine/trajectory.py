@@ -1,15 +1,16 @@
 """Force of an ensemble on a grid of slider displacements, event driven: cost O(lives) + O(points), memory O(points).
 
-Contacts do not act on each other, so each is followed on its own from start to end (`ramps`), by any thread.
+Contacts do not act on each other, so each is followed on its own from start to end (`ramps`), by any thread or any
+worker of an executor.
 """
 
-import itertools
 import math
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from eqsim.laws.threshold import NO_STEPS, NO_TABLE
 
 _FRESH = Standing(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
 Progress = Callable[[int], None]
+_SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
 
 @dataclass(frozen=True)
@@ -83,11 +85,15 @@ def trajectory(
     threads: int = 1,
     max_lives: float = 1e10,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Trajectory:
     """Simulate `replicas` independent ensembles over the drive's distance, recorded at `points` equidistant X from 0.
 
     The result depends on `seed`, never on `threads`; `progress(lives)` is told how many lives have been simulated.
-    Raises InputError for arguments out of range, and if more than `max_lives` lives are predicted.
+    With an `executor` (a ProcessPoolExecutor, or the `get_executor()` of a dask client) its workers, about `threads` of
+    them, simulate the contacts: the same bits, and memory O(points) on each. The caller shuts it down.
+    Raises InputError for arguments out of range, and if more than `max_lives` lives are predicted; what a lost worker
+    makes the executor raise is passed on.
     """
     check_run(ensemble, drive, points, seed, replicas, max_lives)
     c = settled(ensemble, drive.velocity, seed, threads)
@@ -101,7 +107,7 @@ def trajectory(
     nothing = Totals(2, 1)
     simulate(*arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
-    total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress)
+    total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress, executor)
 
     force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)
     grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
@@ -140,7 +146,9 @@ def trajectory(
 
 
 class Totals:
-    """Integer sums of one thread; those of several threads simply add up."""
+    """Integer sums of one thread or share of the contacts; those of several simply add up."""
+
+    sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
 
     def __init__(self, points: int, replicas: int) -> None:
         self.deposits = np.zeros((points, 6), np.int64)
@@ -165,8 +173,12 @@ class Totals:
         self.scratch[:] = 0
 
     def add(self, other: "Totals") -> None:
-        for name in ("deposits", "batches", "status", "replica_sum", "replica_square"):
+        for name in self.sums:
             getattr(self, name)[...] += getattr(other, name)
+
+    def __getstate__(self) -> dict[str, Array]:
+        """What comes back from a worker: the sums, without scratch."""
+        return {name: getattr(self, name) for name in self.sums}
 
 
 _Job = tuple[Contacts, Standing, Run, Scales, Key]
@@ -178,6 +190,27 @@ def arguments(job: _Job, total: Totals) -> tuple[Any, ...]:
     return c, table, run, scales.deposits, scales.batches, stream, total.scratch, total.batches, total.status
 
 
+class _Blocks(NamedTuple):
+    """How contacts are divided: blocks of `size`, whole ensembles of `contacts` if there are replicas."""
+
+    size: int
+    contacts: int
+    replicas: int
+    drag: float
+
+
+def _follow(job: _Job, blocks: _Blocks, firsts: Iterable[int], total: Totals | None = None) -> Totals:
+    """Simulate the blocks that begin at the contacts `firsts`, in a thread or in a worker of an executor."""
+    _, _, run, scales, _ = job
+    total = total or Totals(run.points, blocks.replicas)
+    for first in firsts:
+        if total.status[1]:
+            break
+        simulate(*arguments(job, total), first, min(first + blocks.size, blocks.contacts * blocks.replicas))
+        total.close_replica(scales, run, blocks.contacts, blocks.drag)
+    return total
+
+
 def _simulate_all(
     job: _Job,
     count: int,
@@ -185,36 +218,39 @@ def _simulate_all(
     drag: float,
     threads: int,
     progress: Progress | None,
+    executor: Executor | None,
 ) -> Totals:
-    """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free."""
-    _, _, run, scales, _ = job
+    """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free, or a few shares
+    of them for each worker to an executor."""
+    _, _, run, _, _ = job
     contacts = count * replicas
-    lanes = min(LANES, -(-contacts // threads))
-    block = count if replicas > 1 else max(lanes, min(-(-contacts // (16 * threads)), 2**20))
-    blocks = itertools.count()  # next() is atomic
-    totals = [Totals(run.points, replicas) for _ in range(threads)]
-
-    def work(total: Totals) -> None:
-        for index in blocks:
-            first = index * block
-            if first >= contacts or total.status[1]:
-                return
-            last = min(first + block, contacts)
-            simulate(*arguments(job, total), first, last)
-            total.close_replica(scales, run, count, drag)
-
-    with ThreadPoolExecutor(threads) as pool:
-        running = {pool.submit(work, total) for total in totals}
+    lanes = LANES if executor else min(LANES, -(-contacts // threads))
+    size = count if replicas > 1 else max(lanes, min(-(-contacts // (16 * threads)), 2**20))
+    blocks, firsts = _Blocks(size, count, replicas, drag), range(0, contacts, size)
+    totals = [Totals(run.points, replicas) for _ in range(1 if executor else threads)]
+    running: set[Future[Totals]] = set()
+    pool = None if executor else ThreadPoolExecutor(threads)
+    with pool or nullcontext():
         try:
+            if pool:
+                shared = iter(firsts)  # next() is atomic
+                running = {pool.submit(_follow, job, blocks, shared, total) for total in totals}
+            elif executor:
+                shares = min(_SHARES * threads, len(firsts))
+                running = {executor.submit(_follow, job, blocks, firsts[i::shares]) for i in range(shares)}
             while running:
-                done, running = wait(running, timeout=0.1)
+                done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
                 for future in done:
-                    future.result()
+                    part = future.result()
+                    if executor:
+                        totals[0].add(part)
                 if progress:
                     progress(sum(total.lives for total in totals))
         except BaseException:
             for total in totals:
                 total.status[1] = 1
+            for future in running:
+                future.cancel()
             raise
     for other in totals[1:]:
         totals[0].add(other)

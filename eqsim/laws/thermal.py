@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import interpolate, special
 
 from eqsim.compiled import inlined
 from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number
@@ -221,6 +221,10 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
         nodes.append(top - (top - low) * toward)
     y = np.unique(np.concatenate(nodes))
     y = y[y >= 1e-14]
+    if low == 0 and math.isinf(high) and not law.breakpoints.size:  # h is smooth
+        h = pooled_rate(law, stiffness, barrier, b, y)
+        rest = interpolate.CubicSpline(np.log(y), y * (h - h[0])).antiderivative()
+        return _pool(y, y * h[0] + rest(np.log(y)), h, h)
     half = 0.5 * np.diff(np.log(y))[:, None]
     inner = np.exp(np.log(y[:-1, None]) + half * (1.0 + _FEW_NODES))
     cells = half * _FEW_WEIGHTS * inner * pooled_rate(law, stiffness, barrier, b, inner.ravel()).reshape(inner.shape)

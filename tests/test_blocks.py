@@ -1,0 +1,181 @@
+"""One ensemble split over threads, processes and machines: the same bits."""
+
+import multiprocessing
+import pickle
+import sys
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eqsim import Aging, Delay, Drive, Ensemble, Thermal, trajectory
+from eqsim.cli import app
+from eqsim.engine.trajectory import Totals
+
+ARRAYS = ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std")
+ESTIMATES = ("friction", "pinned_fraction", "break_stretch", "lives")
+THERMAL = Ensemble(thermal=Thermal(0.1), count=3000, delay=Delay(1.0, "exponential"), eta=1.0)
+LANGEVIN = Ensemble(thermal=Thermal(0.1), aging=Aging("langevin", 0.1, 2.0), count=600)
+CASES = [
+    (ensemble, start, replicas)
+    for ensemble in (THERMAL, LANGEVIN)
+    for start in ("fresh", "stationary")
+    for replicas in (1, 7)
+]
+
+
+def bits(ensemble, start, replicas, **how):
+    run = trajectory(ensemble, Drive(0.1, 4.0, start), points=101, seed=9, replicas=replicas, **how)
+    arrays = (getattr(run, name) for name in ARRAYS)
+    return [a is not None and a.tobytes() for a in arrays], [getattr(run, name) for name in ESTIMATES]
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return [bits(*case) for case in CASES]
+
+
+@pytest.fixture(scope="module")
+def processes():
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+def test_same_bits_on_threads(expected):
+    assert [bits(*case, threads=2) for case in CASES] == expected
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_same_bits_on_processes(expected, processes, workers):
+    """Two processes; `threads` says how many shares are made."""
+    assert [bits(*case, threads=workers, executor=processes) for case in CASES] == expected
+
+
+def compiled_signatures():
+    """How often this process has compiled or loaded the kernel."""
+    import eqsim.engine.ramps
+
+    return len(eqsim.engine.ramps.simulate.signatures)
+
+
+def test_same_bits_on_dask(expected, command):
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
+    )
+    with cluster, distributed.Client(cluster) as client:
+        executor = client.get_executor()
+        assert [bits(*case, threads=2, executor=executor) for case in CASES] == expected
+        assert set(client.run(compiled_signatures).values()) == {1}  # arrays come as the kernel knows them
+        here, there = command("--threads", "1"), command("--dask", cluster.scheduler_address)
+    assert there[0].exit_code == 0, there[0].output
+    assert "2 workers" in there[0].output
+    assert here[1] == there[1]
+
+
+@pytest.fixture
+def command(tmp_path):
+    """`eqsim run` of a small ensemble with more arguments: its result, and the bytes of the table if there is one."""
+    path = tmp_path / "small.toml"
+    path.write_text("[contacts]\ncount = 3000\n[drive]\nvelocity = 0.1\ndistance = 4.0\n[output]\npoints = 51\n")
+
+    def call(*args):
+        out = tmp_path / "out" / "-".join(str(len(arg)) for arg in args)
+        result = CliRunner().invoke(app, ["run", str(path), "--out", str(out), *map(str, args)])
+        table = out / "trajectory.parquet"
+        return result, table.read_bytes() if table.exists() else None
+
+    return call
+
+
+def test_command_on_processes(command):
+    here, there = command("--threads", "1"), command("--workers", "2")
+    assert here[0].exit_code == there[0].exit_code == 0
+    assert "2 workers" in there[0].output
+    assert here[1] == there[1]
+
+
+def test_command_refuses_in_one_line(command, monkeypatch):
+    def silent(**_):
+        raise TimeoutError("timed out")
+
+    def refused(message, *args):
+        result, table = command(*args)
+        assert result.exit_code == 2
+        assert message in result.stderr
+        assert result.stderr.count("\n") == 1
+        assert table is None
+
+    refused("--workers = 0: must be an integer from 1", "--workers", "0")
+    refused("--workers, --dask: only one of them", "--workers", "1", "--dask", "localhost:8786")
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "distributed", None)
+        refused('--dask: needs the package "distributed"', "--dask", "localhost:8786")
+    distributed = pytest.importorskip("distributed")
+    refused("--dask nowhere: must be HOST:PORT", "--dask", "nowhere")
+    monkeypatch.setattr(distributed, "Client", silent)
+    refused("--dask localhost:9: no scheduler answers (timed out)", "--dask", "localhost:9")
+
+
+class Watched(Executor):
+    """Runs what it is sent at once, through pickles as a process would; may forget a share, or fail at one."""
+
+    def __init__(self, forget=None, fail=None):
+        self.sent, self.returned, self.forget, self.fail = [], [], forget, fail
+        self.futures = []
+
+    def submit(self, function, /, *args, **kwargs):
+        future = Future()
+        self.futures.append(future)
+        sent = pickle.dumps((function, args, kwargs))
+        self.sent.append(len(sent))
+        index = len(self.sent) - 1
+        if self.fail is not None and index >= self.fail:
+            if index == self.fail:
+                future.set_exception(ChildProcessError("a worker died"))
+            return future  # those behind a dead worker never run
+        function, args, kwargs = pickle.loads(sent)
+        result = function(*args, **kwargs)
+        self.returned.append(len(pickle.dumps(result)))
+        future.set_result(Totals(101, 1) if index == self.forget else result)
+        return future
+
+
+@pytest.mark.parametrize("replicas", [1, 40])
+def test_few_shares_small_messages_and_progress(replicas):
+    """Four shares a worker; each is sent the tables once and returns sums over points, whatever the contacts."""
+    executor, told = Watched(), []
+    how = {"threads": 3, "executor": executor, "progress": told.append}
+    found = bits(THERMAL, "stationary", replicas, **how)
+    assert found == bits(THERMAL, "stationary", replicas)
+    assert len(executor.sent) == 12
+    assert max(executor.sent) < 2**20
+    sums = 101 * 6 + 64 * 2 * 5 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, batches, status, replicas
+    assert max(executor.returned) < 8 * sums + 1000
+    assert told[-1] == found[1][-1]
+
+
+def test_no_block_below_the_lanes():
+    """300 contacts are three blocks of up to 128, however many workers there are."""
+    executor = Watched()
+    trajectory(Ensemble(count=300), Drive(0.1, 1.0), points=101, threads=50, executor=executor)
+    assert len(executor.sent) == 3
+
+
+def test_a_lost_share_shows():
+    """Negative control: without one of the shares the bits differ."""
+    whole = trajectory(THERMAL, Drive(0.1, 4.0), points=101)
+    less = trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=2, executor=Watched(forget=3))
+    assert not np.array_equal(whole.force, less.force)
+    assert less.lives < whole.lives
+
+
+def test_a_dead_worker_is_an_error_and_the_rest_is_cancelled():
+    executor = Watched(fail=2)
+    with pytest.raises(ChildProcessError, match="a worker died"):
+        trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=2, executor=executor)
+    assert len(executor.futures) == 8
+    for future in executor.futures[3:]:
+        with pytest.raises(CancelledError):
+            future.result(timeout=0)

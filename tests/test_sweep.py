@@ -1,0 +1,526 @@
+"""Sweeps: the grid, identity, the folder that survives anything, and workers that do not change a bit."""
+
+import concurrent.futures as futures
+import dataclasses
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pandas as pd
+import psutil
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from eqsim import sweep as module
+from eqsim.cli import app
+from eqsim.engine.steady import steady
+from eqsim.ensemble import Ensemble
+from eqsim.errors import InputError
+from eqsim.master.reference import reference
+from eqsim.runfile import check, keys, load
+from eqsim.sweep import Asked, Plan, Store, results_version, schema, seed_of, sweep
+
+BASE = 'title = "small"\n[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5.0\n'
+GRID = (
+    BASE
+    + '[sweep]\n"drive.velocity" = { log = [0.01, 1.0, 3] }\n"thermal.kT" = [0.1, 1.0]\n"delay.time" = [0.0, 1.0]\n'
+)
+# Rows reach the disk at once, and workers are told to stop nowhere in particular.
+EAGER = "import eqsim.sweep as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; from eqsim.cli import main; main()"
+
+
+def file_of(text):
+    return check(tomllib.loads(text))
+
+
+def plan_of(text, folder=Path()):
+    return Plan(file_of(text), folder)
+
+
+def grid(table, base=BASE, folder=Path()):
+    plan = plan_of(f"{base}[sweep]\n{table}\n", folder)
+    return [plan.changes(index) for index in range(plan.size)]
+
+
+def table_of(folder):
+    """The dataset without its times, as its reader sees it."""
+    return pq.read_table(folder / "sweep.parquet").drop_columns("seconds")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A run file of 12 points and its dataset, computed by one process with one thread."""
+    folder = tmp_path_factory.mktemp("small")
+    (folder / "small.toml").write_text(GRID)
+    sweep(load(folder / "small.toml"), folder, folder / "one", text=GRID)
+    return folder
+
+
+# ---- the grid ----
+
+
+def test_axes_and_their_product():
+    assert grid('"thermal.kT" = [0.1, 1]\n"delay.law" = ["fixed", "exponential"]') == [
+        {"thermal.kT": 0.1, "delay.law": "fixed"},
+        {"thermal.kT": 0.1, "delay.law": "exponential"},
+        {"thermal.kT": 1, "delay.law": "fixed"},
+        {"thermal.kT": 1, "delay.law": "exponential"},
+    ]
+    log = [point["drive.velocity"] for point in grid("drive.velocity = { log = [1e-3, 1e2, 6] }")]
+    assert log == [0.001, 0.01, 0.1, 1.0, 10.0, 100.0]  # to the last bit, whatever made the powers
+    assert [p["delay.time"] for p in grid('"delay.time" = { linear = [0, 1, 5] }')] == [0, 0.25, 0.5, 0.75, 1]
+    assert [p["contacts.count"] for p in grid('"contacts.count" = { log = [10, 1000, 5] }')] == [10, 32, 100, 316, 1000]
+    assert [p["disorder"] for p in grid('disorder = ["quenched", "annealed"]')] == ["quenched", "annealed"]
+
+
+def test_zipped_axes_advance_together():
+    text = 'zip = [{ "drive.velocity" = { log = [0.1, 10, 3] }, "thermal.kT" = [1, 2, 3] }]\n"delay.time" = [0, 1]'
+    assert [tuple(point.values()) for point in grid(text)] == [
+        (0.1, 1, 0), (0.1, 1, 1), (1.0, 2, 0), (1.0, 2, 1), (10, 3, 0), (10, 3, 1),
+    ]  # fmt: skip
+
+
+def test_points_file(tmp_path):
+    columns = {"thresholds.law": ["gamma", "delta"], "thresholds.n": [2.0, None], "contacts.count": [5, 6]}
+    pq.write_table(pa.table(columns), tmp_path / "points.parquet")
+    points = grid('file = "points.parquet"', folder=tmp_path)
+    assert points == [
+        {"thresholds.law": "gamma", "thresholds.n": 2.0, "contacts.count": 5},
+        {"thresholds.law": "delta", "contacts.count": 6},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ('"drive.velocty" = [1]', 'sweep.drive.velocty.*did you mean "drive.velocity"'),
+        ("velocity = [1]", 'sweep.velocity.*did you mean "drive.velocity"'),
+        ('title = ["a"]', "sweep.title"),
+        ('"thermal.kT" = 0.1', r"sweep.thermal.kT = 0.1: must be a list"),
+        ('"thermal.kT" = []', "sweep.thermal.kT = .*must be a list"),
+        ('"thermal.kT" = { log = [0.0, 1.0, 3] }', r"sweep.thermal.kT.log = 0.0: .*> 0"),
+        ('"thermal.kT" = { log = [1.0, 2.0] }', r"must be \[first, last, count\]"),
+        ('"thermal.kT" = { linear = [1.0, 2.0, 2.5] }', r"thermal.kT.linear, count = 2.5: must be an integer from 2"),
+        ('"thermal.kT" = { linear = [1.0, 2.0, inf] }', r"thermal.kT.linear, count = inf: must be an integer from 2"),
+        ('"thermal.kT" = { linear = [1.0, "a", 3] }', "thermal.kT.linear = 'a': must be a finite number"),
+        ('"thermal.barrier" = { linear = [1.0, 2.0, 3] }', "holds text"),
+        ('"thermal.kT" = [0.1, "hot"]', r"sweep, point 2 of 2: thermal.kT = 'hot': must be a valid number"),
+        ('"thermal.kT" = [0.1, -1]', r"sweep, point 2 of 2: thermal.kT = -1.0: must be a finite number >= 0"),
+        ('"thermal.barrier" = ["soft", "hard"]', r"point 2 of 2: thermal.barrier = 'hard': must be one of"),
+        ('"thermal.kT" = [0.1, 0.1]', r"points 1 and 2 are the same \(thermal.kT = 0.1\)"),
+        ('zip = [{ "thermal.kT" = [1, 2], "delay.time" = [1] }]', "equal lengths; found thermal.kT 2, delay.time 1"),
+        ('zip = [{ "thermal.kT" = [1, 2] }]\n"thermal.kT" = [3]', "sweep.thermal.kT: is in two axes"),
+        ("zip = [3]", "sweep.zip: must be tables"),
+        ('file = "absent.parquet"', "absent.parquet: cannot be read"),
+        ('"thermal.kT" = { linear = [0, 1, 100000] }\n"delay.time" = { linear = [0, 1, 100] }', "at most 1000000"),
+        ("", r"needs a \[sweep\] table"),
+    ],
+)  # fmt: skip
+def test_bad_sweeps_are_refused_by_name(table, said):
+    with pytest.raises(InputError, match=said):
+        grid(table)
+
+
+# ---- identity ----
+
+
+def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
+    def ids(text):
+        return plan_of(text).ids
+
+    swept = BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
+    ids_ = ids(swept)
+    assert ids_ == ids(swept.replace("small", "other title"))
+    assert ids_[::-1] == ids(swept.replace("[0.1, 1.0]", "[1, 0.1]"))  # neither order nor 1 for 1.0
+    assert ids_[0] in ids(swept.replace("[0.1, 1.0]", "[0.1, 2.0, 3.0]"))  # nor the rest of the grid
+    assert ids_ == ids(BASE + "[thresholds]\nn = 1.0\nx_star = 1\n" + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n')
+    seeds = ids(BASE + '[sweep]\n"thermal.kT" = [0.1]\n"output.seed" = [1, 2]\n')
+    assert seeds[0] == ids_[0]
+    assert seeds[1] not in ids_
+    assert not set(ids_) & set(ids(swept.replace("count = 500", "count = 501")))
+    monkeypatch.setattr(module, "results_version", lambda: "other")
+    assert not set(ids_) & set(ids(swept))
+    assert all(0 <= seed_of(i) < 2**63 for i in ("f" * 64, "0" * 64, *ids_))
+
+
+def test_a_table_of_thresholds_enters_with_its_values(tmp_path):
+    text = '[thresholds]\nlaw = "table"\nfile = "x.csv"\n[drive]\nvelocity = 1.0\n[sweep]\n"thermal.kT" = [0.1]\n'
+    path = tmp_path / "x.csv"
+    path.write_text("threshold\n1.0\n2.0\n")
+    before = plan_of(text, tmp_path).ids
+    path.rename(tmp_path / "y.csv")
+    assert plan_of(text.replace("x.csv", "y.csv"), tmp_path).ids == before
+    path.write_text("threshold\n1.0\n2.5\n")
+    assert plan_of(text, tmp_path).ids != before
+
+
+def test_results_version_is_that_of_the_sources(tmp_path):
+    """It changes with any byte of a source that numbers depend on (negative control: not with the plots)."""
+    code = (
+        "import shutil, sys, pathlib; import eqsim; root = pathlib.Path(eqsim.__file__).parent\n"
+        "import eqsim.sweep as s\n"
+        "copy = pathlib.Path(sys.argv[1]) / 'eqsim'\n"
+        "shutil.copytree(root, copy, ignore=shutil.ignore_patterns('__pycache__'))\n"
+        "s._PACKAGE = copy; first = s.results_version()\n"
+        "for name in ('plots.py', 'laws/thermal.py', 'engine/life.py', 'master/flow.py', 'estimate.py'):\n"
+        "    (copy / name).write_bytes((copy / name).read_bytes() + b'#')\n"
+        "    s.results_version.cache_clear(); now = s.results_version(); print(now != first); first = now\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True", "True", "True", "True"]
+
+
+# ---- the dataset ----
+
+
+def test_rows_are_what_steady_and_reference_say(small):
+    table = pd.read_parquet(small / "one")
+    assert len(table) == 12
+    assert list(table.columns) == schema().names
+    assert set(keys()) <= set(table.columns)
+    plan = plan_of(GRID)
+    assert list(table["id"]) == plan.ids  # in the order of the grid
+    for index in (0, 7):
+        row, point = table.iloc[index], plan.at(index)
+        found = steady(point.ensemble(Path()), point.driven().velocity, rel_error=1e-2, seed=seed_of(row["id"]))
+        exact = reference(point.ensemble(Path()), point.driven().velocity)
+        assert row["friction"] == found.friction.value
+        assert row["friction_stderr"] == found.friction.stderr
+        assert row["lives"] == found.lives
+        assert row["pinned_reference"] == exact.pinned.value
+        assert row["drive.velocity"] == point.drive.velocity
+        assert row["seed"] == seed_of(row["id"])
+    z = table[["friction_z", "pinned_z", "break_stretch_z"]].stack().dropna()
+    assert (z.abs() < 5).all()  # some 30 normal scores: a false alarm in 6e4 seeds
+    assert table["pinned_z"].isna().sum() == 6  # without delay both errors are 0
+    assert set(table["status"]) == {"ok"}
+    origin = json.loads(pq.read_schema(small / "one" / "sweep.parquet").metadata[b"eqsim"])
+    assert origin["run_file"] == GRID
+    assert origin["schema"] == module.SCHEMA
+    assert origin["results_version"] == results_version()
+
+
+def test_workers_and_threads_do_not_change_a_bit(small):
+    for out, options in (("threads", {"threads": 2}), ("processes", {"workers": 2})):
+        sweep(load(small / "small.toml"), small, small / out, text=GRID, **options)
+        assert table_of(small / out).equals(table_of(small / "one"), check_metadata=True)
+
+
+def test_order_and_company_do_not_change_a_bit(small, tmp_path):
+    other = GRID.replace("[0.1, 1.0]", "[3.0, 1.0]").replace("[0.0, 1.0]", "[1.0, 0.0]")
+    sweep(file_of(other), tmp_path, tmp_path / "o", workers=2)
+    one, two = (table_of(folder).to_pandas().set_index("id") for folder in (small / "one", tmp_path / "o"))
+    both = one.index.intersection(two.index)
+    assert len(both) == 6
+    pd.testing.assert_frame_equal(one.loc[both], two.loc[both], check_exact=True)
+    assert not one["friction"].isin(two.drop(both)["friction"]).any()  # negative control
+
+
+def test_transient(tmp_path):
+    text = BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
+    sweep(file_of(text), tmp_path, tmp_path / "o", asked=Asked(transient=True))
+    table = pd.read_parquet(tmp_path / "o")
+    assert set(table["kind"]) == {"transient"}
+    assert table[["friction", "friction_stderr", "break_stretch", "lives"]].notna().all(axis=None)
+    assert table["friction_reference"].isna().all()
+    assert (table["lives"] > 500).all()
+
+
+def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
+    """A velocity beyond all groups fails, now and when the sweep is asked for again; the rest are ok."""
+    path = tmp_path / "a.toml"
+    path.write_text(
+        BASE + '[thermal]\nkT = 0.1\n[sweep]\n"drive.velocity" = [0.1, 1e-100, 1.0]\n"delay.time" = [1e-3]\n'
+    )
+    out = tmp_path / "o"
+    result = CliRunner().invoke(app, ["sweep", str(path), "--out", str(out), "--workers", "1", "--json"])
+    assert result.exit_code == 1, result.output
+    summary = json.loads(result.stdout)
+    assert (summary["points"], summary["ok"], summary["failed"]) == (3, 2, 1)
+    assert summary["failures"][0]["changes"]["drive.velocity"] == 1e-100
+    table = pd.read_parquet(out)
+    assert list(table["status"]) == ["ok", "failed", "ok"]
+    assert "-230" in table["message"][1]
+    again = CliRunner().invoke(app, ["sweep", str(path), "--out", str(out)])
+    assert again.exit_code == 1
+    assert "2 ok, 1 FAILED" in again.stdout
+    assert "point 2 (drive.velocity = 1e-100, delay.time = 0.001) failed: ln(attempt" in again.stderr
+
+
+def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
+    task, found = plan_of(GRID).task(0), steady(Ensemble(), 0.1, rel_error=1e-2)
+    doubtful = dataclasses.replace(found.friction, reliable=False)
+    for result, said in (
+        (dataclasses.replace(found, reached=False), "relative error 0.01 was not reached"),
+        (dataclasses.replace(found, friction=doubtful), "error bars of friction cannot be trusted"),
+        (found, None),
+    ):
+        monkeypatch.setattr("eqsim.engine.steady.steady", lambda *_, result=result, **__: result)
+        row = module._row(task, Asked(), 1)
+        assert (row["status"], row["message"]) == ("unreliable" if said else "ok", said)
+
+
+# ---- the folder ----
+
+
+def test_another_sweep_in_the_same_folder_is_refused(small, monkeypatch):
+    def again(text, **asked):
+        sweep(file_of(text), small, small / "one", asked=Asked(**asked))
+
+    before = (small / "one" / "sweep.parquet").stat().st_mtime_ns
+    again(GRID)  # the same is welcome, and computes nothing
+    with pytest.raises(InputError, match=r"contacts.count was 500, is 501"):
+        again(GRID.replace("500", "501"))
+    with pytest.raises(InputError, match=r"sweep.delay.time was \[0.0, 1.0\], is \[0.0\]"):
+        again(GRID.replace("[0.0, 1.0]", "[0.0]"))
+    with pytest.raises(InputError, match=r"rel_error was 0.01, is 0.001"):
+        again(GRID, rel_error=1e-3)
+    old = results_version()
+    monkeypatch.setattr(module, "results_version", lambda: "later")
+    with pytest.raises(InputError, match=f"results version was {old}, is later"):
+        again(GRID)
+    assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before
+
+
+def test_a_worker_with_other_code_is_refused():
+    with pytest.raises(InputError, match="other code"):
+        module.compute([], Asked(), 1, "another version")
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "theirs.parquet")
+    with pytest.raises(InputError, match="another origin"):
+        sweep(file_of(GRID), tmp_path, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["theirs.parquet"]
+
+
+def test_one_sweep_at_a_time(tmp_path):
+    plan = plan_of(GRID)
+    store = Store(tmp_path, plan, Asked(), "")
+    with pytest.raises(InputError, match="another sweep is at work"):
+        Store(tmp_path, plan, Asked(), "")
+    store.close()
+    Store(tmp_path, plan, Asked(), "").close()
+
+
+def parts_of(small, out, size=3, rows=9):
+    """An unfinished folder: `rows` finished rows of `small`, in parts."""
+    plan, table = plan_of(GRID), pq.read_table(small / "one" / "sweep.parquet").to_pylist()
+    store = Store(out, plan, Asked(), GRID)
+    for index, row in enumerate(table[:rows]):
+        store.add(index, row)
+        if index % size == size - 1:
+            store.flush()
+    store.close()
+    return store.parts
+
+
+def test_damaged_parts_are_named_and_computed_again(small, tmp_path):
+    """A flipped bit, a file that was cut, and another part's content under this one's name; a fourth is whole."""
+    parts = parts_of(small, tmp_path / "o", rows=12)
+    content = [part.read_bytes() for part in parts]
+    middle = len(content[0]) // 3
+    parts[0].write_bytes(content[0][:middle] + bytes([content[0][middle] ^ 1]) + content[0][middle + 1 :])
+    parts[1].write_bytes(content[1][:middle])
+    parts[2].write_bytes(content[3])
+    notes = []
+    found = sweep(file_of(GRID), tmp_path, tmp_path / "o", text=GRID, note=notes.append)
+    assert sorted(found.damaged) == sorted(str(part) for part in parts[:3])
+    assert all(any(part.name in note and "damaged" in note for note in notes) for part in parts[:3])
+    assert (found.resumed, found.computed) == (3, 9)
+    assert table_of(tmp_path / "o").equals(table_of(small / "one"))
+
+
+def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
+    """Of the finished table, which has no digest in its name: 40 flipped bits anywhere in its pages are all seen."""
+    from eqsim import tables
+
+    path = small / "one" / "sweep.parquet"
+    content, table = path.read_bytes(), pq.read_table(path)
+    assert tables.unsealed(content, table.schema).equals(table)
+    chunks = pq.ParquetFile(path).metadata.row_group(0)
+    column = chunks.column(table.column_names.index("friction"))
+    begin, end = column.dictionary_page_offset or column.data_page_offset, column.total_compressed_size
+    rng = random.Random(1)
+    for _ in range(40):
+        bad = bytearray(content)
+        bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
+        found = tables.unsealed(bytes(bad), table.schema)
+        assert found is None or found.equals(table)  # some bits of a page's header mean nothing
+
+
+def test_death_between_the_table_and_its_parts_doubles_nothing(small, tmp_path, monkeypatch):
+    parts_of(small, tmp_path / "o", size=6, rows=12)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(SystemError("killed")))
+        with pytest.raises(SystemError):
+            sweep(file_of(GRID), tmp_path, tmp_path / "o", text=GRID)
+    assert len(list((tmp_path / "o" / "_parts").iterdir())) == 2
+    assert len(pd.read_parquet(tmp_path / "o")) == 12
+    found = sweep(file_of(GRID), tmp_path, tmp_path / "o", text=GRID)
+    assert found.computed == 0
+    assert not (tmp_path / "o" / "_parts").exists()
+    assert pq.read_table(tmp_path / "o" / "sweep.parquet").equals(pq.read_table(small / "one" / "sweep.parquet"))
+
+
+# ---- deaths ----
+
+
+class Deadly(futures.Executor):
+    """Workers that die at one point, and now and then otherwise."""
+
+    def __init__(self, poison, chance):
+        self.poison, self.rng, self.chance = poison, random.Random(5), chance
+
+    def submit(self, work, tasks):
+        future = futures.Future()
+        if self.poison in {task.seed for task in tasks} or self.rng.random() < self.chance:
+            future.set_exception(BrokenProcessPool("died"))
+        else:
+            future.set_result(work(tasks))
+        return future
+
+
+class Crew:
+    lost = (futures.BrokenExecutor,)
+
+    def __init__(self, *args):
+        self.pool = Deadly(*args)
+
+    def slots(self):
+        return 2
+
+    def renew(self):
+        pass
+
+
+@pytest.mark.parametrize("poisonous", [False, True])
+def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous):
+    """It alone fails, whatever it was sent with; without it, workers that die by chance cost nothing."""
+    plan = plan_of(GRID)
+    store = Store(tmp_path, plan, Asked(), GRID)
+    crew = Crew(seed_of(plan.ids[4]) if poisonous else -1, 0.1 if poisonous else 0.2)
+    module._Loop(plan, store, Asked(), 1, crew, None, lambda _: None).run(list(range(12)))
+    store.compact()
+    store.close()
+    found, exact = table_of(tmp_path).to_pandas(), table_of(small / "one").to_pandas()
+    assert list(found["status"]) == ["failed" if poisonous and index == 4 else "ok" for index in range(12)]
+    if poisonous:
+        assert "workers died at this point" in found["message"][4]
+        found, exact = found.drop(4), exact.drop(4)
+    pd.testing.assert_frame_equal(found, exact, check_exact=True, check_dtype=False)
+
+
+def test_workers_that_never_live_end_the_sweep(tmp_path):
+    plan = plan_of(GRID)
+    store = Store(tmp_path, plan, Asked(), GRID)
+    with pytest.raises(InputError, match="as soon as they start"):
+        module._Loop(plan, store, Asked(), 1, Crew(-1, 1.0), None, lambda _: None).run(list(range(12)))
+    store.close()
+
+
+def start(path, out, *options):
+    command = [sys.executable, "-c", EAGER, "sweep", str(path), "--out", str(out), "--workers", "2", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def on_disk(out):
+    """id -> seconds of every row a reader can find."""
+    paths = [*(out / "_parts").glob("part-*.parquet"), *out.glob("sweep.parquet")]
+    rows = [row for path in paths for row in pq.read_table(path).to_pylist()]
+    return {row["id"]: row["seconds"] for row in rows}
+
+
+def killed_and_continued(path, out, delays, exact):
+    """SIGKILL after each delay past the first rows; then to the end. Finished points keep even their times."""
+    kept = {}
+    for delay in delays:
+        process = start(path, out)
+        known = len(kept)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and len(on_disk(out)) <= known and time.monotonic() < deadline:
+            time.sleep(0.02)
+        time.sleep(delay)
+        children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        process.kill()
+        process.communicate()
+        psutil.wait_procs(children, timeout=10)
+        assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+        found = on_disk(out)
+        assert kept.items() <= found.items()
+        kept = found
+    process = start(path, out)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert kept.items() <= on_disk(out).items()
+    assert sorted(entry.name for entry in out.iterdir()) == ["_lock", "_sweep.json", "sweep.parquet"]
+    assert table_of(out).equals(table_of(exact))
+    return len(kept)
+
+
+@pytest.fixture(scope="module")
+def larger(tmp_path_factory):
+    """48 points and their dataset, never interrupted."""
+    folder = tmp_path_factory.mktemp("larger")
+    text = GRID.replace("1.0, 3]", "1.0, 8]").replace("[0.1, 1.0]", "[0.05, 0.3, 1.0]")
+    (folder / "a.toml").write_text(text)
+    sweep(load(folder / "a.toml"), folder, folder / "exact", workers=2)
+    return folder
+
+
+def test_a_killed_sweep_continues(larger):
+    delays = [random.uniform(0, 0.3) for _ in range(2)]
+    assert killed_and_continued(larger / "a.toml", larger / "twice", delays, larger / "exact") > 0
+
+
+@pytest.mark.long
+def test_a_sweep_killed_twenty_times_continues(larger):
+    """Also while it starts, finishes, or has nothing left to do."""
+    delays = [random.uniform(0, 0.1) if index % 4 else random.uniform(0, 2) for index in range(20)]
+    killed_and_continued(larger / "a.toml", larger / "often", delays, larger / "exact")
+
+
+def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
+    process = start(larger / "a.toml", larger / "stopped")
+    while not (rows := on_disk(larger / "stopped")) and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    said = re.search(r"interrupted; (\d+) of 48 points are on disk; the same command continues", errors)
+    assert said, errors
+    kept = on_disk(larger / "stopped")
+    assert rows.items() <= kept.items()
+    assert len(kept) == int(said[1])
+    process = start(larger / "a.toml", larger / "stopped", "--json")
+    while on_disk(larger / "stopped").keys() == kept.keys() and process.poll() is None:
+        time.sleep(0.02)
+    workers = [c for c in psutil.Process(process.pid).children() if "spawn_main" in " ".join(c.cmdline())]
+    os.kill(workers[0].pid, signal.SIGKILL)
+    out, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    assert json.loads(out)["resumed"] == len(kept)
+    assert table_of(larger / "stopped").equals(table_of(larger / "exact"))
+
+
+def test_quiet_and_progress(small):
+    result = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(small / "one"), "--quiet"])
+    assert result.exit_code == 0, result.output
+    assert result.output == ""
+    result = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(small / "new")])
+    assert "12 points (3 x 2 x 2)" in result.stdout
+    assert "ms a point" in result.stdout
+    result = CliRunner().invoke(
+        app, ["sweep", str(small / "small.toml"), "--out", "x", "--workers", "2", "--dask", "y"]
+    )
+    assert result.exit_code == 2
