@@ -33,13 +33,13 @@ def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> t
     """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a uniform, and the next draw."""
     a, b, d, e = words(key, contact, life, draw)
     radius, angle = math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)), (b + 0.5) * (2.0**-32 * 2.0 * math.pi)
-    normal, other = radius * math.cos(angle), radius * math.sin(angle)
+    normal = radius * math.cos(angle)
     passage, product = (e + 0.5) * 2.0**-32, (d + 0.5) * 2.0**-32
     draw += 1
     freedom = 2.0 * shape + 1.0
     if freedom == math.floor(freedom) and freedom < 14.0:  # squares of normals, pairs of them from a logarithm
         pairs = int(freedom) // 2
-        square = other * other if int(freedom) % 2 else 0.0
+        square = radius * radius - normal * normal if int(freedom) % 2 else 0.0  # of the sine's deviate
         if pairs == 0:
             product = 1.0
         for _ in range(pairs - 1):
@@ -91,11 +91,10 @@ def walk(
     drift = variance * ((c.shape + 0.5) / xi - xi / c.final2)
     speed = 1.0 + max(0.0, -drift)
     k0 = kappa(c.kappa_slope, c.kappa_constant, xi)
-    h, rate, slope = (
-        min(most, max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed))),
-        0.0,
-        0.0,
-    )
+    h, rate, slope = reaches(gap, sigma / step, speed), 0.0, 0.0
+    if gap < 0.25 * xi:  # otherwise this is shorter
+        h = max(h, reaches(0.25 * step * xi, sigma, speed))
+    h = min(h, most)
     if c.breaking != MECHANICAL:
         a = c.b * k0
         barrier, rate = barrier_of(c.breaking, xi, x, a), heat(c, xi, x)
@@ -113,9 +112,9 @@ def walk(
             h = 2.0 * left / rate
 
     normal, square, passage, draw = random_step(key, contact, life, draw, c.shape)
-    decay = math.exp(-0.5 * c.alpha * h)
-    s = math.sqrt(-0.5 * c.final2 * math.expm1(-c.alpha * h))
-    along = xi * decay + s * normal
+    lost = -math.expm1(-0.5 * c.alpha * h)
+    s = math.sqrt(0.5 * c.final2 * lost * (2.0 - lost))
+    along = xi * (1.0 - lost) + s * normal
     end = math.sqrt(along * along + s * s * square)
     ahead = end - x - h
     broke = ahead <= 0.0
