@@ -28,7 +28,7 @@ STEP = 0.35  # the default accuracy of steps
 _UNSEEN = 7.0  # heat counts where the hazard of the way to the threshold is above exp(-7)
 
 
-@routine
+@inlined
 def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> tuple[Any, Any, Any, Any]:
     """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a uniform, and the next draw."""
     a, b, d, e = words(key, contact, life, draw)
@@ -76,7 +76,7 @@ def heat(c: Contacts, xi: float, x: float) -> float:
     return rate * math.sqrt((xi - x) / xi) if c.breaking == STIFF else rate
 
 
-@routine
+@inlined
 def walk(
     c: Contacts, key: Key, contact: int, life: int, draw: int,
     xi: float, x: float, left: float, most: float, step: float,
