@@ -263,6 +263,7 @@ def test_same_bits_for_any_threads(name):
 def test_a_finer_grid_sees_the_same(name):
     """Where steps do not end at grid points, every tenth point of a fine grid is the coarse one, to rounding."""
     coarse, fine = (run(name, "stationary", points) for points in (21, 201))
+    # deposits are rounded to units of 2^-62 of a bound on the sum over contacts; ten times as many are added up
     np.testing.assert_allclose(fine.force[::10], coarse.force, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(fine.pinned[::10], coarse.pinned)
     assert fine.friction.value == pytest.approx(coarse.friction.value, rel=1e-12)
@@ -283,6 +284,7 @@ def test_conservation(name):
     pinned at every X."""
     ensemble = replace(RUNS[name], count=300, eta=1e6)
     result = trajectory(ensemble, Drive(1.0, 1.0, "stationary"), points=11)
+    # the elastic force, some lengths of a threshold, is less than 200 beside a drag of 1e6
     np.testing.assert_allclose(result.force / 1e6, 1.0 - result.pinned, atol=2e-4)
     assert np.all(np.isclose(result.pinned * 300, np.rint(result.pinned * 300), atol=1e-9))
     for start in ("fresh", "stationary"):

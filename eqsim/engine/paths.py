@@ -29,6 +29,12 @@ _UNSEEN = 7.0  # heat counts where the hazard of the way to the threshold is abo
 
 
 @inlined
+def normal_of(a: float, b: float) -> float:
+    """A normal deviate from two 32-bit words (Box and Muller)."""
+    return math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)) * math.cos((b + 0.5) * (2.0**-32 * 2.0 * math.pi))
+
+
+@inlined
 def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> tuple[Any, Any, Any, Any]:
     """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a uniform, and the next draw."""
     a, b, d, e = words(key, contact, life, draw)
@@ -55,7 +61,7 @@ def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> t
     while True:
         a, b, d, e = words(key, contact, life, draw)
         draw += 1
-        z = math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)) * math.cos((b + 0.5) * (2.0**-32 * 2.0 * math.pi))
+        z = normal_of(a, b)
         cube = (1.0 + z / math.sqrt(9.0 * third)) ** 3
         if cube > 0.0 and math.log((d + 0.5) * 2.0**-32) < 0.5 * z * z + third * (1.0 - cube + math.log(cube)):
             return normal, 2.0 * third * cube * lift, passage, draw
@@ -133,7 +139,7 @@ def walk(
     if broke:  # when: Michael, Schucany and Haas (1976)
         a, b, d, _ = words(key, contact, life, draw)
         draw += 1
-        z = math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)) * math.cos((b + 0.5) * (2.0**-32 * 2.0 * math.pi))
+        z = normal_of(a, b)
         mean, steep = gap / max(abs(ahead), 1e-300), gap * gap / (variance * h)
         y = mean * z * z / steep
         ratio = mean * 2.0 / (2.0 + y + math.sqrt(y * (4.0 + y)))  # the smaller root, without cancellation
@@ -149,7 +155,7 @@ def walk(
         if spent > 0.03:  # the average over bridges has a spread of its own, which keeps some contacts pinned
             a, b, _, _ = words(key, contact, life, draw)
             draw += 1
-            z = math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)) * math.cos((b + 0.5) * (2.0**-32 * 2.0 * math.pi))
+            z = normal_of(a, b)
             scatter = slope * sigma * math.sqrt(h / 12.0)
             factor = math.exp(scatter * (z - 0.5 * scatter)) if scatter < 1.0 else 1.0
             rate, between, last, spent = rate * factor, between * factor, last * factor, spent * factor

@@ -31,15 +31,10 @@ from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_rate
 from eqsim.laws.threshold import ThresholdLaw, panels_above
-from eqsim.master.kinetic import Moments
+from eqsim.master.kinetic import ClenshawCurtis, Moments
 
-# Clenshaw-Curtis: the nodes hold both ends of a panel, where r is greatest, so that no peak of it can be missed
-_ORDER = 16
-_NODES = -np.cos(math.pi * np.arange(_ORDER + 1) / _ORDER)
-_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_NODES, _ORDER))
-_CUMULATIVE = chebyshev.chebval(_NODES, chebyshev.chebint(_COEFFICIENTS, lbnd=-1))  # (value, node)
-_WEIGHTS = _CUMULATIVE[:, -1]
-_TAIL = _COEFFICIENTS[-2:].T
+# the nodes of Clenshaw and Curtis hold both ends of a panel, where r is greatest, so that no peak of it can be missed
+_NODES, _WEIGHTS, _TAIL = ClenshawCurtis.nodes, ClenshawCurtis.weights, ClenshawCurtis.tail
 
 # paths: the first panels in phi, the errors that end refinement, hazards and survivals too small to matter
 _FIRST = 0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
@@ -126,7 +121,7 @@ def _panels(c: Contact, xi0: Array, end: Array, contact: Array, left: Array, rig
     rate = c.rate(x, xi)
     hazard = rate * width
     # where the panel is too wide for its polynomial, that may be negative
-    passed = np.maximum(hazard @ _CUMULATIVE, 0.0)
+    passed = np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0)
     alive = np.exp(-passed) * width
     work = alive * c.kappa(xi) * x
     # the least barrier on any piece of a path is at one of its ends, and that at the end of life is 0
@@ -269,7 +264,7 @@ def survivors(
     for (left, right), at_nodes in done.items():
         inside = (log_x >= left) & (log_x <= right)
         t = (2 * log_x[inside] - left - right) / (right - left)
-        found[:, inside] = chebyshev.chebval(t, (at_nodes @ _COEFFICIENTS.T).T)
+        found[:, inside] = chebyshev.chebval(t, (at_nodes @ ClenshawCurtis.coefficients.T).T)
     return found[0], found[1], found[2]
 
 

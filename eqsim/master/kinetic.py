@@ -31,15 +31,15 @@ _CONVERGED, _NARROWEST, _MORE_PANELS, _PANELS = 2e-12, 1e-4, 500, 1e-11
 
 
 class ClenshawCurtis:
-    """Nodes on [-1, 1], which hold both ends; weights; `cumulative` (value, node), integrals from -1 to each node; and
-    `tail`, the two highest Chebyshev coefficients, which say whether a function is resolved."""
+    """Nodes on [-1, 1], which hold both ends; weights; `cumulative` (value, node), integrals from -1 to each node;
+    Chebyshev `coefficients` of the values, and `tail`, the two highest, which say whether a function is resolved."""
 
     _order = 16
     nodes = -np.cos(math.pi * np.arange(_order + 1) / _order)
-    _coefficients = np.linalg.inv(chebyshev.chebvander(nodes, _order))
-    cumulative = chebyshev.chebval(nodes, chebyshev.chebint(_coefficients, lbnd=-1))
+    coefficients = np.linalg.inv(chebyshev.chebvander(nodes, _order))
+    cumulative = chebyshev.chebval(nodes, chebyshev.chebint(coefficients, lbnd=-1))
     weights = cumulative[:, -1]
-    tail = _coefficients[-2:].T
+    tail = coefficients[-2:].T
 
 
 class Moments(NamedTuple):
