@@ -510,75 +510,15 @@ def _executor(workers: int | None, dask: str | None, threads: int) -> Iterator[t
     """Who simulates the contacts, and how many they are: threads of this process (None), worker processes, or dask."""
     if workers is not None and dask is not None:
         raise InputError("--workers, --dask: only one of them")
-    if dask is not None:
-        with _dask(dask) as client:
-            yield client.get_executor(), sum(client.nthreads().values())
-    elif workers is not None:
+    if workers is not None:
         require_integer("--workers", workers, 1, 1024)
-        with _processes(workers) as pool:
-            yield pool, workers
-    else:
+    elif dask is None:
         yield None, threads
+        return
+    from eqsim.workers import unbroken
 
-
-@contextmanager
-def _processes(workers: int) -> Iterator["Executor"]:
-    """Worker processes, ended at once if the work inside is broken off."""
-    import multiprocessing
-    import signal
-    from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        workers, multiprocessing.get_context("spawn"),
-        initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN),  # a terminal sends Ctrl-C to all of them
-    )  # fmt: skip
-    try:
-        yield pool
-    except BrokenExecutor:
-        raise InputError("--workers: a worker process died, perhaps for want of memory") from None
-    except BaseException:
-        for worker in multiprocessing.active_children():
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _dask(address: str) -> Iterator[Any]:
-    """A client of the dask scheduler at an address, or of the one that wrote the file of this name."""
-    import logging
-    import re
-    from concurrent.futures import CancelledError
-    from importlib import import_module
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        distributed = import_module("distributed")
-    except ImportError:
-        raise InputError('--dask: needs the package "distributed" (pip install "eqsim[dask]")') from None
-    where = {"scheduler_file" if Path(address).is_file() else "address": address}
-    if "address" in where and not re.fullmatch(r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+", address):
-        raise InputError(f"--dask {address}: must be HOST:PORT of a scheduler or an existing scheduler file")
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost cluster is told in one line
-    try:
-        client = distributed.Client(**where, timeout=10, set_as_default=False)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"--dask {address}: no scheduler answers ({error})") from None
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=10)
-            found = {str(number) for number in client.run(version, "eqsim").values()}
-        except PackageNotFoundError:
-            raise InputError(f"--dask {address}: eqsim is not installed on its workers") from None
-        except OSError:
-            raise InputError(f"--dask {address}: it has no workers") from None
-        if found != {version("eqsim")}:
-            raise InputError(f"--dask {address}: its workers have eqsim {', '.join(found)}, not {version('eqsim')}")
-        try:
-            yield client
-        except (OSError, CancelledError, distributed.KilledWorker) as error:
-            raise InputError(f"--dask {address}: the workers were lost ({type(error).__name__}: {error})") from None
+    with unbroken(workers or 1, dask) as crew:
+        yield crew.pool, crew.slots()
 
 
 @contextmanager

@@ -34,24 +34,13 @@ import hashlib
 import itertools
 import json
 import math
-import multiprocessing
 import os
-import signal
 import statistics
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
-from contextlib import contextmanager, suppress
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,6 +52,7 @@ from eqsim.errors import InputError, require_integer, require_number, under
 from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.laws.threshold import Table
 from eqsim.runfile import RunFile, at, keys, parameters
+from eqsim.workers import crew
 
 SCHEMA = 1
 MOST_POINTS = 1_000_000
@@ -71,7 +61,6 @@ _TABLE, _MANIFEST, _LOCK, _PARTS = "sweep.parquet", "_sweep.json", "_lock", "_pa
 _FLUSH_ROWS, _FLUSH_SECONDS = 256, 5.0
 _BATCH_SECONDS, _MOST_BATCH = 0.25, 64  # a batch of points that a worker computes: as long as this, as many as that
 _LOSSES = 3  # so many workers may die at a point before it is given up
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
 
 Progress = Callable[[int, int], None]
 Note = Callable[[str], None]
@@ -512,96 +501,6 @@ def _version() -> str:
     return tables.versions()["eqsim"]
 
 
-# ---- workers ----
-
-
-class _Processes:
-    """Worker processes of this machine."""
-
-    lost = (BrokenExecutor, MemoryError)
-
-    def __init__(self, workers: int) -> None:
-        self.workers = workers
-        self.others = set(multiprocessing.active_children())
-        self.environment = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # read by the libraries of workers when they start
-        self.renew()
-
-    def renew(self) -> None:
-        """A fresh crew."""
-        context = multiprocessing.get_context("spawn")
-        self.pool: Executor = ProcessPoolExecutor(self.workers, context, initializer=_enlist)
-
-    def slots(self) -> int:
-        return self.workers
-
-    def close(self, hurry: bool) -> None:
-        if hurry:
-            for child in set(multiprocessing.active_children()) - self.others:
-                child.kill()
-        self.pool.shutdown(wait=not hurry, cancel_futures=True)
-        for name, value in self.environment.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def _enlist() -> None:
-    """A worker leaves Ctrl-C to its parent, and does not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent:
-            parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-class _Cluster:
-    """The workers of a dask.distributed cluster; `address` of its scheduler, or of a scheduler file."""
-
-    def __init__(self, address: str) -> None:
-        try:
-            from distributed import Client, KilledWorker
-        except ImportError:
-            raise InputError('--dask needs the package distributed: pip install "eqsim[dask]"') from None
-        self.lost = (KilledWorker, MemoryError)
-        where = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
-        try:
-            self.client = Client(**where, timeout=15, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
-        self.pool: Executor = self.client.get_executor(pure=False)
-        self.asked, self.known = -math.inf, 0
-
-    def renew(self) -> None:
-        """Clusters replace their own workers."""
-
-    def slots(self) -> int:
-        now = time.monotonic()
-        if now - self.asked > 1.0:
-            self.asked, self.known = now, sum(self.client.nthreads().values())
-        return max(1, self.known)
-
-    def close(self, hurry: bool) -> None:
-        self.pool.shutdown(wait=not hurry)
-        self.client.close(timeout=5)
-
-
-@contextmanager
-def _crew(workers: int, dask: str | None) -> Iterator[Any]:
-    crew = _Cluster(dask) if dask else _Processes(workers)
-    try:
-        yield crew
-    except BaseException:
-        crew.close(hurry=True)
-        raise
-    crew.close(hurry=False)
-
-
 # ---- the sweep ----
 
 
@@ -638,8 +537,8 @@ def sweep(
         note(f"{plan.size} points ({sizes})" + (f", {resumed} of them on disk" if resumed else ""))
         seconds = 0.0
         if pending:
-            with _crew(workers, dask) as crew:
-                seconds = _Loop(plan, store, asked, threads, crew, progress, note).run(pending)
+            with crew(workers, dask) as found:
+                seconds = _Loop(plan, store, asked, threads, found, progress, note).run(pending)
         table = store.compact()
     except KeyboardInterrupt:
         store.flush()

@@ -65,7 +65,7 @@ def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
         raise OSError("Timed out trying to connect")
 
     monkeypatch.setattr(Client, "__init__", refuse)
-    with pytest.raises(InputError, match=r"--dask tcp://nowhere:1: no scheduler answers there"):
+    with pytest.raises(InputError, match=r"--dask tcp://nowhere:1: no scheduler answers"):
         sweep(check(RUN), tmp_path, tmp_path / "o", dask="tcp://nowhere:1")
 
 
