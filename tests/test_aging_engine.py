@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
 from eqsim.engine.life import lives
-from eqsim.engine.paths import random_step
+from eqsim.engine.paths import halfway, random_step
 from eqsim.engine.streams import key
 from eqsim.ensemble import lower
 from eqsim.laws.aging import Aging
@@ -68,6 +68,37 @@ PATHS = [  # n, x_*f/x_*i, D_v, kT/(k x_*^2), omega x_*/v, barrier, stiffness
 
 
 @functools.cache
+@pytest.mark.parametrize("shape", [0, 1])
+@pytest.mark.parametrize("length", [0.1, 1.0, 4.0])  # in relaxation times
+def test_halfway_of_a_step(shape, length):
+    """E xi^2 half-way of the (2n+2)-dimensional process, drawn component by component, given both ends: false alarm
+    5e-5 each. The half-way point of a straight line fails for long steps."""
+    contacts = lower(Ensemble(Gamma(shape, 1.0), aging=Aging("langevin", 1.0, 2.0)), 1.0)
+    rng, final = np.random.default_rng(5), 4.0  # x_*f^2
+
+    def step(x):
+        kept = math.exp(-length / 2)
+        return kept * x + rng.normal(0, math.sqrt(0.5 * final * (1 - kept**2)), x.shape)
+
+    start = np.zeros((100_000, 2 * shape + 2))
+    start[:, 0] = rng.exponential(1.0, len(start))
+    middle = step(start)
+    end = step(middle)
+    xi, there, last = (np.sqrt((x * x).sum(axis=1)) for x in (start, middle, end))
+
+    found = np.array(
+        [halfway.py_func(contacts, *given, -math.expm1(-length)) for given in zip(xi, end[:, 0], last, strict=True)]
+    )
+
+    def score(expected):
+        difference = there**2 - expected
+        return difference.mean() / difference.std() * math.sqrt(len(difference))
+
+    assert abs(score(found[:, 0] ** 2 + found[:, 1] ** 2)) < 4.06
+    straight = (0.5 * (xi + last)) ** 2 + 0.25 * final * length / 2
+    assert length < 1 or abs(score(straight)) > 4.06
+
+
 def lived(path, factor=1.0):
     """Work and stretch of lives on one `path`, D_v times `factor`."""
     n, final, mobility, kT, omega, barrier, stiffness = path

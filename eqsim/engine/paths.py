@@ -9,7 +9,7 @@ where a break is unlikely. In a step
     passage    a Brownian bridge with the same end points meets the stretch with probability exp(-2 g0 g1/(2 D_v h)),
                g the distance between threshold and stretch, at a time of inverse Gaussian law: exact for a constant
                drift, and the drift varies little in so short a step
-    heat       Simpson's rule, with the rate in the middle averaged over the spread of the bridge
+    heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
 The error in friction is second order in STEP; at the default it is below 1e-3 (`analysis/aging_steps.py`).
 """
@@ -83,6 +83,16 @@ def heat(c: Contacts, xi: float, x: float) -> float:
 
 
 @inlined
+def halfway(c: Contacts, xi: float, along: float, end: float, lost: float) -> tuple[float, float]:
+    """Threshold half-way through a step from `xi` to `end`, of which `along` is the component along the start, and its
+    spread: the bridge of the (2n+2)-dimensional process, which pulls back within a relaxation time."""
+    kept = 1.0 - lost
+    spread2 = 0.5 * c.final2 * lost / (1.0 + kept)
+    square = (xi * xi + 2.0 * xi * along + end * end) * kept / ((1.0 + kept) * (1.0 + kept))
+    return math.sqrt(square + (2.0 * c.shape + 1.0) * spread2), math.sqrt(spread2)
+
+
+@inlined
 def walk(
     c: Contacts, key: Key, contact: int, life: int, draw: int,
     xi: float, x: float, left: float, most: float, step: float,
@@ -112,7 +122,7 @@ def walk(
         quiet = max(barrier - c.log_w - math.log(gap), 0.0)  # -ln of the hazard of a way as long as the gap
         h = min(h, max(
             reaches((quiet - _UNSEEN) / slope, sigma / step, speed) if quiet > _UNSEEN else 0.0,
-            reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed),
+            min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / c.alpha),
         ))  # fmt: skip
         if rate * h > 2.0 * left:  # what comes long after the clock has stopped says little about when it stops
             h = 2.0 * left / rate
@@ -148,7 +158,9 @@ def walk(
         h = h * ratio / (1.0 + ratio) if ratio < 1e15 else h
         end = x + h
     if c.breaking != MECHANICAL:
-        middle, spread = 0.5 * (xi + end), 0.5 * sigma * math.sqrt(h)
+        middle, spread = 0.5 * (xi + end), 0.5 * sigma * math.sqrt(h)  # a step cut short by a passage is short
+        if not broke:
+            middle, spread = halfway(c, xi, along, end, lost)
         between = 0.5 * (heat(c, middle + spread, x + 0.5 * h) + heat(c, middle - spread, x + 0.5 * h))
         last = heat(c, end, x + h)
         spent = h * (rate + 4.0 * between + last) / 6.0
@@ -172,10 +184,8 @@ def walk(
     if c.kappa_slope > 0.0:
         k1 = kappa(c.kappa_slope, c.kappa_constant, end)
         work = h * (k0 * (3.0 * x + h) + k1 * (3.0 * x + 2.0 * h)) / 6.0
-        if not broke:  # Simpson's rule: half-way the bridge of the process between its ends is not half-way in mean
-            turn = 0.25 * c.alpha * h
-            along = (xi * xi + 2.0 * xi * along + end * end) * (0.5 / math.cosh(turn)) ** 2
-            middle = math.sqrt(along + (2.0 * c.shape + 1.0) * 0.5 * c.final2 * math.tanh(turn))
+        if not broke:  # Simpson's rule
+            middle, _ = halfway(c, xi, along, end, lost)
             k01 = kappa(c.kappa_slope, c.kappa_constant, middle)
             work = h * (k0 * x + 4.0 * k01 * (x + 0.5 * h) + k1 * (x + h)) / 6.0
     return broke, end, x + h, left, work, draw
