@@ -1,0 +1,314 @@
+"""From material constants to the parameters of the contacts (section V of Braun and Peyrard, 2011).
+
+Everything is a plain number in SI units: m, s, kg, N, Pa, J, K. One contact stands on each a^2 of the interface, in
+a gap of thickness h, and the interface yields at the shear stress sigma_*, so that k x_* = a^2 sigma_*. A contact is a
+cylinder of radius r_c = gamma_c a and height h that bends: k = 3 E I/h^3, omega = (3.52/h^2) sqrt(E I/(pi r_c^2 rho)).
+"""
+
+import dataclasses
+import json
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from scipy import constants
+
+from eqsim.ensemble import Disorder, Drive, Ensemble
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_integer, require_number, under
+from eqsim.laws.aging import Aging, AgingRule
+from eqsim.laws.delay import Delay
+from eqsim.laws.stiffness import StiffnessLaw
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Gamma
+
+BOLTZMANN: float = constants.k  # J/K
+ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
+
+
+@dataclass(frozen=True)
+class _Arrhenius:
+    prefactor: float
+    energy: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_number("prefactor", self.prefactor, **POSITIVE)
+        require_number("energy", self.energy, **NOT_NEGATIVE)
+
+    def _log_factor(self, temperature: float) -> float:
+        """E/(k_B T); infinite at T = 0. Raises InputError."""
+        require_number("temperature", temperature, **NOT_NEGATIVE)
+        if self.energy == 0:
+            return 0.0
+        thermal = BOLTZMANN * temperature
+        return self.energy / thermal if thermal > 1e-300 * self.energy else math.inf
+
+
+class ArrheniusTime(_Arrhenius):
+    """A time that thermal activation shortens: tau(T) = prefactor exp(energy/(k_B T)), `prefactor` in s and activation
+    `energy` >= 0 in J; a constant without energy. Raises InputError."""
+
+    def value(self, temperature: float) -> float:
+        """tau (s) at `temperature` (K). Raises InputError where it is beyond 1e100 s."""
+        log_factor = self._log_factor(temperature)
+        if math.log(self.prefactor) + log_factor > math.log(1e100):
+            raise InputError(f"temperature = {temperature!r}: too low for the activated time, which exceeds 1e100 s")
+        return self.prefactor * math.exp(log_factor)
+
+
+class ArrheniusRate(_Arrhenius):
+    """A rate that thermal activation raises: D(T) = prefactor exp(-energy/(k_B T)), `prefactor` in m^2/s for an aging
+    rate and activation `energy` >= 0 in J; a constant without energy. Raises InputError."""
+
+    def value(self, temperature: float) -> float:
+        """D (m^2/s) at `temperature` (K). Raises InputError."""
+        return self.prefactor * math.exp(-self._log_factor(temperature))
+
+
+@dataclass(frozen=True)
+class ActivatedAging:
+    """Aging of pinned contacts at a thermally activated `rate` D(T) towards thresholds of scale `x_star_final` (m);
+    the material's own x_* is that of newborn contacts. `rule` as in `Aging`. Raises InputError."""
+
+    rate: ArrheniusRate
+    x_star_final: float
+    rule: AgingRule = "langevin"
+
+    def __post_init__(self) -> None:
+        self.at(0.0)
+
+    def at(self, temperature: float) -> Aging:
+        """The aging law at `temperature` (K). Raises InputError."""
+        return Aging(self.rule, self.rate.value(temperature), self.x_star_final)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material(ABC):
+    """What the interfaces of this module share: `name`, mass `density` rho (kg/m^3), `shear_strength` sigma_* (Pa),
+    and optionally a thermally activated `delay` tau(T) (the same for all contacts) and `aging` D(T).
+
+    Lengths in m, temperatures in K. Every method raises InputError for a temperature that is not a number >= 0.
+    """
+
+    name: str
+    density: float
+    shear_strength: float
+    delay: ArrheniusTime | None = None
+    aging: ActivatedAging | None = None
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            if field.name not in ("name", "delay", "aging"):
+                require_number(field.name, getattr(self, field.name), above=0, least=1e-30, most=1e30)
+
+    @property
+    @abstractmethod
+    def stiffness(self) -> float:
+        """k (N/m)."""
+
+    @property
+    @abstractmethod
+    def x_star(self) -> float:
+        """Threshold scale x_* (m)."""
+
+    @property
+    @abstractmethod
+    def attempt_frequency(self) -> float:
+        """omega (1/s)."""
+
+    @property
+    @abstractmethod
+    def contacts_per_area(self) -> float:
+        """1/a^2 (1/m^2)."""
+
+    def ensemble(
+        self,
+        temperature: float = ROOM_TEMPERATURE,
+        *,
+        disorder: Disorder = "quenched",
+        stiffness_law: StiffnessLaw = "uniform",
+        count: int = 100_000,
+    ) -> Ensemble:
+        """Contacts of this material, in SI units: soft barriers, n = 1 and, unless said otherwise, k_i = k as in the
+        paper; "annealed" is the paper's disorder. Raises InputError."""
+        bare = Ensemble(
+            thresholds=Gamma(1.0, self.x_star),
+            thermal=self._thermal(temperature),
+            count=count,
+            stiffness=self.stiffness,
+            stiffness_law=stiffness_law,
+            disorder=disorder,
+        )
+        delay = Delay() if self.delay is None else Delay(self.delay.value(temperature))
+        aging = Aging() if self.aging is None else self.aging.at(temperature)
+        with under("aging"):
+            return dataclasses.replace(bare, delay=delay, aging=aging)
+
+    def _thermal(self, temperature: float) -> Thermal:
+        require_number("temperature", temperature, **NOT_NEGATIVE)
+        return Thermal(BOLTZMANN * temperature, self.attempt_frequency)
+
+    def _newborn(self, temperature: float) -> Ensemble:
+        """Without delay and aging, which have no part in b and v_*."""
+        return dataclasses.replace(self, delay=None, aging=None).ensemble(temperature)
+
+    def b(self, temperature: float = ROOM_TEMPERATURE) -> float:
+        """k x_*^2/(2 k_B T) (nt08a)."""
+        return self._newborn(temperature).b
+
+    def crossover_velocity(self, temperature: float = ROOM_TEMPERATURE) -> float:
+        """v_* (m/s) of newborn contacts in the annealed ensemble (nt12); quenched contacts show no crossover there."""
+        return self._newborn(temperature).crossover_velocity
+
+    def shear_stress(self, friction: float) -> float:
+        """sigma = F/A = sigma_* <F>/(N k x_*) (Pa) from `friction` <F>/(N k) (m)."""
+        return self.shear_strength * friction / self.x_star
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoughContacts(Material):
+    """Two rough surfaces, a = h = r_c: of `young_modulus` E (Pa) and `contact_radius` r_c (m); the rest as in
+    `Material`. Raises InputError."""
+
+    young_modulus: float
+    contact_radius: float
+
+    @property
+    def stiffness(self) -> float:
+        """k = (3 pi/4) E r_c (N/m; below eq:omeg)."""
+        return 0.75 * math.pi * self.young_modulus * self.contact_radius
+
+    @property
+    def x_star(self) -> float:
+        """x_* = r_c^2 sigma_*/k (m; below eq:omeg)."""
+        return self.contact_radius**2 * self.shear_strength / self.stiffness
+
+    @property
+    def attempt_frequency(self) -> float:
+        """omega = 1.76 sqrt(E/rho)/r_c (1/s; eq:omeg)."""
+        return 1.76 * math.sqrt(self.young_modulus / self.density) / self.contact_radius
+
+    @property
+    def contacts_per_area(self) -> float:
+        """1/r_c^2 (1/m^2)."""
+        return self.contact_radius**-2
+
+
+@dataclass(frozen=True, kw_only=True)
+class LubricantIslands(Material):
+    """A film of solid islands that melt under stress, x_* = r_c = gamma_c a: of `thickness` h (m), `spacing` a (m) and
+    `gamma_c` = r_c/a, at most 1/2; the rest as in `Material`. Raises InputError."""
+
+    thickness: float
+    spacing: float
+    gamma_c: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_number("gamma_c", self.gamma_c, above=0, most=0.5)  # islands touch
+
+    @property
+    def stiffness(self) -> float:
+        """k = a sigma_*/gamma_c (N/m; section V)."""
+        return self.spacing * self.shear_strength / self.gamma_c
+
+    @property
+    def x_star(self) -> float:
+        """x_* = gamma_c a (m; section V)."""
+        return self.gamma_c * self.spacing
+
+    @property
+    def attempt_frequency(self) -> float:
+        """omega = 1.15 sqrt(sigma_*/(a h rho gamma_c^3)) (1/s; section V)."""
+        inertia = self.spacing * self.thickness * self.density * self.gamma_c**3
+        return 1.15 * math.sqrt(self.shear_strength / inertia)
+
+    @property
+    def contacts_per_area(self) -> float:
+        """1/a^2 (1/m^2)."""
+        return self.spacing**-2
+
+    def printed_crossover_velocity(self, temperature: float = ROOM_TEMPERATURE) -> float:
+        """The paper's estimate of v_* (m/s) for b >> 1, k_B T/sqrt(a^5 h rho sigma_* gamma_c^3) (section V): 1.9 %
+        below `crossover_velocity`, because 2 * 1.15/(3 C_0) was set to 1 (derived)."""
+        kT = self._thermal(temperature).kT
+        film = self.thickness * self.density * self.shear_strength
+        return kT / (self.spacing**2 * math.sqrt(self.spacing * film * self.gamma_c**3))
+
+
+STEEL = RoughContacts(
+    name="steel", density=1e4, young_modulus=2e11, shear_strength=1e9, contact_radius=1e-6
+)  # section V, sigma_* that of plasticity
+OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
+    name="octamethylcyclotetrasiloxane",
+    density=956.0,
+    thickness=3.5e-9,
+    shear_strength=2e5,
+    gamma_c=0.5,
+    spacing=1e-6,
+)  # four layers, section V
+MATERIALS: dict[str, Material] = {material.name: material for material in (STEEL, OCTAMETHYLCYCLOTETRASILOXANE)}
+
+
+def omcts_film(layers: int) -> LubricantIslands:
+    """Octamethylcyclotetrasiloxane of `layers` n_l molecular layers as in figure A05: h = n_l 8.75 A, sigma_* =
+    4e6 exp(-1.5 n_l) Pa. That is 2e5 Pa for two layers and 1e4 Pa for four, while the preset, as in the paper's text,
+    has 2e5 Pa for four. Raises InputError."""
+    require_integer("layers", layers, 1, 100)
+    return dataclasses.replace(
+        OCTAMETHYLCYCLOTETRASILOXANE,
+        name=f"octamethylcyclotetrasiloxane, {layers} layers",
+        thickness=layers * 8.75e-10,
+        shear_strength=4e6 * math.exp(-1.5 * layers),
+    )
+
+
+def run_file_text(
+    material: Material,
+    temperature: float = ROOM_TEMPERATURE,
+    velocity: float | None = None,
+    *,
+    disorder: Disorder = "quenched",
+    stiffness_law: StiffnessLaw = "uniform",
+    count: int = 100_000,
+) -> str:
+    """A run file (TOML, SI units) of `material.ensemble(...)` sliding at `velocity` (m/s, default v_*) over 20 x_*,
+    with a sweep of 21 velocities over the five decades around it; loads to the same numbers. Raises InputError."""
+    contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
+    drive = Drive(material.crossover_velocity(temperature) if velocity is None else velocity, 20.0 * material.x_star)
+    decade = math.floor(math.log10(drive.velocity))
+    title = f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)"
+    sections: dict[str, list[tuple[str, float | int | str, str]]] = {
+        "contacts": [
+            ("count", count, ""),
+            ("stiffness", contacts.stiffness, "N/m"),
+            ("stiffness_law", stiffness_law, ""),
+        ],
+        "thresholds": [("n", 1.0, ""), ("x_star", material.x_star, "m")],
+        "thermal": [
+            ("kT", contacts.thermal.kT, f"J, {temperature:.4g} K"),
+            ("attempt_frequency", contacts.thermal.attempt_frequency, "1/s"),
+        ],
+    }
+    if material.aging is not None:
+        aging = contacts.aging
+        sections["aging"] = [
+            ("rule", aging.rule, ""),
+            ("rate", aging.rate, "m^2/s"),
+            ("x_star_final", aging.x_star_final, "m"),
+        ]
+    if material.delay is not None:
+        sections["delay"] = [("time", contacts.delay.time, "s")]
+    sections["drive"] = [("velocity", drive.velocity, "m/s"), ("distance", drive.over(contacts), "m")]
+    lines = [f"title = {_toml(title)}", f"disorder = {_toml(disorder)}"]
+    for section, entries in sections.items():
+        lines += ["", f"[{section}]"]
+        lines += [f"{key} = {_toml(value)}" + (f"  # {unit}" if unit else "") for key, value, unit in entries]
+    lines += ["", "[sweep]", f'"drive.velocity" = {{ log = [1e{decade - 2}, 1e{decade + 3}, 21] }}  # m/s', ""]
+    return "\n".join(lines)
+
+
+def _toml(value: float | int | str) -> str:
+    """Numbers to the last bit; strings as JSON, which TOML reads."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value) if isinstance(value, int) else repr(float(value))
