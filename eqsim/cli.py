@@ -9,11 +9,11 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from eqsim.errors import InputError, require_integer, require_number, under
+from eqsim.errors import InputError, require_choice, require_integer, require_number, under
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from eqsim.engine.steady import Steady
+    from eqsim.ensemble import Disorder
     from eqsim.estimate import Estimate
     from eqsim.runfile import RunFile
 
@@ -462,6 +463,84 @@ def plot(
         print("; ".join([str(file), *notes]))
 
 
+@app.command()
+@guarded
+def figures(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[A01 ...]", help="Which figures. Default: all.", show_default=False)
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = Path(
+        "runs/out/figures"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A quarter of the points: coarse, under a minute each.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine. Default: all cores.", show_default=False)
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """The figures of Braun and Peyrard (2011) recomputed, with particles on them; minutes for all."""
+    from importlib import import_module
+
+    from eqsim import tables
+    from eqsim.workers import unbroken
+
+    scripts = import_module("eqsim_figures")  # analysis/figures
+    wanted = scripts.check(names or [])
+    workers = workers if workers is not None else _threads(None)
+    require_integer("--workers", workers, 1, 1024)
+    tables.check_folder(out)
+    made = []
+    with unbroken(workers, None) as crew, _bar("computing", quiet or json, "points") as progress:
+        for figure in scripts.make(wanted, out, quick=quick, executor=crew.pool, progress=progress):
+            made.append(figure)
+    if json:
+        print(tables.to_json({"out": str(out), "figures": [figure._asdict() for figure in made]}))
+    elif not quiet:
+        shown = _table("", "curves", "particle estimates", "largest |z|", "chi-square p")
+        for name, curves, particles, largest, p in made:
+            shown.add_row(name, str(curves), str(particles), f"{largest:.2f}", f"{p:.2g}")
+        _show("figures: particles against the master equation of their ensemble", shown)
+        print(f"{out}/: {', '.join(figure.name for figure in made)}, each .pdf, .png and .parquet")
+
+
+@app.command()
+@guarded
+def material(
+    name: Annotated[str, typer.Argument(metavar="NAME", help='"steel" or "octamethylcyclotetrasiloxane".')],
+    temperature: Annotated[
+        float | None, typer.Option(help="Kelvin. Default: 289.7, kT = 4e-21 J as in the paper.", show_default=False)
+    ] = None,
+    toml: Annotated[bool, typer.Option("--toml", help="Print a run file instead.")] = False,
+    disorder: Annotated[str, typer.Option(help="Of the run file.")] = "quenched",
+    velocity: Annotated[
+        float | None, typer.Option(help="Of the run file, m/s. Default: v_*.", show_default=False)
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """SI parameters of a real interface, from its material constants."""
+    from eqsim import tables
+    from eqsim.materials import MATERIALS, ROOM_TEMPERATURE, parameters, run_file_text
+
+    require_choice("NAME", name, tuple(MATERIALS))
+    found, kelvin = MATERIALS[name], ROOM_TEMPERATURE if temperature is None else temperature
+    if toml:
+        if not quiet:
+            print(run_file_text(found, kelvin, velocity, disorder=cast("Disorder", disorder)), end="")
+        return
+    rows = parameters(found, kelvin)
+    if json:
+        print(tables.to_json({row.name: row.value for row in rows}))
+    elif not quiet:
+        table = _table("", "value", "unit", "meaning")
+        for row in rows:
+            table.add_row(row.name, f"{row.value:.5g}", row.unit, row.meaning)
+        _show(f"{name} at {kelvin:.4g} K", table)
+
+
 def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
     changes: dict[str, Any] = {}
     for item in set_ or []:
@@ -612,7 +691,7 @@ def _table(*columns: str) -> "Table":
 
     table = Table()
     for column in columns:
-        table.add_column(column, justify="left" if column in ("", "group", "meaning") else "right")
+        table.add_column(column, justify="left" if column in ("", "group", "meaning", "unit") else "right")
     return table
 
 

@@ -10,6 +10,7 @@ import json
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from scipy import constants
 
@@ -260,6 +261,48 @@ def omcts_film(layers: int) -> LubricantIslands:
         thickness=layers * 8.75e-10,
         shear_strength=4e6 * math.exp(-1.5 * layers),
     )
+
+
+class Parameter(NamedTuple):
+    """A number of a material: its usual name, value, SI unit and meaning."""
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+
+
+def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> list[Parameter]:
+    """The material's constants and what follows from them at `temperature` (K). Raises InputError."""
+    given = [
+        Parameter(field.name, getattr(material, field.name), _UNITS[field.name], "given")
+        for field in dataclasses.fields(material)
+        if field.name in _UNITS
+    ]
+    found = [
+        Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
+        Parameter("k", material.stiffness, "N/m", "stiffness of a contact"),
+        Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
+        Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
+        Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
+        Parameter("b", material.b(temperature), "", "k x_*^2/(2 kT) (nt08a)"),
+        Parameter(
+            "v_*", material.crossover_velocity(temperature), "m/s",
+            "crossover velocity of the annealed ensemble (nt12); quenched contacts have none there",
+        ),
+        Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
+    ]  # fmt: skip
+    return given + found
+
+
+_UNITS = {
+    "density": "kg/m^3",
+    "young_modulus": "Pa",
+    "contact_radius": "m",
+    "thickness": "m",
+    "spacing": "m",
+    "gamma_c": "",
+}
 
 
 def run_file_text(

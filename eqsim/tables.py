@@ -40,8 +40,8 @@ def to_json(data: Any) -> str:
     return json.dumps(clean(data), indent=2, allow_nan=False)
 
 
-def parquet(columns: dict[str, Any], origin: dict[str, Any]) -> bytes:
-    """A Parquet file of arrays of equal length, with `origin` as JSON under the metadata key `eqsim`."""
+def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
+    """A Parquet file of a DataFrame or of arrays by name, with `origin` as JSON under the metadata key `eqsim`."""
     import pyarrow
     from pyarrow import parquet as pq
 

@@ -1,0 +1,119 @@
+"""The paper's figures: what the corrected and the printed forms on them must show, and the command that makes them."""
+
+import dataclasses
+import json
+from concurrent.futures import Executor, Future
+
+import numpy as np
+import pandas as pd
+import pytest
+from eqsim_figures import NAMES, a01, a02, a02ab, a04, a05, check, compute, make
+from typer.testing import CliRunner
+
+from eqsim.cli import app
+
+
+class Here(Executor):
+    """Computes at once, in this process."""
+
+    def submit(self, function, /, *args, **kwargs):
+        future = Future()
+        future.set_result(function(*args, **kwargs))
+        return future
+
+
+def tabulated(curves, velocities):
+    """The master equation's rows of some curves, at other velocities and without particles."""
+    curves = [dataclasses.replace(curve, velocities=velocities, points=()) for curve in curves]
+    return compute({"figure": curves}, Here())["figure"]
+
+
+def slope(table, name, exact):
+    """Of ln |approximate/exact - 1| against ln v."""
+    line = table[table.curve == name].sort_values("velocity")
+    truth = exact.set_index("velocity").friction.loc[line.velocity].to_numpy()
+    return np.polyfit(np.log(line.velocity), np.log(abs(line.friction / truth - 1)), 1)[0]
+
+
+def test_high_velocity_form_meets_the_curve_only_as_corrected():
+    """nt16 leaves S_2^3 when corrected and S_2 as printed (erratum 3): slopes -3 and -1, to the next order in S_2 =
+    1/(2.25 v) < .045."""
+    table = tabulated([curve for curve in a01.curves() if curve.name == "annealed"], (10.0, 20.0, 40.0))
+    forms = a01.formulas(pd.concat([table, table.assign(velocity=[0.5, 0.7, 0.9])]))
+    forms = forms[forms.velocity >= 10.0]
+    assert slope(forms, "nt16, corrected", table) == pytest.approx(-3, abs=0.1)
+    assert slope(forms, "nt16, printed", table) == pytest.approx(-1, abs=0.1)
+
+
+def test_small_aging_form_meets_the_curve_only_as_corrected():
+    """star4 leaves second-order terms when corrected and first-order ones as printed (errata 2, 3): slopes -2 and -1
+    to the next order, S_3 < .006."""
+    table = tabulated([curve for curve in a04.curves() if curve.name.startswith("annealed, D = 0.01")], (1e2, 3e2, 1e3))
+    every = pd.concat([table.assign(curve=f"annealed, D = {D:g}, kT = 1") for D in a04.RATES])
+    forms = a04.formulas(every)
+    assert slope(forms, "star4, D = 0.01, corrected", table) == pytest.approx(-2, abs=0.05)
+    assert slope(forms, "star4, D = 0.01, printed", table) == pytest.approx(-1, abs=0.05)
+
+
+def test_exponents_are_those_of_a_power_law():
+    v = np.geomspace(1e-2, 1e2, 21)
+    curves = [curve.row() for curve in a02.curves(temperatures=(1.0,))]
+    rows = [
+        row | {"source": "master equation", "velocity": x, "friction": y}
+        for row in curves
+        for x, y in zip(v, np.minimum(v, v**-0.4), strict=True)
+    ]
+    found = a02ab.formulas(pd.DataFrame(rows))
+    assert found.curve.nunique() == len(curves)
+    assert found.exponent.to_numpy() == pytest.approx(1.4, rel=1e-9)
+    assert found.exponent_error.max() < 1e-6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_curves_are_named_once_and_cover_both_ensembles(name):
+    from importlib import import_module
+
+    curves = import_module(f"eqsim_figures.{name.lower()}").curves()
+    assert len({curve.name for curve in curves}) == len(curves)
+    assert {curve.ensemble.disorder for curve in curves} == {"annealed", "quenched"}
+    assert sum(len(curve.points) for curve in curves) >= 20
+
+
+def test_command(tmp_path):
+    """Pictures and table of a figure; the same bytes with other workers."""
+    contents = []
+    for workers in ("1", "2"):
+        out = tmp_path / workers
+        result = CliRunner().invoke(
+            app, ["figures", "A05", "--quick", "--json", "--workers", workers, "--out", str(out)]
+        )
+        assert result.exit_code == 0, result.output
+        (figure,) = json.loads(result.stdout)["figures"]
+        assert figure["name"] == "A05"
+        assert figure["p"] > 1e-4  # false alarm 1e-4
+        contents.append({path.name: path.read_bytes() for path in sorted(out.iterdir())})
+    assert sorted(contents[0]) == ["A05.parquet", "A05.pdf", "A05.png"]
+    assert contents[0] == contents[1]
+    table = pd.read_parquet(tmp_path / "1" / "A05.parquet")
+    assert {"curve", "disorder", "velocity", "friction", "error", "z"} <= set(table)
+    quenched = table[(table.disorder == "quenched") & (table.source == "master equation")]
+    for layers, film in a05.FILMS.items():  # heat takes (ln(v_*/v)/6 + O(1))/b of a literal contact's friction
+        flat = quenched[quenched.curve == f"quenched, {layers} layers"]
+        lost = (np.log(film.crossover_velocity() / flat.velocity.min()) / 6 + 2) / film.b()
+        assert 0 < np.ptp(flat.friction) / flat.friction.mean() < lost
+    assert contents[0]["A05.pdf"].startswith(b"%PDF")
+
+
+def test_bad_input_is_one_line(tmp_path):
+    def refused(message, *args):
+        result = CliRunner().invoke(app, ["figures", *args])
+        assert result.exit_code == 2
+        assert message in result.stderr
+        assert result.stderr.count("\n") == 1
+
+    refused("figure = 'A06': must be one of", "A06")
+    refused("--workers = 0: must be an integer", "A01", "--workers", "0")
+    (tmp_path / "file").write_text("")
+    refused("is not a folder", "A01", "--out", str(tmp_path / "file"))
+    assert check(["A04", "A01"]) == ["A01", "A04"]
+    assert list(make([], tmp_path, executor=Here())) == []
