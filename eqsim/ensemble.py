@@ -157,8 +157,11 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
         found.append(Group("v/(omega x_*)", reduced, "velocity in x_* per attempt"))
     star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
     if star > 0:
+        not_here = "" if ensemble.disorder == "annealed" else ", not of these quenched contacts"
         found += [
-            Group("v_*", star, "crossover velocity of the annealed ensemble, Delta U(inf) = 1 (nt12 and derived)"),
+            Group(
+                "v_*", star, f"crossover velocity of the annealed ensemble{not_here}, Delta U(inf) = 1 (nt12, derived)"
+            ),
             Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
         ]
     aging = ensemble.aging
