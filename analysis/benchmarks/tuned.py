@@ -52,6 +52,13 @@ class Run(NamedTuple):
     lives: int
 
 
+def compiler_version() -> str:
+    """The compiler's first line about itself; empty where there is none."""
+    if not COMPILER:
+        return ""
+    return subprocess.run([COMPILER, "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
+
+
 @functools.cache
 def library(*flags: str) -> ctypes.CDLL:
     """The compiled C. Raises CalledProcessError, with what the compiler said, if it cannot be compiled."""
