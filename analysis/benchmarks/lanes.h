@@ -35,16 +35,16 @@ INLINE void squeeze(double *to, unsigned keep, real a) { _mm512_storeu_pd(to, _m
 #define EACH for (int i = 0; i < LANES; i++)
 INLINE word multiply_low(word a, word b) { return (a & 0xffffffff) * (b & 0xffffffff); }
 INLINE word xor3(word a, word b, word c) { return a ^ b ^ c; }
-INLINE real least(real a, real b) { real y; EACH y[i] = a[i] < b[i] ? a[i] : b[i]; return y; }
-INLINE real most(real a, real b) { real y; EACH y[i] = a[i] > b[i] ? a[i] : b[i]; return y; }
-INLINE real root(real a) { real y; EACH y[i] = __builtin_sqrt(a[i]); return y; }
+INLINE real least(real a, real b) { real y = {}; EACH y[i] = a[i] < b[i] ? a[i] : b[i]; return y; }
+INLINE real most(real a, real b) { real y = {}; EACH y[i] = a[i] > b[i] ? a[i] : b[i]; return y; }
+INLINE real root(real a) { real y = {}; EACH y[i] = __builtin_sqrt(a[i]); return y; }
 INLINE real exponent(real a) { return __builtin_convertvector(((whole)a >> 52) - 1023, real); }
 INLINE real mantissa(real a) { return (real)(((whole)a & 0xfffffffffffff) | 0x3ff0000000000000); }
-INLINE whole rounded(real a) { whole y; EACH y[i] = (int64_t)__builtin_rint(a[i]); return y; }
-INLINE whole rounded_up(real a) { whole y; EACH y[i] = (int64_t)__builtin_ceil(a[i]); return y; }
-INLINE real pick(const double *table, word index) { real y; EACH y[i] = table[index[i] & 15]; return y; }
+INLINE whole rounded(real a) { whole y = {}; EACH y[i] = (int64_t)__builtin_rint(a[i]); return y; }
+INLINE whole rounded_up(real a) { whole y = {}; EACH y[i] = (int64_t)__builtin_ceil(a[i]); return y; }
+INLINE real pick(const double *table, word index) { real y = {}; EACH y[i] = table[index[i] & 15]; return y; }
 INLINE unsigned above(real a, real b) { unsigned mask = 0; EACH mask |= (unsigned)(a[i] > b[i]) << i; return mask; }
-INLINE real where(unsigned mask, real a) { real y; EACH y[i] = mask >> i & 1 ? a[i] : 0.0; return y; }
+INLINE real where(unsigned mask, real a) { real y = {}; EACH y[i] = mask >> i & 1 ? a[i] : 0.0; return y; }
 INLINE void squeeze(double *to, unsigned keep, real a) { EACH if (keep >> i & 1) *to++ = a[i]; }
 #endif
 
@@ -64,7 +64,8 @@ INLINE real ln(real a) {
     real m = mantissa(a);
     word cell = (word)m >> 48;
     real r = m * pick(centre_inverse, cell) - 1.0;
-    real series = r * (1.0 + r * (-1.0 / 2 + r * (1.0 / 3 + r * (-1.0 / 4 + r * (1.0 / 5 + r * (-1.0 / 6 + r * (1.0 / 7)))))));
+    real series = 1.0 / 5 + r * (-1.0 / 6 + r * (1.0 / 7));
+    series = r * (1.0 + r * (-1.0 / 2 + r * (1.0 / 3 + r * (-1.0 / 4 + r * series))));
     return exponent(a) * 0.69314718055994530942 + (pick(centre_log, cell) + series);
 }
 

@@ -22,7 +22,7 @@ from analysis.benchmarks.cases import VELOCITY, Case
 
 BATCHES = 64
 DEGREE = 9
-FLAGS = ("-O3", "-march=native", "-fopenmp", "-fno-math-errno", "-shared", "-fPIC")
+FLAGS = ("-O3", "-march=native", "-fopenmp", "-fno-math-errno", "-Wno-psabi", "-shared", "-fPIC")
 COMPILER = shutil.which("gcc")
 
 _AREA, _PINNED, _BREAKS, _STRETCH = range(4)
