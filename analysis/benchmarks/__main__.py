@@ -52,9 +52,9 @@ def main(
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()
-    console.width = max(console.width, 140)  # the table needs as much
-    if not tuned.COMPILER:
-        console.print("no gcc: rival C is left out")
+    console.width = max(console.width, 144)  # the table needs as much
+    if not tuned.available():
+        console.print("no gcc that compiles tuned.c: rival C is left out")
     figures = measure(sizes, threads, console)
     console.print(report.table(figures))
     console.print(report.notes(sizes, threads))

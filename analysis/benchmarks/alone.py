@@ -62,7 +62,7 @@ def time_references(sizes: Sizes) -> list[dict[str, Any]]:
             averages(0), force(0)
             turns = take_turns({"stationary": averages, "transient": force}, sizes.repeats, 1)
             rows += [
-                {"job": f"reference, {job}", "case": f"{disorder}, {case.name}"} | speed(turns, job, "")
+                {"job": f"reference, {job}, {disorder}", "case": case.name} | speed(turns, job, "")
                 for job in ("stationary", "transient")
             ]
     return sorted(rows, key=lambda row: row["job"])

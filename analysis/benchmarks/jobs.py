@@ -85,7 +85,7 @@ def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[s
         "A": lambda seed: Outcome(*stepped.friction(case, sizes.stepped_contacts, sizes.stepped_distance, seed)),
         "B": lambda seed: Outcome(*scalar.friction(case, sizes.contacts, sizes.distance, sizes.points, seed)),
     }
-    if tuned.COMPILER:
+    if tuned.available():
         contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
     turns = take_turns(contenders, sizes.repeats, seed)
     (value, error), (truth, its_error) = pooled(turns, "A"), pooled(turns, "eqsim")
@@ -108,7 +108,7 @@ def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, A
         "eqsim, threads": lambda seed: eqsim(seed, threads),
         "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.scalar_lives, seed), sizes.scalar_lives),
     }
-    if tuned.COMPILER:
+    if tuned.available():
         contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
     turns = take_turns(contenders, sizes.plain_repeats, seed)
     wanted = {"wanted": 0.70 if case.kT else 0.80}

@@ -28,7 +28,7 @@ def target(row: pd.Series) -> str:
 
 
 def bias(row: pd.Series) -> str:
-    return f"{row['A_bias']:+.2%} ± {row['A_bias_stderr']:.2%}"
+    return f"{row['A_bias']:+.1%}±{row['A_bias_stderr']:.1%}"
 
 
 def column(name: str, form: Callable[[float], str]) -> tuple[str, Callable[[pd.Series], str]]:
@@ -36,16 +36,16 @@ def column(name: str, form: Callable[[float], str]) -> tuple[str, Callable[[pd.S
 
 
 COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {  # heading: a figure it needs, and how to print it
-    "eqsim, s": column("seconds", "{:.3g}".format),
-    "ns/life": column("ns_per_life", "{:.1f}".format),
-    "threads": column("threads", "{:.2f}".format),
+    "s": column("seconds", "{:.3g}".format),
+    "ns": column("ns_per_life", short),
+    "thr.": column("threads", "{:.2f}".format),
     "A": column("A", short),
     "B": column("B", short),
     "C": column("C", "{:.2f}".format),
-    "C/eqsim, threads": column("C_both_threads", "{:.2f}".format),
+    "C on thr.": column("C_both_threads", "{:.2f}".format),
     "wanted": ("C", target),
-    "C, ns/life": column("C_ns_per_life", "{:.1f}".format),
-    "C threads": column("C_threads", "{:.2f}".format),
+    "C ns": column("C_ns_per_life", short),
+    "C thr.": column("C_threads", "{:.2f}".format),
     "bias of A": ("A_bias", bias),
     "z of B": column("B_z", "{:+.1f}".format),
     "z of C": column("C_z", "{:+.1f}".format),
@@ -70,8 +70,9 @@ def notes(sizes: Sizes, threads: int) -> str:
         f"{sizes.scalar_lives:.0e} lives,\n   scaled to as many as eqsim takes, or as the asked error takes.\n"
         "C: the same work by hand in C: eqsim's generator, exact lives, all that eqsim records; the limit of the "
         "machine. wanted: least C.\n"
-        f"threads: seconds on {threads} threads over seconds on one ({1 / threads:.2f} is ideal), of eqsim and of C; "
-        "C/eqsim, threads: both on so many.\n"
+        f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} threads over seconds on one "
+        f"({1 / threads:.2f} is ideal).\n"
+        "C on thr.: seconds of C per second of eqsim, both on so many threads.\n"
         "bias, z: of the rival's friction against eqsim's."
     )
 
@@ -81,7 +82,7 @@ def table(figures: pd.DataFrame) -> Table:
     shown = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     shown.add_column("case", no_wrap=True, min_width=figures["case"].str.len().max())
     for heading in COLUMNS:
-        shown.add_column(heading, justify="right")
+        shown.add_column(heading, justify="right", no_wrap=True)
     for job, rows in figures.groupby("job", sort=False):
         shown.add_row(f"[bold]{job}")
         for _, row in rows.iterrows():

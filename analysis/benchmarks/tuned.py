@@ -73,6 +73,15 @@ def library(*flags: str) -> ctypes.CDLL:
     return found
 
 
+@functools.cache
+def available() -> bool:
+    """Whether there is a gcc that compiles the C."""
+    try:
+        return COMPILER is not None and library() is not None
+    except subprocess.CalledProcessError:
+        return False
+
+
 def _pointer(values: Array) -> ctypes.c_void_p:
     return values.ctypes.data_as(ctypes.c_void_p)
 
