@@ -1,5 +1,6 @@
-"""python -m analysis.benchmarks: how many times faster eqsim is than its rivals, measured side by side."""
+"""python -m analysis.benchmarks: eqsim beside its rivals, measured within one run."""
 
+import os
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
@@ -10,50 +11,56 @@ import pandas as pd
 import typer
 from rich.console import Console
 
-from analysis.benchmarks import report
-from analysis.benchmarks.cases import CASES, QUICK, Case, Sizes
-from analysis.benchmarks.jobs import time_steady, time_trajectory
+from analysis.benchmarks import report, tuned
+from analysis.benchmarks.alone import time_langevin, time_references, time_start
+from analysis.benchmarks.cases import CASES, COMPILE, QUICK, Case, Sizes
+from analysis.benchmarks.jobs import time_plain, time_steady, time_trajectory
 
 OUT = Path(__file__).parents[1] / "out"
-COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 320, (1e-2,), 1)
 
 Job = Callable[[Case, Sizes, int, int], dict[str, Any]]
 
 
-def jobs(sizes: Sizes) -> dict[str, Job]:
-    """The jobs by name."""
+def shared_jobs(sizes: Sizes) -> dict[str, Job]:
+    """The jobs that rivals do too, by name."""
     steady = {f"steady average to {error:g}": partial(time_steady, rel_error=error) for error in sizes.errors}
-    return {"trajectory": time_trajectory, **steady}
+    return {"trajectory": time_trajectory, f"steady average of {sizes.lives:.0e} lives": time_plain, **steady}
 
 
-def measure(sizes: Sizes, threads: int) -> pd.DataFrame:
+def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
     """One row per job and case."""
-    for job in jobs(COMPILE).values():
+    for job in shared_jobs(COMPILE).values():
         for case in CASES:
             job(case, COMPILE, threads, 1)
-    rows = []
-    for name, job in jobs(sizes).items():
+    rows: list[dict[str, Any]] = []
+    for name, job in shared_jobs(sizes).items():
         for case in CASES:
+            console.print(f"[dim]{name}: {case.name}")
             seed = 1000 * (len(rows) + 1)  # rows share no random numbers
             rows.append({"job": name, **job(case, sizes, threads, seed)})
+    console.print("[dim]langevin lives, references, start-up")
+    rows += time_langevin(sizes, threads, 1) + time_references(sizes) + time_start(sizes)
     about = {f"{name}_version": version(name) for name in ("eqsim", "numba", "numpy")}
-    return pd.DataFrame(rows).assign(thread_count=threads, repeats=sizes.repeats, contacts=sizes.contacts, **about)
+    about |= {"compiler": tuned.compiler_version(), "load": os.getloadavg()[0]}
+    return pd.DataFrame(rows).assign(thread_count=threads, contacts=sizes.contacts, **about)
 
 
 def main(
     out: Annotated[Path, typer.Option(help="Folder for benchmarks.parquet and benchmarks.png.")] = OUT,
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes: a smoke test, not a measurement.")] = False,
-    threads: Annotated[int, typer.Option(min=1, help="Threads eqsim is compared on with itself.")] = 2,
+    threads: Annotated[int, typer.Option(min=2, help="Threads eqsim and C are compared on with themselves.")] = 2,
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()
-    console.width = max(console.width, 124)  # the table needs as much
-    figures = measure(sizes, threads)
+    console.width = max(console.width, 144)  # the table needs as much
+    if not tuned.available():
+        console.print("no gcc that compiles tuned.c: rival C is left out")
+    figures = measure(sizes, threads, console)
     console.print(report.table(figures))
     console.print(report.notes(sizes, threads))
     out.mkdir(parents=True, exist_ok=True)
     figures.to_parquet(out / "benchmarks.parquet", index=False)
-    report.picture(figures, threads, out / "benchmarks.png")
+    report.picture(figures, out / "benchmarks.png")
     console.print(f"wrote benchmarks.parquet and benchmarks.png to {out}")
 
 

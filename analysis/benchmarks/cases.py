@@ -54,9 +54,13 @@ class Sizes:
     points: int = 4001
     stepped_contacts: int = 10_000
     stepped_distance: float = 20.0
-    lives: int = 8_000_000  # of one steady average by rival B
+    lives: int = 100_000_000  # of one plain steady average
+    scalar_lives: int = 8_000_000  # of one by rival B
     errors: tuple[float, ...] = (1e-3, 1e-5)  # relative, asked of the steady averages
+    langevin_lives: int = 64_000
     repeats: int = 5
+    plain_repeats: int = 3
+    cold_starts: int = 2
 
     @property
     def contact_steps(self) -> float:
@@ -64,4 +68,5 @@ class Sizes:
         return self.contacts * self.distance / (self.stepped_contacts * self.stepped_distance)
 
 
-QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 64_000, (1e-3, 1e-4), 3)
+QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 640_000, 64_000, (1e-3, 1e-4), 6400, 3, 3, 0)
+COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 6400, 320, (1e-2,), 320, 1, 1, 0)

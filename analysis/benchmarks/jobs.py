@@ -1,17 +1,24 @@
-"""The jobs, and how contenders are timed: they take turns within one run, and a ratio is the median over the turns,
-so that a machine that is slow for a while is slow for all of them."""
+"""The jobs that eqsim and its rivals share, and how contenders are timed: they take turns within one run, and a ratio
+is the median over the turns, so that a machine that is slow for a while is slow for all of them."""
 
 import math
 import statistics
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-from analysis.benchmarks import scalar, stepped
+import numpy as np
+
+from analysis.benchmarks import scalar, stepped, tuned
 from analysis.benchmarks.cases import VELOCITY, Case, Sizes
+from eqsim.engine.life import lives as draw_lives
 from eqsim.engine.steady import Steady, steady
+from eqsim.engine.streams import STEADY, key
 from eqsim.engine.trajectory import Trajectory, trajectory
-from eqsim.ensemble import Drive
+from eqsim.ensemble import Drive, Ensemble, lower
+
+BATCHES, BLOCK = 64, 2**14  # of a plain average
 
 
 class Outcome(NamedTuple):
@@ -26,10 +33,11 @@ class Outcome(NamedTuple):
         return cls(found.friction.value or math.nan, found.friction.stderr or math.nan, found.lives)
 
 
+Contender = Callable[[int], Outcome]
 Turns = dict[str, list[tuple[float, Outcome]]]  # seconds and outcome of every turn of a contender
 
 
-def take_turns(contenders: dict[str, Callable[[int], Outcome]], repeats: int, seed: int) -> Turns:
+def take_turns(contenders: dict[str, Contender], repeats: int, seed: int) -> Turns:
     """Time every contender `repeats` times, in alternating order, each time from another seed."""
     turns: Turns = {name: [] for name in contenders}
     for repeat in range(repeats):
@@ -40,6 +48,26 @@ def take_turns(contenders: dict[str, Callable[[int], Outcome]], repeats: int, se
     return turns
 
 
+def plain(ensemble: Ensemble, velocity: float, lives: int, seed: int, threads: int) -> Outcome:
+    """Friction of eqsim's lives, plainly drawn, by renewal-reward."""
+    c, size = lower(ensemble, velocity), -(-lives // BATCHES)
+
+    def sums(batch: int) -> tuple[float, float]:
+        rng, total = np.random.Generator(np.random.SFC64((seed, batch))), np.zeros(2)
+        for first in range(0, size, BLOCK):
+            u, v = 1.0 - rng.random((2, min(BLOCK, size - first)))
+            work, stretch = draw_lives(c, key(seed, STEADY), batch * size + first, u, v)
+            total += work.sum(), stretch.sum()
+        return float(total[0]), float(total[1])
+
+    with ThreadPoolExecutor(threads) as pool:
+        work, stretch = np.array(list(pool.map(sums, range(BATCHES)))).T
+    cycle, unit = stretch + size * c.delay, ensemble.thresholds.scale
+    value = work.sum() / cycle.sum()
+    error = float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())
+    return Outcome(float(value) * unit, error * unit, size * BATCHES)
+
+
 def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
     """The force from a fresh start. Rival A does less of it, and its time is scaled up by contact-steps."""
     ensemble, drive = case.ensemble(sizes.contacts), Drive(VELOCITY, sizes.distance)
@@ -47,20 +75,48 @@ def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[s
     def eqsim(seed: int, threads: int = 1) -> Outcome:
         return Outcome.of(trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads))
 
+    def by_hand(seed: int, threads: int = 1) -> Outcome:
+        found = tuned.run(case, sizes.contacts, sizes.distance, sizes.points, seed, threads)
+        return Outcome(found.friction, found.stderr, found.lives)
+
     contenders = {
         "eqsim": eqsim,
-        "threads": lambda seed: eqsim(seed, threads),
+        "eqsim, threads": lambda seed: eqsim(seed, threads),
         "A": lambda seed: Outcome(*stepped.friction(case, sizes.stepped_contacts, sizes.stepped_distance, seed)),
         "B": lambda seed: Outcome(*scalar.friction(case, sizes.contacts, sizes.distance, sizes.points, seed)),
     }
+    if tuned.available():
+        contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
     turns = take_turns(contenders, sizes.repeats, seed)
     (value, error), (truth, its_error) = pooled(turns, "A"), pooled(turns, "eqsim")
     bias = {"A_bias": value / truth - 1, "A_bias_stderr": math.hypot(error, its_error) / truth}
-    return summary(case, turns) | ratios(turns, "A", sizes.contact_steps) | ratios(turns, "B") | bias
+    wanted = {"wanted": 0.80 if case.kT else 0.85}
+    return summary(case, turns) | ratios("A", turns, "A", "eqsim", sizes.contact_steps) | bias | wanted
+
+
+def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
+    """Steady friction from so many lives, plainly drawn. Rival B takes fewer, and its time is scaled up."""
+
+    def eqsim(seed: int, threads: int = 1) -> Outcome:
+        return plain(case.ensemble(1), VELOCITY, sizes.lives, seed, threads)
+
+    def by_hand(seed: int, threads: int = 1) -> Outcome:
+        return Outcome(*tuned.steady(case, sizes.lives, seed, threads), sizes.lives)
+
+    contenders = {
+        "eqsim": eqsim,
+        "eqsim, threads": lambda seed: eqsim(seed, threads),
+        "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.scalar_lives, seed), sizes.scalar_lives),
+    }
+    if tuned.available():
+        contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
+    turns = take_turns(contenders, sizes.plain_repeats, seed)
+    wanted = {"wanted": 0.70 if case.kT else 0.80}
+    return summary(case, turns, sizes.lives / sizes.scalar_lives) | wanted
 
 
 def time_steady(case: Case, sizes: Sizes, threads: int, seed: int, rel_error: float) -> dict[str, Any]:
-    """Steady friction. Rival B averages plainly, and its time is scaled to the lives it needs for `rel_error`."""
+    """Steady friction to an error. Rival B averages plainly, and its time is scaled to the lives this takes."""
     ensemble = case.ensemble(1)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
@@ -68,32 +124,44 @@ def time_steady(case: Case, sizes: Sizes, threads: int, seed: int, rel_error: fl
 
     contenders = {
         "eqsim": eqsim,
-        "threads": lambda seed: eqsim(seed, threads),
-        "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.lives, seed)),
+        "eqsim, threads": lambda seed: eqsim(seed, threads),
+        "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.scalar_lives, seed)),
     }
     turns = take_turns(contenders, sizes.repeats, seed)
-    shared = summary(case, turns)
     value, error = pooled(turns, "B")
-    needed = sizes.repeats * (error / value / rel_error) ** 2  # runs of sizes.lives
-    per_life = ratios(turns, "B", shared["lives"] / sizes.lives)["B"]
-    return shared | ratios(turns, "B", needed) | {"B_per_life": per_life, "B_lives": needed * sizes.lives}
+    needed = sizes.repeats * (error / value / rel_error) ** 2  # runs of sizes.scalar_lives
+    return summary(case, turns, needed) | {"B_lives": needed * sizes.scalar_lives}
 
 
-def summary(case: Case, turns: Turns) -> dict[str, Any]:
-    """Speed and error of eqsim, what threads gain, and the score of rival B's friction against eqsim's."""
-    seconds = statistics.median(seconds for seconds, _ in turns["eqsim"])
-    lives = statistics.median(outcome.lives for _, outcome in turns["eqsim"])
-    reached = statistics.median(outcome.stderr / outcome.value for _, outcome in turns["eqsim"])
-    (value, error), (truth, its_error) = pooled(turns, "B"), pooled(turns, "eqsim")
-    figures = {"case": case.name, "seconds": seconds, "lives": lives, "lives_per_microsecond": 1e-6 * lives / seconds}
-    figures |= {"rel_error": reached, "B_z": (value - truth) / math.hypot(error, its_error)}
-    return figures | ratios(turns, "threads")
+def summary(case: Case, turns: Turns, b_factor: float = 1.0) -> dict[str, Any]:
+    """Speed and error of eqsim, what threads gain, and speed and score of rivals B and C, as far as they took part."""
+    figures: dict[str, Any] = {"case": case.name} | speed(turns, "eqsim", "")
+    figures |= ratios("threads", turns, "eqsim, threads", "eqsim") | ratios("B", turns, "B", "eqsim", b_factor)
+    figures["rel_error"] = statistics.median(outcome.stderr / outcome.value for _, outcome in turns["eqsim"])
+    truth, its_error = pooled(turns, "eqsim")
+    for name in ("B", "C"):
+        if name in turns:
+            value, error = pooled(turns, name)
+            figures[f"{name}_z"] = (value - truth) / math.hypot(error, its_error)
+    if "C" in turns:
+        figures |= speed(turns, "C", "C_") | ratios("C", turns, "C", "eqsim")
+        figures |= ratios("C_both_threads", turns, "C, threads", "eqsim, threads")
+        figures |= ratios("C_threads", turns, "C, threads", "C")
+    return figures
 
 
-def ratios(turns: Turns, rival: str, factor: float = 1.0) -> dict[str, float]:
-    """Seconds of a rival over those of eqsim, times `factor`: median, least and greatest over the turns."""
-    found = [factor * there / here for (there, _), (here, _) in zip(turns[rival], turns["eqsim"], strict=True)]
-    return {rival: statistics.median(found), f"{rival}_low": min(found), f"{rival}_high": max(found)}
+def speed(turns: Turns, name: str, prefix: str) -> dict[str, float]:
+    """Median seconds, lives and nanoseconds per life."""
+    seconds = statistics.median(seconds for seconds, _ in turns[name])
+    found = statistics.median(outcome.lives for _, outcome in turns[name])
+    figures = {f"{prefix}seconds": seconds, f"{prefix}lives": found}
+    return figures | ({f"{prefix}ns_per_life": 1e9 * seconds / found} if found else {})
+
+
+def ratios(figure: str, turns: Turns, this: str, that: str, factor: float = 1.0) -> dict[str, float]:
+    """Seconds of `this` over those of `that`, times `factor`: median, least and greatest over the turns."""
+    found = [factor * one / other for (one, _), (other, _) in zip(turns[this], turns[that], strict=True)]
+    return {figure: statistics.median(found), f"{figure}_low": min(found), f"{figure}_high": max(found)}
 
 
 def pooled(turns: Turns, name: str) -> tuple[float, float]:

@@ -1,10 +1,13 @@
 """The figures as a table and as a picture."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from rich import box
 from rich.table import Table
@@ -18,65 +21,91 @@ def short(ratio: float) -> str:
     return f"{ratio:,.0f}" if ratio >= 999.5 else f"{ratio:.3g}"
 
 
-COLUMNS = {  # heading: figure, and how to print it
-    "eqsim, s": ("seconds", "{:.3f}".format),
-    "lives/µs": ("lives_per_microsecond", "{:.1f}".format),
-    "rel. error": ("rel_error", "{:.1e}".format),
-    "A": ("A", short),
-    "B": ("B", short),
-    "B per life": ("B_per_life", "{:.2f}".format),
-    "threads": ("threads", "{:.2f}".format),
-    "bias of A": ("A_bias", "{:+.2%}".format),
-    "±": ("A_bias_stderr", "{:.2%}".format),
-    "z of B": ("B_z", "{:+.1f}".format),
+def target(row: pd.Series) -> str:
+    """What the ratio to C should be, on one thread and on several, and whether it is."""
+    met = [row["C"] >= row["wanted"], row["C_both_threads"] >= row["wanted"]]
+    return f"{row['wanted']:.2f} {'met' if all(met) else 'in part' if any(met) else 'missed'}"
+
+
+def bias(row: pd.Series) -> str:
+    return f"{row['A_bias']:+.1%}±{row['A_bias_stderr']:.1%}"
+
+
+def column(name: str, form: Callable[[float], str]) -> tuple[str, Callable[[pd.Series], str]]:
+    return name, lambda row: form(row[name])
+
+
+COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {  # heading: a figure it needs, and how to print it
+    "s": column("seconds", "{:.3g}".format),
+    "ns": column("ns_per_life", short),
+    "thr.": column("threads", "{:.2f}".format),
+    "A": column("A", short),
+    "B": column("B", short),
+    "C": column("C", "{:.2f}".format),
+    "C on thr.": column("C_both_threads", "{:.2f}".format),
+    "wanted": ("C", target),
+    "C ns": column("C_ns_per_life", short),
+    "C thr.": column("C_threads", "{:.2f}".format),
+    "bias of A": ("A_bias", bias),
+    "z of B": column("B_z", "{:+.1f}".format),
+    "z of C": column("C_z", "{:+.1f}".format),
 }
 BARS = {  # figure: label and colour
     "A": ("A: NumPy script", "#b0b7bf"),
     "B": ("B: scalar numba kernel", "#4878a8"),
-    "threads": ("eqsim, threads = {}", "#e08a3c"),
+    "C": ("C: by hand in C", "#5a9a68"),
+    "C_both_threads": ("C over eqsim, both on threads", "#a9d0b0"),
+    "threads": ("eqsim on threads", "#e08a3c"),
 }
 
 
 def notes(sizes: Sizes, threads: int) -> str:
     """How to read the figures."""
     return (
-        f"A, B, threads: seconds per second of eqsim on one thread, medians over {sizes.repeats} interleaved turns.\n"
-        f"A: NumPy script in steps of {STEP} x_*, one thread, {sizes.stepped_contacts} contacts over "
-        f"{sizes.stepped_distance:g} x_*, scaled by contact-steps (x{sizes.contact_steps:g}).\n"
-        "B: scalar numba kernel of the same algorithm, one thread, mean force only. Steady averages: plain Monte\n"
-        f"   Carlo of {sizes.lives:.1e} lives, scaled to the lives the asked error takes; per life: for equally many.\n"
-        f"threads: eqsim on {threads} threads. bias, z: of the rival's friction against eqsim's. "
-        "rel. error: of eqsim's friction."
+        f"Medians over {sizes.repeats} interleaved turns (plain averages: {sizes.plain_repeats}). A, B, C: seconds per "
+        "second of eqsim, one thread each.\n"
+        f"A: NumPy script in steps of {STEP} x_*, {sizes.stepped_contacts} contacts over {sizes.stepped_distance:g} "
+        f"x_*, scaled by contact-steps (x{sizes.contact_steps:g}).\n"
+        f"B: scalar numba kernel of the same algorithm, mean force only; steady averages: plain Monte Carlo of "
+        f"{sizes.scalar_lives:.0e} lives,\n   scaled to as many as eqsim takes, or as the asked error takes.\n"
+        "C: the same work by hand in C: eqsim's generator, exact lives, all that eqsim records; the limit of the "
+        "machine. wanted: least C.\n"
+        f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} threads over seconds on one "
+        f"({1 / threads:.2f} is ideal).\n"
+        "C on thr.: seconds of C per second of eqsim, both on so many threads.\n"
+        "bias, z: of the rival's friction against eqsim's."
     )
 
 
 def table(figures: pd.DataFrame) -> Table:
     """One section per job."""
     shown = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
-    shown.add_column("contacts", no_wrap=True, min_width=figures["case"].str.len().max())
+    shown.add_column("case", no_wrap=True, min_width=figures["case"].str.len().max())
     for heading in COLUMNS:
         shown.add_column(heading, justify="right", no_wrap=True)
     for job, rows in figures.groupby("job", sort=False):
         shown.add_row(f"[bold]{job}")
         for _, row in rows.iterrows():
-            cells = ("" if pd.isna(row[name]) else form(row[name]) for name, form in COLUMNS.values())
+            cells = ("" if pd.isna(row.get(name, np.nan)) else form(row) for name, form in COLUMNS.values())
             shown.add_row(row["case"], *cells)
         shown.add_section()
     return shown
 
 
-def picture(figures: pd.DataFrame, threads: int, path: Path) -> None:
-    """One panel per job; bars reach from 1, which is eqsim on one thread, lines from the least turn to the greatest."""
-    jobs = figures["job"].unique()
+def picture(figures: pd.DataFrame, path: Path) -> None:
+    """One panel per job with rivals; bars reach from 1, lines from the least turn to the greatest."""
+    compared = figures[figures["B"].notna()]
+    jobs = compared["job"].unique()
     plt.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-    figure, panels = plt.subplots(1, len(jobs), figsize=(4.4 * len(jobs), 5.6), sharey=True, layout="constrained")
+    figure, panels = plt.subplots(1, len(jobs), figsize=(4.4 * len(jobs), 7.2), sharey=True, layout="constrained")
     for panel, job in zip(panels, jobs, strict=True):
-        _bars(panel, figures[figures["job"] == job])
+        _bars(panel, compared[compared["job"] == job])
         panel.set_title(job)
     panels[0].invert_yaxis()
-    handles = [Patch(color=color, label=label.format(threads)) for label, color in BARS.values()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(BARS), frameon=False)
-    figure.supxlabel("seconds per second of eqsim on one thread (right of 1: slower than eqsim)", fontsize=10)
+    handles = [Patch(color=color, label=label) for label, color in BARS.values()]
+    handles.append(Line2D([], [], color="#c03030", lw=2, ls=":", label="wanted of C, at least"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+    figure.supxlabel("seconds per second of eqsim (right of 1: slower than eqsim)", fontsize=10)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -91,6 +120,10 @@ def _bars(panel: Axes, rows: pd.DataFrame) -> None:
         panel.hlines(y, low, high, color="#333333", lw=1)
         for at, one, end in zip(y, value, high, strict=True):
             panel.annotate(short(one), (max(end, 1.0), at), (4, 0), textcoords="offset points", va="center", fontsize=9)
+        if name.startswith("C"):
+            panel.vlines(
+                rows["wanted"], np.subtract(y, height / 2), np.add(y, height / 2), color="#c03030", ls=":", lw=2
+            )
     ends = rows[[f"{name}_{end}" for name in names for end in ("low", "high")]]
     least, most = ends.min(axis=None), ends.max(axis=None)
     panel.set_xscale("log")

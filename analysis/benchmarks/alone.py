@@ -1,0 +1,95 @@
+"""Jobs without rivals: fluctuating thresholds, reference solves, and how long the program takes to start."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from analysis.benchmarks.cases import CASES, VELOCITY, Case, Sizes
+from analysis.benchmarks.jobs import Outcome, plain, ratios, speed, take_turns
+from eqsim.ensemble import Drive, Ensemble
+from eqsim.laws.aging import Aging
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Gamma
+from eqsim.master.reference import reference
+from eqsim.master.transient import transient
+
+ROOT = Path(__file__).parents[2]
+NOTHING = Outcome(0.0, 0.0)  # a job that is not about friction
+
+
+def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
+    """Lives along fluctuating thresholds at v = k = omega = 1, x_*: 0.1 -> 1 with D_v = D/(v x_*f) = 0.1."""
+    rows = []
+    for kT in (0.0, 0.1):
+        for law in ("uniform", "sqrt"):
+            thermal, aging = Thermal(kT=kT), Aging("langevin", rate=0.1, x_star_final=1.0)
+            ensemble = Ensemble(Gamma(1.0, 0.1), thermal, aging=aging, stiffness_law=law)
+
+            def run(seed: int, threads: int = 1, ensemble: Ensemble = ensemble) -> Outcome:
+                return plain(ensemble, 1.0, sizes.langevin_lives, seed, threads)
+
+            run(seed)  # compiles
+            contenders = {"eqsim": run, "eqsim, threads": lambda seed, run=run: run(seed, threads)}
+            turns = take_turns(contenders, sizes.repeats, seed)
+            case = f"{f'soft kT={kT:g}' if kT else 'T=0'}, {law} k"
+            gain = ratios("threads", turns, "eqsim, threads", "eqsim")
+            rows.append({"job": "langevin lives, D_v = 0.1", "case": case} | speed(turns, "eqsim", "") | gain)
+    return rows
+
+
+def time_references(sizes: Sizes) -> list[dict[str, Any]]:
+    """Stationary averages and transients from the master equation; kernels and tables are warm, answers are not:
+    each turn has its own velocity."""
+    chosen = [case for case in CASES if not case.general] + [Case(0.1, "soft", True)]
+    rows = []
+    for disorder in ("quenched", "annealed"):
+        for case in chosen:
+            ensemble = replace(case.ensemble(1), disorder=disorder)
+
+            def averages(turn: int, ensemble: Ensemble = ensemble) -> Outcome:
+                reference(ensemble, VELOCITY * (1 + 1e-3 * turn))
+                return NOTHING
+
+            def force(turn: int, ensemble: Ensemble = ensemble) -> Outcome:
+                transient(ensemble, Drive(VELOCITY * (1 + 1e-3 * turn), sizes.distance), sizes.points)
+                return NOTHING
+
+            averages(0), force(0)
+            turns = take_turns({"stationary": averages, "transient": force}, sizes.repeats, 1)
+            rows += [
+                {"job": f"reference, {job}, {disorder}", "case": case.name} | speed(turns, job, "")
+                for job in ("stationary", "transient")
+            ]
+    return sorted(rows, key=lambda row: row["job"])
+
+
+def time_start(sizes: Sizes) -> list[dict[str, Any]]:
+    """`eqsim` as a process of its own: the help page, and the quickstart with and without compiled kernels."""
+    with tempfile.TemporaryDirectory() as folder:
+
+        def eqsim(*arguments: str, cache: str) -> Outcome:
+            command = [sys.executable, "-c", "from eqsim.cli import main; main()", *arguments]
+            path = os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", "")))
+            environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/{cache}", "PYTHONPATH": path}
+            subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True)
+            return NOTHING
+
+        def quickstart(cache: str) -> Outcome:
+            return eqsim("run", "runs/quickstart.toml", "--quiet", "--out", f"{folder}/out", cache=cache)
+
+        starts: dict[str, tuple[Callable[[int], Outcome], int]] = {
+            "eqsim --help": (lambda _: eqsim("--help", cache="0"), sizes.repeats),
+            "quickstart, cold": (lambda turn: quickstart(str(turn)), sizes.cold_starts),
+            "quickstart, warm": (lambda _: quickstart("0"), sizes.repeats if sizes.cold_starts else 0),
+        }
+        rows = []
+        for case, (start, repeats) in starts.items():
+            if repeats:
+                turns = take_turns({case: start}, repeats, 0)
+                rows.append({"job": "start-up", "case": case} | speed(turns, case, ""))
+    return rows

@@ -1,0 +1,77 @@
+"""The benchmark's rivals do the same work as eqsim, and its table holds together."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pandas")
+import pandas as pd
+
+from analysis.benchmarks import report, tuned
+from analysis.benchmarks.cases import CASES, COMPILE, VELOCITY, Case
+from analysis.benchmarks.jobs import plain, time_plain, time_trajectory
+from eqsim import Drive, reference, trajectory
+
+needs_compiler = pytest.mark.skipif(not tuned.COMPILER, reason="no gcc")
+CONTACTS, DISTANCE, POINTS = 20_000, 20.0, 201
+GENERAL = Case(0.1, "soft", True)
+
+
+def by_case(cases):
+    return pytest.mark.parametrize("case", cases, ids=lambda case: case.name)
+
+
+@needs_compiler
+@by_case(CASES)
+def test_c_records_what_eqsim_records(case):
+    found = tuned.run(case, CONTACTS, DISTANCE, POINTS, seed=3)
+    ours = trajectory(case.ensemble(CONTACTS), Drive(VELOCITY, DISTANCE), points=POINTS, seed=4)
+    # 201 deviates, most of them correlated: one beyond 5 in 1e4 runs
+    score = (found.force - ours.force)[1:] / np.hypot(found.force_stderr, ours.force_stderr)[1:]
+    assert np.abs(score).max() < 5
+    pinned = np.abs(found.pinned - ours.pinned) / np.maximum(np.sqrt(2) * ours.pinned_stderr, 1e-12)
+    assert pinned.max() < 5
+    # a standard deviation from N values is known to sqrt((kurtosis - 1)/4N) < 0.8 %, of two within 5 sigma: 5.5 %
+    late = slice(POINTS // 2, None)
+    np.testing.assert_allclose(found.force_stderr[late], ours.force_stderr[late], rtol=0.055)
+    assert abs(found.friction - ours.friction.value) < 5 * math.hypot(found.stderr, ours.friction.stderr)
+    assert abs(found.lives / ours.lives - 1) < 0.02
+
+
+@needs_compiler
+@by_case(CASES)
+def test_c_averages_are_exact(case):
+    value, error = tuned.steady(case, 2_000_000, seed=5)
+    exact = reference(case.ensemble(1), VELOCITY).friction.value
+    assert abs(value - exact) < 5 * error  # Student's law of 63 degrees of freedom: 5e-6
+    wrong = reference(CASES[CASES.index(case) - 1].ensemble(1), VELOCITY).friction.value
+    assert abs(value - wrong) > 5 * error
+
+
+@needs_compiler
+@by_case([CASES[2], GENERAL])
+def test_c_gives_the_same_bits_on_two_threads_and_the_same_lives_without_avx512(case, monkeypatch):
+    found = [tuned.run(case, 3000, DISTANCE, POINTS, 7, threads) for threads in (1, 2)]
+    assert found[0].friction == found[1].friction
+    np.testing.assert_array_equal(found[0].force, found[1].force)
+    other = tuned.library("-DPORTABLE", "-O1")  # quickly compiled
+    monkeypatch.setattr(tuned, "library", lambda: other)
+    portable = tuned.run(case, 3000, DISTANCE, POINTS, 7)
+    # lives agree to 1e-11, their sums in fixed point to 1e-8
+    np.testing.assert_allclose(portable.force, found[0].force, atol=1e-7)
+    assert portable.lives == found[0].lives
+
+
+def test_plain_averages_of_eqsim_are_exact():
+    found = plain(GENERAL.ensemble(1), VELOCITY, 200_000, 1, 2)
+    assert abs(found.value - reference(GENERAL.ensemble(1), VELOCITY).friction.value) < 5 * found.stderr
+
+
+def test_table_and_picture(tmp_path):
+    rows = [{"job": job.__name__, **job(GENERAL, COMPILE, 2, 1)} for job in (time_trajectory, time_plain)]
+    rows.append({"job": "alone", "case": "no rivals", "seconds": 1.0})
+    figures = pd.DataFrame(rows)
+    assert report.table(figures).row_count == 2 * len(rows)
+    report.picture(figures, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 0
