@@ -120,17 +120,7 @@ def run(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=many,
             max_lives=max_lives, progress=progress, executor=executor,
         )  # fmt: skip
-    columns = {
-        "X": result.X,
-        "t": result.t,
-        "force": result.force,
-        "pinned": result.pinned,
-        "force_stderr": result.force_stderr,
-        "pinned_stderr": result.pinned_stderr,
-    }
-    if result.force_replica_std is not None:
-        columns["force_replica_std"] = result.force_replica_std
-    origin = tables.provenance("run", file.model_dump(), _text(path, changes), output.seed)
+    origin = tables.provenance("run", file.model_dump(), _text(path, changes), output.seed, path.parent)
     averages = {"friction": result.friction, "pinned": result.pinned_fraction, "break_stretch": result.break_stretch}
     summary = {
         "title": file.title,
@@ -149,7 +139,7 @@ def run(
     tables.publish(
         folder,
         {
-            "trajectory.parquet": tables.parquet(columns, origin),
+            "trajectory.parquet": tables.parquet(result.columns(), origin),
             "summary.json": tables.to_json(summary).encode(),
             "force.png": trajectory_png(result, level, exact, file.title or path.stem),
         },
@@ -504,6 +494,33 @@ def figures(
             shown.add_row(name, str(curves), str(particles), f"{largest:.2f}", f"{p:.2g}")
         _show("figures: particles against the master equation of their ensemble", shown)
         print(f"{out}/: {', '.join(figure.name for figure in made)}, each .pdf, .png and .parquet")
+
+
+@app.command()
+@guarded
+def replay(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="Parquet file that eqsim wrote.", show_default=False)],
+    threads: Threads = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run again what made a file, from its provenance alone, and compare bit by bit; exit code 1 if they differ."""
+    from eqsim import tables
+    from eqsim.replay import replay as repeat
+
+    with _bar("repeating", quiet or json, "units") as progress:
+        found = repeat(path, workers=_threads(threads), progress=progress)
+    if json:
+        print(tables.to_json({**dataclasses.asdict(found), "same": found.same}))
+    elif not quiet:
+        for name, (then, now) in found.versions.items():
+            print(f"{name} was {then}, is {now}")
+        if found.same:
+            print(f"{path}: `eqsim {found.command}` gives the same {found.rows} rows, to the last bit")
+        for name, (rows, most) in found.differences.items():
+            print(f"{path}: {name} differs in {rows} of {found.rows} rows" + (f", by up to {most:.3g}" if most else ""))
+    if not found.same:
+        raise typer.Exit(1)
 
 
 @app.command()

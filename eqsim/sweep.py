@@ -380,7 +380,7 @@ class Store:
             for left in (*out.glob(".eqsim-*"), *(out / _PARTS).glob(".eqsim-*")):
                 left.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
-            origin = tables.provenance("sweep", settings, text, plan.file.output.seed)
+            origin = tables.provenance("sweep", settings, text, plan.file.output.seed, plan.folder)
             origin |= {"schema": SCHEMA, "results_version": results_version()}
             self.schema = schema().with_metadata({"eqsim": tables.to_json(origin)})
             self.rows: list[dict[str, Any]] = []

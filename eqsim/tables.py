@@ -20,9 +20,14 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in packages}}
 
 
-def provenance(command: str, settings: dict[str, Any], run_file: str, seed: int) -> dict[str, Any]:
-    """What it takes to repeat a call: the command, the run file as it stood, every setting in force, versions."""
-    return {"command": command, "run_file": run_file, "settings": settings, "seed": seed, "versions": versions()}
+def provenance(
+    command: str, settings: dict[str, Any], run_file: str, seed: int, folder: Path | None = None
+) -> dict[str, Any]:
+    """What it takes to repeat a call (`eqsim.replay`): the command, the run file as it stood and the folder its paths
+    are relative to, every setting in force (an infinite one as "Infinity"), versions."""
+    settings = json.loads(json.dumps(settings), parse_constant=str)
+    known = {"command": command, "run_file": run_file, "settings": settings, "seed": seed, "versions": versions()}
+    return known if folder is None else {**known, "folder": str(folder.absolute())}
 
 
 def to_json(data: Any) -> str:

@@ -60,19 +60,32 @@ def make(
 ) -> Iterator[Made]:
     """Compute the named figures on the `executor`, each point once, and write NAME.pdf, NAME.png and
     NAME.parquet to `out`, one figure after the other. `quick`: a quarter of the points. Raises InputError."""
-    modules = {name: import_module(f".{name.lower()}", __name__) for name in names}
-    curves = {name: [curve.thinned(4 if quick else 1) for curve in module.curves()] for name, module in modules.items()}
-    found = compute(curves, executor, progress)
-    for name, module in modules.items():
-        table = pd.concat([found[name], module.formulas(found[name])], ignore_index=True)
+    for name, table in tabulate(names, quick=quick, executor=executor, progress=progress).items():
         with matplotlib.rc_context(STYLE):
-            figure = module.plot(table)
+            figure = _module(name).plot(table)
             files = {f"{name}.{form}": _saved(figure, form) for form in ("pdf", "png")}
         origin = tables.provenance("figures", {"figure": name, "quick": quick}, "", 1)
         tables.publish(out, {**files, f"{name}.parquet": tables.parquet(table, origin)})
         z = table.z.dropna()
         p = float(stats.chi2.sf((z**2).sum(), len(z)))
         yield Made(name, table.curve.nunique(), len(z), float(z.abs().max()), p)
+
+
+def tabulate(
+    names: list[str],
+    *,
+    quick: bool = False,
+    executor: Executor,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, pd.DataFrame]:
+    """Every row of the named figures: curves, particles and formulas."""
+    curves = {name: [curve.thinned(4 if quick else 1) for curve in _module(name).curves()] for name in names}
+    found = compute(curves, executor, progress)
+    return {name: pd.concat([rows, _module(name).formulas(rows)], ignore_index=True) for name, rows in found.items()}
+
+
+def _module(name: str) -> Any:
+    return import_module(f".{name.lower()}", __name__)
 
 
 def compute(

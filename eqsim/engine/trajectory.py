@@ -54,6 +54,11 @@ class Trajectory:
     engine_seconds: float
     threads: int
 
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name, `force_replica_std` only if there are replicas."""
+        names = ("X", "t", "force", "pinned", "force_stderr", "pinned_stderr", "force_replica_std")
+        return {name: column for name in names if (column := getattr(self, name)) is not None}
+
 
 def predicted_lives(ensemble: Ensemble, drive: Drive, replicas: int = 1) -> float:
     """How many lives a run will take, within a few per cent or somewhat too many: by Wald's identity a contact that

@@ -92,7 +92,7 @@ def survival(
     """
     require_number("n", n, least=0, most=1000)
     require_number("x_star_final / x_star", final, least=1e-3, most=1e3)
-    require_number("rate / (velocity * x_star)", mobility, least=0, most=1e6)
+    require_number("rate / (velocity * x_star)", mobility, least=0, most=1e6 * (1 + 1e-9))  # a product, rounded
     require_choice("stiffness_law", stiffness, ("sqrt", "uniform"))
     if barrier is not None:
         require_number("b", b, above=0, most=1e9)

@@ -1,0 +1,110 @@
+"""A table can be made again from what it carries, and a table that was tampered with is found out."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from eqsim.cli import app
+from eqsim.replay import compare
+
+RUN = """
+disorder = "annealed"
+[contacts]
+count = 300
+[thresholds]
+law = "gamma"
+[aging]
+rule = "flow"
+rate = inf
+x_star_final = 2.0
+[thermal]
+kT = 0.1
+[delay]
+time = 0.5
+[drive]
+velocity = 0.1
+distance = 5.0
+[output]
+points = 21
+replicas = 2
+[sweep]
+"drive.velocity" = [0.1, 1.0]
+"""
+
+
+def call(*args):
+    return CliRunner().invoke(app, [str(arg) for arg in args])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("a run file's folder")
+    (folder / "a.toml").write_text(RUN)
+    pd.DataFrame({"threshold": [0.5, 1.0, 1.5]}).to_csv(folder / "x.csv", index=False)
+    (folder / "b.toml").write_text(
+        '[thresholds]\nlaw = "table"\nfile = "x.csv"\n[drive]\nvelocity = 1.0\ndistance = 3\n'
+    )
+    calls = {
+        "run": ("run", folder / "a.toml", "--out", folder / "run", "--seed", 7, "--set", "delay.law=exponential"),
+        "table": ("run", folder / "b.toml", "--out", folder / "table", "--set", "contacts.count=50"),
+        "sweep": ("sweep", folder / "a.toml", "--out", folder / "sweep", "--workers", 1),
+    }
+    for command in calls.values():
+        done = call(*command)
+        assert done.exit_code == 0, done.output
+    return {
+        "run": folder / "run" / "trajectory.parquet",
+        "table": folder / "table" / "trajectory.parquet",
+        "sweep": folder / "sweep" / "sweep.parquet",
+    }
+
+
+@pytest.mark.parametrize("kind", ["run", "table", "sweep"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_same_bits(made, kind, threads):
+    done = call("replay", made[kind], "--threads", threads, "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 0, done.output
+    assert found["same"]
+    assert found["differences"] == {}
+    assert found["rows"] == {"run": 21, "table": 2001, "sweep": 2}[kind]
+
+
+def test_what_was_changed_is_found(made, tmp_path):
+    table = pq.read_table(made["run"])
+    force = table["force"].to_numpy().copy()
+    force[3] = np.nextafter(force[3], 1.0)
+    at = table.schema.get_field_index("force")
+    changed = table.set_column(at, "force", pa.array(force)).replace_schema_metadata(table.schema.metadata)
+    pq.write_table(changed, tmp_path / "changed.parquet")
+    done = call("replay", tmp_path / "changed.parquet")
+    assert done.exit_code == 1
+    assert "force differs in 1 of 21 rows, by up to" in " ".join(done.stdout.split())
+
+
+def test_compare():
+    left = pd.DataFrame({"a": [1.0, np.nan], "b": ["x", "y"], "seconds": [1.0, 2.0]})
+    assert compare(left, left.assign(seconds=0.0)) == {}
+    assert compare(left, left.assign(a=[1.5, np.nan])) == {"a": (1, 0.5)}
+    assert compare(left, left.assign(a=[1.0, 2.0], b=["x", "z"])) == {"a": (1, None), "b": (1, None)}
+    assert set(compare(left, left.iloc[:1])) == {"a", "b"}
+    assert set(compare(left, left.drop(columns="b"))) == {"b"}
+
+
+def test_bad_input_is_one_line(tmp_path):
+    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "other.parquet")
+    (tmp_path / "text.parquet").write_text("no table")
+    for name, message in (
+        ("absent.parquet", "cannot be read (No such file"),
+        ("other.parquet", "is not a Parquet file that eqsim has written"),
+        ("text.parquet", "is not a Parquet file that eqsim has written"),
+    ):
+        done = call("replay", tmp_path / name)
+        assert done.exit_code == 2
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
