@@ -66,7 +66,7 @@ def plot(table: pd.DataFrame) -> Figure:
     for name, style in FORMULAS.items():
         draw(top, table, name, style, name)
     top.axvline(PAPER.v_star, color="0.8", linewidth=0.8, zorder=0)
-    top.annotate("$v_*$", (PAPER.v_star, 0.03), (-3, 0), textcoords="offset points", color="0.4", ha="right")
+    top.annotate("$v_*$", (PAPER.v_star, 0.8), (3, 0), textcoords="offset points", color="0.4")
     top.set(xscale="log", ylim=(0, 0.85), ylabel=r"kinetic friction  $f_k \,/\, x_*$")
     top.legend(loc="lower right", title="$k_BT = k x_*^2$;  markers: particles")
     draw_deviations(middle, table)

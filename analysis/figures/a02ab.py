@@ -52,7 +52,7 @@ def plot(table: pd.DataFrame) -> Figure:
             draw(lower, table, name, style, y="viscosity")
             fit = solved(table, f"{name}, power law")
             alpha, error = fit.exponent.iloc[0], fit.exponent_error.iloc[0]
-            label = f"${alpha:.2f} \\pm {error:.2f}$"
+            label = f"${alpha:.3f} \\pm {error:.3f}$"
             lower.plot(fit.velocity, 2 * fit.viscosity, color=style["color"], linewidth=0.9, linestyle="--")
             lower.plot([], [], color=style["color"], marker=style["marker"], markerfacecolor="white", label=label)
         upper.set(xscale="log", yscale="log", title=MODEL_TITLES[model])

@@ -73,11 +73,10 @@ def plot(table: pd.DataFrame) -> Figure:
         exact.plot([], [], label=f"star4, {source}", **look)
     literal.set_title("quenched, flow")
     for panel, source in ((left, "printed"), (right, "corrected")):
-        v = np.array([30.0, 3e2])
         power = 1 if source == "printed" else 2
-        panel.plot(v, 3e-2 * (v / 30.0) ** -power, color="0.7", linewidth=2.5, zorder=0)
-        panel.annotate(f"$v^{{-{power}}}$", (v[0], 3e-2), (4, 12 * power - 10), color="0.4",
-                       textcoords="offset points")  # fmt: skip
+        v = np.array([1e3, 1e4])
+        panel.plot(v, 0.3 * (v / 1e3) ** -power, color="0.7", linewidth=2.5, zorder=0)
+        panel.annotate(f"$v^{{-{power}}}$", (1e3, 0.3), (-24, -4), color="0.4", textcoords="offset points")
         panel.set(yscale="log", ylim=(1e-9, 1), xlabel=r"velocity  $v \,/\, \omega x_{*f}$")
         panel.set_title(f"star4 against the exact curve: {source}")
     left.set_ylabel(r"|approximate / exact $-$ 1|")
