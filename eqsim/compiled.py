@@ -1,5 +1,8 @@
 """How eqsim compiles its kernels: no GIL, strict IEEE arithmetic, and a cache that cannot go stale.
 
+Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every division, and no loop with one
+vectorises.
+
 numba keys a cached kernel on the file of the outermost function alone, so an edit of a law would leave the old
 machine code of every kernel that calls it in use. Here the cache folder carries a digest of all kernel sources.
 """
@@ -45,19 +48,19 @@ def cold() -> bool:
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a routine that is called from Python, cached on disk if any of the usual folders can be written."""
     if _CACHE is None:
-        return numba.njit(function, nogil=True)
+        return numba.njit(function, nogil=True, error_model="numpy")
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE  # read when the function is decorated
     try:
-        return numba.njit(function, nogil=True, cache=True)
+        return numba.njit(function, nogil=True, error_model="numpy", cache=True)
     finally:
         numba.config.CACHE_DIR = previous
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a scalar routine into its callers, so that loops over lanes of contacts can vectorise."""
-    return numba.njit(function, forceinline=True)
+    return numba.njit(function, forceinline=True, error_model="numpy")
 
 
 def routine(function: Callable[..., Any]) -> Any:
     """Compile a longer scalar routine that kernels call."""
-    return numba.njit(function)
+    return numba.njit(function, error_model="numpy")

@@ -22,7 +22,7 @@ from eqsim.laws.thermal import (
     erfi_inverse_table,
     pooled_hazard,
 )
-from eqsim.laws.threshold import NO_TABLE, Gamma, ThresholdLaw
+from eqsim.laws.threshold import NO_TABLE, Gamma, ThresholdLaw, exponentials_of
 
 Disorder = Literal["quenched", "annealed"]
 Start = Literal["fresh", "stationary"]
@@ -185,6 +185,7 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
 class Contacts(NamedTuple):
     """The plain numbers a kernel needs, lengths in units of the threshold law's scale, time as displacement.
 
+    Thresholds come from a table, from equally likely `steps`, or, where `exponentials` is not 0, from so many uniforms.
     `breaking` says how a life ends: MECHANICAL (at its threshold), SOFT, STIFF (quenched), POOLED (annealed); `aging`
     how thresholds move: UNAGED, FLOW, LANGEVIN, with `final2` = (x_*f/x_*i)^2 and `alpha` of `laws.aging`, `shape` n,
     and `spring_work` the table of `flow_work_table`.
@@ -192,6 +193,7 @@ class Contacts(NamedTuple):
 
     threshold_table: Array
     steps: Array
+    exponentials: int
     kappa_slope: float
     kappa_constant: float
     breaking: int
@@ -240,6 +242,7 @@ def lower(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
     return Contacts(
         threshold_table=threshold_table_of(law),
         steps=law.steps / unit,
+        exponentials=exponentials_of(law),
         kappa_slope=unit / law.rms if sqrt else 0.0,
         kappa_constant=0.0 if sqrt else 1.0,
         breaking=breaking,

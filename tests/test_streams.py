@@ -7,7 +7,18 @@ import pytest
 import scipy.stats
 
 from eqsim.engine import streams
-from eqsim.engine.streams import STEADY, TRAJECTORY, key, philox, uniform, uniforms
+from eqsim.engine.streams import (
+    ROUGH,
+    STEADY,
+    TRAJECTORY,
+    fill_words,
+    fine_product,
+    key,
+    philox,
+    product,
+    uniform,
+    uniforms,
+)
 
 MASK = 0xFFFFFFFF
 # Random123, kat_vectors, philox4x32 of 10 rounds: counter, key, result
@@ -167,3 +178,40 @@ def test_words_are_uniform_and_independent(direction):
     place = {"contact": lambda i: (i, 5, 6), "life": lambda i: (5, i, 6), "draw": lambda i: (5, 6, i)}[direction]
     found = (np.array([streams.words(k, *place(i)) for i in range(20_000)]) + 0.5) * 2.0**-32
     assert min(*p_values(found[:, :2]), *p_values(found[:, 2:])) > 1e-5
+
+
+def test_lanes_of_words_are_those_of_uniforms():
+    k = key(5, TRAJECTORY)
+    contact, life = np.array([0, 7, 2**40 + 9, 2**62]), np.array([3, 2**35 + 2, 0, 2**46])
+    found = np.empty((4, 4), np.uint64)
+    fill_words(k, contact, life, 2, found, 4)
+    for i in range(4):
+        a, b, c, d = found[:, i]
+        assert (uniform(a, b), uniform(c, d)) == uniforms(k, int(contact[i]), int(life[i]), 2)
+
+
+def test_product_is_never_0_or_1_and_is_that_of_cell_centres():
+    assert product(*words(0, 0)) == 2.0**-66
+    assert product(*words(MASK, MASK)) == (1.0 - 2.0**-33) ** 2 < 1.0
+    for low, high in np.random.default_rng(4).integers(0, 2**32, (200, 2)).tolist():
+        assert product(*words(low, high)) == pytest.approx((low + 0.5) * (high + 0.5) * 2.0**-64, rel=2e-16)
+
+
+def test_small_products_are_refined_within_their_cells():
+    """The refined factors lie in the cells of the coarse ones, at uniforms of a draw of their own."""
+    k = key(6, TRAJECTORY)
+    for contact, (low, high) in enumerate(np.random.default_rng(4).integers(0, 2**12, (200, 2)).tolist()):
+        u, v = uniforms(k, contact, 9, 2)
+        assert fine_product(k, contact, 9, 2, *words(low, high)) == pytest.approx((low + u) * (high + v) * 2.0**-64)
+
+
+def test_resolution_of_products():
+    """Where a product is above ROUGH both factors are, so that a cell of 2^-32 is at most 2^-12 of its factor: its
+    centre stands for the mean of -ln u over it with an error of (2^-12)^2/24 = 2.5e-9, in a share ROUGH of all draws.
+    """
+    low = np.uint64(ROUGH * 2**32) - np.uint64(1)
+    assert product(low, np.uint64(MASK)) < ROUGH  # any smaller factor is refined
+    edge = ROUGH + np.arange(4097) * 2.0**-32
+    mean = 1.0 - np.diff(edge * np.log(edge)) / np.diff(edge)
+    error = -np.log(0.5 * (edge[1:] + edge[:-1])) - mean
+    assert np.abs(error).max() < 2.0**-24 / 24 + 1e-11  # rounding of differences of u ln u, 1e-16 of 1e-5 over 2e-10

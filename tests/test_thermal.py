@@ -27,7 +27,7 @@ from eqsim.laws.thermal import (
     pooled_rate,
     pooled_stretch,
     soft_stretch,
-    softplus,
+    softplus_of,
     stiff_stretch,
 )
 
@@ -104,11 +104,13 @@ def test_derivative_of_the_hazard_is_the_rate(barrier):
 # ------------------------------------------------------------------------------------- one contact, kernel side
 
 
-def test_softplus():
-    for y in (-1e4, -800.0, -40.0, -1.0, 0.0, 3.0, 39.9, 40.1, 1e10):
-        with mpmath.workdps(40):
-            exact = float(mpmath.log1p(mpmath.exp(y)))
-        assert softplus(y) == pytest.approx(exact, rel=4 * EPS, abs=1e-320)
+@pytest.mark.parametrize("factor", [1e-30, 1.0, 1e9])
+def test_softplus_of(factor):
+    """ln(1 + factor e^y) from where it is factor e^y to where it is y + ln(factor), and where e^y overflows."""
+    for y in (-690.0, -40.0, -1.0, 0.0, 3.0, 39.9, 40.1, 399.9, 400.1, 720.0, 1e10, 1e19):
+        with mpmath.workdps(400):
+            exact = float(mpmath.log1p(factor * mpmath.exp(y))) if y < 1e5 else y + math.log(factor)
+        assert softplus_of(factor, y) == pytest.approx(exact, rel=4 * EPS, abs=0.0)
 
 
 def test_inverse_table():

@@ -6,16 +6,33 @@ import math
 import numpy as np
 from scipy import optimize
 
-from eqsim.compiled import inlined, kernel
+from eqsim.compiled import inlined, kernel, routine
 from eqsim.engine.paths import STEP, langevin_life
-from eqsim.engine.streams import Key
+from eqsim.engine.streams import ROUGH, Key, fill_words, fine_product, product, uniform
 from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts, Ensemble, lower
 from eqsim.laws.aging import FLOW, LANGEVIN, flow_stretch
+from eqsim.laws.elementary import log
 from eqsim.laws.octaves import Array, look_up
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.thermal import POOLED, SOFT, STIFF, pooled_stretch, soft_stretch, stiff_stretch
-from eqsim.laws.threshold import threshold_draw
+from eqsim.laws.thermal import (
+    MECHANICAL,
+    POOLED,
+    SOFT,
+    STIFF,
+    pooled_stretch,
+    soft_end,
+    soft_inverse,
+    soft_rank,
+    soft_stretch,
+    stiff_end,
+    stiff_spent,
+    stiff_stretch,
+)
+from eqsim.laws.threshold import exponential_threshold, threshold_draw
+
+LANES = 256  # contacts that advance together
+ROUNDS = 2  # lives of a contact that are drawn together
 
 
 @inlined
@@ -41,28 +58,108 @@ def spring_work(c: Contacts, stiffness: float, x: float) -> float:
     return 0.5 * stiffness * x * x
 
 
-@inlined
-def draw_lives(c: Contacts, u: Array, v: Array, stiffness: Array, stretch: Array, lanes: int) -> None:
-    """Relative stiffness k_i/k at birth and stretch at breaking of `lanes` lives, from the uniforms `u` (threshold) and
-    `v` (clock); not `langevin`. One pass per law, so that each loop is simple."""
+@routine
+def draw_rounds(
+    table: Array, steps: Array, exponentials: int, mechanical: bool, key: Key, contact: Array, turn: Array,
+    index: Array, words: Array, threshold: Array, clock: Array, lanes: int,
+) -> None:  # fmt: skip
+    """Thresholds and clocks, shape (ROUNDS, lanes), of the next ROUNDS lives of `lanes` contacts, each `turn` times
+    ROUNDS lives old.
+
+    Half of a Philox result serves one draw. Where no clock is needed, the two halves are the thresholds of two lives.
+    """
+    for r in range(ROUNDS):
+        if not mechanical or r == 0:
+            for i in range(lanes):
+                index[i] = turn[i] if mechanical else ROUNDS * turn[i] + r
+            fill_words(key, contact, index, 0, words, lanes)
+        half = r if mechanical else 0
+        if exponentials == 2:
+            rough = 0
+            for i in range(lanes):
+                p = product(words[2 * half, i], words[2 * half + 1, i])
+                threshold[r, i] = p
+                rough += p < ROUGH
+            if rough > 0:
+                for i in range(lanes):
+                    if threshold[r, i] < ROUGH:
+                        threshold[r, i] = fine_product(
+                            key, contact[i], index[i], 2 + half, words[2 * half, i], words[2 * half + 1, i]
+                        )
+        else:
+            for i in range(lanes):
+                threshold[r, i] = uniform(words[2 * half, i], words[2 * half + 1, i])
+        if exponentials > 0:
+            for i in range(lanes):
+                threshold[r, i] = exponential_threshold(threshold[r, i])
+        else:
+            draw_thresholds(table, steps, r, threshold, lanes)
+        if not mechanical:
+            for i in range(lanes):
+                clock[r, i] = -log(uniform(words[2, i], words[3, i]))
+
+
+@routine
+def draw_thresholds(table: Array, steps: Array, r: int, u: Array, lanes: int) -> None:
+    """Thresholds in the place of the uniforms u[r]."""
+    if steps.size > 0:
+        for i in range(lanes):
+            u[r, i] = threshold_draw(table, steps, u[r, i])
+        return
     for i in range(lanes):
-        stretch[i] = threshold_draw(c.threshold_table, c.steps, u[i])
+        u[r, i] = -log(u[r, i])
     for i in range(lanes):
-        stiffness[i] = kappa(c.kappa_slope, c.kappa_constant, stretch[i])
-    if c.aging == FLOW:
-        for i in range(lanes):
-            stretch[i] = break_stretch(c, stretch[i], -math.log(v[i]))
-    elif c.breaking == SOFT:
-        for i in range(lanes):
-            stretch[i] = soft_stretch(c.erfi_inverse, stretch[i], c.b * stiffness[i], c.log_w, -math.log(v[i]))
-    elif c.breaking == STIFF:
-        for i in range(lanes):
-            stretch[i] = stiff_stretch(stretch[i], c.b * stiffness[i], c.log_w, -math.log(v[i]))
-    elif c.breaking == POOLED:
-        per_attempt = math.exp(-c.log_w)
-        for i in range(lanes):
-            x = pooled_stretch(c.pool_x, c.pool_G, c.pool_slopes, -math.log(v[i]) * per_attempt)
-            stretch[i] = min(stretch[i], x)
+        u[r, i] = look_up(table, u[r, i])
+
+
+# Laws of breaking for many contacts: stiffness at birth, and stretch at breaking in the place of thresholds. Each is a
+# pass of its own, so that loops are simple, and takes the arrays it needs and no more, because numba counts references.
+
+
+@routine
+def stiffen_all(slope: float, constant: float, r: int, threshold: Array, stiffness: Array, lanes: int) -> None:
+    """Relative stiffness k_i/k at birth."""
+    for i in range(lanes):
+        stiffness[r, i] = kappa(slope, constant, threshold[r, i])
+
+
+@routine
+def soft_all(
+    erfi_inverse: Array, b: float, log_w: float, r: int, stretch: Array, clock: Array, stiffness: Array, lanes: int
+) -> None:
+    """Soft contacts; clocks are overwritten."""
+    for i in range(lanes):
+        clock[r, i] = soft_rank(stretch[r, i], b * stiffness[r, i], log_w, clock[r, i])
+    for i in range(lanes):
+        clock[r, i] = soft_inverse(erfi_inverse, clock[r, i])
+    for i in range(lanes):
+        stretch[r, i] = soft_end(stretch[r, i], b * stiffness[r, i], clock[r, i])
+
+
+@routine
+def stiff_all(b: float, log_w: float, r: int, stretch: Array, clock: Array, stiffness: Array, lanes: int) -> None:
+    """Stiff contacts; clocks are overwritten."""
+    for i in range(lanes):
+        clock[r, i] = stiff_spent(stretch[r, i], b * stiffness[r, i], log_w, clock[r, i])
+    for i in range(lanes):
+        stretch[r, i] = stiff_end(stretch[r, i], clock[r, i])
+
+
+@routine
+def pooled_all(
+    x: Array, G: Array, slopes: Array, log_w: float, r: int, stretch: Array, clock: Array, lanes: int
+) -> None:
+    """Annealed contacts."""
+    per_attempt = math.exp(-log_w)
+    for i in range(lanes):
+        stretch[r, i] = min(stretch[r, i], pooled_stretch(x, G, slopes, clock[r, i] * per_attempt))
+
+
+@routine
+def flow_all(c: Contacts, r: int, stretch: Array, clock: Array, lanes: int) -> None:
+    """Contacts whose thresholds flow."""
+    for i in range(lanes):
+        stretch[r, i] = break_stretch(c, stretch[r, i], clock[r, i])
 
 
 def typical_lives(c: Contacts) -> tuple[Array, Array]:
@@ -97,13 +194,77 @@ def lives(c: Contacts, key: Key, first: int, u: Array, v: Array, step: float = S
 
 
 @kernel
-def fill_lives(c: Contacts, key: Key, first: int, u: Array, v: Array, step: float, work: Array, stretch: Array) -> None:
+def fill_lives(
+    c: Contacts, key: Key, contact: int, u: Array, v: Array, step: float, work: Array, stretch: Array
+) -> None:
     """The kernel of `lives`."""
+    r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     if c.aging == LANGEVIN:
         for i in range(u.size):
             xi = threshold_draw(c.threshold_table, c.steps, u[i])
-            stretch[i], work[i] = langevin_life(c, key, first + i, 0, xi, -math.log(v[i]), step)
+            stretch[i], work[i] = langevin_life(c, key, contact + i, r, xi, -math.log(v[i]), step)
         return
-    draw_lives(c, u, v, work, stretch, u.size)
-    for i in range(u.size):
-        work[i] = spring_work(c, work[i], stretch[i])
+    x, clock, spring = np.empty((1, LANES)), np.empty((1, LANES)), np.empty((1, LANES))
+    for first in range(0, u.size, LANES):
+        lanes = min(LANES, u.size - first)
+        for i in range(lanes):
+            x[r, i], clock[r, i] = u[first + i], -log(v[first + i])
+        draw_thresholds(c.threshold_table, c.steps, r, x, lanes)
+        stiffen_all(c.kappa_slope, c.kappa_constant, r, x, spring, lanes)
+        if c.aging == FLOW:
+            flow_all(c, r, x, clock, lanes)
+        elif c.breaking == SOFT:
+            soft_all(c.erfi_inverse, c.b, c.log_w, r, x, clock, spring, lanes)
+        elif c.breaking == STIFF:
+            stiff_all(c.b, c.log_w, r, x, clock, spring, lanes)
+        elif c.breaking == POOLED:
+            pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, x, clock, lanes)
+        for i in range(lanes):
+            stretch[first + i] = x[r, i]
+            work[first + i] = spring_work(c, spring[r, i], x[r, i])
+
+
+@kernel
+def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple[float, float, float, float]:
+    """Sums, and largest terms, of work over k and of stretch at breaking over plainly drawn lives: those of the LANES
+    contacts from `first` on in their turns begin <= turn < end, ROUNDS lives each."""
+    contact, turn, index = np.arange(first, first + LANES), np.full(LANES, begin), np.empty(LANES, np.int64)
+    words, stiffness = np.empty((4, LANES), np.uint64), np.empty((ROUNDS, LANES))
+    stretch, clock = np.empty((ROUNDS, LANES)), np.full((ROUNDS, LANES), math.inf)
+    work, total, most_work, most = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    table, steps, erfi_inverse = c.threshold_table, c.steps, c.erfi_inverse
+    for at in range(begin, end):
+        draw_rounds(
+            table, steps, c.exponentials, c.breaking == MECHANICAL, key, contact, turn,
+            index, words, stretch, clock, LANES,
+        )  # fmt: skip
+        for r in range(ROUNDS):
+            if c.aging == LANGEVIN:
+                for i in range(LANES):
+                    stretch[r, i], clock[r, i] = langevin_life(
+                        c, key, contact[i], ROUNDS * at + r, stretch[r, i], clock[r, i], STEP
+                    )
+            else:
+                stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, LANES)
+                if c.aging == FLOW:
+                    flow_all(c, r, stretch, clock, LANES)
+                elif c.breaking == SOFT:
+                    soft_all(erfi_inverse, c.b, c.log_w, r, stretch, clock, stiffness, LANES)
+                elif c.breaking == STIFF:
+                    stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, LANES)
+                elif c.breaking == POOLED:
+                    pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, LANES)
+                if c.aging == FLOW:
+                    for i in range(LANES):
+                        clock[r, i] = spring_work(c, stiffness[r, i], stretch[r, i])
+                else:
+                    for i in range(LANES):
+                        clock[r, i] = 0.5 * stiffness[r, i] * stretch[r, i] * stretch[r, i]
+            for i in range(LANES):  # sums of each lane: a single one would have to wait for every addition
+                work[i] += clock[r, i]
+                total[i] += stretch[r, i]
+                most_work[i] = max(most_work[i], clock[r, i])
+                most[i] = max(most[i], stretch[r, i])
+        for i in range(LANES):
+            turn[i] = at + 1
+    return work.sum(), total.sum(), most_work.max(), most.max()

@@ -17,6 +17,8 @@ The error in friction is second order in STEP; at the default it is below 1e-3 (
 import math
 from typing import Any
 
+import numpy as np
+
 from eqsim.compiled import inlined, routine
 from eqsim.engine.streams import Key, words
 from eqsim.ensemble import Contacts
@@ -194,7 +196,7 @@ def walk(
 @routine
 def langevin_life(c: Contacts, key: Key, contact: int, life: int, xi: float, clock: float, step: float) -> Any:
     """Stretch at breaking and work done over k of a contact of threshold `xi` at birth and exponential `clock`."""
-    x, total, draw, broke = 0.0, 0.0, 0, False
+    x, total, draw, broke = 0.0, 0.0, np.int64(0), False  # typed: a literal 0 would be compiled for itself
     while not broke:
         broke, xi, x, clock, work, draw = walk(c, key, contact, life, draw, xi, x, clock, math.inf, step)
         total += work

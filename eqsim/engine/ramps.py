@@ -13,25 +13,37 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.compiled import inlined, kernel, routine
-from eqsim.engine.life import draw_lives, spring_work, typical_lives
+from eqsim.engine.life import (
+    LANES,
+    ROUNDS,
+    draw_rounds,
+    flow_all,
+    pooled_all,
+    soft_all,
+    spring_work,
+    stiff_all,
+    stiffen_all,
+    typical_lives,
+)
 from eqsim.engine.paths import STEP, langevin_life, walk
 from eqsim.engine.standing import Standing, extremes, standing_contact
-from eqsim.engine.streams import Key, uniforms
+from eqsim.engine.streams import Key, fill_words, uniform, uniforms
 from eqsim.ensemble import Contacts
 from eqsim.errors import InputError
-from eqsim.laws.aging import LANGEVIN, UNAGED, growth
+from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, growth
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import kappa
+from eqsim.laws.thermal import MECHANICAL, POOLED, SOFT, STIFF
 from eqsim.laws.threshold import threshold_draw
 
-LANES = 128  # contacts that advance together
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
 _BITS = 62  # of a sum; the sign and one more are left
 
 # columns of the deposits; d is the distance slid since the life began
 COUNT, SLOPE, FORCE, SLOPE2, RAMP2, SQUARE = range(6)  # 1, kappa, kappa d, kappa^2, kappa^2 d, (kappa d)^2
+_SLOPE, _FORCE, _SLOPE2, _RAMP2, _SQUARE = (np.uint64(i) for i in range(1, 6))  # unsigned, of which none is negative
 # columns of the batch sums, for each of the two quarters of the second half
 AREA, PINNED, ELAPSED, BREAKS, STRETCH = range(5)
 
@@ -46,14 +58,15 @@ class Run(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and
-    the typical force of a pinned contact."""
+    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, the
+    typical force of a pinned contact, and whether all contacts are equally stiff."""
 
     deposits: Array
     batches: Array
     replica: float
     replica_square: float
     typical: float
+    even: bool
 
     @classmethod
     def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
@@ -85,7 +98,7 @@ class Scales(NamedTuple):
         by_batch[BREAKS] = 1.0
         most = max(force, drag)
         by_replica = power([most, most**2], replicas)
-        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), typical)
+        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), typical, c.kappa_slope == 0.0)
 
 
 def _before(x: Array) -> Array:
@@ -97,6 +110,9 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
     """Mean force, pinned fraction, and variance of the force over contacts, at every grid point."""
     h = run.distance / (run.points - 1)
     total = np.cumsum(deposits, axis=0) / (scales.deposits * contacts)
+    if scales.even:  # k_i/k = 1
+        total[:, SLOPE] = total[:, SLOPE2] = total[:, COUNT]
+        total[:, RAMP2] = total[:, FORCE]
     force = total[:, FORCE] + h * _before(total[:, SLOPE])
     ramp = total[:, RAMP2] + h * _before(total[:, SLOPE2])
     square = total[:, SQUARE] + _before(2 * h * ramp + h**2 * total[:, SLOPE2])
@@ -187,6 +203,112 @@ def leave_pinned(deposits: Array, run: Run, born: float, broke: float) -> None:
 
 
 @routine
+def leave_ramps(
+    r: int, sign: int, at: Array, born: Array, stiffness: Array, run: Run, flat: Array, scales: Array,
+    cell: Array, column: Array, lanes: int,
+) -> None:  # fmt: skip
+    """`leave` for `lanes` contacts that were pinned (sign 1) or broke (sign -1) at the displacements `at` >= 0."""
+    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    for i in range(lanes):
+        point = math.ceil(min(at[i] * per_step, run.points))
+        kappa, d = stiffness[r, i], point * step - born[i]
+        cell[i] = 6 * int(point)
+        column[0, i] = fixed(kappa, scales[SLOPE])
+        column[1, i] = fixed(kappa * d, scales[FORCE])
+    for i in range(lanes):
+        point = math.ceil(min(at[i] * per_step, run.points))
+        kappa, d = stiffness[r, i], point * step - born[i]
+        column[2, i] = fixed(kappa * kappa, scales[SLOPE2])
+        column[3, i] = fixed(kappa * kappa * d, scales[RAMP2])
+        column[4, i] = fixed(kappa * kappa * d * d, scales[SQUARE])
+    end = np.uint64(6 * run.points)
+    for i in range(lanes):
+        k = np.uint64(cell[i])
+        if k < end:
+            flat[k] += sign
+            flat[k + _SLOPE] += sign * column[0, i]
+            flat[k + _FORCE] += sign * column[1, i]
+            flat[k + _SLOPE2] += sign * column[2, i]
+            flat[k + _RAMP2] += sign * column[3, i]
+            flat[k + _SQUARE] += sign * column[4, i]
+
+
+@routine
+def leave_even_ramps(
+    sign: int, at: Array, born: Array, run: Run, flat: Array, scales: Array, cell: Array, column: Array, lanes: int
+) -> None:
+    """`leave_ramps` of uniform stiffness, where COUNT and FORCE stand for the other columns."""
+    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    for i in range(lanes):
+        point = math.ceil(min(at[i] * per_step, run.points))
+        d = point * step - born[i]
+        cell[i] = 6 * int(point)
+        column[0, i] = fixed(d, scales[FORCE])
+        column[1, i] = fixed(d * d, scales[SQUARE])
+    end = np.uint64(6 * run.points)
+    for i in range(lanes):
+        k = np.uint64(cell[i])
+        if k < end:
+            flat[k] += sign
+            flat[k + _FORCE] += sign * column[0, i]
+            flat[k + _SQUARE] += sign * column[1, i]
+
+
+@routine
+def join_ramps(
+    r: int, at: Array, born: Array, before: Array, stiffness: Array, run: Run, flat: Array, scales: Array,
+    cell: Array, column: Array, lanes: int,
+) -> None:  # fmt: skip
+    """Without delay a life begins at `at` where another, born at `born` with stiffness `before`, ends: both leave their
+    ramps in one place, and the count of pinned contacts stays."""
+    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    for i in range(lanes):
+        point = math.ceil(min(at[i] * per_step, run.points))
+        x, y = point * step - at[i], point * step - born[i]
+        new, old = stiffness[r, i], before[i]
+        cell[i] = 6 * int(point)
+        column[0, i] = fixed(new, scales[SLOPE]) - fixed(old, scales[SLOPE])
+        column[1, i] = fixed(new * x, scales[FORCE]) - fixed(old * y, scales[FORCE])
+    for i in range(lanes):
+        point = math.ceil(min(at[i] * per_step, run.points))
+        x, y = point * step - at[i], point * step - born[i]
+        new, old = stiffness[r, i] * stiffness[r, i], before[i] * before[i]
+        column[2, i] = fixed(new, scales[SLOPE2]) - fixed(old, scales[SLOPE2])
+        column[3, i] = fixed(new * x, scales[RAMP2]) - fixed(old * y, scales[RAMP2])
+        column[4, i] = fixed(new * x * x, scales[SQUARE]) - fixed(old * y * y, scales[SQUARE])
+    end = np.uint64(6 * run.points)
+    for i in range(lanes):
+        k = np.uint64(cell[i])
+        if k < end:
+            flat[k + _SLOPE] += column[0, i]
+            flat[k + _FORCE] += column[1, i]
+            flat[k + _SLOPE2] += column[2, i]
+            flat[k + _RAMP2] += column[3, i]
+            flat[k + _SQUARE] += column[4, i]
+        born[i], before[i] = at[i], stiffness[r, i]
+
+
+@routine
+def join_even_ramps(
+    at: Array, born: Array, run: Run, flat: Array, scales: Array, cell: Array, column: Array, lanes: int
+) -> None:
+    """`join_ramps` of uniform stiffness, for the lives that follow those from `born` to `at`."""
+    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    for i in range(lanes):
+        point = math.ceil(min(at[i] * per_step, run.points))
+        x, y = point * step - at[i], point * step - born[i]
+        cell[i] = 6 * int(point)
+        column[0, i] = fixed(x, scales[FORCE]) - fixed(y, scales[FORCE])
+        column[1, i] = fixed(x * x, scales[SQUARE]) - fixed(y * y, scales[SQUARE])
+    end = np.uint64(6 * run.points)
+    for i in range(lanes):
+        k = np.uint64(cell[i])
+        if k < end:
+            flat[k + _FORCE] += column[0, i]
+            flat[k + _SQUARE] += column[1, i]
+
+
+@routine
 def flow_force(
     c: Contacts, run: Run, deposits: Array, batches: Array, batch: int, stiffness: float, born: float, stretch: float,
     scales: Array, batch_scales: Array,
@@ -219,7 +341,7 @@ def langevin_force(
         return stretch
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
     quarters = 0.25 * run.distance
-    x, draw, broke, j = 0.0, 0, False, max(0, math.ceil(born * per_step))
+    x, draw, broke, j = 0.0, np.int64(0), False, max(0, math.ceil(born * per_step))
     window = max(2, math.floor(born / quarters) + 1)  # the next edge of a window is at window * quarters
     while not broke:
         if j < run.points and j * step - born <= x:
@@ -269,6 +391,97 @@ def found_contact(
     return 0.0, 0.0, 0.0
 
 
+@routine
+def draw_delays(c: Contacts, key: Key, contact: Array, turn: Array, words: Array, delay: Array, lanes: int) -> None:
+    """Delays after the next ROUNDS lives, shape (ROUNDS, lanes), where they are not fixed."""
+    fill_words(key, contact, turn, 1, words, lanes)
+    for r in range(ROUNDS):
+        for i in range(lanes):
+            delay[r, i] = delay_draw(c.delay, True, uniform(words[2 * r, i], words[2 * r + 1, i]))
+
+
+@routine
+def found_at_start(
+    c: Contacts, standing: Standing, key: Key, contact: int,
+    run: Run, deposits: Array, batches: Array, scales: Array, batch_scales: Array,
+) -> float:  # fmt: skip
+    """Where a contact of the stationary start is pinned for the first time after what the start finds, its life 0."""
+    batch = contact % BATCHES
+    u_state, u_residual = uniforms(key, contact, 0, 0)
+    gap = delay_draw(c.delay, c.exponential, uniforms(key, contact, 0, 65535)[0])
+    if c.aging == LANGEVIN:
+        born, broke, reborn = found_contact(
+            c, standing, key, contact, u_residual, run, deposits, batches, batch, scales, batch_scales
+        )
+        spring = c.kappa_constant
+        if born < 0.0 < broke:
+            reborn = broke + gap
+    elif u_state < standing.pinned:
+        spring, x, ends = standing_contact(c, standing, key, contact, u_residual)
+        born, broke = -x, ends - x
+        if c.aging == UNAGED or c.kappa_slope == 0.0:
+            deposit(deposits, run, spring, born, broke, scales)
+        else:
+            flow_force(c, run, deposits, batches, batch, spring, born, ends, scales, batch_scales)
+            spring = 0.0
+        reborn = broke + gap
+    else:
+        spring, born, broke = 0.0, 0.0, 0.0
+        reborn = residual_delay_draw(c.delay, c.exponential, u_residual)
+    record(batches, batch, run, spring, born, broke, reborn, batch_scales)
+    return reborn
+
+
+@routine
+def live(
+    c: Contacts, key: Key, contact: int, life: int, stiffness: float, stretch: float, clock: float, gap: float,
+    born: float, run: Run, deposits: Array, batches: Array, scales: Array, batch_scales: Array,
+) -> float:  # fmt: skip
+    """One life on its own and the delay `gap` after it, and where they end. `stretch` at breaking, or under `langevin`
+    the threshold at birth."""
+    batch = (contact + life * run.batch_by_life) % BATCHES
+    if c.aging == LANGEVIN:
+        stiffness = c.kappa_constant
+        stretch = langevin_force(
+            c, key, contact, life, stretch, clock, born, run, deposits, batches, batch, scales, batch_scales
+        )
+    elif c.aging != UNAGED and c.kappa_slope > 0.0:
+        flow_force(c, run, deposits, batches, batch, stiffness, born, stretch, scales, batch_scales)
+        stiffness = 0.0
+    else:
+        deposit(deposits, run, stiffness, born, born + stretch, scales)
+    broke = born + stretch
+    if broke + gap > 0.5 * run.distance:
+        record(batches, batch, run, stiffness, born, broke, broke + gap, batch_scales)
+    return broke + gap
+
+
+@inlined
+def edge_after(run: Run, x: float) -> float:
+    """The end of the half or quarter that x lies in; infinite beyond the last."""
+    if x <= 0.5 * run.distance:
+        return 0.5 * run.distance
+    if x <= 0.75 * run.distance:
+        return 0.75 * run.distance
+    return run.distance if x <= run.distance else math.inf
+
+
+@routine
+def cross(
+    batches: Array, batch: int, run: Run, edge: float, work: float, way: float, elapsed: float, lives: int,
+    stiffness: float, born: float, broke: float, reborn: float, scales: Array,
+) -> None:  # fmt: skip
+    """What a contact's lives and delays leave in the quarter that ends at `edge`, and a last life that crosses it."""
+    if edge > 0.5 * run.distance:
+        quarter = 0 if edge < run.distance else 1
+        batches[batch, quarter, AREA] += fixed(work, scales[AREA])
+        batches[batch, quarter, PINNED] += fixed(way, scales[PINNED])
+        batches[batch, quarter, ELAPSED] += fixed(elapsed, scales[ELAPSED])
+        batches[batch, quarter, BREAKS] += lives
+        batches[batch, quarter, STRETCH] += fixed(way, scales[STRETCH])
+    record(batches, batch, run, stiffness, born, broke, reborn, scales)
+
+
 @kernel
 def simulate(
     c: Contacts,
@@ -283,71 +496,136 @@ def simulate(
     first: int,
     last: int,
 ) -> None:
-    """Follow contacts first <= i < last over the whole distance, LANES at a time, and add up what they leave."""
-    contact, life = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    position, stiffness, stretch = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    u, v = np.empty(LANES), np.empty(LANES)
+    """Follow contacts first <= i < last over the whole distance, LANES at a time, and add up what they leave.
+
+    A contact's lives come in order of position, so what they leave in the batch sums is added up on the way and noted
+    when a life crosses the end of a quarter; only that life has to be divided. Contacts start together, so that they
+    all write in one stretch of the grid, and new ones fill the lanes only when half of them have come to the end.
+    """
+    contact, turn, mark = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    position, edge, since = np.full(LANES, math.inf), np.empty(LANES), np.empty(LANES)  # idle lanes are at infinity
+    work, way = np.empty(LANES), np.empty(LANES)  # since the displacement `since`, where a contact was `mark` lives old
+    born, before = np.empty(LANES), np.empty(LANES)  # birth and stiffness of the life before
+    stiffness, stretch = np.empty((ROUNDS, LANES)), np.empty((ROUNDS, LANES))
+    clock, delay = np.full((ROUNDS, LANES), math.inf), np.full((ROUNDS, LANES), c.delay)
+    broke, reborn = np.empty(LANES), np.empty(LANES)
+    index, cell, words = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty((4, LANES), np.uint64)
+    column, flat = np.empty((5, LANES), np.int64), deposits.reshape(-1)
+    step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
+    even, joined = c.kappa_slope == 0.0, c.delay == 0.0
+    one_by_one = run.batch_by_life or c.aging == LANGEVIN or (c.aging != UNAGED and not even)
+    start = 1 if run.stationary else 0
+    table, steps, erfi_inverse = c.threshold_table, c.steps, c.erfi_inverse
     active, upcoming = 0, first
     while True:
-        while active < LANES and upcoming < last:  # lanes whose contact has reached the end take the next one
-            contact[active], life[active], position[active] = upcoming, 0, 0.0
-            if run.stationary:
-                life[active] = 1  # what the start finds is life 0
-                batch = upcoming % BATCHES
-                u_state, u_residual = uniforms(key, upcoming, 0, 0)
-                gap = delay_draw(c.delay, c.exponential, uniforms(key, upcoming, 0, 65535)[0])
-                if c.aging == LANGEVIN:
-                    born, broke, position[active] = found_contact(
-                        c, standing, key, upcoming, u_residual, run, deposits, batches, batch, scales, batch_scales
+        if 2 * active <= LANES:
+            while active < LANES and upcoming < last:
+                contact[active], turn[active], position[active] = upcoming, start, 0.0
+                if run.stationary:
+                    position[active] = found_at_start(
+                        c, standing, key, upcoming, run, deposits, batches, scales, batch_scales
                     )
-                    spring = c.kappa_constant
-                    if born < 0.0 < broke:
-                        position[active] = broke + gap
-                elif u_state < standing.pinned:
-                    spring, x, ends = standing_contact(c, standing, key, upcoming, u_residual)
-                    born, broke = -x, ends - x
-                    if c.aging == UNAGED or c.kappa_slope == 0.0:
-                        deposit(deposits, run, spring, born, broke, scales)
+                upcoming += 1
+                x = position[active]
+                if x > run.distance:
+                    position[active] = math.inf
+                    continue
+                if joined and not one_by_one and x * per_step <= run.points - 1:
+                    point = math.ceil(x * per_step)
+                    if even:
+                        leave(deposits, int(point), 1, 1.0, point * step - x, scales)
                     else:
-                        flow_force(c, run, deposits, batches, batch, spring, born, ends, scales, batch_scales)
-                        spring = 0.0
-                    position[active] = broke + gap
-                else:
-                    spring, born, broke = 0.0, 0.0, 0.0
-                    position[active] = residual_delay_draw(c.delay, c.exponential, u_residual)
-                record(batches, batch, run, spring, born, broke, position[active], batch_scales)
-            upcoming += 1
-            active += position[active] <= run.distance
+                        deposits[int(point), COUNT] += 1
+                edge[active], since[active], mark[active] = edge_after(run, x), x, ROUNDS * start
+                work[active], way[active], born[active], before[active] = 0.0, 0.0, x, 0.0
+                active += 1
         if active == 0 or status[1] != 0:
             return
-        for i in range(active):
-            u[i], v[i] = uniforms(key, contact[i], life[i], 0)
-        if c.aging != LANGEVIN:
-            draw_lives(c, u, v, stiffness, stretch, active)
-        status[0] += active
-        for i in range(active - 1, -1, -1):
-            batch = (contact[i] + life[i] * run.batch_by_life) % BATCHES
-            if c.aging == LANGEVIN:
-                xi, stiffness[i] = threshold_draw(c.threshold_table, c.steps, u[i]), c.kappa_constant
-                stretch[i] = langevin_force(
-                    c, key, contact[i], life[i], xi, -math.log(v[i]), position[i],
-                    run, deposits, batches, batch, scales, batch_scales,
-                )  # fmt: skip
-            elif c.aging != UNAGED and c.kappa_slope > 0.0:
-                flow_force(
-                    c, run, deposits, batches, batch, stiffness[i], position[i], stretch[i], scales, batch_scales
-                )
-                stiffness[i] = 0.0
+
+        full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
+        draw_rounds(
+            table,
+            steps,
+            c.exponentials,
+            c.breaking == MECHANICAL,
+            key,
+            contact,
+            turn,
+            index,
+            words,
+            stretch,
+            clock,
+            full,
+        )
+        if c.exponential:
+            draw_delays(c, key, contact, turn, words, delay, full)
+        ended = False
+        for r in range(ROUNDS):
+            stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, full)
+            if c.aging == FLOW:
+                flow_all(c, r, stretch, clock, full)
+            elif c.aging == UNAGED and c.breaking == SOFT:
+                soft_all(erfi_inverse, c.b, c.log_w, r, stretch, clock, stiffness, full)
+            elif c.aging == UNAGED and c.breaking == STIFF:
+                stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, full)
+            elif c.aging == UNAGED and c.breaking == POOLED:
+                pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, full)
+            if one_by_one:
+                for i in range(active):
+                    if position[i] <= run.distance:
+                        position[i] = live(
+                            c, key, contact[i], ROUNDS * turn[i] + r, stiffness[r, i], stretch[r, i], clock[r, i],
+                            delay[r, i], position[i], run, deposits, batches, scales, batch_scales,
+                        )  # fmt: skip
+                        status[0] += 1
+                ended = True
+                continue
+
+            for i in range(full):
+                x = stretch[r, i]
+                work[i] += 0.5 * stiffness[r, i] * x * x
+                broke[i] = position[i] + x
+                reborn[i] = broke[i]
+            if joined and even:
+                join_even_ramps(broke, position, run, flat, scales, cell, column, full)
+            elif joined:
+                join_ramps(r, position, born, before, stiffness, run, flat, scales, cell, column, full)
             else:
-                deposit(deposits, run, stiffness[i], position[i], position[i] + stretch[i], scales)
-            broke = position[i] + stretch[i]
-            reborn = broke + c.delay
-            if c.exponential:
-                reborn = broke + delay_draw(c.delay, True, uniforms(key, contact[i], life[i], 1)[0])
-            if reborn > 0.5 * run.distance:
-                record(batches, batch, run, stiffness[i], position[i], broke, reborn, batch_scales)
-            position[i] = reborn
-            life[i] += 1
-            if reborn > run.distance:
-                active -= 1
-                contact[i], life[i], position[i] = contact[active], life[active], position[active]
+                for i in range(full):
+                    way[i] += stretch[r, i]
+                    reborn[i] = broke[i] + delay[r, i]
+                if even:
+                    leave_even_ramps(np.int64(1), position, position, run, flat, scales, cell, column, full)
+                    leave_even_ramps(np.int64(-1), broke, position, run, flat, scales, cell, column, full)
+                else:
+                    leave_ramps(r, np.int64(1), position, position, stiffness, run, flat, scales, cell, column, full)
+                    leave_ramps(r, np.int64(-1), broke, position, stiffness, run, flat, scales, cell, column, full)
+            crossing = 0
+            for i in range(active):
+                crossing += reborn[i] > edge[i]
+            for i in range(active if crossing > 0 else 0):
+                if reborn[i] > edge[i]:
+                    x, spring, life = stretch[r, i], stiffness[r, i], ROUNDS * turn[i] + r
+                    elapsed = position[i] - since[i]
+                    cross(
+                        batches, contact[i] % BATCHES, run, edge[i], work[i] - 0.5 * spring * x * x,
+                        elapsed if joined else way[i] - x, elapsed, life - mark[i],
+                        spring, position[i], broke[i], reborn[i], batch_scales,
+                    )  # fmt: skip
+                    edge[i], since[i], mark[i] = edge_after(run, reborn[i]), reborn[i], life + 1
+                    work[i], way[i] = 0.0, 0.0
+                    if reborn[i] > run.distance:
+                        status[0] += life + 1 - ROUNDS * start
+                        ended = True
+            for i in range(active):
+                position[i] = reborn[i]
+        for i in range(active):
+            turn[i] += 1
+        if ended:
+            for i in range(active - 1, -1, -1):
+                if position[i] > run.distance:
+                    active -= 1
+                    contact[i], turn[i], mark[i] = contact[active], turn[active], mark[active]
+                    position[i], edge[i], since[i] = position[active], edge[active], since[active]
+                    work[i], way[i], born[i], before[i] = work[active], way[active], born[active], before[active]
+                    position[active] = math.inf

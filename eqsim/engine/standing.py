@@ -31,6 +31,7 @@ from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, NO_TABLE, 
 
 _LEAST_LOG_E, _MOST_LOG_E = -53 * math.log(2), math.log(500)
 _EXTREME_RANK, _EXTREME_CLOCK = 45.0, 110.0  # -ln of no 63-bit uniform, no clock of a standing contact, exceeds these
+_EXTREME_PRODUCT = 129.0  # rank of the sum of -ln of two uniforms of 2^-96
 _MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 
@@ -140,7 +141,7 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
 
 def extremes(c: Contacts) -> tuple[float, float]:
     """A threshold and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
-    ranks = np.linspace(0.01, _EXTREME_RANK, 2000)
+    ranks = np.linspace(0.01, _EXTREME_PRODUCT if c.exponentials == 2 else _EXTREME_RANK, 2000)
     xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
     thresholds(c, np.exp(-ranks), xi)
     strongest = 1.1 * float(xi.max()) * max(1.0, math.sqrt(c.final2))

@@ -29,12 +29,14 @@ import numpy as np
 from scipy import integrate, interpolate
 from scipy.stats import qmc
 
-from eqsim.engine.life import lives, rough_stretch
+from eqsim.compiled import kernel
+from eqsim.engine.life import LANES, ROUNDS, lives, plain_sums, rough_stretch
 from eqsim.engine.streams import STEADY, Key, key
 from eqsim.ensemble import Contacts, Ensemble, lower
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
 from eqsim.laws.aging import LANGEVIN, UNAGED
+from eqsim.laws.elementary import exp
 from eqsim.laws.octaves import Array
 from eqsim.laws.thermal import MECHANICAL, POOLED
 
@@ -69,18 +71,22 @@ def steady(
     threads: int = 1,
     max_lives: float = 1e10,
     progress: Progress | None = None,
+    plain: bool = False,
 ) -> Steady:
     """Friction, pinned fraction and mean stretch at breaking to a relative standard error `rel_error` in all three.
 
-    `threads` changes speed only; `progress(done, total)` is told about lives. Raises InputError for arguments out of
-    range and, before the work starts, if more than `max_lives` lives would be needed.
+    `plain` draws independent lives as they are born, without Sobol sequences and weights: slower, a check of the
+    default, and unreliable where tails are heavy. `threads` changes speed only; `progress(done, total)` is told about
+    lives. Raises InputError for arguments out of range and, before the work starts, if more than `max_lives` lives
+    would be needed.
     """
     require_number("velocity", velocity, **POSITIVE)
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
     rough = rough_stretch(ensemble, velocity)
     contacts = lower(ensemble, velocity, rough)
-    job = _Job(ensemble, velocity, Proposal.of(contacts), _identity(contacts), seed, threads, progress)
+    proposal = None if plain else Proposal.of(contacts)
+    job = _Job(ensemble, velocity, proposal, _identity(contacts), seed, threads, progress)
     begin = time.perf_counter()
     drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale
     tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
@@ -94,11 +100,11 @@ def steady(
         else:
             sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
-        result = _averages(sums, contacts.delay, drag, unit, size, job.proposal.covered, tables)
+        result = _averages(sums, contacts.delay, drag, unit, size, proposal is None or proposal.covered, tables)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
         # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
-        aim, decay = (1.3, 0.5) if contacts.aging == LANGEVIN else (2.0, _DECAY)
+        aim, decay = (1.3, 0.5) if plain or contacts.aging == LANGEVIN else (2.0, _DECAY)
         needed = 2 ** math.ceil(math.log2(max(size * (aim * excess) ** (1 / decay), 2.0 * size)))
         if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
             return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error)
@@ -118,7 +124,7 @@ class _Job(NamedTuple):
 
     ensemble: Ensemble
     velocity: float
-    proposal: "Proposal"
+    proposal: "Proposal | None"  # None: plain births
     identity: int
     seed: int
     threads: int
@@ -149,10 +155,14 @@ def _self_consistent(job: _Job, stretch: float, response: Array | None, size: in
 
 
 class Density(NamedTuple):
-    """A density of an exponential variable e, drawn by inversion: ln e is piecewise linear in a uniform p."""
+    """A density of an exponential variable e, drawn by inversion: ln e is piecewise linear in a uniform p, with a
+    `slope` in each cell. `guide` holds the cell of each of many equidistant p: where a search begins, and nearly ends.
+    """
 
     p: Array
     log_e: Array
+    slope: Array
+    guide: Array
 
     @classmethod
     def of(cls, log_e: Array, density: Array) -> "Density":
@@ -162,15 +172,30 @@ class Density(NamedTuple):
         p = integrate.cumulative_trapezoid(density, log_e, initial=0)
         p /= p[-1]
         keep = np.append(True, np.diff(p) > 1e-15)
-        return cls(p[keep] / p[keep][-1], log_e[keep])
+        p, log_e = p[keep] / p[keep][-1], log_e[keep]
+        guide = np.searchsorted(p, np.linspace(0.0, 1.0, 2**14 + 1), side="right") - 1
+        return cls(p, log_e, np.diff(log_e) / np.diff(p), np.clip(guide, 0, p.size - 2))
 
     def draw(self, p: Array) -> tuple[Array, Array]:
         """exp(-e), and the weights that turn averages over e into averages over Exp(1)."""
-        cell = np.clip(np.searchsorted(self.p, p, side="right") - 1, 0, self.p.size - 2)
-        slope = (np.diff(self.log_e) / np.diff(self.p))[cell]
-        e = np.exp(self.log_e[cell] + slope * (p - self.p[cell]))
-        u = np.exp(-e)
-        return u, u * e * slope
+        u, weight = np.empty(p.size), np.empty(p.size)
+        invert(self.p, self.log_e, self.slope, self.guide, p, u, weight)
+        return u, weight
+
+
+@kernel
+def invert(p: Array, log_e: Array, slope: Array, guide: Array, at: Array, u: Array, weight: Array) -> None:
+    """The kernel of `Density.draw`."""
+    for i in range(at.size):
+        cell = guide[int(at[i] * (guide.size - 1))]
+        while cell < slope.size - 1 and p[cell + 1] <= at[i]:
+            cell += 1
+        u[i] = log_e[cell] + slope[cell] * (at[i] - p[cell])
+        weight[i] = slope[cell]
+    for i in range(at.size):
+        e = exp(u[i])
+        u[i] = exp(-e)
+        weight[i] *= u[i] * e
 
 
 class Proposal(NamedTuple):
@@ -226,6 +251,10 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
     paths: Key = key(job.seed, STEADY + job.identity)
 
     def one(index: int) -> tuple[float, float, float]:
+        if job.proposal is None:
+            turns = size // (ROUNDS * LANES)  # an attempt of another size takes other turns
+            work, stretch, *most = plain_sums(contacts, paths, index * LANES, turns, 2 * turns)
+            return work / size, stretch / size, max(most[0] / work, most[1] / stretch)
         sobol = qmc.Sobol(2, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
         sums, largest = np.zeros(2), np.zeros(2)
         for first in range(0, size, _BLOCK):

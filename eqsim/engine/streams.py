@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.compiled import inlined
+from eqsim.compiled import inlined, routine
 
 TRAJECTORY = 1  # purposes: the trajectory of an ensemble
 STEADY = 2  # and the randomisations of a steady estimate
+
+ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and more
 
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
@@ -43,6 +45,31 @@ def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
     bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
     return min((np.float64(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
+
+
+@inlined
+def product(low: Any, high: Any) -> float:
+    """The product of two independent uniforms in (0, 1) from two 32-bit words: mid-points of cells 2^-32 wide, good
+    enough where the product is above `ROUGH`; below, `fine_product` divides the cells further."""
+    return ((np.float64(np.int64(low)) + 0.5) * 2.0**-32) * ((np.float64(np.int64(high)) + 0.5) * 2.0**-32)
+
+
+@inlined
+def fine_product(key: Key, contact: int, life: int, draw: int, low: Any, high: Any) -> float:
+    """`product` where it is small, its two cells divided by a further draw: uniforms down to 2^-96."""
+    u, v = uniforms(key, contact, life, draw)
+    return ((np.float64(np.int64(low)) + u) * 2.0**-32) * ((np.float64(np.int64(high)) + v) * 2.0**-32)
+
+
+@routine
+def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: int) -> None:
+    """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of `words`, shape (4, lanes)."""
+    for i in range(lanes):
+        c, j = np.uint64(contact[i]), np.uint64(life[i])
+        last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
+        words[0, i], words[1, i], words[2, i], words[3, i] = philox(
+            c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1]
+        )
 
 
 @inlined

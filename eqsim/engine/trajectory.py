@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.engine.life import rough_stretch, typical_lives
-from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, LANES, PINNED, STRETCH, Run, Scales, moments, simulate
+from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments, simulate
 from eqsim.engine.standing import Standing, standing
 from eqsim.engine.steady import settled
 from eqsim.engine.streams import TRAJECTORY, Key, key
@@ -27,6 +27,7 @@ from eqsim.laws.threshold import NO_STEPS, NO_TABLE
 
 _FRESH = Standing(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
 Progress = Callable[[int], None]
+_BLOCK = 128  # contacts, at least, unless there are fewer
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
 
@@ -229,8 +230,8 @@ def _simulate_all(
     of them for each worker to an executor."""
     _, _, run, _, _ = job
     contacts = count * replicas
-    lanes = LANES if executor else min(LANES, -(-contacts // threads))
-    size = count if replicas > 1 else max(lanes, min(-(-contacts // (16 * threads)), 2**20))
+    least = _BLOCK if executor else min(_BLOCK, -(-contacts // threads))
+    size = count if replicas > 1 else max(least, min(-(-contacts // (16 * threads)), 2**20))
     blocks, firsts = _Blocks(size, count, replicas, drag), range(0, contacts, size)
     totals = [Totals(run.points, replicas) for _ in range(1 if executor else threads)]
     running: set[Future[Totals]] = set()

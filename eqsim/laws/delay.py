@@ -8,6 +8,7 @@ import numpy as np
 
 from eqsim.compiled import inlined
 from eqsim.errors import NOT_NEGATIVE, require_choice, require_number
+from eqsim.laws.elementary import log
 from eqsim.laws.octaves import Array
 
 DelayLaw = Literal["fixed", "exponential"]
@@ -46,7 +47,7 @@ class Delay:
 @inlined
 def delay_draw(mean: float, exponential: bool, u: float) -> float:
     """A delay from a uniform u in (0, 1)."""
-    return -mean * math.log(u) if exponential else mean
+    return -mean * log(u) if exponential else mean
 
 
 @inlined

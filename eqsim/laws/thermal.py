@@ -27,6 +27,7 @@ from scipy import interpolate, special
 
 from eqsim.compiled import inlined
 from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number
+from eqsim.laws.elementary import exp, log_one_plus, two_thirds_power
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw, panels_above
@@ -102,46 +103,63 @@ def erfi_inverse_table() -> Array:
     return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
 
 
-@inlined
-def log_one_plus(t: float) -> float:
-    """ln(1 + t) to rounding, t >= 0 (Kahan); far faster than libm's log1p."""
-    u = 1.0 + t
-    return t if u == 1.0 else math.log(u) * (t / (u - 1.0))
-
-
-@inlined
-def softplus(y: float) -> float:
-    """ln(1 + exp(y)) for any y."""
-    return y if y > 40.0 else log_one_plus(math.exp(y))
+_FLAT = 400.0  # ln(1 + y) is ln y to rounding, with room for any factor before y overflows
 
 
 @inlined
 def softplus_of(factor: float, log: float) -> float:
-    """ln(1 + factor exp(log)), factor > 0."""
-    if abs(log) < 600.0:
-        return log_one_plus(factor * math.exp(log))
-    return softplus(log + math.log(factor))
+    """ln(1 + factor exp(log)); 1e-100 < factor where log > 400, and log > -700, as ln(v/omega) is everywhere."""
+    return log_one_plus(factor * exp(min(log, _FLAT))) + max(log - _FLAT, 0.0)
+
+
+# An inverse in three steps, each of which is a loop of its own where many contacts break: a look-up between the others
+# would keep them from being vectorised.
+
+
+@inlined
+def soft_rank(xi: float, a: float, log_w: float, clock: float) -> float:
+    """ln(1 + erfi(sqrt(a) x)) of the x where exp(log_w) H(x) = clock; log_w = ln(omega/v)."""
+    return softplus_of(_SOFT * clock * math.sqrt(a), a * xi * xi - log_w)
+
+
+@inlined
+def soft_inverse(erfi_inverse: Array, rank: float) -> float:
+    """sqrt(a) x of a rank; infinite past the table, where x is xi to double precision."""
+    z = look_up(erfi_inverse, rank)
+    return z if rank < 1e18 else math.inf
+
+
+@inlined
+def soft_end(xi: float, a: float, z: float) -> float:
+    """Where a soft contact breaks, z = sqrt(a) x."""
+    return min(xi, z / math.sqrt(a))
 
 
 @inlined
 def soft_stretch(erfi_inverse: Array, xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a soft contact breaks: exp(log_w) H(x) = clock or x = xi; log_w = ln(omega/v)."""
-    root = math.sqrt(a)
-    s = softplus_of(_SOFT * clock * root, a * xi * xi - log_w)  # ln(1 + erfi(sqrt(a) x))
-    if s > 1e18:  # past the table, and xi to double precision
-        return xi
-    return min(xi, look_up(erfi_inverse, s) / root)
+    return soft_end(xi, a, soft_inverse(erfi_inverse, soft_rank(xi, a, log_w, clock)))
+
+
+@inlined
+def stiff_spent(xi: float, a: float, log_w: float, clock: float) -> float:
+    """1 - (1 - x/xi)^(3/2) of the x where exp(log_w) H(x) = clock, or more than 1."""
+    c = a * xi * xi
+    return softplus_of(1.5 * a * xi * clock, c - log_w) / c
+
+
+@inlined
+def stiff_end(xi: float, spent: float) -> float:
+    """Where a stiff contact breaks."""
+    q = two_thirds_power(max(1.0 - spent, 1e-17))
+    x = xi * spent * (2.0 - spent) / (1.0 + q + q * q)  # 1 - q without cancellation
+    return x if spent < 1.0 else xi
 
 
 @inlined
 def stiff_stretch(xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a stiff contact breaks: exp(log_w) H(x) = clock or x = xi."""
-    c = a * xi * xi
-    spent = softplus_of(1.5 * a * xi * clock, c - log_w) / c  # 1 - (1 - x/xi)^1.5
-    if spent >= 1.0:
-        return xi
-    q = (1.0 - spent) ** (2.0 / 3.0)
-    return xi * spent * (2.0 - spent) / (1.0 + q + q * q)  # 1 - q without cancellation
+    return stiff_end(xi, stiff_spent(xi, a, log_w, clock))
 
 
 # ----------------------------------------------------------------------------------------------------- annealed

@@ -15,6 +15,7 @@ from scipy import special
 
 from eqsim.compiled import inlined
 from eqsim.errors import POSITIVE, InputError, require_number
+from eqsim.laws.elementary import log
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
@@ -295,6 +296,18 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     inside += [] if layer is None else [layer]
     edges = np.sort(np.concatenate((edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1))
     return np.concatenate((left, edges), axis=1)
+
+
+def exponentials_of(law: ThresholdLaw) -> int:
+    """1 or 2 if xi^2/x_*^2 is the sum of so many exponential variables (gamma with n = 0 or 1), 0 for other laws."""
+    return int(law.n) + 1 if isinstance(law, Gamma) and law.n in (0.0, 1.0) else 0
+
+
+@inlined
+def exponential_threshold(p: float) -> float:
+    """xi/x_* of a gamma law with n = 0 or 1 from the product of n + 1 uniforms, without a table: -ln p is the sum of as
+    many exponential variables."""
+    return math.sqrt(-log(p))
 
 
 @inlined

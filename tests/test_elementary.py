@@ -1,0 +1,84 @@
+"""Vectorised elementary functions in units of the last place of 60 digits, and loops with them that do vectorise."""
+
+import math
+
+import mpmath
+import numba
+import numpy as np
+import pytest
+
+from eqsim.laws import elementary
+
+RNG = np.random.default_rng(5)
+UNIT = RNG.random(4000)  # of (0, 1)
+ARGUMENTS = {
+    "log": [UNIT, 1.0 - 1e-3 * UNIT, 1.0 + 1e-9 * UNIT, 0.5 + UNIT, 2.0 ** (2000 * UNIT - 1000), 2.0 ** -np.arange(50)],
+    "exp": [1416 * UNIT - 708, 4 * UNIT - 2, 1e-9 * UNIT, np.arange(-20, 21) * math.log(2) / 2, [-708.0, 0.0, 708.0]],
+    "log_one_plus": [UNIT, 10.0 ** (600 * UNIT - 300), [0.0, 1e-17, 2.0**-53, 1e16]],
+    "two_thirds_power": [UNIT, 2.0 ** (120 * UNIT - 60), 1.0 + 7 * UNIT, [1e-17, 1.0, 8.0]],
+}
+EXACT = {
+    "log": mpmath.log,
+    "exp": mpmath.exp,
+    "log_one_plus": mpmath.log1p,
+    "two_thirds_power": lambda y: mpmath.cbrt(y) ** 2,
+}
+STATED = {"log": 1.0, "exp": 1.5, "log_one_plus": 2.5, "two_thirds_power": 3.0}  # ulp
+
+
+def loop(name):
+    """The function over an array, compiled as a kernel is."""
+    function = getattr(elementary, name)
+
+    @numba.njit(error_model="numpy")
+    def apply(x, y):
+        for i in range(x.size):
+            y[i] = function(x[i])
+
+    return apply
+
+
+def worst(name, change=lambda y: y):
+    """The greatest error in ulp of the exact value."""
+    x = np.concatenate(ARGUMENTS[name])
+    y = np.empty_like(x)
+    loop(name)(x, y)
+    y = change(y)
+    with mpmath.workdps(60):
+        exact = [EXACT[name](mpmath.mpf(float(value))) for value in x]
+        errors = [
+            abs(mpmath.mpf(float(a)) - b) / float(np.spacing(abs(float(b)))) for a, b in zip(y, exact, strict=True)
+        ]
+    return float(max(errors))
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_stated_error(name):
+    assert worst(name) < STATED[name]
+    assert worst(name, lambda y: y * (1 + 4 * np.finfo(float).eps)) > STATED[name]  # negative control
+
+
+def test_exp_ends_at_its_bounds():
+    """What lies beyond +-708 counts as +-708: no infinity, no denormal number."""
+    x, y = np.array([-1e300, -709.0, 709.0, 1e300]), np.empty(4)
+    loop("exp")(x, y)
+    np.testing.assert_array_equal(y[[0, 3]], y[[1, 2]])
+    np.testing.assert_allclose(y[1:3], np.exp([-708.0, 708.0]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_loops_vectorise(name):
+    """A loop over lanes holds packed multiplications of doubles, on any processor that has them; libm's does not."""
+
+    def packed(function):
+        x = np.ones(128)
+        function(x, x.copy())
+        return function.inspect_asm(function.signatures[0]).count("mulpd")
+
+    @numba.njit(error_model="numpy")
+    def libm(x, y):
+        for i in range(x.size):
+            y[i] = math.log(x[i])
+
+    assert packed(loop(name)) > 3
+    assert packed(libm) == 0
