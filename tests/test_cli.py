@@ -185,7 +185,7 @@ def test_interrupt_leaves_nothing(run_file, tmp_path):
     """Ctrl-C in mid-run: exit code 130, one line, no file."""
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [*EQSIM, "run", str(run_file), "--out", str(out), "--set", "contacts.count=30000000"],
+        [*EQSIM, "run", str(run_file), "--out", str(out), "--set", "contacts.count=300000000"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     time.sleep(8)

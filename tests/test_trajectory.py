@@ -229,6 +229,17 @@ def test_a_contact_does_not_depend_on_the_others():
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [10, 100])
+def test_a_coarse_grid_sees_the_same_as_a_fine_one(count):
+    """Steps of the grid far longer than any life: squares of what a life leaves there are large, and must not overflow.
+    Rounding of (2e4)^2 leaves 1e-8 2e4 of the standard deviation."""
+    coarse, fine = (
+        trajectory(Ensemble(count=count, **UNIFORM), Drive(1.0, 20_000.0), points=points) for points in (2, 20_001)
+    )
+    assert coarse.force[-1] == pytest.approx(fine.force[-1], abs=1e-9)
+    assert coarse.force_stderr[-1] == pytest.approx(fine.force_stderr[-1], abs=2e-4)
+
+
 def test_units_scale_out():
     """Lengths in x_*, times in 1/omega, forces in k x_*: the same run in SI units of steel is the same to rounding."""
     ours = trajectory(Ensemble(Gamma(1.0), Thermal(0.1), count=2000), Drive(0.1, 10.0), points=101)

@@ -3,8 +3,10 @@
 A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so it leaves six numbers at the first grid
 point j0 >= X0 and takes them back at the first j1 >= X1; cumulative sums over the grid then give the exact force, its
 variance over contacts, and the number of pinned contacts at every point. Where the stiffness follows an aging threshold
-the force is no ramp, and is left at each point for that point alone. All sums are of 64-bit integers (fixed point,
-one power of 2 per column, so small that no sum can overflow): the result cannot depend on order, threads or blocks.
+the force is no ramp, and is left at each point for that point alone. Uniform stiffness makes several of the numbers
+equal, and without delay a life begins where another ends, so that what both leave is added at once. All sums are of
+64-bit integers (fixed point, one power of 2 per column, so small that no sum can overflow): the result cannot depend on
+order, threads or blocks.
 """
 
 import math
@@ -79,7 +81,9 @@ class Scales(NamedTuple):
         strong = kappa(c.kappa_slope, c.kappa_constant, xi)
         way = run.distance + x
         force = strong * x
-        deposits = [1.0, strong, strong * way, strong**2, strong**2 * way, 2 * strong**2 * way * x]
+        seen = x + run.distance / (run.points - 1)  # how far from its birth a life can leave something
+        square = max(2 * way * x, seen**2)
+        deposits = [1.0, strong, strong * way, strong**2, strong**2 * way, strong**2 * square]
         batches = [force * way, way, way, 1.0, way]
 
         def power(bounds: list[float], terms: int) -> Array:
@@ -212,25 +216,25 @@ def leave_ramps(
     for i in range(lanes):
         point = math.ceil(min(at[i] * per_step, run.points))
         kappa, d = stiffness[r, i], point * step - born[i]
-        cell[i] = 6 * int(point)
-        column[0, i] = fixed(kappa, scales[SLOPE])
-        column[1, i] = fixed(kappa * d, scales[FORCE])
+        cell[i] = int(6.0 * point)
+        column[0, i] = fixed(kappa, sign * scales[SLOPE])
+        column[1, i] = fixed(kappa * d, sign * scales[FORCE])
     for i in range(lanes):
         point = math.ceil(min(at[i] * per_step, run.points))
         kappa, d = stiffness[r, i], point * step - born[i]
-        column[2, i] = fixed(kappa * kappa, scales[SLOPE2])
-        column[3, i] = fixed(kappa * kappa * d, scales[RAMP2])
-        column[4, i] = fixed(kappa * kappa * d * d, scales[SQUARE])
+        column[2, i] = fixed(kappa * kappa, sign * scales[SLOPE2])
+        column[3, i] = fixed(kappa * kappa * d, sign * scales[RAMP2])
+        column[4, i] = fixed(kappa * kappa * d * d, sign * scales[SQUARE])
     end = np.uint64(6 * run.points)
     for i in range(lanes):
         k = np.uint64(cell[i])
         if k < end:
             flat[k] += sign
-            flat[k + _SLOPE] += sign * column[0, i]
-            flat[k + _FORCE] += sign * column[1, i]
-            flat[k + _SLOPE2] += sign * column[2, i]
-            flat[k + _RAMP2] += sign * column[3, i]
-            flat[k + _SQUARE] += sign * column[4, i]
+            flat[k + _SLOPE] += column[0, i]
+            flat[k + _FORCE] += column[1, i]
+            flat[k + _SLOPE2] += column[2, i]
+            flat[k + _RAMP2] += column[3, i]
+            flat[k + _SQUARE] += column[4, i]
 
 
 @routine
@@ -242,16 +246,16 @@ def leave_even_ramps(
     for i in range(lanes):
         point = math.ceil(min(at[i] * per_step, run.points))
         d = point * step - born[i]
-        cell[i] = 6 * int(point)
-        column[0, i] = fixed(d, scales[FORCE])
-        column[1, i] = fixed(d * d, scales[SQUARE])
+        cell[i] = int(6.0 * point)
+        column[0, i] = fixed(d, sign * scales[FORCE])
+        column[1, i] = fixed(d * d, sign * scales[SQUARE])
     end = np.uint64(6 * run.points)
     for i in range(lanes):
         k = np.uint64(cell[i])
         if k < end:
             flat[k] += sign
-            flat[k + _FORCE] += sign * column[0, i]
-            flat[k + _SQUARE] += sign * column[1, i]
+            flat[k + _FORCE] += column[0, i]
+            flat[k + _SQUARE] += column[1, i]
 
 
 @routine
@@ -266,7 +270,7 @@ def join_ramps(
         point = math.ceil(min(at[i] * per_step, run.points))
         x, y = point * step - at[i], point * step - born[i]
         new, old = stiffness[r, i], before[i]
-        cell[i] = 6 * int(point)
+        cell[i] = int(6.0 * point)
         column[0, i] = fixed(new, scales[SLOPE]) - fixed(old, scales[SLOPE])
         column[1, i] = fixed(new * x, scales[FORCE]) - fixed(old * y, scales[FORCE])
     for i in range(lanes):
@@ -297,7 +301,7 @@ def join_even_ramps(
     for i in range(lanes):
         point = math.ceil(min(at[i] * per_step, run.points))
         x, y = point * step - at[i], point * step - born[i]
-        cell[i] = 6 * int(point)
+        cell[i] = int(6.0 * point)
         column[0, i] = fixed(x, scales[FORCE]) - fixed(y, scales[FORCE])
         column[1, i] = fixed(x * x, scales[SQUARE]) - fixed(y * y, scales[SQUARE])
     end = np.uint64(6 * run.points)
@@ -544,26 +548,16 @@ def simulate(
 
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
         draw_rounds(
-            table,
-            steps,
-            c.exponentials,
-            c.breaking == MECHANICAL,
-            key,
-            contact,
-            turn,
-            index,
-            words,
-            stretch,
-            clock,
-            full,
-        )
+            table, steps, c.exponentials, c.breaking == MECHANICAL, key, contact, turn,
+            index, words, stretch, clock, full,
+        )  # fmt: skip
         if c.exponential:
             draw_delays(c, key, contact, turn, words, delay, full)
         ended = False
         for r in range(ROUNDS):
             stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, full)
             if c.aging == FLOW:
-                flow_all(c, r, stretch, clock, full)
+                flow_all(c, r, stretch, clock, active)
             elif c.aging == UNAGED and c.breaking == SOFT:
                 soft_all(erfi_inverse, c.b, c.log_w, r, stretch, clock, stiffness, full)
             elif c.aging == UNAGED and c.breaking == STIFF:

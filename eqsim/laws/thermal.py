@@ -153,7 +153,7 @@ def stiff_end(xi: float, spent: float) -> float:
     """Where a stiff contact breaks."""
     q = two_thirds_power(max(1.0 - spent, 1e-17))
     x = xi * spent * (2.0 - spent) / (1.0 + q + q * q)  # 1 - q without cancellation
-    return x if spent < 1.0 else xi
+    return min(x, xi) if spent < 1.0 else xi
 
 
 @inlined

@@ -315,4 +315,4 @@ def threshold_draw(table: Array, steps: Array, u: float) -> float:
     """A threshold from a uniform u in (0, 1), the fraction of contacts that exceed it."""
     if steps.size > 0:
         return steps[steps.size - 1 - np.int64(u * steps.size)]
-    return look_up(table, -math.log(u))
+    return look_up(table, -log(u))
