@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import io
 import os
 import sys
 import time
@@ -61,7 +62,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
         except OSError as error:
-            _fail(f"{error.filename or 'file system'}: {error.strerror}", 2)
+            _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
         except KeyboardInterrupt:
             _fail("interrupted; nothing was written", 130)
 
@@ -141,7 +142,7 @@ def run(
         {
             "trajectory.parquet": tables.parquet(result.columns(), origin),
             "summary.json": tables.to_json(summary).encode(),
-            "force.png": trajectory_png(result, level, exact, file.title or path.stem),
+            "force.png": trajectory_png(result, level, exact, _plain(file.title or path.stem)),
         },
     )
     if json:
@@ -445,12 +446,12 @@ def plot(
 
     tables.check_folder(file.parent)
     points = select(read_points(folder), {key.strip(): value.strip() for key, _, value in pairs})
-    png, notes = sweep_png(points, x, y, by, log_x, ", ".join([place.name, *(where or [])]))
+    png, notes = sweep_png(points, x, y, by, log_x, _plain(", ".join([place.name, *(where or [])])))
     tables.publish(file.parent, {file.name: png})
     if json:
         print(tables.to_json({"file": str(file), "points": len(points), "notes": notes}))
     elif not quiet:
-        print("; ".join([str(file), *notes]))
+        print("; ".join([os.path.relpath(file), *notes]))
 
 
 @app.command()
@@ -561,6 +562,8 @@ def material(
 def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
     changes: dict[str, Any] = {}
     for item in set_ or []:
+        if not item.isascii() and any("\ud800" <= c <= "\udfff" for c in item):  # bytes that are no UTF-8
+            raise InputError(f"--set {item}: is not text in UTF-8")
         key, equals, text = item.partition("=")
         if not equals or not key.strip():
             raise InputError(f"--set {item}: must be section.key=value")
@@ -591,7 +594,12 @@ def _if_any(solve: Callable[[], Any]) -> tuple[Any, str]:
 def _text(path: Path, changes: dict[str, Any]) -> str:
     """The run file as it stands, with a note of what was changed on the command line."""
     notes = "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
-    return path.read_text(encoding="utf-8") + notes
+    return path.read_text(encoding="utf-8-sig") + notes
+
+
+def _plain(title: str) -> str:
+    """A title for a picture: no mathematics, nothing that no font has."""
+    return title.encode(errors="backslashreplace").decode().replace("$", r"\$")
 
 
 def _threads(asked: int | None) -> int:
@@ -721,4 +729,7 @@ def _show(title: str, table: "Table") -> None:
 
 def main() -> None:
     """Entry point of the `eqsim` command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
     app()

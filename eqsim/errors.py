@@ -1,8 +1,10 @@
 """Errors a user's input can cause: one line that names the field, its value and what is allowed."""
 
 import math
+import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 # Bounds of dimensional quantities: their products stay finite.
 POSITIVE = {"above": 0.0, "least": 1e-100, "most": 1e100}
@@ -11,6 +13,29 @@ NOT_NEGATIVE = {"least": 0.0, "most": 1e100}
 
 class InputError(ValueError):
     """Something the user gave cannot be used; the message is a single line meant to be printed as it is."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in message))
+
+
+class _Brief(reprlib.Repr):
+    """`repr` of bounded length, whatever was given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxstring = self.maxother = 60
+        self.maxlevel = 3
+
+    def repr_int(self, x: int, level: int) -> str:
+        if abs(x) < 10**20:
+            return repr(x)
+        digits = math.floor(abs(x).bit_length() * math.log10(2.0))  # Python prints no more than some thousand
+        return f"{'-' if x < 0 else ''}about 1e{digits}"
+
+
+def shown(value: Any) -> str:
+    """A value in a message: its `repr`, shortened in the middle."""
+    return _Brief().repr(value)
 
 
 @contextmanager
@@ -40,16 +65,16 @@ def require_number(
     except (TypeError, OverflowError):
         ok = False
     if not ok:
-        raise InputError(f"{field} = {value!r}: must be {allowed}")
+        raise InputError(f"{field} = {shown(value)}: must be {allowed}")
 
 
 def require_integer(field: str, value: int, least: int, most: int) -> None:
     """Raise InputError unless `value` is an integer in [least, most]."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise InputError(f"{field} = {value!r}: must be an integer from {least} to {most}")
+        raise InputError(f"{field} = {shown(value)}: must be an integer from {least} to {most}")
 
 
 def require_choice(field: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise InputError unless `value` is one of `allowed`."""
     if value not in allowed:
-        raise InputError(f"{field} = {value!r}: must be one of " + ", ".join(f'"{a}"' for a in allowed))
+        raise InputError(f"{field} = {shown(value)}: must be one of " + ", ".join(f'"{a}"' for a in allowed))

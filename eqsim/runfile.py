@@ -6,15 +6,16 @@ Structure and types are checked here; what a value may be is known to the law it
 import csv
 import difflib
 import functools
+import stat
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import pydantic
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from eqsim.ensemble import Drive, Ensemble
-from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number, under
+from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number, shown, under
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
@@ -27,6 +28,7 @@ def _whole(value: Any) -> Any:
 
 
 Whole = Annotated[int, BeforeValidator(_whole)]
+_DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 
 
 class _Section(BaseModel):
@@ -82,7 +84,7 @@ class Output(_Section):
 class RunFile(_Section):
     """A checked run file; the defaults are the contract."""
 
-    title: str = ""
+    title: Annotated[str, Field(max_length=200)] = ""
     disorder: str = "quenched"
     contacts: Contacts = Contacts()
     thresholds: Thresholds = Thresholds()
@@ -129,7 +131,9 @@ class RunFile(_Section):
         allowed = {"gamma": {"n", "x_star"}, "delta": {"x_star"}, "table": {"file"}}[given.law]
         for key in ("n", "x_star", "file"):
             if getattr(given, key) is not None and key not in allowed:
-                raise InputError(f'thresholds.{key} = {getattr(given, key)!r}: not allowed with law = "{given.law}"')
+                raise InputError(
+                    f'thresholds.{key} = {shown(getattr(given, key))}: not allowed with law = "{given.law}"'
+                )
         x_star = 1.0 if given.x_star is None else given.x_star
         if given.law == "table":
             if given.file is None:
@@ -149,7 +153,7 @@ class RunFile(_Section):
 def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     """Read and check a run file, with `changes` ("section.key": value) put in first. Raises InputError."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
@@ -212,24 +216,39 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
 
 def check(data: dict[str, Any]) -> RunFile:
     """A run file from its content. Raises InputError with one line that names the field."""
+    _plain("sweep", data.get("sweep"))
     try:
         return RunFile.model_validate(data)
     except pydantic.ValidationError as error:
         raise InputError(_explain(error)) from None
 
 
+def _plain(field: str, content: Any) -> None:
+    """Refuse what is no number or text of a sweep, wherever it is: dates, huge integers, endless nesting."""
+    left = [(field, content, 0)]
+    while left:
+        name, value, depth = left.pop()
+        if depth > _DEEPEST:
+            raise InputError(f"{name}: is nested too deep")
+        if isinstance(value, dict):
+            left += [(f"{name}.{key}", part, depth + 1) for key, part in value.items()]
+        elif isinstance(value, list):
+            left += [(name, part, depth + 1) for part in value]
+        elif not isinstance(value, (str, float, int, type(None))) or (isinstance(value, int) and abs(value) > 10**300):
+            raise InputError(f"{name} = {shown(value)}: must be numbers or text")
+
+
 def _explain(error: pydantic.ValidationError) -> str:
     problems = error.errors(include_url=False)
     first = problems[0]
     field = ".".join(str(part) for part in first["loc"])
-    value = repr(first["input"])
-    value = value if len(value) < 60 else value[:57] + "..."
+    value = shown(first["input"])
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] == "extra_forbidden":
         return f"{field}: unknown key; {_nearest([str(part) for part in first['loc']])}{more}"
     if first["type"] in ("model_type", "dict_type"):
         return f"{field} = {value}: must be a section, [{field}]{more}"
-    allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
+    allowed = first["msg"].replace("Input should be", "must be").replace("String should", "must").replace("'", '"')
     return f"{field} = {value}: {allowed}{more}"
 
 
@@ -252,7 +271,12 @@ def _nearest(location: list[str]) -> str:
 def read_thresholds(path: Path) -> Table:
     """A CSV file with a column `threshold`, one positive number a row. Raises InputError."""
     try:
-        stamp = (path.stat().st_mtime_ns, path.stat().st_size)
+        found = path.stat()
+        stamp = (found.st_mtime_ns, found.st_size)
+        if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):  # a pipe or a device may never end
+            raise InputError(f"thresholds.file = {path}: is not a file")
+    except InputError:
+        raise
     except (OSError, ValueError):  # the reader says why
         stamp = None
     return _read_thresholds(path, stamp)
@@ -263,24 +287,30 @@ def _read_thresholds(path: Path, stamp: tuple[int, int] | None) -> Table:
     """Remembered for as long as the file stays as it is: all points of a sweep share it."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, skipinitialspace=True)
+            rows = csv.DictReader(file, skipinitialspace=True, strict=True)
             names = [name.strip() for name in rows.fieldnames or []]
             if "threshold" not in names:
                 found = ", ".join(names)[:60] or "nothing"
                 raise InputError(
                     f'thresholds.file = {path}: needs a column "threshold" in its first line; found {found}'
                 )
+            if names.count("threshold") > 1:
+                raise InputError(f'thresholds.file = {path}: has {names.count("threshold")} columns "threshold"')
             rows.fieldnames = names
             values = []
             for row in rows:
                 text = row["threshold"] or ""
                 try:
-                    value = float(text)
+                    value = float(text if "_" not in text else "nan")  # Python's 1_000 is not a number elsewhere
                 except ValueError:
                     value = float("nan")
                 if not 0 < value < float("inf"):
                     raise InputError(
                         f"thresholds.file = {path}, line {rows.line_num}: {text[:40]!r} must be a finite number > 0"
+                    )
+                if any(rest.strip() for rest in row.get(None, [])):
+                    raise InputError(
+                        f"thresholds.file = {path}, line {rows.line_num}: more values than columns (a decimal comma?)"
                     )
                 values.append(value)
     except OSError as error:
@@ -291,4 +321,7 @@ def _read_thresholds(path: Path, stamp: tuple[int, int] | None) -> Table:
         raise InputError(f"thresholds.file = {str(path)!r}: is not a CSV text file") from None
     if not values:
         raise InputError(f"thresholds.file = {path}: is empty; at least one threshold is needed")
-    return Table(values)
+    try:
+        return Table(values)
+    except InputError as error:
+        raise InputError(f"thresholds.file = {path}: {error}") from None

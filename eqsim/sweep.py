@@ -48,7 +48,7 @@ import numpy as np
 
 from eqsim import tables
 from eqsim.ensemble import Drive, Ensemble, check_output
-from eqsim.errors import InputError, require_integer, require_number, under
+from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.laws.threshold import Table
 from eqsim.runfile import RunFile, at, keys, parameters
@@ -198,33 +198,35 @@ def _axis(key: str, spec: Any) -> list[Any]:
         return spec
     form = next(iter(spec), "") if isinstance(spec, dict) and len(spec) == 1 else ""
     if form not in ("log", "linear"):
-        shown = repr(spec)[:60]
         forms = "a list of values, { log = [first, last, count] } or { linear = [first, last, count] }"
-        raise InputError(f"sweep.{key} = {shown}: must be {forms}")
+        raise InputError(f"sweep.{key} = {shown(spec)}: must be {forms}")
     name, ends = f"sweep.{key}.{form}", spec[form]
     if not isinstance(ends, list) or len(ends) != 3:
-        raise InputError(f"{name} = {ends!r}: must be [first, last, count]")
+        raise InputError(f"{name} = {shown(ends)}: must be [first, last, count]")
     if keys()[key] is str:
         raise InputError(f"{name}: this key holds text; must be a list of values")
     first, last, count = ends
     for value in (first, last):
-        require_number(name, value, above=0.0 if form == "log" else None)
+        require_number(name, value, **({"above": 0.0} if form == "log" else {"least": -1e100}), most=1e100)
     whole = int(count) if isinstance(count, float) and count.is_integer() else count
     require_integer(f"{name}, count", whole, 2, MOST_POINTS)
-    inner = (np.geomspace if form == "log" else np.linspace)(first, last, whole)[1:-1]
+    inner = (np.geomspace if form == "log" else np.linspace)(float(first), float(last), whole)[1:-1]
     values = [first, *(float(f"{x:.12g}") for x in inner), last]  # 0.1 is 0.1, on any grid and any machine
     return [round(x) for x in values] if keys()[key] is int else values
 
 
 def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
     """Explicit points, one per row of a Parquet file; null: as in the run file. Raises InputError."""
+    import pyarrow
     from pyarrow import parquet as pq
 
     if not isinstance(name, str):
-        raise InputError(f"sweep.file = {name!r}: must be the name of a Parquet file whose columns are keys")
+        raise InputError(f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys")
+    if (folder / name).exists() and not (folder / name).is_file():
+        raise InputError(f"sweep.file = {folder / name}: is not a file")
     try:
         rows = pq.read_table(folder / name).to_pylist()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(f"sweep.file = {folder / name}: cannot be read as Parquet ({str(error)[:100]})") from None
     if not rows:
         raise InputError(f"sweep.file = {folder / name}: has no rows; must have one a point")
@@ -235,7 +237,7 @@ def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
 
 
 def _text(changes: dict[str, Any]) -> str:
-    return ", ".join(f"{key} = {value!r}" for key, value in changes.items())
+    return ", ".join(f"{key} = {shown(value)}" for key, value in changes.items())
 
 
 # ---- identity ----
