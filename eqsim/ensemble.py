@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_integer, require_number
 from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, Aging, Pooled, flow_work_table
 from eqsim.laws.delay import Delay
 from eqsim.laws.octaves import Array
@@ -27,10 +27,10 @@ from eqsim.laws.threshold import NO_TABLE, Gamma, ThresholdLaw, exponentials_of
 Disorder = Literal["quenched", "annealed"]
 Start = Literal["fresh", "stationary"]
 
-_LEAST_B, _FLAT_OUT = (
-    1e-100,
-    1e16,
-)  # b below which the barrier is 0, and b above which a soft contact breaks at its threshold to double precision
+_LEAST_B = 1e-100  # b below which the barrier is 0
+_FLAT_OUT = {"soft": 1e16, "stiff": 1e18}  # and above which a quenched contact breaks at its threshold, to 1e-10
+_LARGEST_POOLED_B = 1e15  # above it a pooled hazard would be made of differences between neighbouring numbers
+_MOST_ALPHA = 1e6  # relaxations of a `langevin` threshold while its contact slides x_*: steps, and time, grow with it
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,21 @@ class Ensemble:
         """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at kT = 0."""
         energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
         return energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
+
+    def heated(self, velocity: float) -> bool:
+        """Whether heat breaks contacts, to 1e-10 of any average. Raises InputError for annealed contacts if it does and
+        b is beyond 1e15."""
+        thermal, b = self.thermal, self.b
+        if thermal.attempt_frequency == 0 or math.isinf(b):
+            return False
+        if self.disorder == "quenched":
+            return b < _FLAT_OUT[thermal.barrier]
+        if b <= _LARGEST_POOLED_B:
+            return True
+        attempts = thermal.attempt_frequency / velocity * self.thresholds.scale
+        if attempts < 1e-11 * b:  # a life's hazard is below attempts/b
+            return False
+        raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: must be <= {_LARGEST_POOLED_B:g} for annealed contacts")
 
     def drag(self, velocity: float) -> float:
         """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond 1e100."""
@@ -221,8 +236,8 @@ def lower(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
     law, thermal = ensemble.births(velocity, mean_stretch), ensemble.thermal
     unit, b = law.scale, ensemble.b
     breaking, pool = MECHANICAL, NO_POOL
-    thermally = thermal.attempt_frequency > 0 and not math.isinf(b)
-    if thermally and (thermal.barrier == "stiff" or b < _FLAT_OUT):
+    heated = ensemble.heated(velocity)
+    if heated:
         # identical contacts cannot tell a fresh threshold from their own
         if ensemble.disorder == "annealed" and law.steps.size != 1:
             breaking, pool = POOLED, pooled_hazard_of(law, ensemble.stiffness_law, thermal.barrier, b)
@@ -231,7 +246,7 @@ def lower(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
     delay = velocity * ensemble.delay.time / unit
     require_number("velocity * delay / threshold", delay, least=0, most=1e100)
     log_w = -math.inf
-    if thermally:
+    if heated:
         log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
         require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
     sqrt = ensemble.stiffness_law == "sqrt"
@@ -239,6 +254,8 @@ def lower(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
     if ensemble.aging.active and law is ensemble.thresholds:
         rule = FLOW if ensemble.aging.rule == "flow" else LANGEVIN
         final2, alpha = (ensemble.aging.x_star_final / unit) ** 2, ensemble.aging.alpha(unit, velocity)
+        if rule == LANGEVIN:
+            require_number("4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=_MOST_ALPHA)
     return Contacts(
         threshold_table=threshold_table_of(law),
         steps=law.steps / unit,

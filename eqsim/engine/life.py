@@ -164,8 +164,9 @@ def flow_all(c: Contacts, r: int, stretch: Array, clock: Array, lanes: int) -> N
 
 def typical_lives(c: Contacts) -> tuple[Array, Array]:
     """Work over k and stretch at breaking of 64 x 64 lives, at mid-points of equal shares of thresholds and of clocks:
-    a rough picture of births that costs nothing."""
-    share = (np.arange(64) + 0.5) / 64
+    a rough picture of births that costs nothing; of 16 x 16 where thresholds fluctuate and lives cost something."""
+    shares = 16 if c.aging == LANGEVIN else 64
+    share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     return lives(c, key_of(0, 0), 0, u, v)
 

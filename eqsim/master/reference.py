@@ -61,7 +61,7 @@ def setting(ensemble: Ensemble, velocity: float) -> Setting:
     if ensemble.aging.active and not ensemble.self_consistent:
         law = ensemble.births(velocity)
         moving = law is ensemble.thresholds
-    cold = thermal.attempt_frequency == 0 or math.isinf(ensemble.b)
+    cold = not ensemble.heated(velocity)
     log_w = 0.0 if cold else math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
     require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
     delay = velocity * ensemble.delay.time / unit
@@ -132,7 +132,7 @@ def reference(ensemble: Ensemble, velocity: float) -> Reference:
     pinned = stretch / (stretch + delay)
     pinned_error = pinned * (1.0 - pinned) * stretch_error / stretch
     elastic = work / (stretch + delay)
-    friction, error = elastic + drag * (1.0 - pinned), elastic * relative + drag * pinned_error
+    friction, error = elastic + drag * (delay / (stretch + delay)), elastic * relative + drag * pinned_error
     return Reference(
         friction=Estimate(friction * unit, error * unit, 0),
         pinned=Estimate(pinned, pinned_error, 0),
