@@ -28,7 +28,7 @@ from eqsim.master.reference import Setting, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _STEP = 0.015  # in ln x, of the life's profile, whose splines are then good to 2e-8
-_SPLINE = 3e-8
+_SPLINE, _SMOOTH = 3e-8, 1e-9
 _COARSE_SPLINE = 3e-6  # of the steps that the Fokker-Planck equation takes
 _AROUND, _WRAPPED = 6, 1e-13  # length of the circle in transients, and what of the next turn remains
 
@@ -87,7 +87,11 @@ class Profile:
                 np.log(np.clip(x, found.x[1], found.x[-1]))
             )
             return np.where(x > found.x[-1], 0.0, values)
-        return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
+
+        def means(x: Array) -> Array:
+            return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
+
+        return means(x) if self.steps else kinetic.interpolated(means, x, _SMOOTH)
 
     def at(self, x: Array) -> Array:
         """S, k1, k2 at x > 0, shape (3, n)."""
