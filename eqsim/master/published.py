@@ -12,6 +12,7 @@ Panels in x end where the density of thresholds jumps, and are split towards the
 coefficients of the hazard, times the life that is left, and of the integrands are negligible.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -37,8 +38,9 @@ _RESOLVED, _STEP, _MOST_PANELS, _ROUNDING = 2e-12, 1e-14, 1500, 1e-11
 # logarithms) and survivals out of sight, nodes at once
 _EXPONENTS = np.array([1e-3, 0.05, 0.5, 2.0, 5.0, 10.0, 18.0, 28.0, 45.0, 80.0, 140.0])
 _NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
-_RULE, _FINER = np.polynomial.legendre.leggauss(10), np.polynomial.legendre.leggauss(14)
+_ORDER = 10
 _UNSEEN, _DEAD, _AT_ONCE = -45.0, 1e-20, 1000
+_rule = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Moments:
@@ -74,7 +76,7 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: 
         p = _Panels(*(np.append(old[~split], found)[order] for old, found in zip(p, new, strict=True)))
     # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
     seen = alive > _DEAD
-    better = _hazard_rate(law, stiffness, barrier, b, log_w, 0.5 * (left + right)[seen], _FINER)
+    better = _hazard_rate(law, stiffness, barrier, b, log_w, 0.5 * (left + right)[seen], _ORDER + 4)
     missed = np.abs(2.0 * p.middle[seen] - better * (right - left)[seen])
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
     error = errors.sum(axis=1) + _ROUNDING * total
@@ -119,7 +121,7 @@ def _panels(
     integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
     values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
     tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
-    return _Panels(*values, *tails, middle=hazard[:, hazard.shape[1] // 2])
+    return _Panels(*np.vstack((values, tails, hazard[:, hazard.shape[1] // 2])))
 
 
 def _first_edges(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Array:
@@ -142,7 +144,7 @@ def _hazard_rate(
     b: float,
     log_w: float,
     y: Array,
-    rule: tuple[Array, Array] = _RULE,
+    order: int = _ORDER,
 ) -> Array:
     """(omega/v) h(y) of a smooth law, h that of `laws.thermal.pooled_rate` (temper11, temper12), to about 1e-13 for
     gamma laws and 1e-10 for most others.
@@ -154,7 +156,7 @@ def _hazard_rate(
     upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
     ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
     far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
-    nodes, weights = rule
+    nodes, weights = _rule(order)
     found = np.empty(y.size)
     for start in range(0, y.size, _AT_ONCE):
         at = y[start : start + _AT_ONCE, None]
