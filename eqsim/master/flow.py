@@ -18,12 +18,10 @@ Aging is over after 1/alpha, lives may end at v/omega, and ln r may fall and the
 these scales are related, and the panels of the path are found by refinement.
 """
 
-import itertools
 import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from scipy import special
 from scipy.optimize import elementwise
 
@@ -31,7 +29,7 @@ from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_rate
 from eqsim.laws.threshold import ThresholdLaw, panels_above
-from eqsim.master.kinetic import ClenshawCurtis, Moments
+from eqsim.master.kinetic import ClenshawCurtis, Moments, interpolated
 
 # the nodes of Clenshaw and Curtis hold both ends of a panel, where r is greatest, so that no peak of it can be missed
 _NODES, _WEIGHTS, _TAIL = ClenshawCurtis.nodes, ClenshawCurtis.weights, ClenshawCurtis.tail
@@ -44,8 +42,8 @@ _EVEN, _TOWARDS_0 = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([0.0, 1 / 64
 _BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
 _CONVERGED, _ROUNDING = 1e-11, 1e-12
 
-# of survivors: panels in ln x and their resolution; step and truncation of the hazard; its levels, where to seek them
-_LONGEST, _SHORTEST, _SMOOTH = 2.0, 0.02, 1e-9
+# of survivors: their resolution; step and truncation of the hazard; its levels, where to seek them
+_SMOOTH = 1e-9
 _STEP, _UNSEEN = 0.45, 1e-12
 _LEVELS = np.array([3.5, 2.75, 2.0, 1.25, 0.5, -0.5, -1.5, -3.0, -6.0, -12.0, -20.0])  # of ln((omega/v) H)
 _DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
@@ -242,29 +240,7 @@ def survivors(
     they resolve them all.
     """
     c = Contact(stiffness, barrier, b, log_w, final, alpha, law.rms / law.scale)
-    log_x = np.log(x)
-    low, high = log_x[0], max(log_x[-1], log_x[0] + 1e-3)
-    edges = np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1)
-    todo = list(itertools.pairwise(edges))
-    done: dict[tuple[float, float], Array] = {}
-    greatest = np.zeros((3, 3, 1))
-    while todo:
-        left, right = np.array(todo).T
-        nodes = np.exp(left[:, None] + 0.5 * (right - left)[:, None] * (1 + _NODES))
-        values = _surviving(c, law, nodes.ravel()).reshape(3, *nodes.shape)
-        # as they are, and times x and x^2: when most lives are short the rare long ones decide the integrals
-        weighed = np.array([values * nodes**power for power in range(3)])
-        greatest = np.maximum(greatest, weighed.max(axis=(2, 3))[:, :, None])
-        rough = (np.abs(weighed @ _TAIL).sum(axis=3) > _SMOOTH * greatest).any(axis=(0, 1))
-        again = rough & (right - left > _SHORTEST)
-        done |= {todo[j]: values[:, j] for j in np.flatnonzero(~again)}
-        middle = 0.5 * (left + right)[again]
-        todo = [*zip(left[again], middle, strict=True), *zip(middle, right[again], strict=True)]
-    found = np.empty((3, x.size))
-    for (left, right), at_nodes in done.items():
-        inside = (log_x >= left) & (log_x <= right)
-        t = (2 * log_x[inside] - left - right) / (right - left)
-        found[:, inside] = chebyshev.chebval(t, (at_nodes @ ClenshawCurtis.coefficients.T).T)
+    found = interpolated(lambda at: _surviving(c, law, at), x, _SMOOTH)
     return found[0], found[1], found[2]
 
 

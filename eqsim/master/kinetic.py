@@ -11,6 +11,7 @@ until the highest Chebyshev coefficients of the integrands are negligible.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ _NODES, _WEIGHTS = special.roots_legendre(14)
 # narrowest panels and how many more there may be (laws known with noise never converge); the error of life_moments
 _BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
 _CONVERGED, _NARROWEST, _MORE_PANELS, _PANELS = 2e-12, 1e-4, 500, 1e-11
+_LONGEST, _SHORTEST = 2.0, 1e-3  # panels in ln x
 
 
 class ClenshawCurtis:
@@ -40,6 +42,37 @@ class ClenshawCurtis:
     cumulative = chebyshev.chebval(nodes, chebyshev.chebint(coefficients, lbnd=-1))
     weights = cumulative[:, -1]
     tail = coefficients[-2:].T
+
+
+def interpolated(function: Callable[[Array], Array], x: Array, smooth: float, greatest: float | None = None) -> Array:
+    """`function`, of shape (values, n), at every one of the ascending x > 0 from few evaluations: by Chebyshev panels
+    in ln x, split until they resolve to `smooth` times `greatest`, or else of the greatest of each value, and of it
+    times x and x^2, on which integrals depend."""
+    log_x = np.log(x)
+    low, high = log_x[0], max(log_x[-1], log_x[0] + 1e-3)
+    edges = np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1)
+    left, right = edges[:-1], edges[1:]
+    most = np.zeros((3, 1, 1)) if greatest is None else greatest
+    done: list[tuple[Array, Array, Array]] = []
+    while left.size:
+        nodes = np.exp(left[:, None] + 0.5 * (right - left)[:, None] * (1 + ClenshawCurtis.nodes))
+        values = function(nodes.ravel()).reshape(-1, *nodes.shape)
+        weighed = values[None]
+        if greatest is None:
+            weighed = np.array([values * nodes**power for power in range(3)])
+            most = np.maximum(most, weighed.max(axis=(2, 3))[:, :, None])
+        rough = (np.abs(weighed @ ClenshawCurtis.tail).sum(axis=3) > smooth * most).any(axis=(0, 1))
+        rough &= right - left > _SHORTEST
+        done.append((left[~rough], right[~rough], values[:, ~rough] @ ClenshawCurtis.coefficients.T))
+        middle = 0.5 * (left + right)[rough]
+        left, right = np.append(left[rough], middle), np.append(middle, right[rough])
+    left, right = (np.concatenate([part[side] for part in done]) for side in (0, 1))
+    coefficients = np.concatenate([part[2] for part in done], axis=1)
+    order = np.argsort(left)
+    panel = order[np.searchsorted(left[order], log_x[1:], side="left") - 1]
+    panel = np.append(order[:1], panel)
+    t = (2 * log_x - left[panel] - right[panel]) / (right[panel] - left[panel])
+    return np.asarray(chebyshev.chebval(t, np.moveaxis(coefficients[:, panel], 2, 0), tensor=False))
 
 
 class Moments(NamedTuple):

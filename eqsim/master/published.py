@@ -12,6 +12,7 @@ Panels in x end where the density of thresholds jumps, and are split towards the
 coefficients of the hazard, times the life that is left, and of the integrands are negligible.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -22,9 +23,9 @@ from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_hazard
 from eqsim.laws.threshold import ThresholdLaw, panels_above
-from eqsim.master.kinetic import ClenshawCurtis, Moments, panels, weakest
+from eqsim.master.kinetic import ClenshawCurtis, Moments, interpolated, panels, weakest
 
-_MOST_STEPS = 1000
+_MOST_STEPS, _SMOOTH = 1000, 1e-10
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 # panels in x: the first rise by this factor and end where this is -ln J_c; where splits fall; the errors that end
@@ -35,10 +36,11 @@ _RESOLVED, _STEP, _MOST_PANELS, _ROUNDING = 2e-12, 1e-14, 1500, 1e-11
 
 # the rate: exponents of barriers where its panels end, distances from the ends of the support, nodes; hazards (in
 # logarithms) and survivals out of sight, nodes at once
-_EXPONENTS = np.array([1e-3, 0.03, 0.2, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0, 60.0, 90.0, 140.0])
+_EXPONENTS = np.array([1e-3, 0.05, 0.5, 2.0, 5.0, 10.0, 18.0, 28.0, 45.0, 80.0, 140.0])
 _NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
 _ORDER = 10
-_UNSEEN, _DEAD, _AT_ONCE = -45.0, 1e-20, 256
+_UNSEEN, _DEAD, _AT_ONCE = -45.0, 1e-20, 1000
+_rule = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Moments:
@@ -73,9 +75,10 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: 
         left, right = left[order], right[order]
         p = _Panels(*(np.append(old[~split], found)[order] for old, found in zip(p, new, strict=True)))
     # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
-    at, width = 0.5 * (left + right)[alive > _DEAD], (right - left)[alive > _DEAD]
-    rate, better = (_hazard_rate(law, stiffness, barrier, b, log_w, at, order) for order in (_ORDER, _ORDER + 4))
-    errors[:, alive > _DEAD] += np.minimum(8.0 * np.abs(rate - better) * width, 1.0) * onward[:, alive > _DEAD]
+    seen = alive > _DEAD
+    better = _hazard_rate(law, stiffness, barrier, b, log_w, 0.5 * (left + right)[seen], _ORDER + 4)
+    missed = np.abs(2.0 * p.middle[seen] - better * (right - left)[seen])
+    errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
     error = errors.sum(axis=1) + _ROUNDING * total
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
 
@@ -84,7 +87,8 @@ class _Panels(NamedTuple):
     """Pieces of 0 < x < inf, ascending, each array of shape (panels,): Delta U gained inside; with exp(-Delta U) = 1 at
     the left end, the integrals of E_P and of x exp(-Delta U) E[k_i/k; xi > x] but for thresholds beyond the panel, for
     which the latter is `carried`, the integral of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms
-    (0 if stiffness is uniform); and the highest Chebyshev coefficients of each integrand."""
+    (0 if stiffness is uniform); the highest Chebyshev coefficients of each integrand; and the rate in the middle times
+    half the width."""
 
     hazard: Array
     stretch: Array
@@ -96,6 +100,7 @@ class _Panels(NamedTuple):
     work_tail: Array
     carried_tail: Array
     heavier_tail: Array
+    middle: Array
 
 
 def _panels(
@@ -115,7 +120,8 @@ def _panels(
         stiff = x * J / rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
     integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
     values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
-    return _Panels(*values, *np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2))
+    tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
+    return _Panels(*np.vstack((values, tails, hazard[:, hazard.shape[1] // 2])))
 
 
 def _first_edges(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Array:
@@ -148,9 +154,9 @@ def _hazard_rate(
     """
     rms, least, greatest = law.rms / law.scale, law.support[0] / law.scale, law.support[1] / law.scale
     upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
-    ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)))
-    far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # were y = 0
-    nodes, weights = np.polynomial.legendre.leggauss(order)
+    ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
+    far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
+    nodes, weights = _rule(order)
     found = np.empty(y.size)
     for start in range(0, y.size, _AT_ONCE):
         at = y[start : start + _AT_ONCE, None]
@@ -161,7 +167,7 @@ def _hazard_rate(
                 near = _EXPONENTS / a / (origin + np.sqrt(origin**2 + _EXPONENTS / a))
             else:
                 near = origin * np.minimum((_EXPONENTS / (a * origin**2)) ** (2.0 / 3.0), 1e6)
-        layer = np.concatenate((origin + near, origin + far, np.broadcast_to(ends, (at.size, ends.size))), axis=1)
+        layer = np.concatenate((origin + np.minimum(near, far), np.broadcast_to(ends, (at.size, ends.size))), axis=1)
         edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
         seen = (np.diff(edges, axis=1) > 0) & (
             log_w - _exponent(stiffness, barrier, b, rms, at, edges[:, :-1]) > _UNSEEN
@@ -200,7 +206,12 @@ def survivors(
         means = [np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above] for power in range(3)]
     else:
         inner, weights = _between(x)
-        rate = _hazard_rate(law, stiffness, barrier, b, log_w, np.append(x[0], inner))
+        at = np.append(x[0], inner)
+
+        def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
+            return np.log1p(y * _hazard_rate(law, stiffness, barrier, b, log_w, y))
+
+        rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
         dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
         J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
         means = [J, J, J]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage, signal
+from scipy import fft, ndimage, signal
 from scipy.interpolate import CubicSpline
 
 from eqsim.ensemble import Drive, Ensemble
@@ -28,8 +28,9 @@ from eqsim.master.reference import Setting, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _STEP = 0.015  # in ln x, of the life's profile, whose splines are then good to 2e-8
-_SPLINE = 3e-8
+_SPLINE, _SMOOTH = 3e-8, 1e-9
 _COARSE_SPLINE = 3e-6  # of the steps that the Fokker-Planck equation takes
+_AROUND, _WRAPPED = 6, 1e-13  # length of the circle in transients, and what of the next turn remains
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,11 @@ class Profile:
                 np.log(np.clip(x, found.x[1], found.x[-1]))
             )
             return np.where(x > found.x[-1], 0.0, values)
-        return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
+
+        def means(x: Array) -> Array:
+            return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
+
+        return means(x) if self.steps else kinetic.interpolated(means, x, _SMOOTH)
 
     def at(self, x: Array) -> Array:
         """S, k1, k2 at x > 0, shape (3, n)."""
@@ -179,50 +184,40 @@ def _cells(s: Setting, distance: float, points: int, life: float) -> tuple[int, 
 
 
 def _solve(profile: Profile, x: Array, s: Setting) -> _Means:
-    """Force and pinned at the edges `x` of a uniform grid of cells, breaks in each cell per unit displacement."""
+    """Force and pinned at the edges `x` of a uniform grid of cells, breaks in each cell per unit displacement.
+
+    By generating functions: with w of the chance to be still detached, d = 1 - (1 - z) w of births after a break, and D
+    of survival, breaks (w + d D) is that of 1 - S, as every contact is either pinned or detached (derived). They are
+    taken on a circle |z| < 1 where hardly anything comes around.
+    """
     cells, h = x.size - 1, x[1]
     survive, stiff, _ = np.concatenate(([[1.0], [profile.at(x[1:2] * 1e-9)[1, 0]], [0.0]], profile.at(x[1:])), axis=1)
-    area, _, _ = profile.integral(x, 0)
-    work = profile.integral(x, 1)[1]
-    # chance that a birth spread over a cell breaks in the same cell, 1, 2, ... cells later
-    later = np.append(1.0 - area[1] / h, np.diff(area[:-1]) / h - np.diff(area[1:]) / h) if cells > 1 else np.zeros(1)
-    first = survive[:-1] - survive[1:]
-    breaks, births = np.zeros(cells), np.zeros(cells)
-    delay = _Delay(s, h, breaks)
-    for i in range(cells):
-        # breaks[i] = known + later[0] births[i] and births[i] = now breaks[i] + before
-        known = first[i] + (births[:i] @ later[i:0:-1] if i else 0.0)
-        now, before = delay.births(i)
-        breaks[i] = (known + later[0] * before) / (1.0 - later[0] * now)
-        births[i] = now * breaks[i] + before
-        delay.advance(i)
-    pinned = survive + np.append(0.0, signal.fftconvolve(births, np.diff(area) / h)[:cells])
-    force = x * stiff + np.append(0.0, signal.fftconvolve(births, np.diff(work) / h)[:cells])
-    return _Means(force + s.drag * (1.0 - pinned), pinned, breaks / h)
+    size = fft.next_fast_len(_AROUND * cells, real=True)
+    damping = _WRAPPED ** (np.arange(cells) / size)
+
+    def transform(part: Array) -> Array:
+        return np.asarray(fft.rfft(part * damping, size))
+
+    def back(product: Array) -> Array:
+        return np.asarray(fft.irfft(product, size)[:cells] / damping)
+
+    alive, work = (transform(np.diff(profile.integral(x, power)[power]) / h) for power in (0, 1))
+    waiting = transform(_waiting(s, h, cells))
+    z = _WRAPPED ** (1.0 / size) * np.exp(-2j * math.pi / size * np.arange(waiting.size))
+    reborn = 1.0 - (1.0 - z) * waiting
+    breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
+    detached = np.append(0.0, back(waiting * breaks))
+    force = x * stiff + np.append(0.0, back(reborn * breaks * work))
+    return _Means(force + s.drag * detached, 1.0 - detached, np.maximum(back(breaks) / h, 0.0))
 
 
-class _Delay:
-    """Births of a cell from its own and earlier breaks, both spread evenly over their cells."""
-
-    def __init__(self, s: Setting, h: float, breaks: Array) -> None:
-        self.exponential, self.breaks, self.waiting = s.exponential and s.delay > 0, breaks, 0.0
-        ratio = h / s.delay if s.delay > 0 else math.inf
-        self.leave = -math.expm1(-ratio)  # chance to be reborn within a cell
-        self.soon = 1.0 - self.leave / ratio if s.delay > 0 else 1.0  # and within the cell of the break
-        self.whole, self.part = divmod(s.delay / h, 1.0)
-
-    def births(self, i: int) -> tuple[float, float]:
-        """Births in cell i are `now` times its breaks, plus `before`."""
-        if self.exponential:
-            return self.soon, self.waiting * self.leave
-        shift = int(min(self.whole, i + 1))
-        earlier = self.breaks[i - shift] if 0 < shift <= i else 0.0
-        before = self.breaks[i - shift - 1] if shift + 1 <= i else 0.0
-        return (1.0 - self.part if shift == 0 else 0.0), (1.0 - self.part) * earlier + self.part * before
-
-    def advance(self, i: int) -> None:
-        if self.exponential:
-            self.waiting += self.breaks[i] * (1.0 - self.soon) - self.waiting * self.leave
+def _waiting(s: Setting, h: float, cells: int) -> Array:
+    """Chance that a contact that breaks anywhere in a cell is still detached at the end of that cell, and of the next
+    ones."""
+    later = np.arange(cells)
+    if s.exponential and s.delay > 0:
+        return np.asarray(-math.expm1(-h / s.delay) * s.delay / h * np.exp(-h / s.delay * later))
+    return np.clip(s.delay / h - later, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
