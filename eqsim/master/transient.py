@@ -22,13 +22,16 @@ from scipy.interpolate import CubicSpline
 from eqsim.ensemble import Drive, Ensemble
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
+from eqsim.laws.aging import Pooled
 from eqsim.laws.octaves import Array
+from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, kinetic, published
 from eqsim.master.reference import Setting, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _STEP = 0.015  # in ln x, of the life's profile, whose splines are then good to 2e-8
 _SPLINE, _SMOOTH = 3e-8, 1e-9
+_KINKED_SPLINE = 1e-6  # of laws whose density may have kinks
 _COARSE_SPLINE = 3e-6  # of the steps that the Fokker-Planck equation takes
 _AROUND, _WRAPPED = 6, 1e-13  # length of the circle in transients, and what of the next turn remains
 
@@ -51,7 +54,7 @@ class Profile:
 
     def __init__(self, s: Setting, grid: Array) -> None:
         """`grid` holds every x that will be asked for; only discrete laws, with their jumps, need to know."""
-        self.setting, self.error = s, _SPLINE
+        self.setting, self.error = s, _SPLINE if isinstance(s.law, (Gamma, Pooled)) else _KINKED_SPLINE
         self.steps = s.law.steps.size > 0
         if self.steps:
             self.x = np.unique(np.append(kinetic.panels(s.law, s.stiffness, s.b), grid[grid > 0]))
