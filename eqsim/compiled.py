@@ -79,27 +79,30 @@ def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-def _row_adder(instruction: str) -> Any:
-    """A kernel routine (sums, j, row): row j of the C-ordered 64-bit integers `sums` plus, or minus, the tuple `row`,
-    in two or three instructions. Left to itself the compiler adds numbers one by one."""
-
-    def type_of(typing: Any, sums: Any, j: Any, row: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array = context.make_array(sums)(context, builder, value=arguments[0])
-            numbers = cgutils.unpack_tuple(builder, arguments[2])
-            vector = ir.VectorType(numbers[0].type, len(numbers))
-            first = builder.mul(arguments[1], ir.Constant(arguments[1].type, len(numbers)))
-            at = builder.bitcast(builder.gep(array.data, [first]), vector.as_pointer())
-            change = ir.Constant(vector, ir.Undefined)
-            for i, number in enumerate(numbers):
-                change = builder.insert_element(change, number, ir.Constant(ir.IntType(32), i))
-            builder.store(getattr(builder, instruction)(builder.load(at, align=8), change), at, align=8)
-            return context.get_dummy_value()
-
-        return types.void(sums, types.int64, types.UniTuple(types.int64, len(row))), generate
-
-    return intrinsic(type_of)
+def _add_vectors(builder: Any, data: Any, j: Any, row: list[Any], instruction: str) -> None:
+    """The numbers `row` onto, or off, row j of a C-ordered array at `data`, up to four in one instruction."""
+    start = builder.mul(j, ir.Constant(j.type, len(row)))
+    for first in range(0, len(row), 4):
+        part = row[first : first + 4]
+        vector = ir.VectorType(part[0].type, len(part))
+        change = ir.Constant(vector, ir.Undefined)
+        for i, number in enumerate(part):
+            change = builder.insert_element(change, number, ir.Constant(ir.IntType(32), i))
+        at = builder.gep(data, [builder.add(start, ir.Constant(j.type, first))])
+        at = builder.bitcast(at, vector.as_pointer())
+        builder.store(getattr(builder, instruction)(builder.load(at, align=8), change), at, align=8)
 
 
-add_row = _row_adder("add")
-subtract_row = _row_adder("sub")
+@intrinsic
+def move_row(typing: Any, sums: Any, start: Any, end: Any, row: Any) -> Any:
+    """Add the tuple `row` to row `start` of C-ordered 64-bit integers `sums`, and take it back at row `end`. Left to
+    itself the compiler adds numbers one by one."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(sums)(context, builder, value=arguments[0])
+        numbers = cgutils.unpack_tuple(builder, arguments[3])
+        _add_vectors(builder, array.data, arguments[1], numbers, "add")
+        _add_vectors(builder, array.data, arguments[2], numbers, "sub")
+        return context.get_dummy_value()
+
+    return types.void(sums, types.int64, types.int64, types.UniTuple(types.int64, len(row))), generate

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.compiled import add_row, inlined, kernel, routine, subtract_row
+from eqsim.compiled import inlined, kernel, move_row, routine
 from eqsim.engine.life import (
     LANES,
     ROUNDS,
@@ -222,11 +222,11 @@ def leave_ramps(
         column[3, i] = fixed(kappa * ramp, -scales[RAMP2])
         column[4, i] = fixed(ramp * ramp, scales[SQUARE])
     for i in range(lanes):
-        row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
-        if start[i] < run.points:
-            add_row(deposits, start[i], row)
         if end[i] < run.points:
-            subtract_row(deposits, end[i], row)
+            row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
+            move_row(deposits, start[i], end[i], row)
+        elif start[i] < run.points:
+            leave(deposits, start[i], 1, stiffness[r, i], born[i], scales)
 
 
 @routine
@@ -241,11 +241,10 @@ def leave_even_ramps(
         column[0, i] = fixed(born[i], -scales[FORCE])
         column[1, i] = fixed(born[i] * born[i], scales[SQUARE])
     for i in range(lanes):
-        row = (1, 0, column[0, i], 0, 0, column[1, i])
-        if start[i] < run.points:
-            add_row(deposits, start[i], row)
         if end[i] < run.points:
-            subtract_row(deposits, end[i], row)
+            move_row(deposits, start[i], end[i], (1, 0, column[0, i], 0, 0, column[1, i]))
+        elif start[i] < run.points:
+            leave(deposits, start[i], 1, 1.0, born[i], scales)
 
 
 @routine
@@ -511,7 +510,7 @@ def simulate(
             if c.aging == FLOW:
                 flow_all(c, r, stretch, clock, active)
             elif c.aging == UNAGED and c.breaking == SOFT:
-                soft_all(erfi_inverse, c.b, c.log_w, r, stretch, clock, stiffness, full)
+                soft_all(erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, full)
             elif c.aging == UNAGED and c.breaking == STIFF:
                 stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, full)
             elif c.aging == UNAGED and c.breaking == POOLED:

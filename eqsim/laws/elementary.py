@@ -51,7 +51,12 @@ def log(x: float) -> float:
 @inlined
 def exp(x: float) -> float:
     """e^x; beyond +-708 the value there."""
-    x = min(max(x, -708.0), 708.0)
+    return bounded_exp(min(max(x, -708.0), 708.0))
+
+
+@inlined
+def bounded_exp(x: float) -> float:
+    """e^x, |x| <= 708."""
     shifted = x * 1.4426950408889634 + _SHIFT
     k = shifted - _SHIFT
     r = fma(-k, _LN2_LOW, fma(-k, _LN2_HIGH, x))
