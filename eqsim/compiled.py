@@ -23,7 +23,7 @@ _PACKAGE = Path(__file__).parent
 
 
 def _cache_folder() -> str | None:
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(Path(__file__).read_bytes())  # it holds instructions of kernels, too
     for room in ("laws", "engine"):
         for source in sorted((_PACKAGE / room).glob("*.py")):
             digest.update(source.read_bytes())
@@ -69,8 +69,7 @@ def routine(function: Callable[..., Any]) -> Any:
     return numba.njit(function, error_model="numpy")
 
 
-@intrinsic
-def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
+def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
     """x y + z in kernels, rounded once: one instruction where x y + z are two, and the same bits on any processor."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -93,8 +92,7 @@ def _add_vectors(builder: Any, data: Any, j: Any, row: list[Any], instruction: s
         builder.store(getattr(builder, instruction)(builder.load(at, align=8), change), at, align=8)
 
 
-@intrinsic
-def move_row(typing: Any, sums: Any, start: Any, end: Any, row: Any) -> Any:
+def _move_row(typing: Any, sums: Any, start: Any, end: Any, row: Any) -> Any:
     """Add the tuple `row` to row `start` of C-ordered 64-bit integers `sums`, and take it back at row `end`. Left to
     itself the compiler adds numbers one by one."""
 
@@ -105,4 +103,7 @@ def move_row(typing: Any, sums: Any, start: Any, end: Any, row: Any) -> Any:
         _add_vectors(builder, array.data, arguments[2], numbers, "sub")
         return context.get_dummy_value()
 
-    return types.void(sums, types.int64, types.int64, types.UniTuple(types.int64, len(row))), generate
+    return types.void(sums, types.int64, types.int64, types.UniTuple(types.int64, len(row))), generate  # type: ignore[attr-defined]
+
+
+fma, move_row = intrinsic(_fma), intrinsic(_move_row)

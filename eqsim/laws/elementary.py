@@ -7,6 +7,7 @@ below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp (of -708 to 708), 2.5 for lo
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ _TAYLOR = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 @inlined
-def _split(x: float) -> tuple[int, float]:
+def _split(x: float) -> tuple[Any, Any]:
     """k and f of a normal x = 2^k (1 + f) > 0, sqrt(1/2) <= 1 + f < sqrt(2)."""
     bits = np.float64(x).view(np.int64)
     k = (bits - _ROOT_HALF) >> 52
@@ -29,7 +30,7 @@ def _split(x: float) -> tuple[int, float]:
 
 
 @inlined
-def _log_of(k: int, f: float) -> float:
+def _log_of(k: Any, f: float) -> float:
     """ln(2^k (1 + f)) of what `_split` returns."""
     exponent = np.int64(k + _SHIFT_BITS).view(np.float64) - _SHIFT
     s = f / (2.0 + f)
