@@ -15,12 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 
 _PACKAGE = Path(__file__).parent
 
 
 def _cache_folder() -> str | None:
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(Path(__file__).read_bytes())  # it holds instructions of kernels, too
     for room in ("laws", "engine"):
         for source in sorted((_PACKAGE / room).glob("*.py")):
             digest.update(source.read_bytes())
@@ -64,3 +67,43 @@ def inlined(function: Callable[..., Any]) -> Any:
 def routine(function: Callable[..., Any]) -> Any:
     """Compile a longer scalar routine that kernels call."""
     return numba.njit(function, error_model="numpy")
+
+
+def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
+    """x y + z in kernels, rounded once: one instruction where x y + z are two, and the same bits on any processor."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
+def _add_vectors(builder: Any, data: Any, j: Any, row: list[Any], instruction: str) -> None:
+    """The numbers `row` onto, or off, row j of a C-ordered array at `data`, up to four in one instruction."""
+    start = builder.mul(j, ir.Constant(j.type, len(row)))
+    for first in range(0, len(row), 4):
+        part = row[first : first + 4]
+        vector = ir.VectorType(part[0].type, len(part))
+        change = ir.Constant(vector, ir.Undefined)
+        for i, number in enumerate(part):
+            change = builder.insert_element(change, number, ir.Constant(ir.IntType(32), i))
+        at = builder.gep(data, [builder.add(start, ir.Constant(j.type, first))])
+        at = builder.bitcast(at, vector.as_pointer())
+        builder.store(getattr(builder, instruction)(builder.load(at, align=8), change), at, align=8)
+
+
+def _move_row(typing: Any, sums: Any, start: Any, end: Any, row: Any) -> Any:
+    """Add the tuple `row` to row `start` of C-ordered 64-bit integers `sums`, and take it back at row `end`. Left to
+    itself the compiler adds numbers one by one."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(sums)(context, builder, value=arguments[0])
+        numbers = cgutils.unpack_tuple(builder, arguments[3])
+        _add_vectors(builder, array.data, arguments[1], numbers, "add")
+        _add_vectors(builder, array.data, arguments[2], numbers, "sub")
+        return context.get_dummy_value()
+
+    return types.void(sums, types.int64, types.int64, types.UniTuple(types.int64, len(row))), generate  # type: ignore[attr-defined]
+
+
+fma, move_row = intrinsic(_fma), intrinsic(_move_row)

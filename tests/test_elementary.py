@@ -1,12 +1,14 @@
 """Vectorised elementary functions in units of the last place of 60 digits, and loops with them that do vectorise."""
 
 import math
+from fractions import Fraction
 
 import mpmath
 import numba
 import numpy as np
 import pytest
 
+from eqsim.compiled import fma, move_row
 from eqsim.laws import elementary
 
 RNG = np.random.default_rng(5)
@@ -82,3 +84,33 @@ def test_loops_vectorise(name):
 
     assert packed(loop(name)) > 3
     assert packed(libm) == 0
+
+
+def test_fma_rounds_once():
+    """What the product of two numbers loses to rounding, exactly; additions and multiplications would find 0."""
+
+    @numba.njit
+    def lost(x, y):
+        return fma(x, y, -(x * y))
+
+    exact = [float(Fraction(x) * Fraction(y) - Fraction(x * y)) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)]
+    assert [lost(x, y) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)] == exact
+    assert any(exact)
+
+
+def test_move_row():
+    """A row is added at one place and taken back at another, or at the same, and nothing else is touched."""
+
+    @numba.njit
+    def move(sums, start, end, row):
+        move_row(sums, start, end, (1, row[0], row[1], row[2], row[3], row[4]))
+
+    sums, row = RNG.integers(-(2**62), 2**62, (9, 6)), RNG.integers(-(2**61), 2**61, 5)
+    for start, end in ((0, 8), (3, 4), (5, 5)):
+        expected = sums.copy()
+        expected[start, 0] += 1
+        expected[start, 1:] += row
+        expected[end, 0] -= 1
+        expected[end, 1:] -= row
+        move(sums, start, end, row)
+        np.testing.assert_array_equal(sums, expected)

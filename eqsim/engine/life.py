@@ -125,15 +125,21 @@ def stiffen_all(slope: float, constant: float, r: int, threshold: Array, stiffne
 
 @routine
 def soft_all(
-    erfi_inverse: Array, b: float, log_w: float, r: int, stretch: Array, clock: Array, stiffness: Array, lanes: int
-) -> None:
-    """Soft contacts; clocks are overwritten."""
-    for i in range(lanes):
-        clock[r, i] = soft_rank(stretch[r, i], b * stiffness[r, i], log_w, clock[r, i])
+    erfi_inverse: Array, b: float, log_w: float, even: bool, r: int,
+    stretch: Array, clock: Array, stiffness: Array, lanes: int,
+) -> None:  # fmt: skip
+    """Soft contacts, `even` if k_i = k, so that roots and divisions are the same for all; clocks are overwritten."""
+    root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
+    for i in range(lanes if even else 0):
+        clock[r, i] = soft_rank(stretch[r, i], root, log_w, clock[r, i])
+    for i in range(0 if even else lanes):
+        clock[r, i] = soft_rank(stretch[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
     for i in range(lanes):
         clock[r, i] = soft_inverse(erfi_inverse, clock[r, i])
-    for i in range(lanes):
-        stretch[r, i] = soft_end(stretch[r, i], b * stiffness[r, i], clock[r, i])
+    for i in range(lanes if even else 0):
+        stretch[r, i] = soft_end(stretch[r, i], per_root, clock[r, i])
+    for i in range(0 if even else lanes):
+        stretch[r, i] = soft_end(stretch[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])
 
 
 @routine
@@ -215,7 +221,7 @@ def fill_lives(
         if c.aging == FLOW:
             flow_all(c, r, x, clock, lanes)
         elif c.breaking == SOFT:
-            soft_all(c.erfi_inverse, c.b, c.log_w, r, x, clock, spring, lanes)
+            soft_all(c.erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, x, clock, spring, lanes)
         elif c.breaking == STIFF:
             stiff_all(c.b, c.log_w, r, x, clock, spring, lanes)
         elif c.breaking == POOLED:
@@ -250,7 +256,7 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
                 if c.aging == FLOW:
                     flow_all(c, r, stretch, clock, LANES)
                 elif c.breaking == SOFT:
-                    soft_all(erfi_inverse, c.b, c.log_w, r, stretch, clock, stiffness, LANES)
+                    soft_all(erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, stretch, clock, stiffness, LANES)
                 elif c.breaking == STIFF:
                     stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, LANES)
                 elif c.breaking == POOLED:

@@ -1,12 +1,12 @@
 """What contacts leave on the output grid: exact ramps of force in fixed point, one kernel for every run.
 
-A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so it leaves six numbers at the first grid
-point j0 >= X0 and takes them back at the first j1 >= X1; cumulative sums over the grid then give the exact force, its
-variance over contacts, and the number of pinned contacts at every point. Where the stiffness follows an aging threshold
-the force is no ramp, and is left at each point for that point alone. Uniform stiffness makes several of the numbers
-equal, and without delay a life begins where another ends, so that what both leave is added at once. All sums are of
-64-bit integers (fixed point, one power of 2 per column, so small that no sum can overflow): the result cannot depend on
-order, threads or blocks.
+A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so it leaves six numbers, which do not depend
+on X, at the first grid point j0 >= X0 and takes them back at the first j1 >= X1; cumulative sums over the grid then
+give the exact force, its variance over contacts, and the number of pinned contacts at every point. Where the stiffness
+follows an aging threshold the force is no ramp, and is left at each point for that point alone. Uniform stiffness makes
+several of the numbers equal; if there is no delay either, a life begins where another ends, and what both leave is
+added at once. All sums are of 64-bit integers (fixed point, one power of 2 per column, so small that no sum can
+overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.compiled import inlined, kernel, routine
+from eqsim.compiled import inlined, kernel, move_row, routine
 from eqsim.engine.life import (
     LANES,
     ROUNDS,
@@ -43,9 +43,9 @@ BATCHES = 64  # independent groups whose scatter is the error of averages over t
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
 _BITS = 62  # of a sum; the sign and one more are left
 
-# columns of the deposits; d is the distance slid since the life began
-COUNT, SLOPE, FORCE, SLOPE2, RAMP2, SQUARE = range(6)  # 1, kappa, kappa d, kappa^2, kappa^2 d, (kappa d)^2
-_SLOPE, _FORCE, _SLOPE2, _RAMP2, _SQUARE = (np.uint64(i) for i in range(1, 6))  # unsigned, of which none is negative
+# columns of the deposits; Y = -X0 is where the slider would have been pulled from
+COUNT, SLOPE, FORCE, SLOPE2, RAMP2, SQUARE = range(6)  # 1, kappa, kappa Y, kappa^2, kappa^2 Y, (kappa Y)^2
+_FORCE, _SQUARE = np.uint64(FORCE), np.uint64(SQUARE)  # unsigned, of which none is negative
 # columns of the batch sums, for each of the two quarters of the second half
 AREA, PINNED, ELAPSED, BREAKS, STRETCH = range(5)
 
@@ -81,9 +81,7 @@ class Scales(NamedTuple):
         strong = kappa(c.kappa_slope, c.kappa_constant, xi)
         way = run.distance + x
         force = strong * x
-        seen = x + run.distance / (run.points - 1)  # how far from its birth a life can leave something
-        square = max(2 * way * x, seen**2)
-        deposits = [1.0, strong, strong * way, strong**2, strong**2 * way, strong**2 * square]
+        deposits = [1.0, strong, strong * way, strong**2, strong**2 * way, (strong * way) ** 2]
         batches = [force * way, way, way, 1.0, way]
 
         def power(bounds: list[float], terms: int) -> Array:
@@ -105,25 +103,20 @@ class Scales(NamedTuple):
         return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), typical, c.kappa_slope == 0.0)
 
 
-def _before(x: Array) -> Array:
-    """Sum of all earlier elements."""
-    return np.cumsum(x) - x
-
-
 def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: float) -> tuple[Array, Array, Array]:
     """Mean force, pinned fraction, and variance of the force over contacts, at every grid point."""
-    h = run.distance / (run.points - 1)
-    total = np.cumsum(deposits, axis=0) / (scales.deposits * contacts)
+    X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)  # squares cancel: 64 bits where there are
+    total = np.cumsum(deposits, axis=0) / (scales.deposits * contacts).astype(np.longdouble)
     if scales.even:  # k_i/k = 1
         total[:, SLOPE] = total[:, SLOPE2] = total[:, COUNT]
         total[:, RAMP2] = total[:, FORCE]
-    force = total[:, FORCE] + h * _before(total[:, SLOPE])
-    ramp = total[:, RAMP2] + h * _before(total[:, SLOPE2])
-    square = total[:, SQUARE] + _before(2 * h * ramp + h**2 * total[:, SLOPE2])
-    detached = 1.0 - total[:, COUNT]
+    force = (total[:, SLOPE] * X + total[:, FORCE]).astype(float)
+    square = ((total[:, SLOPE2] * X + 2.0 * total[:, RAMP2]) * X + total[:, SQUARE]).astype(float)
+    pinned = total[:, COUNT].astype(float)
+    detached = 1.0 - pinned
     force += drag * detached
     variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
-    return force, total[:, COUNT], variance
+    return force, pinned, variance
 
 
 # ------------------------------------------------------------------------------------------------------- kernels
@@ -136,29 +129,28 @@ def fixed(x: float, scale: float) -> int:
 
 
 @inlined
-def leave(deposits: Array, j: int, sign: int, stiffness: float, d: float, scales: Array) -> None:
-    """Add (sign 1) or take back (sign -1) a life's ramp at a grid point where it has slid d."""
-    square = stiffness * stiffness
+def leave(deposits: Array, j: int, sign: int, stiffness: float, born: float, scales: Array) -> None:
+    """Add (sign 1) or take back (sign -1) a life's ramp at a grid point."""
+    ramp = stiffness * born
     deposits[j, COUNT] += sign
     deposits[j, SLOPE] += sign * fixed(stiffness, scales[SLOPE])
-    deposits[j, FORCE] += sign * fixed(stiffness * d, scales[FORCE])
-    deposits[j, SLOPE2] += sign * fixed(square, scales[SLOPE2])
-    deposits[j, RAMP2] += sign * fixed(square * d, scales[RAMP2])
-    deposits[j, SQUARE] += sign * fixed(square * d * d, scales[SQUARE])
+    deposits[j, FORCE] -= sign * fixed(ramp, scales[FORCE])
+    deposits[j, SLOPE2] += sign * fixed(stiffness * stiffness, scales[SLOPE2])
+    deposits[j, RAMP2] -= sign * fixed(stiffness * ramp, scales[RAMP2])
+    deposits[j, SQUARE] += sign * fixed(ramp * ramp, scales[SQUARE])
 
 
 @inlined
 def deposit(deposits: Array, run: Run, stiffness: float, born: float, broke: float, scales: Array) -> None:
     """A life pinned at `born` <= X < `broke`."""
     per_step = (run.points - 1) / run.distance
-    step = run.distance / (run.points - 1)
     start = max(0, math.ceil(born * per_step))
     end = math.ceil(min(broke, 2.0 * run.distance) * per_step)
     if start < end:  # otherwise no grid point sees it
         if start < run.points:
-            leave(deposits, start, 1, stiffness, start * step - born, scales)
+            leave(deposits, start, 1, stiffness, born, scales)
         if end < run.points:
-            leave(deposits, end, -1, stiffness, end * step - born, scales)
+            leave(deposits, end, -1, stiffness, born, scales)
 
 
 @inlined
@@ -206,104 +198,67 @@ def leave_pinned(deposits: Array, run: Run, born: float, broke: float) -> None:
             deposits[end, COUNT] -= 1
 
 
+@inlined
+def point_after(x: float, run: Run, per_step: float) -> int:
+    """The first grid point at or after x >= 0; `run.points` beyond the last one."""
+    return math.ceil(min(x * per_step, float(run.points)))
+
+
 @routine
 def leave_ramps(
-    r: int, sign: int, at: Array, born: Array, stiffness: Array, run: Run, flat: Array, scales: Array,
-    cell: Array, column: Array, lanes: int,
+    r: int, born: Array, broke: Array, stiffness: Array, run: Run, deposits: Array, scales: Array,
+    start: Array, end: Array, column: Array, lanes: int,
 ) -> None:  # fmt: skip
-    """`leave` for `lanes` contacts that were pinned (sign 1) or broke (sign -1) at the displacements `at` >= 0."""
-    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    """`deposit` for `lanes` contacts, born >= 0."""
+    per_step = (run.points - 1) / run.distance
     for i in range(lanes):
-        point = math.ceil(min(at[i] * per_step, run.points))
-        kappa, d = stiffness[r, i], point * step - born[i]
-        cell[i] = int(6.0 * point)
-        column[0, i] = fixed(kappa, sign * scales[SLOPE])
-        column[1, i] = fixed(kappa * d, sign * scales[FORCE])
+        start[i], end[i] = point_after(born[i], run, per_step), point_after(broke[i], run, per_step)
     for i in range(lanes):
-        point = math.ceil(min(at[i] * per_step, run.points))
-        kappa, d = stiffness[r, i], point * step - born[i]
-        column[2, i] = fixed(kappa * kappa, sign * scales[SLOPE2])
-        column[3, i] = fixed(kappa * kappa * d, sign * scales[RAMP2])
-        column[4, i] = fixed(kappa * kappa * d * d, sign * scales[SQUARE])
-    end = np.uint64(6 * run.points)
+        kappa = stiffness[r, i]
+        ramp = kappa * born[i]
+        column[0, i] = fixed(kappa, scales[SLOPE])
+        column[1, i] = fixed(ramp, -scales[FORCE])
+        column[2, i] = fixed(kappa * kappa, scales[SLOPE2])
+        column[3, i] = fixed(kappa * ramp, -scales[RAMP2])
+        column[4, i] = fixed(ramp * ramp, scales[SQUARE])
     for i in range(lanes):
-        k = np.uint64(cell[i])
-        if k < end:
-            flat[k] += sign
-            flat[k + _SLOPE] += column[0, i]
-            flat[k + _FORCE] += column[1, i]
-            flat[k + _SLOPE2] += column[2, i]
-            flat[k + _RAMP2] += column[3, i]
-            flat[k + _SQUARE] += column[4, i]
+        if end[i] < run.points:
+            row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
+            move_row(deposits, start[i], end[i], row)
+        elif start[i] < run.points:
+            leave(deposits, start[i], 1, stiffness[r, i], born[i], scales)
 
 
 @routine
 def leave_even_ramps(
-    sign: int, at: Array, born: Array, run: Run, flat: Array, scales: Array, cell: Array, column: Array, lanes: int
-) -> None:
-    """`leave_ramps` of uniform stiffness, where COUNT and FORCE stand for the other columns."""
-    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
-    for i in range(lanes):
-        point = math.ceil(min(at[i] * per_step, run.points))
-        d = point * step - born[i]
-        cell[i] = int(6.0 * point)
-        column[0, i] = fixed(d, sign * scales[FORCE])
-        column[1, i] = fixed(d * d, sign * scales[SQUARE])
-    end = np.uint64(6 * run.points)
-    for i in range(lanes):
-        k = np.uint64(cell[i])
-        if k < end:
-            flat[k] += sign
-            flat[k + _FORCE] += column[0, i]
-            flat[k + _SQUARE] += column[1, i]
-
-
-@routine
-def join_ramps(
-    r: int, at: Array, born: Array, before: Array, stiffness: Array, run: Run, flat: Array, scales: Array,
-    cell: Array, column: Array, lanes: int,
+    born: Array, broke: Array, run: Run, deposits: Array, scales: Array,
+    start: Array, end: Array, column: Array, lanes: int,
 ) -> None:  # fmt: skip
-    """Without delay a life begins at `at` where another, born at `born` with stiffness `before`, ends: both leave their
-    ramps in one place, and the count of pinned contacts stays."""
-    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    """`leave_ramps` of uniform stiffness, where COUNT and FORCE stand for the other columns."""
+    per_step = (run.points - 1) / run.distance
     for i in range(lanes):
-        point = math.ceil(min(at[i] * per_step, run.points))
-        x, y = point * step - at[i], point * step - born[i]
-        new, old = stiffness[r, i], before[i]
-        cell[i] = int(6.0 * point)
-        column[0, i] = fixed(new, scales[SLOPE]) - fixed(old, scales[SLOPE])
-        column[1, i] = fixed(new * x, scales[FORCE]) - fixed(old * y, scales[FORCE])
+        start[i], end[i] = point_after(born[i], run, per_step), point_after(broke[i], run, per_step)
+        column[0, i] = fixed(born[i], -scales[FORCE])
+        column[1, i] = fixed(born[i] * born[i], scales[SQUARE])
     for i in range(lanes):
-        point = math.ceil(min(at[i] * per_step, run.points))
-        x, y = point * step - at[i], point * step - born[i]
-        new, old = stiffness[r, i] * stiffness[r, i], before[i] * before[i]
-        column[2, i] = fixed(new, scales[SLOPE2]) - fixed(old, scales[SLOPE2])
-        column[3, i] = fixed(new * x, scales[RAMP2]) - fixed(old * y, scales[RAMP2])
-        column[4, i] = fixed(new * x * x, scales[SQUARE]) - fixed(old * y * y, scales[SQUARE])
-    end = np.uint64(6 * run.points)
-    for i in range(lanes):
-        k = np.uint64(cell[i])
-        if k < end:
-            flat[k + _SLOPE] += column[0, i]
-            flat[k + _FORCE] += column[1, i]
-            flat[k + _SLOPE2] += column[2, i]
-            flat[k + _RAMP2] += column[3, i]
-            flat[k + _SQUARE] += column[4, i]
-        born[i], before[i] = at[i], stiffness[r, i]
+        if end[i] < run.points:
+            move_row(deposits, start[i], end[i], (1, 0, column[0, i], 0, 0, column[1, i]))
+        elif start[i] < run.points:
+            leave(deposits, start[i], 1, 1.0, born[i], scales)
 
 
 @routine
 def join_even_ramps(
-    at: Array, born: Array, run: Run, flat: Array, scales: Array, cell: Array, column: Array, lanes: int
+    born: Array, broke: Array, run: Run, flat: Array, scales: Array, cell: Array, column: Array, lanes: int
 ) -> None:
-    """`join_ramps` of uniform stiffness, for the lives that follow those from `born` to `at`."""
-    per_step, step = (run.points - 1) / run.distance, run.distance / (run.points - 1)
+    """Without delay a life begins where another, from `born` to `broke`, ends: with uniform stiffness nothing changes
+    there but the square and the place of birth."""
+    per_step = (run.points - 1) / run.distance
     for i in range(lanes):
-        point = math.ceil(min(at[i] * per_step, run.points))
-        x, y = point * step - at[i], point * step - born[i]
-        cell[i] = int(6.0 * point)
-        column[0, i] = fixed(x, scales[FORCE]) - fixed(y, scales[FORCE])
-        column[1, i] = fixed(x * x, scales[SQUARE]) - fixed(y * y, scales[SQUARE])
+        way = broke[i] - born[i]
+        cell[i] = 6 * point_after(broke[i], run, per_step)
+        column[0, i] = fixed(way, -scales[FORCE])
+        column[1, i] = fixed(way * (born[i] + broke[i]), scales[SQUARE])
     end = np.uint64(6 * run.points)
     for i in range(lanes):
         k = np.uint64(cell[i])
@@ -509,22 +464,22 @@ def simulate(
     contact, turn, mark = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     position, edge, since = np.full(LANES, math.inf), np.empty(LANES), np.empty(LANES)  # idle lanes are at infinity
     work, way = np.empty(LANES), np.empty(LANES)  # since the displacement `since`, where a contact was `mark` lives old
-    born, before = np.empty(LANES), np.empty(LANES)  # birth and stiffness of the life before
     stiffness, stretch = np.empty((ROUNDS, LANES)), np.empty((ROUNDS, LANES))
     clock, delay = np.full((ROUNDS, LANES), math.inf), np.full((ROUNDS, LANES), c.delay)
     broke, reborn = np.empty(LANES), np.empty(LANES)
-    index, cell, words = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty((4, LANES), np.uint64)
-    column, flat = np.empty((5, LANES), np.int64), deposits.reshape(-1)
-    step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
-    even, joined = c.kappa_slope == 0.0, c.delay == 0.0
+    index, start, end = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    words, column, flat = np.empty((4, LANES), np.uint64), np.empty((5, LANES), np.int64), deposits.reshape(-1)
+    per_step = (run.points - 1) / run.distance
+    even = c.kappa_slope == 0.0
     one_by_one = run.batch_by_life or c.aging == LANGEVIN or (c.aging != UNAGED and not even)
-    start = 1 if run.stationary else 0
+    joined = even and c.delay == 0.0 and not one_by_one
+    oldest = 1 if run.stationary else 0
     table, steps, erfi_inverse = c.threshold_table, c.steps, c.erfi_inverse
     active, upcoming = 0, first
     while True:
         if 2 * active <= LANES:
             while active < LANES and upcoming < last:
-                contact[active], turn[active], position[active] = upcoming, start, 0.0
+                contact[active], turn[active], position[active] = upcoming, oldest, 0.0
                 if run.stationary:
                     position[active] = found_at_start(
                         c, standing, key, upcoming, run, deposits, batches, scales, batch_scales
@@ -534,14 +489,10 @@ def simulate(
                 if x > run.distance:
                     position[active] = math.inf
                     continue
-                if joined and not one_by_one and x * per_step <= run.points - 1:
-                    point = math.ceil(x * per_step)
-                    if even:
-                        leave(deposits, int(point), 1, 1.0, point * step - x, scales)
-                    else:
-                        deposits[int(point), COUNT] += 1
-                edge[active], since[active], mark[active] = edge_after(run, x), x, ROUNDS * start
-                work[active], way[active], born[active], before[active] = 0.0, 0.0, x, 0.0
+                if joined and x * per_step <= run.points - 1:
+                    leave(deposits, math.ceil(x * per_step), 1, 1.0, x, scales)
+                edge[active], since[active], mark[active] = edge_after(run, x), x, ROUNDS * oldest
+                work[active], way[active] = 0.0, 0.0
                 active += 1
         if active == 0 or status[1] != 0:
             return
@@ -559,7 +510,7 @@ def simulate(
             if c.aging == FLOW:
                 flow_all(c, r, stretch, clock, active)
             elif c.aging == UNAGED and c.breaking == SOFT:
-                soft_all(erfi_inverse, c.b, c.log_w, r, stretch, clock, stiffness, full)
+                soft_all(erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, full)
             elif c.aging == UNAGED and c.breaking == STIFF:
                 stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, full)
             elif c.aging == UNAGED and c.breaking == POOLED:
@@ -580,20 +531,16 @@ def simulate(
                 work[i] += 0.5 * stiffness[r, i] * x * x
                 broke[i] = position[i] + x
                 reborn[i] = broke[i]
-            if joined and even:
-                join_even_ramps(broke, position, run, flat, scales, cell, column, full)
-            elif joined:
-                join_ramps(r, position, born, before, stiffness, run, flat, scales, cell, column, full)
+            if joined:
+                join_even_ramps(position, broke, run, flat, scales, start, column, full)
             else:
                 for i in range(full):
                     way[i] += stretch[r, i]
                     reborn[i] = broke[i] + delay[r, i]
                 if even:
-                    leave_even_ramps(np.int64(1), position, position, run, flat, scales, cell, column, full)
-                    leave_even_ramps(np.int64(-1), broke, position, run, flat, scales, cell, column, full)
+                    leave_even_ramps(position, broke, run, deposits, scales, start, end, column, full)
                 else:
-                    leave_ramps(r, np.int64(1), position, position, stiffness, run, flat, scales, cell, column, full)
-                    leave_ramps(r, np.int64(-1), broke, position, stiffness, run, flat, scales, cell, column, full)
+                    leave_ramps(r, position, broke, stiffness, run, deposits, scales, start, end, column, full)
             crossing = 0
             for i in range(active):
                 crossing += reborn[i] > edge[i]
@@ -609,7 +556,7 @@ def simulate(
                     edge[i], since[i], mark[i] = edge_after(run, reborn[i]), reborn[i], life + 1
                     work[i], way[i] = 0.0, 0.0
                     if reborn[i] > run.distance:
-                        status[0] += life + 1 - ROUNDS * start
+                        status[0] += life + 1 - ROUNDS * oldest
                         ended = True
             for i in range(active):
                 position[i] = reborn[i]
@@ -621,5 +568,5 @@ def simulate(
                     active -= 1
                     contact[i], turn[i], mark[i] = contact[active], turn[active], mark[active]
                     position[i], edge[i], since[i] = position[active], edge[active], since[active]
-                    work[i], way[i], born[i], before[i] = work[active], way[active], born[active], before[active]
+                    work[i], way[i] = work[active], way[active]
                     position[active] = math.inf

@@ -7,10 +7,11 @@ below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp (of -708 to 708), 2.5 for lo
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
-from eqsim.compiled import inlined
+from eqsim.compiled import fma, inlined
 
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # their product with 2^11 is exact
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of sqrt(1/2)
@@ -21,44 +22,61 @@ _TAYLOR = tuple(1.0 / math.factorial(i) for i in range(14))
 
 
 @inlined
-def log(x: float) -> float:
-    """ln x of a normal x > 0."""
+def _split(x: float) -> tuple[Any, Any]:
+    """k and f of a normal x = 2^k (1 + f) > 0, sqrt(1/2) <= 1 + f < sqrt(2)."""
     bits = np.float64(x).view(np.int64)
     k = (bits - _ROOT_HALF) >> 52
-    f = np.int64(bits - (k << 52)).view(np.float64) - 1.0  # sqrt(1/2) <= 1 + f < sqrt(2)
+    return k, np.int64(bits - (k << 52)).view(np.float64) - 1.0
+
+
+@inlined
+def _log_of(k: Any, f: float) -> float:
+    """ln(2^k (1 + f)) of what `_split` returns."""
     exponent = np.int64(k + _SHIFT_BITS).view(np.float64) - _SHIFT
     s = f / (2.0 + f)
     z = s * s
     w = z * z
-    odd = w * (3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01))
-    even = 2.857142874366239149e-01 + w * (1.818357216161805012e-01 + w * 1.479819860511658591e-01)
-    rest = odd + z * (6.666666666666735130e-01 + w * even)
+    odd = fma(w, fma(w, 1.531383769920937332e-01, 2.222219843214978396e-01), 3.999999999940941908e-01)
+    even = fma(w, fma(w, 1.479819860511658591e-01, 1.818357216161805012e-01), 2.857142874366239149e-01)
+    rest = fma(w, odd, z * fma(w, even, 6.666666666666735130e-01))
     half = 0.5 * f * f
-    return exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
+    return fma(exponent, _LN2_HIGH, f - (half - fma(s, half + rest, exponent * _LN2_LOW)))
+
+
+@inlined
+def log(x: float) -> float:
+    """ln x of a normal x > 0."""
+    return _log_of(*_split(x))
 
 
 @inlined
 def exp(x: float) -> float:
     """e^x; beyond +-708 the value there."""
-    x = min(max(x, -708.0), 708.0)
+    return bounded_exp(min(max(x, -708.0), 708.0))
+
+
+@inlined
+def bounded_exp(x: float) -> float:
+    """e^x, |x| <= 708."""
     shifted = x * 1.4426950408889634 + _SHIFT
     k = shifted - _SHIFT
-    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
+    r = fma(-k, _LN2_LOW, fma(-k, _LN2_HIGH, x))
     r2 = r * r
     r4 = r2 * r2
-    high = (_TAYLOR[8] + _TAYLOR[9] * r) + r2 * (_TAYLOR[10] + _TAYLOR[11] * r) + r4 * (_TAYLOR[12] + _TAYLOR[13] * r)
-    middle = (_TAYLOR[4] + _TAYLOR[5] * r) + r2 * (_TAYLOR[6] + _TAYLOR[7] * r)
-    p = 1.0 + (r + r2 * ((0.5 + _TAYLOR[3] * r) + r2 * (middle + r4 * high)))
+    highest = fma(r2, fma(_TAYLOR[13], r, _TAYLOR[12]), fma(_TAYLOR[11], r, _TAYLOR[10]))
+    high = fma(r2, highest, fma(_TAYLOR[9], r, _TAYLOR[8]))
+    middle = fma(r2, fma(_TAYLOR[7], r, _TAYLOR[6]), fma(_TAYLOR[5], r, _TAYLOR[4]))
+    p = 1.0 + fma(r2, fma(r2, fma(r4, high, middle), fma(_TAYLOR[3], r, 0.5)), r)
     power = np.int64((np.float64(shifted).view(np.int64) - _SHIFT_BITS + 1023) << 52).view(np.float64)
     return p * power
 
 
 @inlined
 def log_one_plus(t: float) -> float:
-    """ln(1 + t), t >= 0 (Kahan)."""
+    """ln(1 + t), 0 <= t < 2^1000: what 1 + t loses is added to its mantissa."""
     u = 1.0 + t
-    lost = u - 1.0
-    return log(u) * (t / lost) if lost > 0.0 else t
+    k, f = _split(u)
+    return _log_of(k, f + (t - (u - 1.0)) * np.int64((1023 - k) << 52).view(np.float64))
 
 
 @inlined
@@ -66,5 +84,5 @@ def two_thirds_power(y: float) -> float:
     """y^(2/3) of a normal y > 0: Newton's method for y^(-1/3), from a third of the bits of y."""
     r = np.int64(_CUBE_BITS - np.float64(np.float64(y).view(np.int64)) * (1.0 / 3.0)).view(np.float64)
     for _ in range(4):
-        r += r * ((1.0 - y * (r * r * r)) * (1.0 / 3.0))
+        r = fma(r * (1.0 / 3.0), fma(-y, r * r * r, 1.0), r)
     return y * r

@@ -27,7 +27,7 @@ from scipy import interpolate, special
 
 from eqsim.compiled import inlined
 from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number
-from eqsim.laws.elementary import exp, log_one_plus, two_thirds_power
+from eqsim.laws.elementary import bounded_exp, log_one_plus, two_thirds_power
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw, panels_above
@@ -109,7 +109,7 @@ _FLAT = 400.0  # ln(1 + y) is ln y to rounding, with room for any factor before 
 @inlined
 def softplus_of(factor: float, log: float) -> float:
     """ln(1 + factor exp(log)); 1e-100 < factor where log > 400, and log > -700, as ln(v/omega) is everywhere."""
-    return log_one_plus(factor * exp(min(log, _FLAT))) + max(log - _FLAT, 0.0)
+    return log_one_plus(factor * bounded_exp(min(log, _FLAT))) + max(log - _FLAT, 0.0)
 
 
 # An inverse in three steps, each of which is a loop of its own where many contacts break: a look-up between the others
@@ -117,9 +117,10 @@ def softplus_of(factor: float, log: float) -> float:
 
 
 @inlined
-def soft_rank(xi: float, a: float, log_w: float, clock: float) -> float:
-    """ln(1 + erfi(sqrt(a) x)) of the x where exp(log_w) H(x) = clock; log_w = ln(omega/v)."""
-    return softplus_of(_SOFT * clock * math.sqrt(a), a * xi * xi - log_w)
+def soft_rank(xi: float, root: float, log_w: float, clock: float) -> float:
+    """ln(1 + erfi(root x)), root = sqrt(a), of the x where exp(log_w) H(x) = clock; log_w = ln(omega/v)."""
+    top = root * xi
+    return softplus_of(_SOFT * clock * root, top * top - log_w)
 
 
 @inlined
@@ -130,15 +131,16 @@ def soft_inverse(erfi_inverse: Array, rank: float) -> float:
 
 
 @inlined
-def soft_end(xi: float, a: float, z: float) -> float:
-    """Where a soft contact breaks, z = sqrt(a) x."""
-    return min(xi, z / math.sqrt(a))
+def soft_end(xi: float, per_root: float, z: float) -> float:
+    """Where a soft contact breaks, z = sqrt(a) x; per_root = 1/sqrt(a)."""
+    return min(xi, z * per_root)
 
 
 @inlined
 def soft_stretch(erfi_inverse: Array, xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a soft contact breaks: exp(log_w) H(x) = clock or x = xi; log_w = ln(omega/v)."""
-    return soft_end(xi, a, soft_inverse(erfi_inverse, soft_rank(xi, a, log_w, clock)))
+    root = math.sqrt(a)
+    return soft_end(xi, 1.0 / root, soft_inverse(erfi_inverse, soft_rank(xi, root, log_w, clock)))
 
 
 @inlined
