@@ -9,19 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from eqsim import Delay, Ensemble, InputError
+from eqsim import Ensemble, InputError
 from eqsim.cli import app
 from eqsim.validation import KINDS, SUITES, Score, _hazard, sample, validate, verdict
 
 
 def changed(**changes):
     return lambda ensemble: dataclasses.replace(ensemble, **changes)
-
-
-def faster(ensemble):
-    """omega 2 % too high."""
-    omega = 1.02 * ensemble.thermal.attempt_frequency
-    return dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, attempt_frequency=omega))
 
 
 def aged(**changes):
@@ -34,34 +28,21 @@ def aged(**changes):
     return change
 
 
-def aging_faster(ensemble):
-    """D 20 % too high."""
-    return aged(rate=1.2 * ensemble.aging.rate)(ensemble)
-
-
 @pytest.mark.parametrize(
     ("wrong", "kinds"),
     [
-        (changed(stiffness_law="uniform"), {"friction", "transient"}),
         (changed(disorder="quenched"), {"friction", "break_stretch", "transient", "hazard", "hazard law"}),
-        (faster, {"friction", "break_stretch"}),
-        (changed(delay=Delay(0.0)), {"friction", "pinned", "transient"}),
-        (aging_faster, {"friction", "break_stretch"}),
         (aged(rule="flow"), {"friction", "break_stretch"}),
         (aged(rule="none"), {"friction", "break_stretch", "hazard law"}),
     ],
     ids=[
-        "uniform instead of sqrt",
         "quenched instead of annealed",
-        "omega 2 % off",
-        "delay ignored",
-        "D 20 % off",
         "flow instead of langevin",
         "x_*f ignored",
     ],
 )
 def test_negative_controls(wrong, kinds):
-    """One thing wrong in the engine alone: the suite fails, where it should."""
+    """One thing wrong in the engine alone: the suite fails, where it should; more under `-m verification`."""
     result = validate("quick", threads=2, wrong=wrong)
     assert not result.passed
     assert kinds <= {verdict.kind for verdict in result.verdicts if not verdict.passed}

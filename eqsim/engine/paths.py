@@ -11,7 +11,7 @@ where a break is unlikely. In a step
                drift, and the drift varies little in so short a step
     heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
-The error in friction is second order in STEP; at the default it is below 1e-3 (`analysis/aging_steps.py`).
+Stiff barriers take half of STEP. The error in friction is second order in STEP; at the default it is below 1e-3 (`analysis/aging_steps.py`).
 """
 
 import math
@@ -104,6 +104,8 @@ def walk(
     Returns whether it broke, threshold and stretch at the end, what the clock has left, work done over k, and the next
     draw.
     """
+    if c.breaking == STIFF:  # its rate falls to 0 at the stretch, like a root
+        step = 0.5 * step
     variance = 0.5 * c.alpha * c.final2  # 2 D_v, per unit of displacement
     sigma, gap = math.sqrt(variance), xi - x
     drift = variance * ((c.shape + 0.5) / xi - xi / c.final2)

@@ -116,7 +116,9 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
     detached = 1.0 - pinned
     force += drag * detached
     variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
-    return force, pinned, variance
+    # what rounding may hide of it, on ways so long that squares of X leave no room
+    lost = 4.0 * np.finfo(np.longdouble).eps * total[:, SLOPE2] * X * X + (X > 0) / scales.deposits[SQUARE]
+    return force, pinned, variance + lost.astype(float)
 
 
 # ------------------------------------------------------------------------------------------------------- kernels

@@ -1,0 +1,204 @@
+"""The long statistical run: a thousand parameter points, flat p-values, and one wrong thing at a time.
+
+    pytest -m verification
+
+leaves runs/out/verification/{report.md, scores.parquet, verification.png}. Verdicts on all points, and on all seeds,
+are given by the test that finishes last; what the same code has done before is kept until its test is run again. False
+alarms of a correct program: all points together once in 500 runs, flatness once in 500, single scores beyond 6.5 once
+in a million.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from report import PARTS, SEED, SEEDS, leave, publish
+
+from eqsim import validation
+from eqsim.engine.standing import standing
+from eqsim.laws.octaves import octave_edges, octave_table
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE
+from eqsim.validation import ALARM, KINDS, Suite, columns, validate
+
+pytestmark = pytest.mark.verification
+
+FAR = 6.5  # 8e-11 of a normal score
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_parameter_space(part):
+    """Engine against master equation at 1008 points: means (Z), variances (Y), hazards, covariances."""
+    begin = time.perf_counter()
+    result = validate("verification", seed=SEED, part=(part, PARTS))
+    leave(f"space-{part:02d}", begin, columns(result.scores))
+    found = publish()
+    far = [score for score in result.scores if not abs(score.z) < FAR]
+    assert not far
+    if "space" in found.complete:
+        assert [v for v in found.verdicts if not v.passed] == []
+        assert min(v.count for v in found.verdicts) >= 50
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_p_values_are_flat(seed, monkeypatch):
+    """Over seeds both p-values of every kind are uniform."""
+    begin = time.perf_counter()
+    monkeypatch.setitem(validation.SUITES, "flat", Suite(15, 5, ((20, 2000), (100, 1000))))
+    result = validate("flat", seed=seed)
+    leave(f"flat-{seed}", begin, verdicts=[dataclasses.asdict(v) for v in result.verdicts if v.count])
+    found = publish()
+    if "flat" in found.complete:
+        assert {kind for kind, _ in found.flatness} == set(KINDS)
+        assert [at for at, p in found.flatness.items() if not p > ALARM] == []
+
+
+# ------------------------------------------------------------------------------------------------ negative controls
+
+
+class Control(NamedTuple):
+    """A law, what is wrong with it in the engine, the ensembles it applies to, and the kinds that must fail."""
+
+    law: str
+    wrong: str
+    change: Callable
+    kinds: set
+    of: Callable = lambda ensemble: True
+
+
+def set_(**changes):
+    return lambda e: dataclasses.replace(e, **changes)
+
+
+def part(name, **factors):
+    """Some numbers of a part of the ensemble multiplied."""
+
+    def change(e):
+        old = getattr(e, name)
+        new = {key: factor * getattr(old, key) for key, factor in factors.items()}
+        return dataclasses.replace(e, **{name: dataclasses.replace(old, **new)})
+
+    return change
+
+
+def of_part(name, **changes):
+    return lambda e: dataclasses.replace(e, **{name: dataclasses.replace(getattr(e, name), **changes)})
+
+
+def shape(e):
+    return dataclasses.replace(e, thresholds=dataclasses.replace(e.thresholds, n=1.03 * e.thresholds.n + 0.01))
+
+
+def soft(e):
+    return e.thermal.barrier == "soft"
+
+
+def stiff(e):
+    return e.thermal.barrier == "stiff"
+
+
+def hot(e):
+    return e.thermal.kT > 0
+
+
+def langevin(e):
+    return e.disorder == "quenched" and e.aging.active and e.aging.rule == "langevin"
+
+
+def flow(e):
+    return e.disorder == "quenched" and e.aging.active and e.aging.rule == "flow"
+
+
+def pooled(e):
+    return e.disorder == "annealed" and e.aging.active
+
+
+STEADY = {"friction", "break_stretch"}
+CONTROLS = [
+    Control("thresholds", "x_* 2 % too large", part("thresholds", x_star=1.02), {*STEADY, "transient"}),
+    Control("thresholds", "n 3 % and 0.01 too large", shape, STEADY),
+    Control("stiffness", "k 2 % too large", set_(stiffness=1.02), STEADY),
+    Control("stiffness", "uniform instead of sqrt", set_(stiffness_law="uniform"), {"friction", "transient variance"}),
+    Control("attempts", "omega 2 % too large", part("thermal", attempt_frequency=1.02), STEADY, hot),
+    Control("stiffness", "sqrt instead of uniform", set_(stiffness_law="sqrt"), {"friction", "transient variance"}),
+    Control("soft", "stiff instead", of_part("thermal", barrier="stiff"), {*STEADY, "hazard law"}, soft),
+    Control("soft", "kT 2 % too high", part("thermal", kT=1.02), STEADY, soft),
+    Control("stiff", "soft instead", of_part("thermal", barrier="soft"), {*STEADY, "hazard law"}, stiff),
+    Control("stiff", "kT 2 % too high", part("thermal", kT=1.02), STEADY, stiff),
+    Control("delay", "2 % too long", part("delay", time=1.02), {"friction", "pinned"}),
+    Control("delay", "exponential instead of fixed", of_part("delay", law="exponential"), {"transient"}),
+    Control("viscosity", "eta 5 % too large", lambda e: dataclasses.replace(e, eta=1.05 * e.eta), {"friction"}),
+    Control("langevin", "D 10 % too large", part("aging", rate=1.1), STEADY, langevin),
+    Control("langevin", "flow instead", of_part("aging", rule="flow"), STEADY, langevin),
+    Control("flow", "D 10 % too large", part("aging", rate=1.1), STEADY, flow),
+    Control("flow", "x_*f 2 % too large", part("aging", x_star_final=1.02), STEADY, flow),
+    Control("flow", "langevin instead", of_part("aging", rule="langevin", rate=1.0), STEADY, flow),
+    Control("pooled", "own thresholds instead", set_(disorder="quenched"), {*STEADY, "hazard law"}),
+    Control("pooled", "births age 10 % faster", part("aging", rate=1.1), STEADY, pooled),
+]
+
+
+def run_control(law, wrong, kinds, result, begin):
+    failed = {v.kind for v in result.verdicts if not v.passed}
+    verdicts = [dataclasses.asdict(v) for v in result.verdicts]
+    name = "".join(c if c.isalnum() else "_" for c in f"{law}_{wrong}")
+    leave(f"control-{name}", begin, law=law, wrong=wrong, caught=kinds <= failed, verdicts=verdicts)
+    publish()
+    assert kinds <= failed
+
+
+@pytest.mark.parametrize("control", CONTROLS, ids=[f"{c.law}: {c.wrong}" for c in CONTROLS])
+def test_wrong_law(control, monkeypatch):
+    """One law wrong in the engine alone, at all points that know it: every kind it must show in fails."""
+    begin = time.perf_counter()
+    monkeypatch.setitem(validation.SUITES, "control", Suite(18, 6, ((20, 2000), (100, 1000))))
+    drawn = validation.sample
+    monkeypatch.setattr(validation, "sample", lambda count, seed: knowing(drawn, control, count, seed))
+    result = validate("control", seed=7, wrong=control.change)
+    run_control(control.law, control.wrong, control.kinds, result, begin)
+
+
+def knowing(drawn, control, count, seed):
+    """The first `count` points that know what is wrong."""
+    points = [(e, v) for e, v in drawn(24 * count, seed) if control.of(e) and control.change(e) != e]
+    return points[:count]
+
+
+def all_pinned(c):
+    """No contact found waiting."""
+    return standing(c)._replace(pinned=1.0)
+
+
+def births(c):
+    """Thresholds of births instead of those that a snapshot finds."""
+    found = standing(c)
+    edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+    same = octave_table(FIRST_OCTAVE, edges, np.ones(edges.size))
+    return found._replace(biased=same) if found.biased.size else found
+
+
+def long_lives(c):
+    """Stretches from 0 to the threshold alone, evenly: an envelope that is too high is harmless, one too low is not."""
+    found = standing(c)
+    return found._replace(life=0.8 * found.life) if found.life.size else found
+
+
+START = [
+    ("all pinned", all_pinned, {"mean"}),
+    ("thresholds of births", births, {"mean", "variance"}),
+    ("envelope 20 % too low", long_lives, {"mean"}),
+]
+
+
+@pytest.mark.parametrize(("wrong", "start", "kinds"), START, ids=[row[0] for row in START])
+def test_wrong_stationary_start(wrong, start, kinds, monkeypatch):
+    """What the stationary start finds is wrong."""
+    begin = time.perf_counter()
+    monkeypatch.setitem(validation.SUITES, "control", Suite(36, 12, ((20, 2000), (100, 1000))))
+    monkeypatch.setattr(validation, "standing", start)
+    result = validate("control", seed=7)
+    assert math.isfinite(sum(v.chi_square for v in result.verdicts))
+    run_control("stationary start", wrong, kinds, result, begin)
