@@ -184,6 +184,7 @@ def test_full_disk_leaves_nothing(run_file, tmp_path):
 def test_interrupt_leaves_nothing(run_file, tmp_path):
     """Ctrl-C in mid-run: exit code 130, one line, no file."""
     out = tmp_path / "out"
+    assert call("run", run_file, "--out", tmp_path / "compiled").exit_code == 0  # what follows is in mid-run indeed
     process = subprocess.Popen(
         [*EQSIM, "run", str(run_file), "--out", str(out), "--set", "contacts.count=300000000"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

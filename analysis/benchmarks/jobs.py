@@ -12,13 +12,13 @@ import numpy as np
 
 from analysis.benchmarks import scalar, stepped, tuned
 from analysis.benchmarks.cases import VELOCITY, Case, Sizes
-from eqsim.engine.life import lives as draw_lives
+from eqsim.engine.life import LANES, ROUNDS, plain_sums
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.streams import STEADY, key
 from eqsim.engine.trajectory import Trajectory, trajectory
 from eqsim.ensemble import Drive, Ensemble, lower
 
-BATCHES, BLOCK = 64, 2**14  # of a plain average
+BATCHES = 64  # of a plain average
 
 
 class Outcome(NamedTuple):
@@ -50,15 +50,12 @@ def take_turns(contenders: dict[str, Contender], repeats: int, seed: int) -> Tur
 
 def plain(ensemble: Ensemble, velocity: float, lives: int, seed: int, threads: int) -> Outcome:
     """Friction of eqsim's lives, plainly drawn, by renewal-reward."""
-    c, size = lower(ensemble, velocity), -(-lives // BATCHES)
+    c, turns = lower(ensemble, velocity), -(-lives // (BATCHES * LANES * ROUNDS))
+    size = turns * LANES * ROUNDS
 
     def sums(batch: int) -> tuple[float, float]:
-        rng, total = np.random.Generator(np.random.SFC64((seed, batch))), np.zeros(2)
-        for first in range(0, size, BLOCK):
-            u, v = 1.0 - rng.random((2, min(BLOCK, size - first)))
-            work, stretch = draw_lives(c, key(seed, STEADY), batch * size + first, u, v)
-            total += work.sum(), stretch.sum()
-        return float(total[0]), float(total[1])
+        work, stretch, *_ = plain_sums(c, key(seed, STEADY), batch * LANES, 0, turns)
+        return work, stretch
 
     with ThreadPoolExecutor(threads) as pool:
         work, stretch = np.array(list(pool.map(sums, range(BATCHES)))).T

@@ -11,7 +11,8 @@ where a break is unlikely. In a step
                drift, and the drift varies little in so short a step
     heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
-Stiff barriers take half of STEP. The error in friction is second order in STEP; at the default it is below 1e-3 (`analysis/aging_steps.py`).
+Stiff barriers take half of STEP. The error in friction is second order in STEP; at the default it is below 1e-3
+(`analysis/aging_steps.py`).
 """
 
 import math
