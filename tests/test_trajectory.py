@@ -276,3 +276,10 @@ def test_refusals():
     wide = Ensemble(Table([1e-9] * 999 + [1e9]), count=100)
     with pytest.raises(InputError, match="too much to add up"):
         trajectory(wide, Drive(1.0, 10.0), max_lives=1e15)
+
+
+@pytest.mark.parametrize("stiffness_law", ["sqrt", "uniform"])
+def test_without_delay_the_pinned_fraction_is_exact(stiffness_law):
+    run = trajectory(Ensemble(count=2000, stiffness_law=stiffness_law), Drive(0.1, 40.0), points=41)
+    assert (run.pinned_fraction.value, run.pinned_fraction.stderr) == (1.0, 0.0)
+    assert run.pinned_fraction.reliable

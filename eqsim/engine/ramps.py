@@ -552,7 +552,7 @@ def simulate(
                     elapsed = position[i] - since[i]
                     cross(
                         batches, contact[i] % BATCHES, run, edge[i], work[i] - 0.5 * spring * x * x,
-                        elapsed if joined else way[i] - x, elapsed, life - mark[i],
+                        elapsed if c.delay == 0.0 else way[i] - x, elapsed, life - mark[i],  # to the last bit
                         spring, position[i], broke[i], reborn[i], batch_scales,
                     )  # fmt: skip
                     edge[i], since[i], mark[i] = edge_after(run, reborn[i]), reborn[i], life + 1
