@@ -67,6 +67,11 @@ class Ensemble:
         """Whether births depend on the mean pinned time: annealed contacts that age at a finite rate."""
         return self.disorder == "annealed" and self.aging.active and self.aging.rate < math.inf
 
+    @property
+    def fluctuates(self) -> bool:
+        """Whether thresholds fluctuate while pinned: quenched contacts that age by `langevin`."""
+        return self.disorder == "quenched" and self.aging.active and self.aging.rule == "langevin"
+
     def births(self, velocity: float, mean_stretch: float | None = None) -> ThresholdLaw:
         """Law of thresholds at birth: newborn ones, final ones if they age at once, or those of star1 for annealed
         contacts with `mean_stretch` = C (length). Raises InputError."""

@@ -171,11 +171,6 @@ def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
     return dataclasses.replace(ensemble, thermal=thermal, aging=Aging(rule, rate, final))
 
 
-def _fluctuates(ensemble: Ensemble) -> bool:
-    """Whether thresholds fluctuate while their contacts are pinned."""
-    return ensemble.disorder == "quenched" and ensemble.aging.active and ensemble.aging.rule == "langevin"
-
-
 def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
     """The same contacts; births of annealed ones that age are held at the stretch C that was `found`."""
     if not ensemble.self_consistent:
@@ -204,7 +199,7 @@ def validate(
     points = list(enumerate(sample(plan.points, seed)))[part[0] :: part[1]]
     for done, (index, (ensemble, v)) in enumerate(points, 1):
         shown = wrong(ensemble) if wrong else ensemble
-        rel_error = 1.0 if _fluctuates(shown) else _REL_ERROR  # 1.0: the first 65 536 lives will do
+        rel_error = 1.0 if shown.fluctuates else _REL_ERROR  # 1.0: the first 65 536 lives will do
         found = steady(shown, v, rel_error=rel_error, seed=seed, threads=threads)
         scores += _averages(ensemble, shown, v, found)
         shown = _held(shown, v, found)
@@ -256,7 +251,7 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
     """Eight ensembles, each asked for F at one displacement of its own, and eight more for its variance."""
     mean = ensemble.thresholds.mean
     cost = predicted_lives(dataclasses.replace(ensemble, count=1), Drive(v, 5 * mean))
-    dear = _DEAR if _fluctuates(shown) else 1
+    dear = _DEAR if shown.fluctuates else 1
     least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
     shown = dataclasses.replace(shown, count=int(min(20_000, max(least, 1e6 / dear / cost))))
     exact = transient(ensemble, Drive(v, 5 * mean), points=9)
@@ -386,11 +381,11 @@ def _fluctuations(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, size
     if s.aging != "none" and s.stiffness == "sqrt":  # no reference
         return []
     contacts, ensembles = size
-    if _fluctuates(shown):
+    if shown.fluctuates:
         contacts = min(contacts, 40_000 // ensembles)
     lag = 0.5 * ensemble.thresholds.mean
     shown = dataclasses.replace(shown, count=contacts)
-    if predicted_lives(shown, Drive(v, lag)) * ensembles > (2e8 / _DEAR**2 if _fluctuates(shown) else 2e8):
+    if predicted_lives(shown, Drive(v, lag)) * ensembles > (2e8 / _DEAR**2 if shown.fluctuates else 2e8):
         return []
     exact, level = fluctuations(ensemble, v, lag, points=2), reference(ensemble, v).friction
     F, _ = _forces(shown, Drive(v, lag, "stationary"), ensembles, seed)

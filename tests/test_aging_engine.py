@@ -317,6 +317,7 @@ def test_conservation(name):
     result = trajectory(ensemble, Drive(1.0, 1.0, "stationary"), points=11)
     # the elastic force, some lengths of a threshold, is less than 200 beside a drag of 1e6
     np.testing.assert_allclose(result.force / 1e6, 1.0 - result.pinned, atol=2e-4)
+    # a count over 300, times 300: rounding alone, far below the distance to the next count
     assert np.all(np.isclose(result.pinned * 300, np.rint(result.pinned * 300), atol=1e-9))
     for start in ("fresh", "stationary"):
         result = trajectory(replace(ensemble, delay=Delay(), eta=0.0), Drive(1.0, 1.0, start), points=11)

@@ -3,10 +3,8 @@
 import math
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pandas")
 import pandas as pd
+import pytest
 
 from analysis.benchmarks import report, tuned
 from analysis.benchmarks.cases import CASES, COMPILE, VELOCITY, Case

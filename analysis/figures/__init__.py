@@ -24,7 +24,6 @@ from eqsim.estimate import z_score
 from .common import STYLE, Curve
 
 NAMES = ("A01", "A01num", "A02", "A02ab", "A03", "A04", "A05")
-_REL_ERROR = {"langevin": 5e-3}  # of particles; 2e-3 elsewhere
 
 
 class Made(NamedTuple):
@@ -115,9 +114,8 @@ def _compute(job: _Job) -> dict[str, Any]:
     if not job.particles:
         row = {"source": "master equation", "friction": exact.value, "error": exact.stderr}
         return {"velocity": job.velocity, **row, "reliable": True, "z": None}
-    aging = job.ensemble.aging
-    rule = aging.rule if aging.active and job.ensemble.disorder == "quenched" else "none"
-    particles = steady(job.ensemble, job.velocity, rel_error=_REL_ERROR.get(rule, 2e-3)).friction
+    rel_error = 5e-3 if job.ensemble.fluctuates else 2e-3
+    particles = steady(job.ensemble, job.velocity, rel_error=rel_error).friction
     row = {"source": "particles", "friction": particles.value, "error": particles.stderr}
     z = z_score(particles, exact.value, exact.stderr)
     return {"velocity": job.velocity, **row, "reliable": particles.reliable, "z": z}
