@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from eqsim.compiled import fma, move_row
+from eqsim.compiled import add_row, fma, four_of, take_row
 from eqsim.laws import elementary
 
 RNG = np.random.default_rng(5)
@@ -98,19 +98,32 @@ def test_fma_rounds_once():
     assert any(exact)
 
 
-def test_move_row():
-    """A row is added at one place and taken back at another, or at the same, and nothing else is touched."""
+def test_rows():
+    """Numbers are added to a row, or taken from it, from a column on; nothing else is touched."""
 
     @numba.njit
-    def move(sums, start, end, row):
-        move_row(sums, start, end, (1, row[0], row[1], row[2], row[3], row[4]))
+    def change(sums, j, column, row):
+        add_row(sums, j, column, (1, row[0], row[1], row[2], row[3], row[4]))
+        take_row(sums, j + 1, column + 2, (row[0], row[1]))
 
-    sums, row = RNG.integers(-(2**62), 2**62, (9, 6)), RNG.integers(-(2**61), 2**61, 5)
-    for start, end in ((0, 8), (3, 4), (5, 5)):
+    sums, row = RNG.integers(-(2**62), 2**62, (9, 8)), RNG.integers(-(2**61), 2**61, 5)
+    for j, column in ((0, 0), (3, 2), (7, 1)):
         expected = sums.copy()
-        expected[start, 0] += 1
-        expected[start, 1:] += row
-        expected[end, 0] -= 1
-        expected[end, 1:] -= row
-        move(sums, start, end, row)
+        expected[j, column] += 1
+        expected[j, column + 1 : column + 6] += row
+        expected[j + 1, column + 2 : column + 4] -= row[:2]
+        change(sums, j, column, row)
         np.testing.assert_array_equal(sums, expected)
+
+
+def test_four_of():
+    """The four numbers of a row, as they are."""
+
+    @numba.njit
+    def weigh(table, j):
+        a, b, c, d = four_of(table, j)
+        return a + 10 * b + 100 * c + 1000 * d
+
+    table = RNG.random((5, 4))
+    for j in range(5):
+        assert weigh(table, j) == pytest.approx(table[j] @ [1, 10, 100, 1000], rel=1e-15)

@@ -26,8 +26,9 @@ from eqsim.laws.thermal import (
     pooled_hazard,
     pooled_rate,
     pooled_stretch,
+    soft_odds,
+    soft_rank,
     soft_stretch,
-    softplus_of,
     stiff_stretch,
 )
 
@@ -105,12 +106,16 @@ def test_derivative_of_the_hazard_is_the_rate(barrier):
 
 
 @pytest.mark.parametrize("factor", [1e-30, 1.0, 1e9])
-def test_softplus_of(factor):
+def test_soft_rank(factor):
     """ln(1 + factor e^y) from where it is factor e^y to where it is y + ln(factor), and where e^y overflows."""
+    clock = factor * math.sqrt(math.pi) / 2
     for y in (-690.0, -40.0, -1.0, 0.0, 3.0, 39.9, 40.1, 399.9, 400.1, 720.0, 1e10, 1e19):
+        xi, log_w = (math.sqrt(y), 0.0) if y > 0 else (1e-30, -y)
+        y = xi * xi - log_w
         with mpmath.workdps(400):
             exact = float(mpmath.log1p(factor * mpmath.exp(y))) if y < 1e5 else y + math.log(factor)
-        assert softplus_of(factor, y) == pytest.approx(exact, rel=4 * EPS, abs=0.0)
+        rank = soft_rank(xi, 1.0, log_w, soft_odds(xi, 1.0, log_w, clock))
+        assert rank == pytest.approx(exact, rel=6 * EPS, abs=0.0)
 
 
 def test_inverse_table():

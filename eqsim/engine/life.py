@@ -13,7 +13,7 @@ from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts, Ensemble, lower
 from eqsim.laws.aging import FLOW, LANGEVIN, flow_stretch
 from eqsim.laws.elementary import log
-from eqsim.laws.octaves import Array, look_up
+from eqsim.laws.octaves import Array, look_up, look_up_all
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.thermal import (
     MECHANICAL,
@@ -22,10 +22,11 @@ from eqsim.laws.thermal import (
     STIFF,
     pooled_stretch,
     soft_end,
-    soft_inverse,
+    soft_odds,
     soft_rank,
     soft_stretch,
     stiff_end,
+    stiff_odds,
     stiff_spent,
     stiff_stretch,
 )
@@ -93,23 +94,22 @@ def draw_rounds(
             for i in range(lanes):
                 threshold[r, i] = exponential_threshold(threshold[r, i])
         else:
-            draw_thresholds(table, steps, r, threshold, lanes)
+            draw_thresholds(table, steps, r, threshold, index, lanes)
         if not mechanical:
             for i in range(lanes):
                 clock[r, i] = -log(uniform(words[2, i], words[3, i]))
 
 
 @routine
-def draw_thresholds(table: Array, steps: Array, r: int, u: Array, lanes: int) -> None:
-    """Thresholds in the place of the uniforms u[r]."""
+def draw_thresholds(table: Array, steps: Array, r: int, u: Array, row: Array, lanes: int) -> None:
+    """Thresholds in the place of the uniforms u[r]; `row` is scratch."""
     if steps.size > 0:
         for i in range(lanes):
             u[r, i] = threshold_draw(table, steps, u[r, i])
         return
     for i in range(lanes):
         u[r, i] = -log(u[r, i])
-    for i in range(lanes):
-        u[r, i] = look_up(table, u[r, i])
+    look_up_all(table, r, u, row, lanes)
 
 
 # Laws of breaking for many contacts: stiffness at birth, and stretch at breaking in the place of thresholds. Each is a
@@ -126,25 +126,33 @@ def stiffen_all(slope: float, constant: float, r: int, threshold: Array, stiffne
 @routine
 def soft_all(
     erfi_inverse: Array, b: float, log_w: float, even: bool, r: int,
-    stretch: Array, clock: Array, stiffness: Array, lanes: int,
+    stretch: Array, clock: Array, stiffness: Array, row: Array, lanes: int,
 ) -> None:  # fmt: skip
     """Soft contacts, `even` if k_i = k, so that roots and divisions are the same for all; clocks are overwritten."""
-    root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
-    for i in range(lanes if even else 0):
-        clock[r, i] = soft_rank(stretch[r, i], root, log_w, clock[r, i])
-    for i in range(0 if even else lanes):
-        clock[r, i] = soft_rank(stretch[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
-    for i in range(lanes):
-        clock[r, i] = soft_inverse(erfi_inverse, clock[r, i])
-    for i in range(lanes if even else 0):
-        stretch[r, i] = soft_end(stretch[r, i], per_root, clock[r, i])
-    for i in range(0 if even else lanes):
-        stretch[r, i] = soft_end(stretch[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])
+    if even:
+        root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
+        for i in range(lanes):
+            clock[r, i] = soft_odds(stretch[r, i], root, log_w, clock[r, i])
+        for i in range(lanes):
+            clock[r, i] = soft_rank(stretch[r, i], root, log_w, clock[r, i])
+        look_up_all(erfi_inverse, r, clock, row, lanes)
+        for i in range(lanes):
+            stretch[r, i] = soft_end(stretch[r, i], per_root, clock[r, i])
+    else:
+        for i in range(lanes):
+            clock[r, i] = soft_odds(stretch[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
+        for i in range(lanes):
+            clock[r, i] = soft_rank(stretch[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
+        look_up_all(erfi_inverse, r, clock, row, lanes)
+        for i in range(lanes):
+            stretch[r, i] = soft_end(stretch[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])
 
 
 @routine
 def stiff_all(b: float, log_w: float, r: int, stretch: Array, clock: Array, stiffness: Array, lanes: int) -> None:
     """Stiff contacts; clocks are overwritten."""
+    for i in range(lanes):
+        clock[r, i] = stiff_odds(stretch[r, i], b * stiffness[r, i], log_w, clock[r, i])
     for i in range(lanes):
         clock[r, i] = stiff_spent(stretch[r, i], b * stiffness[r, i], log_w, clock[r, i])
     for i in range(lanes):
@@ -212,16 +220,17 @@ def fill_lives(
             stretch[i], work[i] = langevin_life(c, key, contact + i, r, xi, -math.log(v[i]), step)
         return
     x, clock, spring = np.empty((1, LANES)), np.empty((1, LANES)), np.empty((1, LANES))
+    row = np.empty(LANES, np.int64)
     for first in range(0, u.size, LANES):
         lanes = min(LANES, u.size - first)
         for i in range(lanes):
             x[r, i], clock[r, i] = u[first + i], -log(v[first + i])
-        draw_thresholds(c.threshold_table, c.steps, r, x, lanes)
+        draw_thresholds(c.threshold_table, c.steps, r, x, row, lanes)
         stiffen_all(c.kappa_slope, c.kappa_constant, r, x, spring, lanes)
         if c.aging == FLOW:
             flow_all(c, r, x, clock, lanes)
         elif c.breaking == SOFT:
-            soft_all(c.erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, x, clock, spring, lanes)
+            soft_all(c.erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, x, clock, spring, row, lanes)
         elif c.breaking == STIFF:
             stiff_all(c.b, c.log_w, r, x, clock, spring, lanes)
         elif c.breaking == POOLED:
@@ -256,7 +265,9 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
                 if c.aging == FLOW:
                     flow_all(c, r, stretch, clock, LANES)
                 elif c.breaking == SOFT:
-                    soft_all(erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, stretch, clock, stiffness, LANES)
+                    soft_all(
+                        erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, stretch, clock, stiffness, index, LANES
+                    )
                 elif c.breaking == STIFF:
                     stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, LANES)
                 elif c.breaking == POOLED:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.compiled import inlined, kernel, move_row, routine
+from eqsim.compiled import add_row, inlined, kernel, routine, take_row
 from eqsim.engine.life import (
     LANES,
     ROUNDS,
@@ -43,9 +43,9 @@ BATCHES = 64  # independent groups whose scatter is the error of averages over t
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
 _BITS = 62  # of a sum; the sign and one more are left
 
-# columns of the deposits; Y = -X0 is where the slider would have been pulled from
-COUNT, SLOPE, FORCE, SLOPE2, RAMP2, SQUARE = range(6)  # 1, kappa, kappa Y, kappa^2, kappa^2 Y, (kappa Y)^2
-_FORCE, _SQUARE = np.uint64(FORCE), np.uint64(SQUARE)  # unsigned, of which none is negative
+# columns of the deposits; Y = -X0 is where the slider would have been pulled from. What stands in for the others where
+# all contacts are equally stiff comes first
+COUNT, FORCE, SQUARE, SLOPE, SLOPE2, RAMP2 = range(6)  # 1, kappa Y, (kappa Y)^2, kappa, kappa^2, kappa^2 Y
 # columns of the batch sums, for each of the two quarters of the second half
 AREA, PINNED, ELAPSED, BREAKS, STRETCH = range(5)
 
@@ -81,7 +81,7 @@ class Scales(NamedTuple):
         strong = kappa(c.kappa_slope, c.kappa_constant, xi)
         way = run.distance + x
         force = strong * x
-        deposits = [1.0, strong, strong * way, strong**2, strong**2 * way, (strong * way) ** 2]
+        deposits = [1.0, strong * way, (strong * way) ** 2, strong, strong**2, strong**2 * way]
         batches = [force * way, way, way, 1.0, way]
 
         def power(bounds: list[float], terms: int) -> Array:
@@ -218,15 +218,16 @@ def leave_ramps(
     for i in range(lanes):
         kappa = stiffness[r, i]
         ramp = kappa * born[i]
-        column[0, i] = fixed(kappa, scales[SLOPE])
-        column[1, i] = fixed(ramp, -scales[FORCE])
-        column[2, i] = fixed(kappa * kappa, scales[SLOPE2])
-        column[3, i] = fixed(kappa * ramp, -scales[RAMP2])
-        column[4, i] = fixed(ramp * ramp, scales[SQUARE])
+        column[0, i] = fixed(ramp, -scales[FORCE])
+        column[1, i] = fixed(ramp * ramp, scales[SQUARE])
+        column[2, i] = fixed(kappa, scales[SLOPE])
+        column[3, i] = fixed(kappa * kappa, scales[SLOPE2])
+        column[4, i] = fixed(kappa * ramp, -scales[RAMP2])
     for i in range(lanes):
         if end[i] < run.points:
             row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
-            move_row(deposits, start[i], end[i], row)
+            add_row(deposits, start[i], COUNT, row)
+            take_row(deposits, end[i], COUNT, row)
         elif start[i] < run.points:
             leave(deposits, start[i], 1, stiffness[r, i], born[i], scales)
 
@@ -244,29 +245,28 @@ def leave_even_ramps(
         column[1, i] = fixed(born[i] * born[i], scales[SQUARE])
     for i in range(lanes):
         if end[i] < run.points:
-            move_row(deposits, start[i], end[i], (1, 0, column[0, i], 0, 0, column[1, i]))
+            row = (1, column[0, i], column[1, i], 0)  # four numbers at a time are moved at once
+            add_row(deposits, start[i], COUNT, row)
+            take_row(deposits, end[i], COUNT, row)
         elif start[i] < run.points:
             leave(deposits, start[i], 1, 1.0, born[i], scales)
 
 
 @routine
 def join_even_ramps(
-    born: Array, broke: Array, run: Run, flat: Array, scales: Array, cell: Array, column: Array, lanes: int
+    born: Array, broke: Array, run: Run, deposits: Array, scales: Array, end: Array, column: Array, lanes: int
 ) -> None:
     """Without delay a life begins where another, from `born` to `broke`, ends: with uniform stiffness nothing changes
     there but the square and the place of birth."""
     per_step = (run.points - 1) / run.distance
     for i in range(lanes):
         way = broke[i] - born[i]
-        cell[i] = 6 * point_after(broke[i], run, per_step)
+        end[i] = point_after(broke[i], run, per_step)
         column[0, i] = fixed(way, -scales[FORCE])
         column[1, i] = fixed(way * (born[i] + broke[i]), scales[SQUARE])
-    end = np.uint64(6 * run.points)
     for i in range(lanes):
-        k = np.uint64(cell[i])
-        if k < end:
-            flat[k + _FORCE] += column[0, i]
-            flat[k + _SQUARE] += column[1, i]
+        if end[i] < run.points:
+            add_row(deposits, end[i], FORCE, (column[0, i], column[1, i]))
 
 
 @routine
@@ -470,7 +470,7 @@ def simulate(
     clock, delay = np.full((ROUNDS, LANES), math.inf), np.full((ROUNDS, LANES), c.delay)
     broke, reborn = np.empty(LANES), np.empty(LANES)
     index, start, end = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    words, column, flat = np.empty((4, LANES), np.uint64), np.empty((5, LANES), np.int64), deposits.reshape(-1)
+    words, column = np.empty((4, LANES), np.uint64), np.empty((5, LANES), np.int64)
     per_step = (run.points - 1) / run.distance
     even = c.kappa_slope == 0.0
     one_by_one = run.batch_by_life or c.aging == LANGEVIN or (c.aging != UNAGED and not even)
@@ -512,7 +512,7 @@ def simulate(
             if c.aging == FLOW:
                 flow_all(c, r, stretch, clock, active)
             elif c.aging == UNAGED and c.breaking == SOFT:
-                soft_all(erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, full)
+                soft_all(erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, index, full)
             elif c.aging == UNAGED and c.breaking == STIFF:
                 stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, full)
             elif c.aging == UNAGED and c.breaking == POOLED:
@@ -534,7 +534,7 @@ def simulate(
                 broke[i] = position[i] + x
                 reborn[i] = broke[i]
             if joined:
-                join_even_ramps(position, broke, run, flat, scales, start, column, full)
+                join_even_ramps(position, broke, run, deposits, scales, end, column, full)
             else:
                 for i in range(full):
                     way[i] += stretch[r, i]

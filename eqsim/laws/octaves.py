@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.compiled import inlined
+from eqsim.compiled import four_of, inlined, routine
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -30,10 +30,11 @@ def octave_edges(first: int, last: int) -> Array:
 
 
 def octave_table(first: int, y: Array, slope: Array) -> Array:
-    """Coefficients (cells + 1, 4) from values and derivatives at `octave_edges(first, last)`.
+    """Coefficients (cells + 2, 4) from values and derivatives at `octave_edges(first, last)`.
 
-    The slopes are limited as Fritsch and Carlson prescribe, so that data that rise give a function that rises. Row 0
-    holds the cell offset of the first octave and its lower edge, for `look_up`.
+    The slopes are limited as Fritsch and Carlson prescribe, so that data that rise give a function that rises. Two rows
+    come before those of the cells: the cell offset of the first octave, 1 over its lower edge and the number of cells,
+    for `look_up`; and the line through the origin, of the argument over that edge.
     """
     cells = len(y) - 1
     edges = octave_edges(first, first + cells // CELLS)
@@ -41,24 +42,47 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
     limit = 3.0 * rise
     left = np.clip(slope[:-1] * width, 0.0, limit)
     right = np.clip(slope[1:] * width, 0.0, limit)
-    table = np.empty((cells + 1, 4))
-    table[0] = first * CELLS + _BIAS, edges[0], y[0] / edges[0], cells
-    table[1:, 0] = y[:-1]
-    table[1:, 1] = left
-    table[1:, 2] = 3.0 * rise - 2.0 * left - right
-    table[1:, 3] = left + right - 2.0 * rise
+    table = np.zeros((cells + 2, 4))
+    table[0, :3] = first * CELLS + _BIAS, 1.0 / edges[0], cells
+    table[1, 1] = y[0]
+    table[2:, 0] = y[:-1]
+    table[2:, 1] = left
+    table[2:, 2] = 3.0 * rise - 2.0 * left - right
+    table[2:, 3] = left + right - 2.0 * rise
     return table
+
+
+@inlined
+def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
+    """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
+    bits: Any = np.float64(s).view(np.int64)
+    cell, t = (bits >> _SHIFT) - np.int64(first), float(bits & _FRACTION) * (1.0 / (_FRACTION + 1))
+    if cell < 0:
+        t = s * per_edge
+    if cell >= np.int64(cells):
+        t = 1.0
+    return min(max(cell, -1), np.int64(cells) - 1) + 2, t
+
+
+@inlined
+def _polynomial(table: Array, row: int, t: float) -> float:
+    """The polynomial of a row at t."""
+    a, b, c, d = four_of(table, row)
+    return a + t * (b + t * (c + t * d))
 
 
 @inlined
 def look_up(table: Array, s: float) -> float:
     """The tabulated function at s > 0."""
-    bits = np.float64(s).view(np.int64)
-    cell = (bits >> _SHIFT) - np.int64(table[0, 0])
-    if cell < 0:
-        return s * table[0, 2]
-    t = float(bits & _FRACTION) * (1.0 / (_FRACTION + 1))
-    if cell >= np.int64(table[0, 3]):
-        cell, t = np.int64(table[0, 3]) - 1, 1.0
-    row = table[cell + 1]
-    return row[0] + t * (row[1] + t * (row[2] + t * row[3]))
+    row, t = _place(table[0, 0], table[0, 1], table[0, 2], s)
+    return _polynomial(table, row, t)
+
+
+@routine
+def look_up_all(table: Array, r: int, s: Array, row: Array, lanes: int) -> None:
+    """The tabulated function in the place of s[r], for `lanes` numbers; `row` is scratch."""
+    first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
+    for i in range(lanes):
+        row[i], s[r, i] = _place(first, per_edge, cells, s[r, i])
+    for i in range(lanes):
+        s[r, i] = _polynomial(table, row[i], s[r, i])

@@ -103,51 +103,59 @@ def erfi_inverse_table() -> Array:
     return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
 
 
-_FLAT = 400.0  # ln(1 + y) is ln y to rounding, with room for any factor before y overflows
+_FLAT = (
+    400.0  # exponents are cut here, where ln(1 + y) is ln y to rounding, with room for any factor before y overflows
+)
+
+# Inverses in steps, each of which is a loop of its own where many contacts break: a look-up between the others would
+# keep them from being vectorised, and in one long loop every result would wait for many before it. The hazard is as
+# good as `odds` exp(max(barrier - _FLAT, 0)), which overflows for cold contacts, and so does not exp(-700) < omega/v.
 
 
 @inlined
-def softplus_of(factor: float, log: float) -> float:
-    """ln(1 + factor exp(log)); 1e-100 < factor where log > 400, and log > -700, as ln(v/omega) is everywhere."""
-    return log_one_plus(factor * bounded_exp(min(log, _FLAT))) + max(log - _FLAT, 0.0)
-
-
-# An inverse in three steps, each of which is a loop of its own where many contacts break: a look-up between the others
-# would keep them from being vectorised.
-
-
-@inlined
-def soft_rank(xi: float, root: float, log_w: float, clock: float) -> float:
-    """ln(1 + erfi(root x)), root = sqrt(a), of the x where exp(log_w) H(x) = clock; log_w = ln(omega/v)."""
+def soft_barrier(xi: float, root: float, log_w: float) -> float:
+    """a xi^2 - ln(omega/v), root = sqrt(a)."""
     top = root * xi
-    return softplus_of(_SOFT * clock * root, top * top - log_w)
+    return top * top - log_w
 
 
 @inlined
-def soft_inverse(erfi_inverse: Array, rank: float) -> float:
-    """sqrt(a) x of a rank; infinite past the table, where x is xi to double precision."""
-    z = look_up(erfi_inverse, rank)
-    return z if rank < 1e18 else math.inf
+def soft_odds(xi: float, root: float, log_w: float, clock: float) -> float:
+    """erfi(root x) of the x where exp(log_w) H(x) = clock, but for what of the barrier is beyond _FLAT."""
+    return _SOFT * clock * root * bounded_exp(min(soft_barrier(xi, root, log_w), _FLAT))
+
+
+@inlined
+def soft_rank(xi: float, root: float, log_w: float, odds: float) -> float:
+    """ln(1 + erfi(root x)) of the same x."""
+    return log_one_plus(odds) + max(soft_barrier(xi, root, log_w) - _FLAT, 0.0)
 
 
 @inlined
 def soft_end(xi: float, per_root: float, z: float) -> float:
-    """Where a soft contact breaks, z = sqrt(a) x; per_root = 1/sqrt(a)."""
-    return min(xi, z * per_root)
+    """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is xi, to double precision."""
+    return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
 
 
 @inlined
 def soft_stretch(erfi_inverse: Array, xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a soft contact breaks: exp(log_w) H(x) = clock or x = xi; log_w = ln(omega/v)."""
     root = math.sqrt(a)
-    return soft_end(xi, 1.0 / root, soft_inverse(erfi_inverse, soft_rank(xi, root, log_w, clock)))
+    rank = soft_rank(xi, root, log_w, soft_odds(xi, root, log_w, clock))
+    return soft_end(xi, 1.0 / root, look_up(erfi_inverse, rank))
 
 
 @inlined
-def stiff_spent(xi: float, a: float, log_w: float, clock: float) -> float:
-    """1 - (1 - x/xi)^(3/2) of the x where exp(log_w) H(x) = clock, or more than 1."""
-    c = a * xi * xi
-    return softplus_of(1.5 * a * xi * clock, c - log_w) / c
+def stiff_odds(xi: float, a: float, log_w: float, clock: float) -> float:
+    """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where exp(log_w) H(x) = clock, as in `soft_odds`."""
+    return 1.5 * a * xi * clock * bounded_exp(min(a * xi * xi - log_w, _FLAT))
+
+
+@inlined
+def stiff_spent(xi: float, a: float, log_w: float, odds: float) -> float:
+    """1 - (1 - x/xi)^(3/2) of the same x, or more than 1."""
+    barrier = a * xi * xi
+    return (log_one_plus(odds) + max(barrier - log_w - _FLAT, 0.0)) / barrier
 
 
 @inlined
@@ -161,7 +169,7 @@ def stiff_end(xi: float, spent: float) -> float:
 @inlined
 def stiff_stretch(xi: float, a: float, log_w: float, clock: float) -> float:
     """Where a stiff contact breaks: exp(log_w) H(x) = clock or x = xi."""
-    return stiff_end(xi, stiff_spent(xi, a, log_w, clock))
+    return stiff_end(xi, stiff_spent(xi, a, log_w, stiff_odds(xi, a, log_w, clock)))
 
 
 # ----------------------------------------------------------------------------------------------------- annealed
