@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -51,12 +50,3 @@ def test_committed_run_files_are_valid(path):
     assert file.title
     assert file.ensemble(path.parent).count > 0
     assert file.driven().velocity > 0
-
-
-def test_dependencies_are_used():
-    """No declared dependency that the code does not import."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    source = "\n".join(path.read_text() for folder in ("eqsim", "analysis") for path in (ROOT / folder).rglob("*.py"))
-    for requirement in project["dependencies"]:
-        name = re.split(r"[<>=\[]", requirement)[0]
-        assert re.search(rf"^\s*(import|from) {name}\b", source, re.MULTILINE), name
