@@ -13,7 +13,9 @@ from scipy import integrate
 
 import eqsim.engine.steady as module
 from eqsim import Aging, Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
-from eqsim.estimate import difference, z_score
+from eqsim.estimate import difference, known, z_score
+from eqsim.laws.thermal import log_hazard
+from eqsim.master.reference import reference
 
 OBSERVABLES = ("friction", "pinned", "break_stretch")
 
@@ -231,3 +233,23 @@ def test_student_scores():
     assert z_score(estimate, 2.0) == pytest.approx(-z_score(estimate, 0.0))
     assert z_score(Estimate(1.0, 0.0, 100), 1.0) is None
     assert z_score(Estimate(1.0, 0.5, 100), 0.0) == 2.0
+
+
+@pytest.mark.parametrize("kT", [0.02, 0.2])
+@pytest.mark.parametrize("odds", [1e-8, 1e-7, 1e-6, 1e-5])
+def test_rare_clocks(kT, odds, monkeypatch):
+    """Identical contacts, of which so few break before their threshold that none may be seen: two lives in a million
+    or fewer leave no scatter, and the error bar knows. |z| < 4 in 8 cases: false alarm below 1e-3."""
+    thermal = Thermal(kT=kT)
+    velocity = math.exp(float(log_hazard("soft", 1.0, 1.0, 0.5 / kT))) / odds
+    ensemble = Ensemble(Delta(1.0), thermal, stiffness_law="uniform")
+    exact = known(reference(ensemble, velocity).friction)
+
+    def z():
+        found = steady(ensemble, velocity, rel_error=1e-6, seed=3).friction
+        return (known(found) - exact) / found.stderr
+
+    assert abs(z()) < 4
+    if (kT, odds) == (0.2, 1e-7):
+        monkeypatch.setattr(module, "_unseen", lambda *_: 0.0)  # negative control
+        assert abs(z()) > 8

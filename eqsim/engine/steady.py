@@ -100,7 +100,8 @@ def steady(
         else:
             sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
-        result = _averages(sums, contacts.delay, drag, unit, size, proposal is None or proposal.covered, tables)
+        hidden = math.hypot(tables, _unseen(contacts, RANDOMISATIONS * size))
+        result = _averages(sums, contacts.delay, drag, unit, size, proposal is None or proposal.covered, hidden)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
         # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
@@ -279,11 +280,25 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
     return np.array(rows)
 
 
+def _unseen(contacts: Contacts, count: int) -> float:
+    """The relative error that clocks rarer than one in `count`, early or late, may hide from so many lives."""
+    if contacts.breaking == MECHANICAL or contacts.aging == LANGEVIN:  # no clocks; errors of another size
+        return 0.0
+    share = (np.arange(16) + 0.5) / 16  # of thresholds, and of the clocks beyond an edge, which comes first
+    rare = np.append(1.0, share) / count
+    u, v = (grid.ravel() for grid in np.meshgrid(share, np.append(rare, 1.0 - rare), indexing="ij"))
+    errors = []
+    for part in lives(contacts, key(0, STEADY), 0, u, v):
+        part = part.reshape(share.size, 2, rare.size)
+        errors.append(np.abs(part[:, :, 1:] - part[:, :, :1]).mean() / part[:, :, 0].mean())
+    return 2.0 * float(max(errors)) / count
+
+
 def _averages(
-    sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool, tables: float
+    sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool, hidden: float
 ) -> tuple[Estimate, Estimate, Estimate]:
-    """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length, `tables` the relative
-    error of the tables that lives are drawn from."""
+    """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length, `hidden` a relative error
+    that does not show in their scatter."""
     reliable = covered and float(sums[:, 2].max()) < _DOMINANT
     work, stretch = sums[:, 0], sums[:, 1]
     cycle = stretch + delay
@@ -293,7 +308,7 @@ def _averages(
 
     def estimate(value: float, residual: Array, unit: float) -> Estimate:
         stderr = float(np.std(residual, ddof=1)) / math.sqrt(RANDOMISATIONS)
-        return Estimate(value * unit, math.hypot(stderr, tables * abs(value)) * unit, n, RANDOMISATIONS - 1, reliable)
+        return Estimate(value * unit, math.hypot(stderr, hidden * abs(value)) * unit, n, RANDOMISATIONS - 1, reliable)
 
     return (
         estimate(friction, (work + drag * delay - friction * cycle) / cycle.mean(), unit),
