@@ -1,9 +1,10 @@
-"""Logarithm and exponential without branches and tables, for loops over lanes of contacts that are to vectorise.
+"""Logarithm, exponential and sine without branches and tables, for loops over lanes of contacts that are to vectorise.
 
 The usual mathematical library is called once a number; these are additions, multiplications and at most one division,
 in strict IEEE arithmetic, so that eight of them run side by side. The logarithm is that of fdlibm (Sun, 1993), the
 exponential a Taylor polynomial of degree 13 after a reduction to |r| <= ln(2)/2. Errors in units of the last place:
-below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp (of -708 to 708), 2.5 for log_one_plus, 3 for two_thirds_power.
+below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp and 2 for exp_less_one (of -708 to 708), 2.5 for log_one_plus, 3 for
+two_thirds_power, 5 for quarter_sine.
 """
 
 import math
