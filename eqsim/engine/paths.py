@@ -13,6 +13,10 @@ where a break is unlikely. In a step
 
 Stiff barriers take half of STEP. The error in friction is second order in STEP; at the default it is below 1e-3
 (`analysis/aging_steps.py`).
+
+Each part of a step is a scalar function without library calls: `walk` puts them together for one path, `langevin_lives`
+for many side by side, a loop for each part, which the compiler vectorises. What happens once a life, or to few paths at
+a time (`meeting`, `burn`), is done for one path after the other.
 """
 
 import math
@@ -104,7 +108,7 @@ def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u
     third = alpha - 1.0 / 3.0
     a, b, d, _ = midpoints(key, contact, life, draw)
     z, _ = normals_of(a, b)
-    root = max(1.0 + z / math.sqrt(9.0 * third), 1e-9)  # below 0 it is refused, and here, too
+    root = max(1.0 + z / math.sqrt(9.0 * third), 1e-30)  # so small, and below 0, it is refused
     cube = root * root * root
     taken = log(d) < 0.5 * z * z + third * (1.0 - cube + log(cube))
     return 2.0 * third * cube * lift if taken else 0.0
@@ -312,8 +316,8 @@ def walk(
 ) -> tuple[Any, Any, Any, Any, Any, Any]:  # fmt: skip
     """One step, at most `most` long, of a pinned contact of threshold `xi` and stretch `x`; its clock has `left` to go.
 
-    Returns whether it broke, threshold and stretch at the end, what the clock has left, work done over k, and the next
-    draw.
+    Returns whether it broke, threshold and stretch at the end, what the clock has left, work done over k where the
+    stiffness varies, and the next draw.
     """
     h, rate, slope = pace(c, xi, x, left, most, step)
     normal, square, passage, draw = random_step(key, contact, life, draw, c.shape)
