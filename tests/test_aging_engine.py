@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
 from eqsim.engine.life import lives
-from eqsim.engine.paths import halfway, random_step
+from eqsim.engine.paths import WALKERS, halfway, langevin_life, langevin_lives, path_law, random_step
 from eqsim.engine.streams import key
 from eqsim.ensemble import lower
 from eqsim.laws.aging import Aging
@@ -157,6 +157,43 @@ def test_work_of_a_stiffness_that_fluctuates(path):
     basis = np.stack((excess[2], excess[3], np.ones(size)), axis=1)
     fit = np.linalg.lstsq(basis, excess[0])[0]
     assert abs(fit[2]) < STEPS + LIMIT * np.std(excess[0] - basis @ fit) / math.sqrt(size)
+
+
+@numba.njit
+def _one_by_one(c, stream, contact, births, clocks):
+    """`langevin_life` of one contact after the other."""
+    stretch, work = np.empty(births.size), np.empty(births.size)
+    for i in range(births.size):
+        stretch[i], work[i] = langevin_life(c, stream, contact + i, 2, births[i], clocks[i], 0.35)
+    return stretch, work
+
+
+@pytest.mark.parametrize("path", [*PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])])
+def test_paths_side_by_side_as_one_by_one(path):
+    """To the last bit, however many there are and whatever else advances beside them."""
+    n, final, mobility, kT, omega, barrier, stiffness = path
+    aging = Aging("langevin", mobility, final)
+    c = lower(Ensemble(Gamma(n), Thermal(kT, omega, barrier), aging=aging, stiffness_law=stiffness), 1.0)
+    size, stream = 5 * WALKERS // 2, key(2, 97)
+    births, clocks = np.random.default_rng(13).exponential(size=(2, size)) + 0.1
+    single = _one_by_one(c, stream, 5, births, clocks)
+    for first, last in ((0, size), (3, WALKERS), (7, 8), (9, 9)):
+        part = slice(first, last)
+        who, lives_old = np.arange(5 + first, 5 + last), np.full(last - first, 2)
+        both = births[part].copy(), clocks[part].copy()
+        langevin_lives(path_law(c), stream, 0.35, who, lives_old, *both, *both)
+        np.testing.assert_array_equal(both, np.array(single)[:, part])
+    assert np.all(_one_by_one(c, stream, 6, births, clocks)[0] != single[0])  # control: other contacts
+
+
+def test_steps_of_many_paths_vectorise():
+    """Packed roots and products of doubles in loops over paths; there are none where a path is alone."""
+    c, few = lower(Ensemble(thermal=Thermal(0.1, 1.0, "stiff"), aging=Aging("langevin", 0.1, 2.0)), 1.0), np.ones(3)
+    langevin_lives(path_law(c), key(0, 0), 0.35, np.arange(3), np.arange(3), few, few, few.copy(), few.copy())
+    langevin_life(c, key(0, 0), 0, 0, 1.0, 1.0, 0.35)
+    many, one = (f.inspect_asm(f.signatures[0]).count("mulpd") for f in (langevin_lives, langevin_life))
+    assert many > 30
+    assert one < 5
 
 
 # --------------------------------------------------------------------------------------------------- trajectories

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.compiled import inlined, kernel, routine
-from eqsim.engine.paths import STEP, langevin_life
+from eqsim.engine.paths import STEP, langevin_lives, path_law
 from eqsim.engine.streams import ROUGH, Key, fill_words, fine_product, product, uniform
 from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts, Ensemble, lower
@@ -216,8 +216,9 @@ def fill_lives(
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     if c.aging == LANGEVIN:
         for i in range(u.size):
-            xi = threshold_draw(c.threshold_table, c.steps, u[i])
-            stretch[i], work[i] = langevin_life(c, key, contact + i, r, xi, -math.log(v[i]), step)
+            stretch[i], work[i] = threshold_draw(c.threshold_table, c.steps, u[i]), -log(v[i])
+        contacts, first_lives = np.arange(contact, contact + u.size), np.zeros(u.size, np.int64)
+        langevin_lives(path_law(c), key, step, contacts, first_lives, stretch, work, stretch, work)
         return
     x, clock, spring = np.empty((1, LANES)), np.empty((1, LANES)), np.empty((1, LANES))
     row = np.empty(LANES, np.int64)
@@ -257,9 +258,8 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
         for r in range(ROUNDS):
             if c.aging == LANGEVIN:
                 for i in range(LANES):
-                    stretch[r, i], clock[r, i] = langevin_life(
-                        c, key, contact[i], ROUNDS * at + r, stretch[r, i], clock[r, i], STEP
-                    )
+                    index[i] = ROUNDS * at + r
+                langevin_lives(path_law(c), key, STEP, contact, index, stretch[r], clock[r], stretch[r], clock[r])
             else:
                 stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, LANES)
                 if c.aging == FLOW:

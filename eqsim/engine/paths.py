@@ -13,61 +13,127 @@ where a break is unlikely. In a step
 
 Stiff barriers take half of STEP. The error in friction is second order in STEP; at the default it is below 1e-3
 (`analysis/aging_steps.py`).
+
+Each part of a step is a scalar function without library calls: `walk` puts them together for one path, `langevin_lives`
+for many side by side, a loop for each part, which the compiler vectorises. What happens once a life, or to few paths at
+a time (`meeting`, `burn`), is done for one path after the other.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.compiled import inlined, routine
-from eqsim.engine.streams import Key, words
+from eqsim.engine.streams import Key, midpoints
 from eqsim.ensemble import Contacts
 from eqsim.laws.aging import barrier_of
+from eqsim.laws.elementary import exp, exp_less_one, log, quarter_sine
+from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.thermal import MECHANICAL, STIFF
 
 STEP = 0.35  # the default accuracy of steps
+WALKERS = 64  # paths that advance side by side
 _UNSEEN = 7.0  # heat counts where the hazard of the way to the threshold is above exp(-7)
+_SCATTERS = 0.03  # hazard of a step from which on its scatter counts
+
+
+class PathLaw(NamedTuple):
+    """What a step needs to know: numbers of `Contacts`, without its tables, which would keep loops from vectorising."""
+
+    breaking: int
+    b: float
+    log_w: float
+    kappa_slope: float
+    kappa_constant: float
+    final2: float
+    alpha: float
+    shape: float
 
 
 @inlined
-def normal_of(a: float, b: float) -> float:
-    """A normal deviate from two 32-bit words (Box and Muller)."""
-    return math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)) * math.cos((b + 0.5) * (2.0**-32 * 2.0 * math.pi))
+def path_law(c: Contacts) -> PathLaw:
+    """The numbers of `c` that steps need."""
+    return PathLaw(c.breaking, c.b, c.log_w, c.kappa_slope, c.kappa_constant, c.final2, c.alpha, c.shape)
+
+
+# ------------------------------------------------------------------------------------------------------- deviates
+
+
+@inlined
+def normals_of(u: float, v: float) -> tuple[float, float]:
+    """A normal deviate and the square of another from two uniforms (Box and Muller)."""
+    square = -2.0 * log(u)
+    normal = math.sqrt(square) * quarter_sine(2.0 * v - 1.0)
+    return normal, max(square - normal * normal, 0.0)
+
+
+@inlined
+def pairs_of(shape: float) -> int:
+    """How many pairs of squares of normals there are in chi-square of 2 shape + 1 degrees of freedom; -1 if it is drawn
+    in another way."""
+    freedom = 2.0 * shape + 1.0
+    return int(freedom) // 2 if freedom == math.floor(freedom) and freedom < 14.0 else -1
+
+
+@inlined
+def times_uniforms(key: Key, contact: int, life: int, draw: int, product: float, count: int) -> float:
+    """`product` times min(count, 4) further uniforms."""
+    a, b, d, e = midpoints(key, contact, life, draw)
+    product *= a
+    if count > 1:
+        product *= b
+    if count > 2:
+        product *= d
+    return product * e if count > 3 else product
+
+
+@inlined
+def chi_square(shape: float, square: float, product: float) -> float:
+    """Chi-square of 2 shape + 1 degrees of freedom from the square of a normal, and the product of a uniform for every
+    pair of squares."""
+    pairs = pairs_of(shape)
+    odd = square if 2.0 * shape + 1.0 > 2.0 * pairs else 0.0
+    return odd - 2.0 * log(product) if pairs > 0 else odd
+
+
+@inlined
+def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u: float) -> float:
+    """Chi-square of 2 shape + 1 degrees of freedom, or 0, which means to try again with another draw but the same
+    uniform `u` (Marsaglia and Tsang, 2000, for the shape 1/2 + shape >= 1/2, raised by 1 if below 1)."""
+    alpha, lift = shape + 0.5, 1.0
+    if alpha < 1.0:
+        lift, alpha = exp(log(u) / alpha), alpha + 1.0
+    third = alpha - 1.0 / 3.0
+    a, b, d, _ = midpoints(key, contact, life, draw)
+    z, _ = normals_of(a, b)
+    root = max(1.0 + z / math.sqrt(9.0 * third), 1e-30)  # so small, and below 0, it is refused
+    cube = root * root * root
+    taken = log(d) < 0.5 * z * z + third * (1.0 - cube + log(cube))
+    return 2.0 * third * cube * lift if taken else 0.0
 
 
 @inlined
 def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> tuple[Any, Any, Any, Any]:
     """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a uniform, and the next draw."""
-    a, b, d, e = words(key, contact, life, draw)
-    radius, angle = math.sqrt(-2.0 * math.log((a + 0.5) * 2.0**-32)), (b + 0.5) * (2.0**-32 * 2.0 * math.pi)
-    normal = radius * math.cos(angle)
-    passage, product = (e + 0.5) * 2.0**-32, (d + 0.5) * 2.0**-32
+    a, b, product, passage = midpoints(key, contact, life, draw)
     draw += 1
-    freedom = 2.0 * shape + 1.0
-    if freedom == math.floor(freedom) and freedom < 14.0:  # squares of normals, pairs of them from a logarithm
-        pairs = int(freedom) // 2
-        square = radius * radius - normal * normal if int(freedom) % 2 else 0.0  # of the sine's deviate
-        if pairs == 0:
-            product = 1.0
-        for _ in range(pairs - 1):
-            product *= (words(key, contact, life, draw)[0] + 0.5) * 2.0**-32
+    normal, square = normals_of(a, b)
+    pairs = pairs_of(shape)
+    if pairs < 0:
+        square = 0.0
+        while square == 0.0:
+            square = try_chi_square(key, contact, life, draw, shape, product)
             draw += 1
-        return normal, square - 2.0 * math.log(product), passage, draw
-    # Marsaglia and Tsang (2000), for the shape 1/2 + shape >= 1/2 raised by 1 if below 1
-    alpha = shape + 0.5
-    lift = 1.0
-    if alpha < 1.0:
-        lift, alpha = product ** (1.0 / alpha), alpha + 1.0
-    third = alpha - 1.0 / 3.0
-    while True:
-        a, b, d, e = words(key, contact, life, draw)
+        return normal, square, passage, draw
+    for done in range(1, pairs, 4):
+        product = times_uniforms(key, contact, life, draw, product, pairs - done)
         draw += 1
-        z = normal_of(a, b)
-        cube = (1.0 + z / math.sqrt(9.0 * third)) ** 3
-        if cube > 0.0 and math.log((d + 0.5) * 2.0**-32) < 0.5 * z * z + third * (1.0 - cube + math.log(cube)):
-            return normal, 2.0 * third * cube * lift, passage, draw
+    return normal, chi_square(shape, square, product), passage, draw
+
+
+# ------------------------------------------------------------------------------------------ the physics of a step
 
 
 @inlined
@@ -78,15 +144,15 @@ def reaches(room: float, spread: float, speed: float) -> float:
 
 
 @inlined
-def heat(c: Contacts, xi: float, x: float) -> float:
+def heat(c: PathLaw, xi: float, x: float) -> float:
     """Thermal rate per displacement at stretch `x` of a contact of threshold `xi`, or x if that is more."""
     xi = max(xi, x)
-    rate = math.exp(c.log_w - barrier_of(c.breaking, xi, x, c.b * kappa(c.kappa_slope, c.kappa_constant, xi)))
+    rate = exp(c.log_w - barrier_of(c.breaking, xi, x, c.b * kappa(c.kappa_slope, c.kappa_constant, xi)))
     return rate * math.sqrt((xi - x) / xi) if c.breaking == STIFF else rate
 
 
 @inlined
-def halfway(c: Contacts, xi: float, along: float, end: float, lost: float) -> tuple[float, float]:
+def halfway(c: PathLaw, xi: float, along: float, end: float, lost: float) -> tuple[float, float]:
     """Threshold half-way through a step from `xi` to `end`, of which `along` is the component along the start, and its
     spread: the bridge of the (2n+2)-dimensional process, which pulls back within a relaxation time."""
     kept = 1.0 - lost
@@ -96,111 +162,286 @@ def halfway(c: Contacts, xi: float, along: float, end: float, lost: float) -> tu
 
 
 @inlined
+def pace(c: PathLaw, xi: float, x: float, left: float, most: float, step: float) -> tuple[Any, Any, Any]:
+    """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the thermal rate now, and the slope
+    of the barrier over 2 kT with the threshold."""
+    if c.breaking == STIFF:  # its rate falls to 0 at the stretch, like a root
+        step = 0.5 * step
+    variance = 0.5 * c.alpha * c.final2  # 2 D_v, per unit of displacement
+    sigma, gap = math.sqrt(variance), max(xi - x, 1e-16 * xi)  # rounding may leave nothing
+    speed = 1.0 + max(0.0, variance * (xi / c.final2 - (c.shape + 0.5) / xi))
+    h = min(max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed)), most)
+    if c.breaking == MECHANICAL:
+        return h, 0.0, 0.0
+    k0 = kappa(c.kappa_slope, c.kappa_constant, xi)
+    a = c.b * k0
+    barrier, rate = barrier_of(c.breaking, xi, x, a), heat(c, xi, x)
+    slope = 2.0 * a * xi
+    if c.breaking == STIFF:
+        part = math.sqrt(gap / xi)
+        slope = a * xi * part * (2.0 * part * part + 1.5)
+    slope += barrier * c.kappa_slope / k0
+    quiet = max(barrier - c.log_w - log(gap), 0.0)  # -ln of the hazard of a way as long as the gap
+    h = min(h, max(
+        reaches(max(quiet - _UNSEEN, 0.0) / slope, sigma / step, speed),
+        min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / c.alpha),
+    ))  # fmt: skip
+    # what comes long after the clock has stopped says little about when it stops
+    return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
+
+
+@inlined
+def move(c: PathLaw, xi: float, h: float, normal: float, square: float) -> tuple[float, float, float]:
+    """The threshold after a step: its component along the start, itself, and the lost part of the correlation."""
+    lost = -exp_less_one(max(-0.5 * c.alpha * h, -700.0))
+    s2 = 0.5 * c.final2 * lost * (2.0 - lost)
+    along = xi * (1.0 - lost) + math.sqrt(s2) * normal
+    return along, math.sqrt(along * along + s2 * square), lost
+
+
+@inlined
+def meets(c: PathLaw, xi: float, x: float, h: float, end: float, passage: float) -> bool:
+    """Whether a threshold that went from `xi` to `end` has met the stretch on its way; `passage` is a uniform.
+
+    The chance is that of a Brownian bridge kept away from 0, corrected for how the drift differs, to first order, on
+    a way that touches and on one that does not.
+    """
+    gap, ahead = xi - x, end - x - h
+    variance = 0.5 * c.alpha * c.final2 * h
+    if ahead <= 0.0:
+        return True
+    if 2.0 * gap * ahead >= 40.0 * variance:
+        return False
+    way = gap + ahead
+    t, dip = gap / way, 2.0 * gap * ahead / way  # where the straight ways touch, and how far below the direct one
+    weight = dip * (
+        (c.shape * c.shape - 0.25) / (xi * (x + t * h) * end)
+        + (dip - xi * (2.0 - t) - end * (1.0 + t)) / (3.0 * c.final2 * c.final2)
+    )
+    per = -2.0 / variance
+    zero = exp(xi * end * per)
+    return passage * (1.0 - zero) < (exp(gap * ahead * per) - zero) * exp(-0.5 * variance * weight)
+
+
+@inlined
+def heats(c: PathLaw, xi: float, x: float, h: float, end: float, along: float, lost: float) -> tuple[float, float]:
+    """Thermal rates half-way, averaged over the bridge, and at the end."""
+    middle, spread = halfway(c, xi, along, end, lost)
+    between = 0.5 * (heat(c, middle + spread, x + 0.5 * h) + heat(c, middle - spread, x + 0.5 * h))
+    return between, heat(c, end, x + h)
+
+
+@inlined
+def work_of(c: PathLaw, xi: float, x: float, h: float, end: float, along: float, lost: float, broke: bool) -> float:
+    """Work done over k in a step, by Simpson's rule for the force; in one that was cut short the stiffness goes
+    straight."""
+    k0, k1 = kappa(c.kappa_slope, c.kappa_constant, xi), kappa(c.kappa_slope, c.kappa_constant, end)
+    middle, _ = halfway(c, xi, along, end, lost)
+    k01 = 0.5 * (k0 + k1) if broke else kappa(c.kappa_slope, c.kappa_constant, middle)
+    return h * (k0 * x + 4.0 * k01 * (x + 0.5 * h) + k1 * (x + h)) / 6.0
+
+
+@inlined
+def hazard(h: float, rate: float, between: float, last: float) -> float:
+    """Hazard of a step, by Simpson's rule."""
+    return h * (rate + 4.0 * between + last) / 6.0
+
+
+@inlined
+def whole_work(c: PathLaw, x: float, work: float) -> float:
+    """Work done over k in a life that ended at `x`: `work`, that of all steps, where the stiffness varies."""
+    return work if c.kappa_slope > 0.0 else 0.5 * c.kappa_constant * x * x
+
+
+@routine
+def meeting(
+    c: PathLaw, key: Key, contact: int, life: int, draw: int, xi: float, x: float, h: float, end: float
+) -> tuple[Any, Any, Any]:
+    """After which part of a step the threshold has met the stretch, both there, and the next draw (Michael, Schucany
+    and Haas, 1976)."""
+    a, b, d, _ = midpoints(key, contact, life, draw)
+    z, _ = normals_of(a, b)
+    gap = xi - x
+    mean, steep = gap / max(abs(end - x - h), 1e-300), gap * gap / (0.5 * c.alpha * c.final2 * h)
+    y = mean * z * z / steep
+    ratio = mean * 2.0 / (2.0 + y + math.sqrt(y * (4.0 + y)))  # the smaller root, without cancellation
+    if d > mean / (mean + ratio):
+        ratio = mean * (mean / ratio)
+    h = h * ratio / (1.0 + ratio) if ratio < 1e15 else h
+    return h, x + h, draw + 1
+
+
+@inlined
+def cut_heats(c: PathLaw, xi: float, x: float, h: float, end: float) -> tuple[float, float]:
+    """`heats` of a step cut short by a passage, which is short."""
+    middle, spread = 0.5 * (xi + end), 0.5 * math.sqrt(0.5 * c.alpha * c.final2 * h)
+    between = 0.5 * (heat(c, middle + spread, x + 0.5 * h) + heat(c, middle - spread, x + 0.5 * h))
+    return between, heat(c, end, x + h)
+
+
+@routine
+def burn(
+    c: PathLaw, key: Key, contact: int, life: int, draw: int, xi: float, left: float, h: float, end: float,
+    rate: float, between: float, last: float, slope: float,
+) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
+    """Whether heat breaks a contact in a step, which ends there, the length of the step, the threshold at its end, the
+    hazard spent and the next draw."""
+    spent = hazard(h, rate, between, last)
+    if spent > _SCATTERS:  # the average over bridges has a spread of its own, which keeps some contacts pinned
+        a, b, _, _ = midpoints(key, contact, life, draw)
+        draw += 1
+        z, _ = normals_of(a, b)
+        scatter = slope * math.sqrt(0.5 * c.alpha * c.final2 * h / 12.0)
+        factor = exp(scatter * (z - 0.5 * scatter)) if scatter < 1.0 else 1.0
+        rate, between, last, spent = rate * factor, between * factor, last * factor, spent * factor
+    if spent < left:
+        return False, h, end, spent, draw
+    # where: Newton for the integral of the parabola through the three rates
+    bend, curve = 4.0 * between - 3.0 * rate - last, 2.0 * (rate - 2.0 * between + last)
+    part = left / spent
+    for _ in range(8):
+        here = max(rate + part * (bend + part * curve), 1e-3 * spent / h)
+        done = h * part * (rate + part * (0.5 * bend + part * curve / 3.0))
+        part = min(max(part + (left - done) / (h * here), 0.0), 1.0)
+    return True, part * h, xi + part * (end - xi), left, draw
+
+
+# ------------------------------------------------------------------------------------------------ one path, or many
+
+
+@inlined
 def walk(
-    c: Contacts, key: Key, contact: int, life: int, draw: int,
+    c: PathLaw, key: Key, contact: int, life: int, draw: int,
     xi: float, x: float, left: float, most: float, step: float,
 ) -> tuple[Any, Any, Any, Any, Any, Any]:  # fmt: skip
     """One step, at most `most` long, of a pinned contact of threshold `xi` and stretch `x`; its clock has `left` to go.
 
-    Returns whether it broke, threshold and stretch at the end, what the clock has left, work done over k, and the next
-    draw.
+    Returns whether it broke, threshold and stretch at the end, what the clock has left, work done over k where the
+    stiffness varies, and the next draw.
     """
-    if c.breaking == STIFF:  # its rate falls to 0 at the stretch, like a root
-        step = 0.5 * step
-    variance = 0.5 * c.alpha * c.final2  # 2 D_v, per unit of displacement
-    sigma, gap = math.sqrt(variance), xi - x
-    drift = variance * ((c.shape + 0.5) / xi - xi / c.final2)
-    speed = 1.0 + max(0.0, -drift)
-    k0 = kappa(c.kappa_slope, c.kappa_constant, xi)
-    h, rate, slope = reaches(gap, sigma / step, speed), 0.0, 0.0
-    if gap < 0.25 * xi:  # otherwise this is shorter
-        h = max(h, reaches(0.25 * step * xi, sigma, speed))
-    h = min(h, most)
-    if c.breaking != MECHANICAL:
-        a = c.b * k0
-        barrier, rate = barrier_of(c.breaking, xi, x, a), heat(c, xi, x)
-        slope = 2.0 * a * xi
-        if c.breaking == STIFF:
-            part = math.sqrt(gap / xi)
-            slope = a * xi * part * (2.0 * part * part + 1.5)
-        slope += barrier * c.kappa_slope / k0
-        quiet = max(barrier - c.log_w - math.log(gap), 0.0)  # -ln of the hazard of a way as long as the gap
-        h = min(h, max(
-            reaches((quiet - _UNSEEN) / slope, sigma / step, speed) if quiet > _UNSEEN else 0.0,
-            min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / c.alpha),
-        ))  # fmt: skip
-        if rate * h > 2.0 * left:  # what comes long after the clock has stopped says little about when it stops
-            h = 2.0 * left / rate
-
+    h, rate, slope = pace(c, xi, x, left, most, step)
     normal, square, passage, draw = random_step(key, contact, life, draw, c.shape)
-    lost = -math.expm1(-0.5 * c.alpha * h)
-    s = math.sqrt(0.5 * c.final2 * lost * (2.0 - lost))
-    along = xi * (1.0 - lost) + s * normal
-    end = math.sqrt(along * along + s * s * square)
-    ahead = end - x - h
-    broke = ahead <= 0.0
-    if not broke and 2.0 * gap * ahead < 40.0 * variance * h:
-        meets, zero = math.exp(-2.0 * gap * ahead / (variance * h)), math.exp(-2.0 * xi * end / (variance * h))
-        t = gap / (gap + ahead)
-        y = x + t * h
-        detour = t / (xi * y) + (1.0 - t) / (y * end) - 1.0 / (xi * end)
-        bowl = (
-            t * (xi * xi + xi * y + y * y)
-            + (1.0 - t) * (y * y + y * end + end * end)
-            - (xi * xi + xi * end + end * end)
-        )
-        weight = (c.shape * c.shape - 0.25) * detour + bowl / (3.0 * c.final2 * c.final2)
-        broke = passage * (1.0 - zero) < (meets - zero) * math.exp(-0.5 * variance * h * weight)
-    if broke:  # when: Michael, Schucany and Haas (1976)
-        a, b, d, _ = words(key, contact, life, draw)
-        draw += 1
-        z = normal_of(a, b)
-        mean, steep = gap / max(abs(ahead), 1e-300), gap * gap / (variance * h)
-        y = mean * z * z / steep
-        ratio = mean * 2.0 / (2.0 + y + math.sqrt(y * (4.0 + y)))  # the smaller root, without cancellation
-        if (d + 0.5) * 2.0**-32 > mean / (mean + ratio):
-            ratio = mean * (mean / ratio)
-        h = h * ratio / (1.0 + ratio) if ratio < 1e15 else h
-        end = x + h
+    along, end, lost = move(c, xi, h, normal, square)
+    broke, spent = meets(c, xi, x, h, end, passage), 0.0
+    if broke:
+        h, end, draw = meeting(c, key, contact, life, draw, xi, x, h, end)
     if c.breaking != MECHANICAL:
-        middle, spread = 0.5 * (xi + end), 0.5 * sigma * math.sqrt(h)  # a step cut short by a passage is short
-        if not broke:
-            middle, spread = halfway(c, xi, along, end, lost)
-        between = 0.5 * (heat(c, middle + spread, x + 0.5 * h) + heat(c, middle - spread, x + 0.5 * h))
-        last = heat(c, end, x + h)
-        spent = h * (rate + 4.0 * between + last) / 6.0
-        if spent > 0.03:  # the average over bridges has a spread of its own, which keeps some contacts pinned
-            a, b, _, _ = words(key, contact, life, draw)
-            draw += 1
-            z = normal_of(a, b)
-            scatter = slope * sigma * math.sqrt(h / 12.0)
-            factor = math.exp(scatter * (z - 0.5 * scatter)) if scatter < 1.0 else 1.0
-            rate, between, last, spent = rate * factor, between * factor, last * factor, spent * factor
-        if spent >= left:  # where: Newton for the integral of the parabola through the three rates
-            bend, curve = 4.0 * between - 3.0 * rate - last, 2.0 * (rate - 2.0 * between + last)
-            part = left / spent
-            for _ in range(8):
-                here = max(rate + part * (bend + part * curve), 1e-3 * spent / h)
-                done = h * part * (rate + part * (0.5 * bend + part * curve / 3.0))
-                part = min(max(part + (left - done) / (h * here), 0.0), 1.0)
-            broke, end, h, spent = True, xi + part * (end - xi), part * h, left
-        left -= spent
-    work = 0.5 * k0 * h * (2.0 * x + h)
-    if c.kappa_slope > 0.0:
-        k1 = kappa(c.kappa_slope, c.kappa_constant, end)
-        work = h * (k0 * (3.0 * x + h) + k1 * (3.0 * x + 2.0 * h)) / 6.0
-        if not broke:  # Simpson's rule
-            middle, _ = halfway(c, xi, along, end, lost)
-            k01 = kappa(c.kappa_slope, c.kappa_constant, middle)
-            work = h * (k0 * x + 4.0 * k01 * (x + 0.5 * h) + k1 * (x + h)) / 6.0
-    return broke, end, x + h, left, work, draw
+        between, last = cut_heats(c, xi, x, h, end) if broke else heats(c, xi, x, h, end, along, lost)
+        burnt, h, end, spent, draw = burn(c, key, contact, life, draw, xi, left, h, end, rate, between, last, slope)
+        broke = broke or burnt
+    work = work_of(c, xi, x, h, end, along, lost, broke) if c.kappa_slope > 0.0 else 0.0
+    return broke, end, x + h, left - spent, work, draw
 
 
 @routine
 def langevin_life(c: Contacts, key: Key, contact: int, life: int, xi: float, clock: float, step: float) -> Any:
     """Stretch at breaking and work done over k of a contact of threshold `xi` at birth and exponential `clock`."""
+    law = path_law(c)
     x, total, draw, broke = 0.0, 0.0, np.int64(0), False  # typed: a literal 0 would be compiled for itself
     while not broke:
-        broke, xi, x, clock, work, draw = walk(c, key, contact, life, draw, xi, x, clock, math.inf, step)
+        broke, xi, x, clock, work, draw = walk(law, key, contact, life, draw, xi, x, clock, math.inf, step)
         total += work
-    return x, total
+    return x, whole_work(law, x, total)
+
+
+@routine
+def draw_steps(
+    key: Key, shape: float, contact: Array, life: Array, draw: Array,
+    normal: Array, square: Array, passage: Array, u: Array, lanes: int,
+) -> None:  # fmt: skip
+    """`random_step` of many paths; `u` is room for their uniforms."""
+    for i in range(lanes):
+        normal[i], square[i], u[i], passage[i] = midpoints(key, contact[i], life[i], draw[i])
+        draw[i] += 1
+    for i in range(lanes):
+        normal[i], square[i] = normals_of(normal[i], square[i])
+    pairs = pairs_of(shape)
+    if pairs < 0:
+        for i in range(lanes):
+            square[i] = try_chi_square(key, contact[i], life[i], draw[i], shape, u[i])
+            draw[i] += 1
+        for i in range(lanes):
+            while square[i] == 0.0:
+                square[i] = try_chi_square(key, contact[i], life[i], draw[i], shape, u[i])
+                draw[i] += 1
+        return
+    for done in range(1, pairs, 4):
+        for i in range(lanes):
+            u[i] = times_uniforms(key, contact[i], life[i], draw[i], u[i], pairs - done)
+            draw[i] += 1
+    for i in range(lanes):
+        square[i] = chi_square(shape, square[i], u[i])
+
+
+@routine
+def langevin_lives(
+    c: PathLaw, key: Key, step: float, contacts: Array, lives: Array, births: Array, clocks: Array,
+    stretches: Array, works: Array,
+) -> None:  # fmt: skip
+    """`langevin_life` of many `lives` of `contacts` with thresholds `births` at birth: `stretches` at breaking and
+    `works`, to the same bits. They may be the arrays of `births` and `clocks`.
+
+    Paths advance side by side, one loop for each part of a step, and where one has ended the next begins.
+    """
+    at, contact, life = np.full(WALKERS, -1), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
+    draw, special = np.empty(WALKERS, np.int64), np.arange(WALKERS)
+    room = np.zeros((16, WALKERS))
+    xi, x, left, work = room[0], room[1], room[2], room[3]  # where paths are
+    h, rate, slope, along = room[4], room[5], room[6], room[7]  # their steps
+    end, lost, between, last = room[8], room[9], room[10], room[11]
+    passage, broke, spent, u = room[12], room[13], room[14], room[15]
+    begun, lanes = 0, min(WALKERS, births.size)
+    count, broke[:] = lanes, 1.0  # idle lanes count as broken
+    while True:
+        for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
+            i = special[j]
+            if broke[i] == 0.0:
+                continue
+            if at[i] >= 0:
+                stretches[at[i]], works[at[i]] = x[i], whole_work(c, x[i], work[i])
+            if begun < births.size:
+                at[i], contact[i], life[i], draw[i] = begun, contacts[begun], lives[begun], 0
+                xi[i], x[i], left[i], work[i] = births[begun], 0.0, clocks[begun], 0.0
+                begun += 1
+            else:
+                lanes -= 1
+                at[i], contact[i], life[i], draw[i] = at[lanes], contact[lanes], life[lanes], draw[lanes]
+                xi[i], x[i], left[i], work[i] = xi[lanes], x[lanes], left[lanes], work[lanes]
+        if lanes == 0:
+            return
+
+        for i in range(lanes):
+            h[i], rate[i], slope[i] = pace(c, xi[i], x[i], left[i], math.inf, step)
+        draw_steps(key, c.shape, contact, life, draw, along, end, passage, u, lanes)
+        for i in range(lanes):
+            along[i], end[i], lost[i] = move(c, xi[i], h[i], along[i], end[i])
+        for i in range(lanes):
+            broke[i] = 1.0 if meets(c, xi[i], x[i], h[i], end[i], passage[i]) else 0.0
+        if c.breaking != MECHANICAL:
+            for i in range(lanes):
+                between[i], last[i] = heats(c, xi[i], x[i], h[i], end[i], along[i], lost[i])
+            for i in range(lanes):
+                spent[i] = hazard(h[i], rate[i], between[i], last[i])
+
+        count = 0
+        for i in range(lanes):
+            special[count] = i
+            count += broke[i] > 0.0 or spent[i] > _SCATTERS or spent[i] >= left[i]
+        for j in range(count):
+            i = special[j]
+            if broke[i] > 0.0:
+                h[i], end[i], draw[i] = meeting(c, key, contact[i], life[i], draw[i], xi[i], x[i], h[i], end[i])
+            if c.breaking != MECHANICAL:
+                if broke[i] > 0.0:
+                    between[i], last[i] = cut_heats(c, xi[i], x[i], h[i], end[i])
+                burnt, h[i], end[i], spent[i], draw[i] = burn(
+                    c, key, contact[i], life[i], draw[i], xi[i], left[i], h[i], end[i],
+                    rate[i], between[i], last[i], slope[i],
+                )  # fmt: skip
+                if burnt:
+                    broke[i] = 1.0
+
+        for i in range(lanes if c.kappa_slope > 0.0 else 0):
+            work[i] += work_of(c, xi[i], x[i], h[i], end[i], along[i], lost[i], broke[i] > 0.0)
+        for i in range(lanes):
+            xi[i], x[i], left[i] = end[i], x[i] + h[i], left[i] - spent[i]

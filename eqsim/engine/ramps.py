@@ -27,7 +27,7 @@ from eqsim.engine.life import (
     stiffen_all,
     typical_lives,
 )
-from eqsim.engine.paths import STEP, langevin_life, walk
+from eqsim.engine.paths import STEP, langevin_life, path_law, walk
 from eqsim.engine.standing import Standing, extremes, standing_contact
 from eqsim.engine.streams import Key, fill_words, uniform, uniforms
 from eqsim.ensemble import Contacts
@@ -302,6 +302,7 @@ def langevin_force(
         return stretch
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
     quarters = 0.25 * run.distance
+    law = path_law(c)
     x, draw, broke, j = 0.0, np.int64(0), False, max(0, math.ceil(born * per_step))
     window = max(2, math.floor(born / quarters) + 1)  # the next edge of a window is at window * quarters
     while not broke:
@@ -318,7 +319,7 @@ def langevin_force(
         stop = window * quarters - born
         if j < run.points:
             stop = min(stop, j * step - born)
-        broke, xi, at, clock, work, draw = walk(c, key, contact, life, draw, xi, x, clock, stop - x, STEP)
+        broke, xi, at, clock, work, draw = walk(law, key, contact, life, draw, xi, x, clock, stop - x, STEP)
         if 2 < window < 5:
             batches[batch, window - 3, AREA] += fixed(work, batch_scales[AREA])
         x = at if broke or at < stop * (1.0 - 1e-15) else stop

@@ -1,9 +1,10 @@
-"""Logarithm and exponential without branches and tables, for loops over lanes of contacts that are to vectorise.
+"""Logarithm, exponential and sine without branches and tables, for loops over lanes of contacts that are to vectorise.
 
 The usual mathematical library is called once a number; these are additions, multiplications and at most one division,
 in strict IEEE arithmetic, so that eight of them run side by side. The logarithm is that of fdlibm (Sun, 1993), the
 exponential a Taylor polynomial of degree 13 after a reduction to |r| <= ln(2)/2. Errors in units of the last place:
-below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp (of -708 to 708), 2.5 for log_one_plus, 3 for two_thirds_power.
+below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp and 2 for exp_less_one (of -708 to 708), 2.5 for log_one_plus, 3 for
+two_thirds_power, 5 for quarter_sine.
 """
 
 import math
@@ -19,6 +20,10 @@ _SHIFT = 1.5 * 2.0**52  # added to a number below 2^51, leaves its nearest integ
 _SHIFT_BITS = 0x4338000000000000
 _CUBE_BITS = (4.0 / 3.0 * 1023.0 - 0.065) * 2.0**52  # of a first y^(-1/3), less than 4 % off
 _TAYLOR = tuple(1.0 / math.factorial(i) for i in range(14))
+_SINE = (  # of sin(pi z/2)/z in z^2: Chebyshev interpolation, 3e-16 off
+    1.5707963267948963, -0.6459640975062232, 0.07969262624568337, -0.004681754131447062,
+    0.0001604411695631063, -3.5988107063136794e-06, 5.688318064017795e-08, -6.449471237809134e-10,
+)  # fmt: skip
 
 
 @inlined
@@ -56,8 +61,8 @@ def exp(x: float) -> float:
 
 
 @inlined
-def bounded_exp(x: float) -> float:
-    """e^x, |x| <= 708."""
+def _exp_parts(x: float) -> tuple[float, float]:
+    """e^r - 1 and 2^k of e^x = 2^k e^r, |x| <= 708."""
     shifted = x * 1.4426950408889634 + _SHIFT
     k = shifted - _SHIFT
     r = fma(-k, _LN2_LOW, fma(-k, _LN2_HIGH, x))
@@ -66,9 +71,32 @@ def bounded_exp(x: float) -> float:
     highest = fma(r2, fma(_TAYLOR[13], r, _TAYLOR[12]), fma(_TAYLOR[11], r, _TAYLOR[10]))
     high = fma(r2, highest, fma(_TAYLOR[9], r, _TAYLOR[8]))
     middle = fma(r2, fma(_TAYLOR[7], r, _TAYLOR[6]), fma(_TAYLOR[5], r, _TAYLOR[4]))
-    p = 1.0 + fma(r2, fma(r2, fma(r4, high, middle), fma(_TAYLOR[3], r, 0.5)), r)
     power = np.int64((np.float64(shifted).view(np.int64) - _SHIFT_BITS + 1023) << 52).view(np.float64)
-    return p * power
+    return fma(r2, fma(r2, fma(r4, high, middle), fma(_TAYLOR[3], r, 0.5)), r), power
+
+
+@inlined
+def bounded_exp(x: float) -> float:
+    """e^x, |x| <= 708."""
+    more, power = _exp_parts(x)
+    return (1.0 + more) * power
+
+
+@inlined
+def exp_less_one(x: float) -> float:
+    """e^x - 1, |x| <= 708."""
+    more, power = _exp_parts(x)
+    return fma(more, power, power - 1.0)
+
+
+@inlined
+def quarter_sine(z: float) -> float:
+    """sin(pi z/2), |z| <= 1."""
+    w = z * z
+    w2 = w * w
+    high = fma(w2, fma(_SINE[7], w, _SINE[6]), fma(_SINE[5], w, _SINE[4]))
+    low = fma(w2, fma(_SINE[3], w, _SINE[2]), fma(_SINE[1], w, _SINE[0]))
+    return z * fma(w2 * w2, high, low)
 
 
 @inlined
