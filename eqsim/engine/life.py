@@ -176,6 +176,21 @@ def flow_all(c: Contacts, r: int, stretch: Array, clock: Array, lanes: int) -> N
         stretch[r, i] = break_stretch(c, stretch[r, i], clock[r, i])
 
 
+@inlined
+def break_all(c: Contacts, r: int, stretch: Array, clock: Array, stiffness: Array, row: Array, lanes: int) -> None:
+    """The law that holds (none of `langevin`); clocks are overwritten, `row` is scratch."""
+    stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, lanes)
+    if c.aging == FLOW:
+        flow_all(c, r, stretch, clock, lanes)
+    elif c.breaking == SOFT:
+        even = c.kappa_slope == 0.0
+        soft_all(c.erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, row, lanes)
+    elif c.breaking == STIFF:
+        stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, lanes)
+    elif c.breaking == POOLED:
+        pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, lanes)
+
+
 def typical_lives(c: Contacts) -> tuple[Array, Array]:
     """Work over k and stretch at breaking of 64 x 64 lives, at mid-points of equal shares of thresholds and of clocks:
     a rough picture of births that costs nothing; of 16 x 16 where thresholds fluctuate and lives cost something."""
@@ -227,15 +242,7 @@ def fill_lives(
         for i in range(lanes):
             x[r, i], clock[r, i] = u[first + i], -log(v[first + i])
         draw_thresholds(c.threshold_table, c.steps, r, x, row, lanes)
-        stiffen_all(c.kappa_slope, c.kappa_constant, r, x, spring, lanes)
-        if c.aging == FLOW:
-            flow_all(c, r, x, clock, lanes)
-        elif c.breaking == SOFT:
-            soft_all(c.erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, x, clock, spring, row, lanes)
-        elif c.breaking == STIFF:
-            stiff_all(c.b, c.log_w, r, x, clock, spring, lanes)
-        elif c.breaking == POOLED:
-            pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, x, clock, lanes)
+        break_all(c, r, x, clock, spring, row, lanes)
         for i in range(lanes):
             stretch[first + i] = x[r, i]
             work[first + i] = spring_work(c, spring[r, i], x[r, i])
@@ -249,7 +256,7 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
     words, stiffness = np.empty((4, LANES), np.uint64), np.empty((ROUNDS, LANES))
     stretch, clock = np.empty((ROUNDS, LANES)), np.full((ROUNDS, LANES), math.inf)
     work, total, most_work, most = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
-    table, steps, erfi_inverse = c.threshold_table, c.steps, c.erfi_inverse
+    table, steps = c.threshold_table, c.steps
     for at in range(begin, end):
         draw_rounds(
             table, steps, c.exponentials, c.breaking == MECHANICAL, key, contact, turn,
@@ -261,17 +268,7 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
                     index[i] = ROUNDS * at + r
                 langevin_lives(path_law(c), key, STEP, contact, index, stretch[r], clock[r], stretch[r], clock[r])
             else:
-                stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, LANES)
-                if c.aging == FLOW:
-                    flow_all(c, r, stretch, clock, LANES)
-                elif c.breaking == SOFT:
-                    soft_all(
-                        erfi_inverse, c.b, c.log_w, c.kappa_slope == 0.0, r, stretch, clock, stiffness, index, LANES
-                    )
-                elif c.breaking == STIFF:
-                    stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, LANES)
-                elif c.breaking == POOLED:
-                    pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, LANES)
+                break_all(c, r, stretch, clock, stiffness, index, LANES)
                 if c.aging == FLOW:
                     for i in range(LANES):
                         clock[r, i] = spring_work(c, stiffness[r, i], stretch[r, i])

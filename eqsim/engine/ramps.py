@@ -18,13 +18,9 @@ from eqsim.compiled import add_row, inlined, kernel, routine, take_row
 from eqsim.engine.life import (
     LANES,
     ROUNDS,
+    break_all,
     draw_rounds,
-    flow_all,
-    pooled_all,
-    soft_all,
     spring_work,
-    stiff_all,
-    stiffen_all,
     typical_lives,
 )
 from eqsim.engine.paths import STEP, langevin_life, path_law, walk
@@ -32,11 +28,11 @@ from eqsim.engine.standing import Standing, extremes, standing_contact
 from eqsim.engine.streams import Key, fill_words, uniform, uniforms
 from eqsim.ensemble import Contacts
 from eqsim.errors import InputError
-from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, growth
+from eqsim.laws.aging import LANGEVIN, UNAGED, growth
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.thermal import MECHANICAL, POOLED, SOFT, STIFF
+from eqsim.laws.thermal import MECHANICAL
 from eqsim.laws.threshold import threshold_draw
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -477,7 +473,7 @@ def simulate(
     one_by_one = run.batch_by_life or c.aging == LANGEVIN or (c.aging != UNAGED and not even)
     joined = even and c.delay == 0.0 and not one_by_one
     oldest = 1 if run.stationary else 0
-    table, steps, erfi_inverse = c.threshold_table, c.steps, c.erfi_inverse
+    table, steps = c.threshold_table, c.steps
     active, upcoming = 0, first
     while True:
         if 2 * active <= LANES:
@@ -509,15 +505,8 @@ def simulate(
             draw_delays(c, key, contact, turn, words, delay, full)
         ended = False
         for r in range(ROUNDS):
-            stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, full)
-            if c.aging == FLOW:
-                flow_all(c, r, stretch, clock, active)
-            elif c.aging == UNAGED and c.breaking == SOFT:
-                soft_all(erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, index, full)
-            elif c.aging == UNAGED and c.breaking == STIFF:
-                stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, full)
-            elif c.aging == UNAGED and c.breaking == POOLED:
-                pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, full)
+            if c.aging != LANGEVIN:
+                break_all(c, r, stretch, clock, stiffness, index, full)
             if one_by_one:
                 for i in range(active):
                     if position[i] <= run.distance:
