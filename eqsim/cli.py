@@ -1,20 +1,22 @@
 """The command line: arguments and printing only."""
 
+import atexit
 import dataclasses
-import functools
 import io
 import os
+import signal
 import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
+from typer.core import TyperGroup
 
-from eqsim.errors import InputError, require_choice, require_integer, require_number, under
+from eqsim.errors import InputError, require_choice, require_integer, require_number, shown, under
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -26,9 +28,42 @@ if TYPE_CHECKING:
     from eqsim.estimate import Estimate
     from eqsim.runfile import RunFile
 
+_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_AGAIN = 2.0  # seconds
+_stopped: list[int] = []  # the signals that were to end this process
+
+
+class _Commands(TyperGroup):
+    """Turns what a user can cause into one line and an exit code: 2 for bad input, 130 for Ctrl-C, 143 for SIGTERM."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            code = super().main(*args, **{**kwargs, "prog_name": "eqsim", "standalone_mode": False})
+        except cast(type[typer.BadParameter], typer.BadParameter.__base__) as error:  # any error of usage
+            said = error.format_message().removesuffix(".")
+            for problem in getattr(error.__cause__, "errors", list)():  # typer's, which do not tell the value
+                said = said.replace("Input should be", f"{shown(problem['input'])} must be")
+            code = _say(f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`", 2)
+        sys.exit(code)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            _fail(str(error), 2)
+        except MemoryError:
+            _fail("not enough memory; fewer output.points need less", 2)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
+        except OSError as error:
+            _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
+        except KeyboardInterrupt:
+            _interrupted("nothing is half-written")
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="Stochastic earthquake-model simulator of multi-contact friction.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -48,34 +83,21 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.")]
 
 
-def guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """Turn what a user can cause into one line and an exit code: 2 for bad input, 130 for Ctrl-C."""
-
-    @functools.wraps(command)
-    def run(*args: Any, **kwargs: Any) -> None:
-        try:
-            command(*args, **kwargs)
-        except InputError as error:
-            _fail(str(error), 2)
-        except MemoryError:
-            _fail("not enough memory; fewer output.points need less", 2)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
-        except OSError as error:
-            _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
-        except KeyboardInterrupt:
-            _fail("interrupted; nothing was written", 130)
-
-    return run
-
-
-def _fail(message: str, code: int) -> None:
+def _say(message: str, code: int) -> int:
     print("eqsim: " + " ".join(message.split()), file=sys.stderr)
-    raise typer.Exit(code)
+    return code
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    raise typer.Exit(_say(message, code))
+
+
+def _interrupted(what: str) -> NoReturn:
+    _listen(signal.SIG_IGN)
+    _fail(f"interrupted; {what}", 128 + (_stopped or [signal.SIGINT])[0])
 
 
 @app.command()
-@guarded
 def run(
     path: Path_,
     out: Annotated[
@@ -154,7 +176,6 @@ def run(
 
 
 @app.command()
-@guarded
 def steady(
     path: Path_,
     rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-3,
@@ -205,7 +226,6 @@ def steady(
 
 
 @app.command()
-@guarded
 def reference(
     path: Path_,
     transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
@@ -254,7 +274,6 @@ def reference(
 
 
 @app.command()
-@guarded
 def validate(
     suite: Annotated[str, typer.Argument(help='"quick" (seconds) or "full" (minutes).')] = "quick",
     out: Annotated[Path, typer.Option(help="Folder for the table of scores and the picture.")] = Path(
@@ -309,7 +328,6 @@ def validate(
 
 
 @app.command()
-@guarded
 def sweep(
     path: Path_,
     out: Annotated[Path, typer.Option(help="Folder of the dataset; the same command continues it.")],
@@ -354,7 +372,7 @@ def sweep(
                 dask=dask, progress=progress, note=(lambda _: None) if silent else print,
             )  # fmt: skip
     except KeyboardInterrupt as stop:
-        _fail(f"interrupted; {stop or 'nothing was computed'}; the same command continues", 130)
+        _interrupted(f"{str(stop) or 'nothing was computed'}; the same command continues")
     failures = found.failures[:10]
     if json:
         print(tables.to_json({**dataclasses.asdict(found), "failures": failures, "out": str(out)}))
@@ -373,7 +391,6 @@ def sweep(
 
 
 @app.command()
-@guarded
 def info(
     path: Path_,
     set_: Set = None,
@@ -406,7 +423,6 @@ def info(
 
 
 @app.command()
-@guarded
 def plot(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder of Parquet files, one point a row.", show_default=False)
@@ -455,7 +471,6 @@ def plot(
 
 
 @app.command()
-@guarded
 def figures(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[A01 ...]", help="Which figures. Default: all.", show_default=False)
@@ -498,7 +513,6 @@ def figures(
 
 
 @app.command()
-@guarded
 def replay(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Parquet file that eqsim wrote.", show_default=False)],
     threads: Threads = None,
@@ -525,7 +539,6 @@ def replay(
 
 
 @app.command()
-@guarded
 def material(
     name: Annotated[str, typer.Argument(metavar="NAME", help='"steel" or "octamethylcyclotetrasiloxane".')],
     temperature: Annotated[
@@ -727,9 +740,47 @@ def _show(title: str, table: "Table") -> None:
     Console().print(Text(title, style="bold"), table)
 
 
+def _stop(number: int, _: Any) -> None:
+    """Raise KeyboardInterrupt, again and again until it is heard: callbacks of compilers and of C code swallow it."""
+    if number != signal.SIGALRM:
+        _stopped.append(number)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+    raise KeyboardInterrupt
+
+
+def _swallowed(lost: Any) -> None:
+    """Called by Python with an exception that nobody can catch."""
+    if not _stopped:
+        sys.__unraisablehook__(lost)
+    elif issubclass(lost.exc_type, KeyboardInterrupt):
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+
+
+def _listen(handler: Any) -> None:
+    """Let Ctrl-C, and what batch systems and closed terminals send, go to `handler`, unless they were ignored."""
+    if os.name == "posix":
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number in [number for number in _SIGNALS if signal.getsignal(number) != signal.SIG_IGN]:
+            signal.signal(number, handler)
+        signal.signal(signal.SIGALRM, handler)
+
+
 def main() -> None:
     """Entry point of the `eqsim` command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
-    app()
+    sys.unraisablehook = _swallowed
+    try:
+        _listen(_stop)
+        app(sys.argv[1:] or ["--help"])
+    finally:
+        heard = signal.getsignal(_SIGNALS[0]) is not _stop
+        _listen(signal.SIG_IGN)
+        if _stopped:
+            if not heard:  # no command had begun
+                _say("interrupted; nothing was written", 0)
+            with suppress(OSError):
+                sys.stdout.flush()
+            atexit._run_exitfuncs()
+            os._exit(128 + _stopped[0])  # threads may have long to go
