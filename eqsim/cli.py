@@ -123,10 +123,12 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
-    file, changes = _load(path, set_, seed)
+    file, text = _load(path, set_, seed)
     from eqsim import tables
 
     require_number("--max-lives", max_lives, above=0)
+    if out is None and not path.is_file():
+        raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
     folder = out or path.parent / "out" / path.stem
     tables.check_folder(folder)
     ensemble, drive = file.ensemble(path.parent), file.driven()
@@ -143,7 +145,7 @@ def run(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=many,
             max_lives=max_lives, progress=progress, executor=executor,
         )  # fmt: skip
-    origin = tables.provenance("run", file.model_dump(), _text(path, changes), output.seed, path.parent)
+    origin = tables.provenance("run", file.model_dump(), text, output.seed, path.parent)
     averages = {"friction": result.friction, "pinned": result.pinned_fraction, "break_stretch": result.break_stretch}
     summary = {
         "title": file.title,
@@ -352,7 +354,7 @@ def sweep(
     quiet: Quiet = False,
 ) -> None:
     """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
-    file, changes = _load(path, set_, seed)
+    file, text = _load(path, set_, seed)
     if dask is not None and workers is not None:
         raise InputError("--workers: not with --dask, whose cluster has its own")
     cores, each = _threads(None), None if threads is None else _threads(threads)
@@ -368,7 +370,7 @@ def sweep(
     try:
         with _bar("sweeping", silent, "points") as progress:
             found = compute(
-                file, path.parent, out, asked=asked, text=_text(path, changes), workers=workers, threads=each,
+                file, path.parent, out, asked=asked, text=text, workers=workers, threads=each,
                 dask=dask, progress=progress, note=(lambda _: None) if silent else print,
             )  # fmt: skip
     except KeyboardInterrupt as stop:
@@ -572,7 +574,8 @@ def material(
         _show(f"{name} at {kelvin:.4g} K", table)
 
 
-def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
+def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", str]:
+    """The run file with its changes, and its text with a note of what was changed on the command line."""
     changes: dict[str, Any] = {}
     for item in set_ or []:
         if not item.isascii() and any("\ud800" <= c <= "\udfff" for c in item):  # bytes that are no UTF-8
@@ -588,12 +591,13 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
     if seed is not None:
         changes["output.seed"] = seed
     from eqsim.ensemble import check_output
-    from eqsim.runfile import load
+    from eqsim.runfile import load, read
 
-    file = load(path, changes)
+    text = read(path)
+    file = load(path, changes, text)
     with under("output"):
         check_output(file.output.points, file.output.seed, file.output.replicas)
-    return file, changes
+    return file, text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
 
 
 def _if_any(solve: Callable[[], Any]) -> tuple[Any, str]:
@@ -602,12 +606,6 @@ def _if_any(solve: Callable[[], Any]) -> tuple[Any, str]:
         return solve(), ""
     except InputError as error:
         return None, str(error)
-
-
-def _text(path: Path, changes: dict[str, Any]) -> str:
-    """The run file as it stands, with a note of what was changed on the command line."""
-    notes = "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
-    return path.read_text(encoding="utf-8-sig") + notes
 
 
 def _plain(title: str) -> str:

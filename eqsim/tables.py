@@ -101,7 +101,7 @@ def save(path: Path, content: bytes) -> None:
 
 def check_folder(folder: Path) -> None:
     """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
-    present = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    present = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not present.is_dir():
         raise InputError(f"--out {folder}: {present} is not a folder")
     try:
