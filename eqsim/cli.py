@@ -44,6 +44,8 @@ class _Commands(TyperGroup):
             for problem in getattr(error.__cause__, "errors", list)():  # typer's, which do not tell the value
                 said = said.replace("Input should be", f"{shown(problem['input'])} must be")
             code = _say(f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`", 2)
+        except OSError as error:
+            code = _say(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
         sys.exit(code)
 
     def invoke(self, ctx: Any) -> Any:
@@ -55,8 +57,6 @@ class _Commands(TyperGroup):
             _fail("not enough memory; fewer output.points need less", 2)
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
-        except OSError as error:
-            _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
         except KeyboardInterrupt:
             _interrupted("nothing is half-written")
 

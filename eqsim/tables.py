@@ -79,7 +79,14 @@ def unsealed(content: bytes, schema: Any) -> Any:
 
 
 def save(path: Path, content: bytes) -> None:
-    """Write one file, whole or not at all, whenever the process or the machine dies."""
+    """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
+    try:
+        _save(path, content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _save(path: Path, content: bytes) -> None:
     handle, name = tempfile.mkstemp(prefix=".eqsim-", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
