@@ -773,11 +773,10 @@ def main() -> None:
         _listen(_stop)
         app(sys.argv[1:] or ["--help"])
     finally:
-        heard = signal.getsignal(_SIGNALS[0]) is not _stop
+        if _stopped and signal.getsignal(signal.SIGALRM) is _stop:  # no command has heard of it
+            _say("interrupted; nothing is half-written", 0)
         _listen(signal.SIG_IGN)
         if _stopped:
-            if not heard:  # no command had begun
-                _say("interrupted; nothing was written", 0)
             with suppress(OSError):
                 sys.stdout.flush()
             atexit._run_exitfuncs()

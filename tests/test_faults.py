@@ -170,10 +170,10 @@ COMMANDS = {
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, number):
-    """Twenty moments of the first ten seconds, to the whole process group or to its leader."""
+    """Twelve moments of the first six seconds, to the whole process group or to its leader."""
     if command == "replay":
         long_table(tmp_path / "made")
-    moments = [0.3 * 1.2**turn for turn in range(20)]
+    moments = [0.3 * 1.3**turn for turn in range(12)]
     for turn, moment in enumerate(moments):
         process = start(*COMMANDS[command], cwd=tmp_path)
         time.sleep(moment)
@@ -262,9 +262,9 @@ def test_a_sweep_clears_what_a_killed_command_has_left(run_file, tmp_path):
 @pytest.mark.parametrize(
     ("command", "files", "kills", "longest"),
     [
-        (("run", "a.toml", "--out", "o"), FILES, 40, 4.0),
-        (("run", "a.toml", "--out", "o", *WORKERS), FILES, 15, 7.0),
-        (("figures", "A05", "--quick", "--out", "o", *WORKERS), ["A05.parquet", "A05.pdf", "A05.png"], 20, 15.0),
+        (("run", "a.toml", "--out", "o"), FILES, 25, 4.0),
+        (("run", "a.toml", "--out", "o", *WORKERS), FILES, 10, 7.0),
+        (("figures", "A05", "--quick", "--out", "o", *WORKERS), ["A05.parquet", "A05.pdf", "A05.png"], 10, 12.0),
     ],
 )  # fmt: skip
 def test_killed_at_any_moment(run_file, tmp_path, command, files, kills, longest):
@@ -287,6 +287,18 @@ def test_killed_at_any_moment(run_file, tmp_path, command, files, kills, longest
     code, _, errors = ended(start(*command, cwd=tmp_path), timeout=300)
     assert (code, errors) == (0, "")
     assert set(files) <= set(names(tmp_path / "o"))
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("command", ["run --workers", "figures"])
+def test_a_killed_worker_ends_what_cannot_go_on_without_it(run_file, tmp_path, command):
+    process = start(*COMMANDS[command], cwd=tmp_path)
+    workers = once(lambda: [c for c in group(process.pid) if "spawn_main" in " ".join(c.cmdline())], process)
+    workers[0].kill()
+    code, output, errors = ended(process)
+    assert (code, output) == (2, "")
+    assert re.fullmatch(r"eqsim: --workers: a worker was lost, perhaps for want of memory .*\n", errors)
+    assert not (tmp_path / "o").exists()
 
 
 # ---- places that cannot be used ----
