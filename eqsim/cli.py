@@ -769,15 +769,19 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
     sys.unraisablehook = _swallowed
+    code: Any = None
     try:
         _listen(_stop)
         app(sys.argv[1:] or ["--help"])
+    except SystemExit as end:
+        code = end.code
     finally:
         if _stopped and signal.getsignal(signal.SIGALRM) is _stop:  # no command has heard of it
             _say("interrupted; nothing is half-written", 0)
         _listen(signal.SIG_IGN)
-        if _stopped:
+        if _stopped or code == 2:  # threads may have long to go, or complain about a pool that was broken off
             with suppress(OSError):
                 sys.stdout.flush()
             atexit._run_exitfuncs()
-            os._exit(128 + _stopped[0])  # threads may have long to go
+            os._exit(128 + _stopped[0] if _stopped else 2)
+    sys.exit(code)
