@@ -1,20 +1,22 @@
 """The command line: arguments and printing only."""
 
+import atexit
 import dataclasses
-import functools
 import io
 import os
+import signal
 import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
+from typer.core import TyperGroup
 
-from eqsim.errors import InputError, require_choice, require_integer, require_number, under
+from eqsim.errors import InputError, require_choice, require_integer, require_number, shown, under
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -26,9 +28,42 @@ if TYPE_CHECKING:
     from eqsim.estimate import Estimate
     from eqsim.runfile import RunFile
 
+_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_AGAIN = 2.0  # seconds
+_stopped: list[int] = []  # the signals that were to end this process
+
+
+class _Commands(TyperGroup):
+    """Turns what a user can cause into one line and an exit code: 2 for bad input, 130 for Ctrl-C, 143 for SIGTERM."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            code = super().main(*args, **{**kwargs, "prog_name": "eqsim", "standalone_mode": False})
+        except cast(type[typer.BadParameter], typer.BadParameter.__base__) as error:  # any error of usage
+            said = error.format_message().removesuffix(".")
+            for problem in getattr(error.__cause__, "errors", list)():  # typer's, which do not tell the value
+                said = said.replace("Input should be", f"{shown(problem['input'])} must be")
+            code = _say(f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`", 2)
+        except OSError as error:
+            code = _say(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
+        sys.exit(code)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            _fail(str(error), 2)
+        except MemoryError:
+            _fail("not enough memory; fewer output.points need less", 2)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
+        except KeyboardInterrupt:
+            _interrupted("nothing is half-written")
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="Stochastic earthquake-model simulator of multi-contact friction.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -48,34 +83,21 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.")]
 
 
-def guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """Turn what a user can cause into one line and an exit code: 2 for bad input, 130 for Ctrl-C."""
-
-    @functools.wraps(command)
-    def run(*args: Any, **kwargs: Any) -> None:
-        try:
-            command(*args, **kwargs)
-        except InputError as error:
-            _fail(str(error), 2)
-        except MemoryError:
-            _fail("not enough memory; fewer output.points need less", 2)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
-        except OSError as error:
-            _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
-        except KeyboardInterrupt:
-            _fail("interrupted; nothing was written", 130)
-
-    return run
-
-
-def _fail(message: str, code: int) -> None:
+def _say(message: str, code: int) -> int:
     print("eqsim: " + " ".join(message.split()), file=sys.stderr)
-    raise typer.Exit(code)
+    return code
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    raise typer.Exit(_say(message, code))
+
+
+def _interrupted(what: str) -> NoReturn:
+    _listen(signal.SIG_IGN)
+    _fail(f"interrupted; {what}", 128 + (_stopped or [signal.SIGINT])[0])
 
 
 @app.command()
-@guarded
 def run(
     path: Path_,
     out: Annotated[
@@ -101,10 +123,12 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
-    file, changes = _load(path, set_, seed)
+    file, text = _load(path, set_, seed)
     from eqsim import tables
 
     require_number("--max-lives", max_lives, above=0)
+    if out is None and not path.is_file():
+        raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
     folder = out or path.parent / "out" / path.stem
     tables.check_folder(folder)
     ensemble, drive = file.ensemble(path.parent), file.driven()
@@ -121,7 +145,7 @@ def run(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=many,
             max_lives=max_lives, progress=progress, executor=executor,
         )  # fmt: skip
-    origin = tables.provenance("run", file.model_dump(), _text(path, changes), output.seed, path.parent)
+    origin = tables.provenance("run", file.model_dump(), text, output.seed, path.parent)
     averages = {"friction": result.friction, "pinned": result.pinned_fraction, "break_stretch": result.break_stretch}
     summary = {
         "title": file.title,
@@ -154,7 +178,6 @@ def run(
 
 
 @app.command()
-@guarded
 def steady(
     path: Path_,
     rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-3,
@@ -205,7 +228,6 @@ def steady(
 
 
 @app.command()
-@guarded
 def reference(
     path: Path_,
     transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
@@ -254,7 +276,6 @@ def reference(
 
 
 @app.command()
-@guarded
 def validate(
     suite: Annotated[str, typer.Argument(help='"quick" (seconds) or "full" (minutes).')] = "quick",
     out: Annotated[Path, typer.Option(help="Folder for the table of scores and the picture.")] = Path(
@@ -309,7 +330,6 @@ def validate(
 
 
 @app.command()
-@guarded
 def sweep(
     path: Path_,
     out: Annotated[Path, typer.Option(help="Folder of the dataset; the same command continues it.")],
@@ -334,7 +354,7 @@ def sweep(
     quiet: Quiet = False,
 ) -> None:
     """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
-    file, changes = _load(path, set_, seed)
+    file, text = _load(path, set_, seed)
     if dask is not None and workers is not None:
         raise InputError("--workers: not with --dask, whose cluster has its own")
     cores, each = _threads(None), None if threads is None else _threads(threads)
@@ -350,11 +370,11 @@ def sweep(
     try:
         with _bar("sweeping", silent, "points") as progress:
             found = compute(
-                file, path.parent, out, asked=asked, text=_text(path, changes), workers=workers, threads=each,
+                file, path.parent, out, asked=asked, text=text, workers=workers, threads=each,
                 dask=dask, progress=progress, note=(lambda _: None) if silent else print,
             )  # fmt: skip
     except KeyboardInterrupt as stop:
-        _fail(f"interrupted; {stop or 'nothing was computed'}; the same command continues", 130)
+        _interrupted(f"{str(stop) or 'nothing was computed'}; the same command continues")
     failures = found.failures[:10]
     if json:
         print(tables.to_json({**dataclasses.asdict(found), "failures": failures, "out": str(out)}))
@@ -373,7 +393,6 @@ def sweep(
 
 
 @app.command()
-@guarded
 def info(
     path: Path_,
     set_: Set = None,
@@ -406,7 +425,6 @@ def info(
 
 
 @app.command()
-@guarded
 def plot(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder of Parquet files, one point a row.", show_default=False)
@@ -455,7 +473,6 @@ def plot(
 
 
 @app.command()
-@guarded
 def figures(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[A01 ...]", help="Which figures. Default: all.", show_default=False)
@@ -498,7 +515,6 @@ def figures(
 
 
 @app.command()
-@guarded
 def replay(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Parquet file that eqsim wrote.", show_default=False)],
     threads: Threads = None,
@@ -525,7 +541,6 @@ def replay(
 
 
 @app.command()
-@guarded
 def material(
     name: Annotated[str, typer.Argument(metavar="NAME", help='"steel" or "octamethylcyclotetrasiloxane".')],
     temperature: Annotated[
@@ -559,7 +574,8 @@ def material(
         _show(f"{name} at {kelvin:.4g} K", table)
 
 
-def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", dict[str, Any]]:
+def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", str]:
+    """The run file with its changes, and its text with a note of what was changed on the command line."""
     changes: dict[str, Any] = {}
     for item in set_ or []:
         if not item.isascii() and any("\ud800" <= c <= "\udfff" for c in item):  # bytes that are no UTF-8
@@ -575,12 +591,13 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
     if seed is not None:
         changes["output.seed"] = seed
     from eqsim.ensemble import check_output
-    from eqsim.runfile import load
+    from eqsim.runfile import load, read
 
-    file = load(path, changes)
+    text = read(path)
+    file = load(path, changes, text)
     with under("output"):
         check_output(file.output.points, file.output.seed, file.output.replicas)
-    return file, changes
+    return file, text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
 
 
 def _if_any(solve: Callable[[], Any]) -> tuple[Any, str]:
@@ -589,12 +606,6 @@ def _if_any(solve: Callable[[], Any]) -> tuple[Any, str]:
         return solve(), ""
     except InputError as error:
         return None, str(error)
-
-
-def _text(path: Path, changes: dict[str, Any]) -> str:
-    """The run file as it stands, with a note of what was changed on the command line."""
-    notes = "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
-    return path.read_text(encoding="utf-8-sig") + notes
 
 
 def _plain(title: str) -> str:
@@ -727,9 +738,50 @@ def _show(title: str, table: "Table") -> None:
     Console().print(Text(title, style="bold"), table)
 
 
+def _stop(number: int, _: Any) -> None:
+    """Raise KeyboardInterrupt, again and again until it is heard: callbacks of compilers and of C code swallow it."""
+    if number != signal.SIGALRM:
+        _stopped.append(number)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+    raise KeyboardInterrupt
+
+
+def _swallowed(lost: Any) -> None:
+    """Called by Python with an exception that nobody can catch."""
+    if not _stopped:
+        sys.__unraisablehook__(lost)
+    elif issubclass(lost.exc_type, KeyboardInterrupt):
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+
+
+def _listen(handler: Any) -> None:
+    """Let Ctrl-C, and what batch systems and closed terminals send, go to `handler`, unless they were ignored."""
+    if os.name == "posix":
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number in [number for number in _SIGNALS if signal.getsignal(number) != signal.SIG_IGN]:
+            signal.signal(number, handler)
+        signal.signal(signal.SIGALRM, handler)
+
+
 def main() -> None:
     """Entry point of the `eqsim` command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
-    app()
+    sys.unraisablehook = _swallowed
+    code: Any = None
+    try:
+        _listen(_stop)
+        app(sys.argv[1:] or ["--help"])
+    except SystemExit as end:
+        code = end.code
+    finally:
+        if _stopped and signal.getsignal(signal.SIGALRM) is _stop:  # no command has heard of it
+            _say("interrupted; nothing is half-written", 0)
+        _listen(signal.SIG_IGN)
+        if _stopped or code == 2:  # threads may have long to go, or complain about a pool that was broken off
+            with suppress(OSError):
+                sys.stdout.flush()
+            atexit._run_exitfuncs()
+            os._exit(128 + _stopped[0] if _stopped else 2)
+    sys.exit(code)

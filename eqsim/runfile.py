@@ -150,14 +150,22 @@ class RunFile(_Section):
             return Drive(self.drive.velocity, self.drive.distance, self.drive.start)  # type: ignore[arg-type]
 
 
-def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
-    """Read and check a run file, with `changes` ("section.key": value) put in first. Raises InputError."""
+def read(path: Path) -> str:
+    """The text of a run file. Raises InputError."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8") from None
+
+
+def load(path: Path, changes: dict[str, Any] | None = None, text: str | None = None) -> RunFile:
+    """Read and check a run file, with `changes` ("section.key": value) put in first; `text` is its content if it has
+    been read: a pipe can be read once. Raises InputError."""
+    text = read(path) if text is None else text
+    try:
+        data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
         raise InputError(f"{path}: is not valid TOML: {error}") from None
     for key, value in (changes or {}).items():

@@ -35,6 +35,7 @@ import itertools
 import json
 import math
 import os
+import shutil
 import statistics
 import time
 from collections import Counter, deque
@@ -380,7 +381,7 @@ class Store:
             self._agree(asked, text)
             (out / _PARTS).mkdir(exist_ok=True)
             for left in (*out.glob(".eqsim-*"), *(out / _PARTS).glob(".eqsim-*")):
-                left.unlink()
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
             origin = tables.provenance("sweep", settings, text, plan.file.output.seed, plan.folder)
             origin |= {"schema": SCHEMA, "results_version": results_version()}

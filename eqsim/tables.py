@@ -89,7 +89,14 @@ def unsealed(content: bytes, schema: Any) -> Any:
 
 
 def save(path: Path, content: bytes) -> None:
-    """Write one file, whole or not at all, whenever the process or the machine dies."""
+    """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
+    try:
+        _save(path, content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _save(path: Path, content: bytes) -> None:
     handle, name = tempfile.mkstemp(prefix=".eqsim-", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -111,7 +118,7 @@ def save(path: Path, content: bytes) -> None:
 
 def check_folder(folder: Path) -> None:
     """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
-    present = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    present = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not present.is_dir():
         raise InputError(f"--out {folder}: {present} is not a folder")
     try:

@@ -13,7 +13,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -24,6 +24,28 @@ from eqsim.errors import InputError
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Signals that end a process wait until this is over."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Pool(ProcessPoolExecutor):
+    """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all processes of a terminal, and
+    one that is still starting would answer with a traceback."""
+
+    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+        with _undisturbed():
+            return super().submit(*args, **kwargs)
 
 
 class Processes:
@@ -40,7 +62,8 @@ class Processes:
 
     def renew(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self.pool: Executor = ProcessPoolExecutor(self.workers, context, initializer=_enlist)
+        with _undisturbed():
+            self.pool: Executor = _Pool(self.workers, context, initializer=_enlist)
 
     def slots(self) -> int:
         return self.workers
@@ -60,6 +83,8 @@ class Processes:
 def _enlist() -> None:
     """A worker leaves Ctrl-C to its parent, and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

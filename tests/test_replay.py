@@ -1,6 +1,8 @@
 """A table can be made again from what it carries, and a table that was tampered with is found out."""
 
 import json
+import os
+import threading
 
 import numpy as np
 import pandas as pd
@@ -73,6 +75,21 @@ def test_same_bits(made, kind, threads):
     assert found["same"]
     assert found["differences"] == {}
     assert found["rows"] == {"run": 21, "table": 2001, "sweep": 2}[kind]
+
+
+def test_a_run_file_from_a_pipe(made, tmp_path):
+    """It can be read once; the table carries it as it was."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for out in ([], ["--out", tmp_path / "o"]):
+        writer = threading.Thread(target=pipe.write_text, args=(RUN,))
+        writer.start()
+        done = call("run", pipe, *out)
+        writer.join()
+        assert done.exit_code == (0 if out else 2), done.output
+    path = tmp_path / "o" / "trajectory.parquet"
+    assert json.loads(pq.read_schema(path).metadata[b"eqsim"])["run_file"] == RUN
+    assert call("replay", path).exit_code == 0
 
 
 def test_what_was_changed_is_found(made, tmp_path):

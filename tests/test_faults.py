@@ -1,0 +1,374 @@
+"""Whatever ends a command or stands in its way: nothing half-written, nobody left behind, one clear line.
+
+The kills at random moments, and what needs minutes, are in `pytest -m verification`.
+"""
+
+import contextlib
+import ctypes
+import itertools
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+import eqsim
+from eqsim import tables
+from eqsim.cli import app
+from eqsim.workers import Processes
+
+EQSIM = "from eqsim.cli import main; main()"
+EAGER = "import eqsim.sweep as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM  # rows reach the disk at once
+RUN = (
+    '[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n'
+)
+SWEEP = RUN + '[sweep]\n"thermal.kT" = { log = [0.03, 1.0, 20] }\n"delay.time" = { linear = [0.0, 1.0, 50] }\n'
+LONG = ("--set", "contacts.count=300000000", "--threads", "1")  # minutes
+FILES = ["force.png", "summary.json", "trajectory.parquet"]
+OVER = "eqsim: interrupted; nothing is half-written\n"
+WORKERS = ("--workers", "2")
+
+
+@pytest.fixture
+def run_file(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(RUN)
+    (tmp_path / "grid.toml").write_text(SWEEP)
+    return path
+
+
+def start(*args, code=EQSIM, limit=lambda: None, **options):
+    """A command in a process group of its own, as a terminal or a batch system starts it."""
+
+    def ready():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # shells have jobs in the background ignore it
+        limit()
+
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True, preexec_fn=ready, **options,
+    )  # fmt: skip
+
+
+def ended(process, timeout=60):
+    """Exit code, output and errors; nobody of its process group outlives it by more than 10 seconds."""
+    output, errors = process.communicate(timeout=timeout)
+    deadline = time.monotonic() + 10
+    while group(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not group(process.pid)
+    return process.returncode, output, errors
+
+
+def group(leader):
+    """The living processes of a group."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, ProcessLookupError):
+            if os.getpgid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+def names(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def once(happens, process):
+    """Wait until it happens; the process must not end by itself before."""
+    while not (found := happens()):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    return found
+
+
+# ---- signals ----
+
+SWALLOWED = """
+import os, signal, sys, time
+import eqsim.cli as cli
+
+class Finaliser:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+def work(*_):
+    try:
+        found = Finaliser()
+        if sys.argv[1] == "info":
+            del found  # Python reports and drops what is raised in __del__, as in callbacks of a compiler
+        else:
+            found.__del__()
+    except BaseException:
+        if sys.argv[1] == "reference":
+            raise ImportError("initialization failed") from None
+        print("swallowed")
+    time.sleep(60)
+
+cli._load = work
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(("command", "output"), [("info", ""), ("steady", "swallowed\n"), ("reference", "")])
+def test_an_interrupt_that_is_lost_is_raised_again(command, output):
+    """Lost in a finaliser, lost in a library that catches everything, or turned into another error by one."""
+    assert ended(start(command, "a.toml", code=SWALLOWED), timeout=30) == (130, output, OVER)
+
+
+def test_ctrl_c_does_not_reach_a_worker_that_starts():
+    """A terminal sends it to all; a worker is deaf from its first moment on, and its parent decides."""
+    crew = Processes(1)
+    try:
+        future = crew.pool.submit(os.getpid)
+        while not future.done():
+            for child in psutil.Process().children():
+                if "spawn_main" in " ".join(child.cmdline()):
+                    child.send_signal(signal.SIGINT)
+            time.sleep(0.005)
+        assert future.result() != os.getpid()
+    finally:
+        crew.close(hurry=True)
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_file, tmp_path):
+    grid, out = tmp_path / "grid.toml", tmp_path / "o"
+    process = start("sweep", grid, "--out", out, *WORKERS, code=EAGER)
+    once(lambda: [*(out / "_parts").glob("part-*")], process)
+    second = CliRunner().invoke(app, ["sweep", str(grid), "--out", str(out)])
+    assert (second.exit_code, second.stderr) == (2, f"eqsim: --out {out}: another sweep is at work in this folder\n")
+    os.killpg(process.pid, signal.SIGTERM)
+    code, _, errors = ended(process)
+    assert code == 143
+    said = re.fullmatch(r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n", errors)
+    assert said, errors
+    assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
+
+
+COMMANDS = {
+    "run": ("run", "a.toml", "--out", "o", *LONG),
+    "run --workers": ("run", "a.toml", "--out", "o", *LONG, *WORKERS),
+    "steady": ("steady", "a.toml", "--rel-error", "1e-9", "--max-lives", "1e15"),
+    "validate": ("validate", "full", "--out", "o"),
+    "sweep": ("sweep", "grid.toml", "--out", "o", *WORKERS),
+    "figures": ("figures", "--out", "o", *WORKERS),
+    "replay": ("replay", "made/trajectory.parquet"),
+}
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, number):
+    """Twelve moments of the first six seconds, to the whole process group or to its leader."""
+    if command == "replay":
+        long_table(tmp_path / "made")
+    moments = [0.3 * 1.3**turn for turn in range(12)]
+    for turn, moment in enumerate(moments):
+        process = start(*COMMANDS[command], cwd=tmp_path)
+        time.sleep(moment)
+        assert process.poll() is None, process.communicate()
+        begin = time.monotonic()
+        (os.kill if turn % 2 else os.killpg)(process.pid, number)
+        code, output, errors = ended(process)
+        assert time.monotonic() - begin < 10
+        assert code == 128 + number
+        assert re.fullmatch(r"eqsim: interrupted; .*\n", errors), errors
+        assert command == "sweep" or output == ""
+        if command == "sweep":
+            assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "_parts"}
+        else:
+            assert not (tmp_path / "o").exists()
+
+
+def long_table(folder):
+    """A table that says it was made by a run of minutes."""
+    file = eqsim.load(folder.parent / "a.toml", {"contacts.count": 300_000_000})
+    folder.mkdir()
+    content = tables.parquet({"X": [0.0]}, tables.provenance("run", file.model_dump(), RUN, 1, folder))
+    (folder / "trajectory.parquet").write_bytes(content)
+
+
+# ---- SIGKILL ----
+
+DIES = """
+import os, signal, sys
+from pathlib import Path
+from eqsim import tables
+
+out, turn = Path(sys.argv[1]), int(sys.argv[2])
+left = [turn]
+
+def deadly(call):
+    def dies(*args, **kwargs):
+        left[0] -= 1
+        if left[0] < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return call(*args, **kwargs)
+    return dies
+
+for name in ("fsync", "replace", "mkdir", "rmdir", "unlink", "open", "close"):
+    setattr(os, name, deadly(getattr(os, name)))
+tables.publish(out, {"a": b"new a", "b": b"new b"})
+tables.save(out / "c", b"new c")
+"""
+
+
+def test_killed_at_every_step_of_writing(tmp_path):
+    """A file has its old content or its new one, whichever call to the system was the last, and a repeat works."""
+    kills = 0
+    for turn, known in itertools.product(range(200), (False, True)):
+        out = tmp_path / f"{turn} {known}"
+        out.mkdir()
+        if known:
+            for name in "abc":
+                (out / name).write_text(f"old {name}")
+        pid = os.posix_spawn(sys.executable, [sys.executable, "-c", DIES, str(out), str(turn)], os.environ)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        found = {path.name: path.read_text() for path in out.iterdir() if not path.name.startswith(".eqsim-")}
+        assert all(text in (f"new {name}", f"old {name}") for name, text in found.items())
+        if code == 0:
+            assert found == {name: f"new {name}" for name in "abc"}
+            break
+        assert code == -signal.SIGKILL
+        kills += 1
+        tables.publish(out, {"a": b"again", "b": b"again"})
+        assert {(out / name).read_text() for name in "ab"} == {"again"}
+    assert kills > 16
+
+
+def test_a_sweep_clears_what_a_killed_command_has_left(run_file, tmp_path):
+    out = tmp_path / "o"
+    (out / ".eqsim-folder").mkdir(parents=True)
+    (out / ".eqsim-folder" / "force.png").write_bytes(b"half")
+    (out / ".eqsim-file").write_bytes(b"half")
+    run_file.write_text(RUN + '[sweep]\n"thermal.kT" = [0.1]\n')
+    done = CliRunner().invoke(app, ["sweep", str(run_file), "--out", str(out), "--workers", "1"])
+    assert done.exit_code == 0, done.output
+    assert names(out) == ["_lock", "_sweep.json", "sweep.parquet"]
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize(
+    ("command", "files", "kills", "longest"),
+    [
+        (("run", "a.toml", "--out", "o"), FILES, 25, 4.0),
+        (("run", "a.toml", "--out", "o", *WORKERS), FILES, 10, 7.0),
+        (("figures", "A05", "--quick", "--out", "o", *WORKERS), ["A05.parquet", "A05.pdf", "A05.png"], 10, 12.0),
+    ],
+)  # fmt: skip
+def test_killed_at_any_moment(run_file, tmp_path, command, files, kills, longest):
+    """Whatever is there is whole, workers go too, and the next one is not disturbed."""
+    whole = {}
+    assert ended(start(*command, cwd=tmp_path), timeout=300)[0] == 0
+    for name in files:
+        whole[name] = (tmp_path / "o" / name).read_bytes()
+    rng = random.Random(1)
+    for _ in range(kills):
+        shutil.rmtree(tmp_path / "o", ignore_errors=True)
+        process = start(*command, cwd=tmp_path)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(rng.uniform(0, longest))
+        process.kill()
+        ended(process)
+        for name in names(tmp_path / "o"):
+            if not name.startswith(".eqsim-"):
+                assert name == "summary.json" or (tmp_path / "o" / name).read_bytes() == whole[name]
+    code, _, errors = ended(start(*command, cwd=tmp_path), timeout=300)
+    assert (code, errors) == (0, "")
+    assert set(files) <= set(names(tmp_path / "o"))
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("command", ["run --workers", "figures"])
+def test_a_killed_worker_ends_what_cannot_go_on_without_it(run_file, tmp_path, command):
+    process = start(*COMMANDS[command], cwd=tmp_path)
+    workers = once(lambda: [c for c in group(process.pid) if "spawn_main" in " ".join(c.cmdline())], process)
+    workers[0].kill()
+    code, output, errors = ended(process)
+    assert (code, output) == (2, "")
+    assert re.fullmatch(r"eqsim: --workers: a worker was lost, perhaps for want of memory .*\n", errors)
+    assert not (tmp_path / "o").exists()
+
+
+# ---- places that cannot be used ----
+
+
+def powerless():
+    """Drop what lets the superuser write anywhere (CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH); others have not got it."""
+    for capability in (1, 2):
+        ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
+
+
+def small_files():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+def test_no_home_and_no_temporary_folder(run_file, tmp_path):
+    home = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "TMPDIR": "/nowhere", "MPLCONFIGDIR": str(tmp_path)}
+    process = start("run", run_file, "--out", tmp_path / "o", "--quiet", env=os.environ | home)
+    assert ended(process) == (0, "", "")
+    assert names(tmp_path / "o") == FILES
+
+
+def test_a_sweep_on_a_full_disk_names_the_file(run_file, tmp_path):
+    """Rows that were written before remain; the rest is one line."""
+    out = tmp_path / "o"
+    process = start(
+        "sweep", tmp_path / "grid.toml", "--out", out, "--workers", "1", "--quiet", code=EAGER, limit=small_files
+    )
+    code, output, errors = ended(process)
+    assert (code, output) == (2, "")
+    assert re.fullmatch(rf"eqsim: {re.escape(str(out))}/.*: cannot be written \(File too large\)\n", errors)
+    assert not [name for name in names(out) if ".eqsim-" in name]
+
+
+@pytest.mark.parametrize("command", [("info", "a.toml"), ("--help",)])
+def test_output_that_cannot_be_written(run_file, tmp_path, command):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", EQSIM, *command], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert (done.returncode, done.stderr) == (2, "eqsim: file system: No space left on device\n")
+
+
+@pytest.mark.parametrize("command", ["run", "sweep"])
+def test_a_device_is_no_folder(tmp_path, run_file, command):
+    done = CliRunner().invoke(app, [command, str(tmp_path / "grid.toml"), "--out", "/dev/full"])
+    assert (done.exit_code, done.stderr) == (2, "eqsim: --out /dev/full: /dev/full is not a folder\n")
+
+
+@pytest.mark.verification
+def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
+    """A package, a home and a cache that are read-only: kernels are compiled for this one run."""
+    package = tmp_path / "package"
+    shutil.copytree(Path(eqsim.__file__).parent, package / "eqsim", ignore=shutil.ignore_patterns("__pycache__"))
+    sealed = [package, *(path for path in package.rglob("*") if path.is_dir())]
+    for folder in sealed:
+        folder.chmod(0o500)
+    home = {"HOME": str(package), "XDG_CACHE_HOME": str(package), "PYTHONPATH": str(package)}
+    home |= {"MPLCONFIGDIR": str(tmp_path)}
+    code = "import eqsim.compiled as c; assert c._CACHE is None and c.cold(), c._CACHE; " + EQSIM
+    process = start("steady", run_file, code=code, limit=powerless, env=os.environ | home, cwd=tmp_path)
+    try:
+        code, output, errors = ended(process, timeout=300)
+        assert (code, errors) == (0, "")
+        assert "friction" in output
+        process = start("run", run_file, "--out", package / "o", limit=powerless, env=os.environ | home, cwd=tmp_path)
+        said = f"eqsim: --out {package / 'o'}: cannot be written (Permission denied)\n"
+        assert ended(process, timeout=300) == (2, "", said)
+    finally:
+        for folder in sealed:
+            folder.chmod(0o700)
