@@ -28,9 +28,10 @@ def _cache_folder() -> str | None:
         for source in sorted((_PACKAGE / room).glob("*.py")):
             digest.update(source.read_bytes())
     name = f"eqsim-kernels-{digest.hexdigest()[:16]}"
-    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     own = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else []
-    for parent in (*own, _PACKAGE / "__pycache__", user_cache):
+    homes = [user_cache] if user_cache.is_absolute() else []  # a user whom the machine does not know has none
+    for parent in (*own, _PACKAGE / "__pycache__", *homes):
         try:
             (parent / name).mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=parent / name).close()
