@@ -1,21 +1,20 @@
 """The command line: arguments and printing only."""
 
-import atexit
 import dataclasses
 import io
 import os
-import signal
 import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
 from typer.core import TyperGroup
 
+from eqsim import interrupts
 from eqsim.errors import InputError, require_choice, require_integer, require_number, shown, under
 
 if TYPE_CHECKING:
@@ -28,9 +27,7 @@ if TYPE_CHECKING:
     from eqsim.estimate import Estimate
     from eqsim.runfile import RunFile
 
-_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-_AGAIN = 2.0  # seconds
-_stopped: list[int] = []  # the signals that were to end this process
+_WHOLE = "interrupted; nothing is half-written"
 
 
 class _Commands(TyperGroup):
@@ -58,7 +55,7 @@ class _Commands(TyperGroup):
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
         except KeyboardInterrupt:
-            _interrupted("nothing is half-written")
+            _fail(_WHOLE, interrupts.heard())
 
 
 app = typer.Typer(
@@ -90,11 +87,6 @@ def _say(message: str, code: int) -> int:
 
 def _fail(message: str, code: int) -> NoReturn:
     raise typer.Exit(_say(message, code))
-
-
-def _interrupted(what: str) -> NoReturn:
-    _listen(signal.SIG_IGN)
-    _fail(f"interrupted; {what}", 128 + (_stopped or [signal.SIGINT])[0])
 
 
 @app.command()
@@ -374,7 +366,7 @@ def sweep(
                 dask=dask, progress=progress, note=(lambda _: None) if silent else print,
             )  # fmt: skip
     except KeyboardInterrupt as stop:
-        _interrupted(f"{str(stop) or 'nothing was computed'}; the same command continues")
+        _fail(f"interrupted; {str(stop) or 'nothing was computed'}; the same command continues", interrupts.heard())
     failures = found.failures[:10]
     if json:
         print(tables.to_json({**dataclasses.asdict(found), "failures": failures, "out": str(out)}))
@@ -738,50 +730,19 @@ def _show(title: str, table: "Table") -> None:
     Console().print(Text(title, style="bold"), table)
 
 
-def _stop(number: int, _: Any) -> None:
-    """Raise KeyboardInterrupt, again and again until it is heard: callbacks of compilers and of C code swallow it."""
-    if number != signal.SIGALRM:
-        _stopped.append(number)
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-    raise KeyboardInterrupt
-
-
-def _swallowed(lost: Any) -> None:
-    """Called by Python with an exception that nobody can catch."""
-    if not _stopped:
-        sys.__unraisablehook__(lost)
-    elif issubclass(lost.exc_type, KeyboardInterrupt):
-        signal.setitimer(signal.ITIMER_REAL, 0.05)
-
-
-def _listen(handler: Any) -> None:
-    """Let Ctrl-C, and what batch systems and closed terminals send, go to `handler`, unless they were ignored."""
-    if os.name == "posix":
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        for number in [number for number in _SIGNALS if signal.getsignal(number) != signal.SIG_IGN]:
-            signal.signal(number, handler)
-        signal.signal(signal.SIGALRM, handler)
-
-
 def main() -> None:
     """Entry point of the `eqsim` command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
-    sys.unraisablehook = _swallowed
     code: Any = None
     try:
-        _listen(_stop)
+        interrupts.listen()
         app(sys.argv[1:] or ["--help"])
     except SystemExit as end:
         code = end.code
     finally:
-        if _stopped and signal.getsignal(signal.SIGALRM) is _stop:  # no command has heard of it
-            _say("interrupted; nothing is half-written", 0)
-        _listen(signal.SIG_IGN)
-        if _stopped or code == 2:  # threads may have long to go, or complain about a pool that was broken off
-            with suppress(OSError):
-                sys.stdout.flush()
-            atexit._run_exitfuncs()
-            os._exit(128 + _stopped[0] if _stopped else 2)
+        if interrupts.unheard():
+            _say(_WHOLE, 0)
+        interrupts.leave(code)
     sys.exit(code)
