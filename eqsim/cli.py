@@ -131,7 +131,7 @@ def run(
     output = file.output
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     with _executor(workers, dask, cores) as (executor, many), _lives_bar(expected, quiet or json) as progress:
-        rough = 5e-3 if ensemble.aging.rule == "langevin" and ensemble.disorder == "quenched" else 1e-3
+        rough = 5e-3 if ensemble.fluctuates else 1e-3
         level = steady(ensemble, drive.velocity, rel_error=rough, seed=output.seed, threads=cores, max_lives=max_lives)
         result = trajectory(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=many,

@@ -37,10 +37,10 @@ from scipy import integrate, signal, stats
 
 from eqsim.engine.life import lives
 from eqsim.engine.ramps import Run, Scales, moments, simulate
-from eqsim.engine.standing import flow_ends, standing, thresholds
+from eqsim.engine.standing import FRESH, flow_ends, standing, thresholds
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.streams import TRAJECTORY, key
-from eqsim.engine.trajectory import _FRESH, Totals, arguments, predicted_lives, trajectory
+from eqsim.engine.trajectory import Totals, arguments, predicted_lives, trajectory
 from eqsim.ensemble import Drive, Ensemble, lower
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
@@ -52,7 +52,7 @@ from eqsim.laws.thermal import Thermal, log_hazard
 from eqsim.laws.threshold import Gamma
 from eqsim.master.flow import Contact
 from eqsim.master.reference import Setting, reference, setting
-from eqsim.master.transient import Profile, Transient, _cells, _solve, fluctuations, transient
+from eqsim.master.transient import Profile, Transient, cells_of, fluctuations, means_of, transient
 
 KINDS = (*OBSERVABLES, "transient", "transient variance", "hazard", "hazard law", "mean", "variance", "covariance")
 ALARM = 1e-4
@@ -295,7 +295,7 @@ def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) ->
     unit, points = s.law.scale, exact.X.size
     in_step = s.delay > 0 and not s.exponential
     life = known(reference(ensemble, v).break_stretch) / unit if in_step else math.inf
-    cells, resolved = _cells(s, distance / unit, points, life)
+    cells, resolved = cells_of(s, distance / unit, points, life)
     if not resolved:
         return None
     fine = distance / unit / (2 * cells) * np.arange(2 * cells + 1)
@@ -303,7 +303,7 @@ def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) ->
     solved = []
     for step in (2, 1):
         x = fine[::step]
-        means = _solve(profile, x, s)
+        means = means_of(profile, x, s)
         births = means.breaks + np.diff(means.pinned) / x[1]
         left = np.append(0.0, x[1:] ** 2 * profile.at(x[1:])[2])
         back = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
@@ -408,7 +408,7 @@ def _forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: int) -> tupl
     c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.over(ensemble) / unit, 2, drive.start == "stationary", False)
     scales = Scales.of(c, run, n, 1, 0.0)
-    job = (c, standing(c) if run.stationary else _FRESH, run, scales, key(seed, TRAJECTORY))
+    job = (c, standing(c) if run.stationary else FRESH, run, scales, key(seed, TRAJECTORY))
     drag = ensemble.drag(drive.velocity)
     forces, variances = np.empty((2, ensembles, 2))
     for index in range(ensembles):

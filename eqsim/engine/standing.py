@@ -51,6 +51,9 @@ class Standing(NamedTuple):
     step_life: Array
 
 
+FRESH = Standing(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)  # of a fresh start, which needs none of it
+
+
 def standing(c: Contacts) -> Standing:
     """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where `langevin` contacts
     that live 1000 times longer than the mean still matter, too rare to be found by trying."""

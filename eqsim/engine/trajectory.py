@@ -16,16 +16,14 @@ import numpy as np
 
 from eqsim.engine.life import rough_stretch, typical_lives
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments, simulate
-from eqsim.engine.standing import Standing, standing
+from eqsim.engine.standing import FRESH, Standing, standing
 from eqsim.engine.steady import settled
 from eqsim.engine.streams import TRAJECTORY, Key, key
 from eqsim.ensemble import Contacts, Drive, Ensemble, check_output, lower
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, known, ratio
 from eqsim.laws.octaves import Array
-from eqsim.laws.threshold import NO_STEPS, NO_TABLE
 
-_FRESH = Standing(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
 Progress = Callable[[int], None]
 _BLOCK = 128  # contacts, at least, unless there are fewer
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
@@ -106,7 +104,7 @@ def trajectory(
     unit = ensemble.thresholds.scale
     contacts = ensemble.count * replicas
     run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", contacts < BATCHES)
-    table = standing(c) if run.stationary else _FRESH
+    table = standing(c) if run.stationary else FRESH
     drag = ensemble.drag(drive.velocity)
     scales = Scales.of(c, run, contacts, replicas, drag)
     job = (c, table, run, scales, key(seed, TRAJECTORY))

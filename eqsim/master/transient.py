@@ -145,10 +145,10 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
     # only a fixed delay asks how long lives are
     in_step = s.delay > 0 and not s.exponential
     life = known(reference(ensemble, drive.velocity).break_stretch) / unit if in_step else math.inf
-    cells, resolved = _cells(s, distance, points, life)
+    cells, resolved = cells_of(s, distance, points, life)
     fine = distance / (2 * cells) * np.arange(2 * cells + 1)
     profile = Profile(s, fine)
-    solved = [_solve(profile, fine[::step], s) for step in (2, 1)]
+    solved = [means_of(profile, fine[::step], s) for step in (2, 1)]
     X = np.linspace(0.0, distance, points)
     found, errors = {}, {}
     for name in _Means._fields:
@@ -176,7 +176,7 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
     )
 
 
-def _cells(s: Setting, distance: float, points: int, life: float) -> tuple[int, bool]:
+def cells_of(s: Setting, distance: float, points: int, life: float) -> tuple[int, bool]:
     """How many cells the coarser grid has, and whether they resolve what has to be resolved: after a fixed delay much
     longer than a life contacts stay in step for many cycles, and only cells shorter than a life keep them there."""
     cell = min(_CELL, life / 8) if s.delay > 0 and not s.exponential else _CELL
@@ -186,7 +186,7 @@ def _cells(s: Setting, distance: float, points: int, life: float) -> tuple[int, 
     return cells, cell == _CELL or distance / cells < 2 * cell
 
 
-def _solve(profile: Profile, x: Array, s: Setting) -> _Means:
+def means_of(profile: Profile, x: Array, s: Setting) -> _Means:
     """Force and pinned at the edges `x` of a uniform grid of cells, breaks in each cell per unit displacement.
 
     By generating functions: with w of the chance to be still detached, d = 1 - (1 - z) w of births after a break, and D
@@ -249,14 +249,14 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
     exact = reference(ensemble, velocity)
     cycle = known(exact.break_stretch) / unit + s.delay
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
-    cells, resolved = _cells(s, distance / unit, points, cycle - s.delay)
+    cells, resolved = cells_of(s, distance / unit, points, cycle - s.delay)
     fine = distance / unit / (2 * cells) * np.arange(2 * cells + 1)
     profile = Profile(s, fine)
     solved = []
     for step in (2, 1):
         x = fine[::step]
         h = x[1]
-        means = _solve(profile, x, s)
+        means = means_of(profile, x, s)
         # int_x^inf y^power (S, k1, k2) dy
         rest = [profile.integral(np.array([1e90]), power) - profile.integral(x, power) for power in range(3)]
         # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy, whose decrease weighs breaks by
