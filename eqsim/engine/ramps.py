@@ -23,7 +23,7 @@ from eqsim.engine.life import (
     spring_work,
     typical_lives,
 )
-from eqsim.engine.paths import STEP, langevin_life, path_law, walk
+from eqsim.engine.paths import STEP, langevin_life, langevin_lives, path_law, walk
 from eqsim.engine.standing import Standing, extremes, standing_contact
 from eqsim.engine.streams import Key, fill_words, uniform, uniforms
 from eqsim.ensemble import Contacts
@@ -463,14 +463,14 @@ def simulate(
     contact, turn, mark = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     position, edge, since = np.full(LANES, math.inf), np.empty(LANES), np.empty(LANES)  # idle lanes are at infinity
     work, way = np.empty(LANES), np.empty(LANES)  # since the displacement `since`, where a contact was `mark` lives old
-    stiffness, stretch = np.empty((ROUNDS, LANES)), np.empty((ROUNDS, LANES))
+    stiffness, stretch = np.full((ROUNDS, LANES), c.kappa_constant), np.empty((ROUNDS, LANES))
     clock, delay = np.full((ROUNDS, LANES), math.inf), np.full((ROUNDS, LANES), c.delay)
     broke, reborn = np.empty(LANES), np.empty(LANES)
     index, start, end = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     words, column = np.empty((4, LANES), np.uint64), np.empty((5, LANES), np.int64)
     per_step = (run.points - 1) / run.distance
     even = c.kappa_slope == 0.0
-    one_by_one = run.batch_by_life or c.aging == LANGEVIN or (c.aging != UNAGED and not even)
+    one_by_one = run.batch_by_life or (c.aging != UNAGED and not even)
     joined = even and c.delay == 0.0 and not one_by_one
     oldest = 1 if run.stationary else 0
     table, steps = c.threshold_table, c.steps
@@ -507,6 +507,11 @@ def simulate(
         for r in range(ROUNDS):
             if c.aging != LANGEVIN:
                 break_all(c, r, stretch, clock, stiffness, index, full)
+            elif not one_by_one:
+                for i in range(active):
+                    index[i] = ROUNDS * turn[i] + r
+                x, spent = stretch[r, :active], clock[r, :active]
+                langevin_lives(path_law(c), key, STEP, contact, index, x, spent, x, spent)
             if one_by_one:
                 for i in range(active):
                     if position[i] <= run.distance:
