@@ -11,7 +11,7 @@ from eqsim.engine.paths import STEP, langevin_lives, path_law
 from eqsim.engine.streams import ROUGH, Key, fill_words, fine_product, product, uniform
 from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts, Ensemble, lower
-from eqsim.laws.aging import FLOW, LANGEVIN, flow_stretch
+from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, flow_stretch
 from eqsim.laws.elementary import log
 from eqsim.laws.octaves import Array, look_up, look_up_all
 from eqsim.laws.stiffness import kappa
@@ -176,19 +176,32 @@ def flow_all(c: Contacts, r: int, stretch: Array, clock: Array, lanes: int) -> N
         stretch[r, i] = break_stretch(c, stretch[r, i], clock[r, i])
 
 
+@routine
+def langevin_all(
+    c: Contacts, key: Key, contact: Array, turn: Array, stretch: Array, clock: Array, life: Array, lanes: int
+) -> None:
+    """Contacts whose thresholds fluctuate, for all rounds; work over k in the place of clocks; `life` is scratch."""
+    for r in range(ROUNDS):
+        for i in range(lanes):
+            life[i] = ROUNDS * turn[i] + r
+        x, spent = stretch[r, :lanes], clock[r, :lanes]
+        langevin_lives(path_law(c), key, STEP, contact, life, x, spent, x, spent)
+
+
 @inlined
-def break_all(c: Contacts, r: int, stretch: Array, clock: Array, stiffness: Array, row: Array, lanes: int) -> None:
-    """The law that holds (none of `langevin`); clocks are overwritten, `row` is scratch."""
-    stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, lanes)
-    if c.aging == FLOW:
-        flow_all(c, r, stretch, clock, lanes)
-    elif c.breaking == SOFT:
-        even = c.kappa_slope == 0.0
-        soft_all(c.erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, row, lanes)
-    elif c.breaking == STIFF:
-        stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, lanes)
-    elif c.breaking == POOLED:
-        pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, lanes)
+def break_all(c: Contacts, stretch: Array, clock: Array, stiffness: Array, row: Array, lanes: int) -> None:
+    """The law that holds (none of `langevin`), for all rounds; clocks are overwritten, `row` is scratch."""
+    for r in range(stretch.shape[0]):
+        stiffen_all(c.kappa_slope, c.kappa_constant, r, stretch, stiffness, lanes)
+        if c.aging == FLOW:
+            flow_all(c, r, stretch, clock, lanes)
+        elif c.breaking == SOFT:
+            even = c.kappa_slope == 0.0
+            soft_all(c.erfi_inverse, c.b, c.log_w, even, r, stretch, clock, stiffness, row, lanes)
+        elif c.breaking == STIFF:
+            stiff_all(c.b, c.log_w, r, stretch, clock, stiffness, lanes)
+        elif c.breaking == POOLED:
+            pooled_all(c.pool_x, c.pool_G, c.pool_slopes, c.log_w, r, stretch, clock, lanes)
 
 
 def typical_lives(c: Contacts) -> tuple[Array, Array]:
@@ -242,7 +255,7 @@ def fill_lives(
         for i in range(lanes):
             x[r, i], clock[r, i] = u[first + i], -log(v[first + i])
         draw_thresholds(c.threshold_table, c.steps, r, x, row, lanes)
-        break_all(c, r, x, clock, spring, row, lanes)
+        break_all(c, x, clock, spring, row, lanes)
         for i in range(lanes):
             stretch[first + i] = x[r, i]
             work[first + i] = spring_work(c, spring[r, i], x[r, i])
@@ -262,19 +275,17 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
             table, steps, c.exponentials, c.breaking == MECHANICAL, key, contact, turn,
             index, words, stretch, clock, LANES,
         )  # fmt: skip
+        if c.aging == LANGEVIN:
+            langevin_all(c, key, contact, turn, stretch, clock, index, LANES)
+        else:
+            break_all(c, stretch, clock, stiffness, index, LANES)
         for r in range(ROUNDS):
-            if c.aging == LANGEVIN:
+            if c.aging == FLOW:
                 for i in range(LANES):
-                    index[i] = ROUNDS * at + r
-                langevin_lives(path_law(c), key, STEP, contact, index, stretch[r], clock[r], stretch[r], clock[r])
-            else:
-                break_all(c, r, stretch, clock, stiffness, index, LANES)
-                if c.aging == FLOW:
-                    for i in range(LANES):
-                        clock[r, i] = spring_work(c, stiffness[r, i], stretch[r, i])
-                else:
-                    for i in range(LANES):
-                        clock[r, i] = 0.5 * stiffness[r, i] * stretch[r, i] * stretch[r, i]
+                    clock[r, i] = spring_work(c, stiffness[r, i], stretch[r, i])
+            elif c.aging == UNAGED:
+                for i in range(LANES):
+                    clock[r, i] = 0.5 * stiffness[r, i] * stretch[r, i] * stretch[r, i]
             for i in range(LANES):  # sums of each lane: a single one would have to wait for every addition
                 work[i] += clock[r, i]
                 total[i] += stretch[r, i]

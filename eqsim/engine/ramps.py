@@ -20,10 +20,11 @@ from eqsim.engine.life import (
     ROUNDS,
     break_all,
     draw_rounds,
+    langevin_all,
     spring_work,
     typical_lives,
 )
-from eqsim.engine.paths import STEP, langevin_life, langevin_lives, path_law, walk
+from eqsim.engine.paths import STEP, langevin_life, path_law, walk
 from eqsim.engine.standing import Standing, extremes, standing_contact
 from eqsim.engine.streams import Key, fill_words, uniform, uniforms
 from eqsim.ensemble import Contacts
@@ -503,15 +504,12 @@ def simulate(
         )  # fmt: skip
         if c.exponential:
             draw_delays(c, key, contact, turn, words, delay, full)
+        if c.aging != LANGEVIN:
+            break_all(c, stretch, clock, stiffness, index, full)
+        elif not one_by_one:
+            langevin_all(c, key, contact, turn, stretch, clock, index, active)
         ended = False
         for r in range(ROUNDS):
-            if c.aging != LANGEVIN:
-                break_all(c, r, stretch, clock, stiffness, index, full)
-            elif not one_by_one:
-                for i in range(active):
-                    index[i] = ROUNDS * turn[i] + r
-                x, spent = stretch[r, :active], clock[r, :active]
-                langevin_lives(path_law(c), key, STEP, contact, index, x, spent, x, spent)
             if one_by_one:
                 for i in range(active):
                     if position[i] <= run.distance:
