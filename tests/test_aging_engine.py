@@ -160,11 +160,11 @@ def test_work_of_a_stiffness_that_fluctuates(path):
 
 
 @numba.njit
-def _one_by_one(c, stream, contact, births, clocks):
+def _one_by_one(law, stream, contact, births, clocks):
     """`langevin_life` of one contact after the other."""
     stretch, work = np.empty(births.size), np.empty(births.size)
     for i in range(births.size):
-        stretch[i], work[i] = langevin_life(c, stream, contact + i, 2, births[i], clocks[i], 0.35)
+        stretch[i], work[i] = langevin_life(law, stream, contact + i, 2, births[i], clocks[i], 0.35)
     return stretch, work
 
 
@@ -176,21 +176,21 @@ def test_paths_side_by_side_as_one_by_one(path):
     c = lower(Ensemble(Gamma(n), Thermal(kT, omega, barrier), aging=aging, stiffness_law=stiffness), 1.0)
     size, stream = 5 * WALKERS // 2, key(2, 97)
     births, clocks = np.random.default_rng(13).exponential(size=(2, size)) + 0.1
-    single = _one_by_one(c, stream, 5, births, clocks)
+    single = _one_by_one(path_law(c), stream, 5, births, clocks)
     for first, last in ((0, size), (3, WALKERS), (7, 8), (9, 9)):
         part = slice(first, last)
         who, lives_old = np.arange(5 + first, 5 + last), np.full(last - first, 2)
         both = births[part].copy(), clocks[part].copy()
         langevin_lives(path_law(c), stream, 0.35, who, lives_old, *both, *both)
         np.testing.assert_array_equal(both, np.array(single)[:, part])
-    assert np.all(_one_by_one(c, stream, 6, births, clocks)[0] != single[0])  # control: other contacts
+    assert np.all(_one_by_one(path_law(c), stream, 6, births, clocks)[0] != single[0])  # control: other contacts
 
 
 def test_steps_of_many_paths_vectorise():
     """Packed roots and products of doubles in loops over paths; there are none where a path is alone."""
     c, few = lower(Ensemble(thermal=Thermal(0.1, 1.0, "stiff"), aging=Aging("langevin", 0.1, 2.0)), 1.0), np.ones(3)
     langevin_lives(path_law(c), key(0, 0), 0.35, np.arange(3), np.arange(3), few, few, few.copy(), few.copy())
-    langevin_life(c, key(0, 0), 0, 0, 1.0, 1.0, 0.35)
+    langevin_life(path_law(c), key(0, 0), 0, 0, 1.0, 1.0, 0.35)
     many, one = (f.inspect_asm(f.signatures[0]).count("mulpd") for f in (langevin_lives, langevin_life))
     assert many > 30
     assert one < 5

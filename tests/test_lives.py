@@ -10,6 +10,7 @@ from scipy import optimize, special
 
 from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, steady
 from eqsim.engine.life import LANES, ROUNDS, lives, plain_sums
+from eqsim.engine.paths import path_law
 from eqsim.engine.ramps import Run, Scales, moments, simulate
 from eqsim.engine.standing import standing
 from eqsim.engine.streams import STEADY, TRAJECTORY, key
@@ -43,7 +44,7 @@ def twin(rng, n, kT, barrier, law):
 def side_by_side(ensemble, seed, turns=8):
     """Sums of stretch and work over the lives of a kernel's lanes, turn by turn, shape (2, sums)."""
     c = lower(ensemble, V)
-    rows = [plain_sums(c, key(seed, STEADY), 0, turn, turn + 1)[:2] for turn in range(turns)]
+    rows = [plain_sums(c, path_law(c), key(seed, STEADY), 0, turn, turn + 1)[:2] for turn in range(turns)]
     return np.array(rows).T[::-1]
 
 

@@ -54,7 +54,7 @@ def plain(ensemble: Ensemble, velocity: float, lives: int, seed: int, threads: i
     size = turns * LANES * ROUNDS
 
     def sums(batch: int) -> tuple[float, float]:
-        work, stretch, *_ = plain_sums(c, key(seed, STEADY), batch * LANES, 0, turns)
+        work, stretch, *_ = plain_sums(c, None, key(seed, STEADY), batch * LANES, 0, turns)
         return work, stretch
 
     with ThreadPoolExecutor(threads) as pool:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.compiled import inlined, kernel, routine
-from eqsim.engine.paths import STEP, langevin_lives, path_law
+from eqsim.engine.paths import STEP, PathLaw, langevin_lives, path_law
 from eqsim.engine.streams import ROUGH, Key, fill_words, fine_product, product, uniform
 from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts, Ensemble, lower
@@ -178,14 +178,14 @@ def flow_all(c: Contacts, r: int, stretch: Array, clock: Array, lanes: int) -> N
 
 @routine
 def langevin_all(
-    c: Contacts, key: Key, contact: Array, turn: Array, stretch: Array, clock: Array, life: Array, lanes: int
+    paths: PathLaw, key: Key, contact: Array, turn: Array, stretch: Array, clock: Array, life: Array, lanes: int
 ) -> None:
     """Contacts whose thresholds fluctuate, for all rounds; work over k in the place of clocks; `life` is scratch."""
     for r in range(ROUNDS):
         for i in range(lanes):
             life[i] = ROUNDS * turn[i] + r
         x, spent = stretch[r, :lanes], clock[r, :lanes]
-        langevin_lives(path_law(c), key, STEP, contact, life, x, spent, x, spent)
+        langevin_lives(paths, key, STEP, contact, life, x, spent, x, spent)
 
 
 @inlined
@@ -232,21 +232,22 @@ def lives(c: Contacts, key: Key, first: int, u: Array, v: Array, step: float = S
     """Work over k and stretch at breaking of lives from uniforms `u` (threshold) and `v` (clock), shape (n,). Paths of
     `langevin` thresholds are those of contacts `first`, `first` + 1, ... and take steps of accuracy `step`."""
     work, stretch = np.empty(u.size), np.empty(u.size)
-    fill_lives(c, key, first, u, v, step, work, stretch)
+    fill_lives(c, path_law(c), key, first, u, v, step, work, stretch)
     return work, stretch
 
 
 @kernel
 def fill_lives(
-    c: Contacts, key: Key, contact: int, u: Array, v: Array, step: float, work: Array, stretch: Array
-) -> None:
+    c: Contacts, paths: PathLaw | None, key: Key, contact: int, u: Array, v: Array, step: float, work: Array,
+    stretch: Array,
+) -> None:  # fmt: skip
     """The kernel of `lives`."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
-    if c.aging == LANGEVIN:
+    if paths is not None:
         for i in range(u.size):
             stretch[i], work[i] = threshold_draw(c.threshold_table, c.steps, u[i]), -log(v[i])
         contacts, first_lives = np.arange(contact, contact + u.size), np.zeros(u.size, np.int64)
-        langevin_lives(path_law(c), key, step, contacts, first_lives, stretch, work, stretch, work)
+        langevin_lives(paths, key, step, contacts, first_lives, stretch, work, stretch, work)
         return
     x, clock, spring = np.empty((1, LANES)), np.empty((1, LANES)), np.empty((1, LANES))
     row = np.empty(LANES, np.int64)
@@ -262,7 +263,9 @@ def fill_lives(
 
 
 @kernel
-def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple[float, float, float, float]:
+def plain_sums(
+    c: Contacts, paths: PathLaw | None, key: Key, first: int, begin: int, end: int
+) -> tuple[float, float, float, float]:
     """Sums, and largest terms, of work over k and of stretch at breaking over plainly drawn lives: those of the LANES
     contacts from `first` on in their turns begin <= turn < end, ROUNDS lives each."""
     contact, turn, index = np.arange(first, first + LANES), np.full(LANES, begin), np.empty(LANES, np.int64)
@@ -275,8 +278,8 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
             table, steps, c.exponentials, c.breaking == MECHANICAL, key, contact, turn,
             index, words, stretch, clock, LANES,
         )  # fmt: skip
-        if c.aging == LANGEVIN:
-            langevin_all(c, key, contact, turn, stretch, clock, index, LANES)
+        if paths is not None:
+            langevin_all(paths, key, contact, turn, stretch, clock, index, LANES)
         else:
             break_all(c, stretch, clock, stiffness, index, LANES)
         for r in range(ROUNDS):

@@ -27,7 +27,7 @@ import numpy as np
 from eqsim.compiled import inlined, routine
 from eqsim.engine.streams import Key, midpoints
 from eqsim.ensemble import Contacts
-from eqsim.laws.aging import barrier_of
+from eqsim.laws.aging import LANGEVIN, barrier_of
 from eqsim.laws.elementary import exp, exp_less_one, log, quarter_sine
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import kappa
@@ -52,9 +52,11 @@ class PathLaw(NamedTuple):
     shape: float
 
 
-@inlined
-def path_law(c: Contacts) -> PathLaw:
-    """The numbers of `c` that steps need."""
+def path_law(c: Contacts) -> PathLaw | None:
+    """The numbers of `c` that steps need; None if thresholds do not fluctuate. Kernels are compiled anew for a PathLaw:
+    those of all other contacts, the first that a user meets, are spared the half of the code that follows paths."""
+    if c.aging != LANGEVIN:
+        return None
     return PathLaw(c.breaking, c.b, c.log_w, c.kappa_slope, c.kappa_constant, c.final2, c.alpha, c.shape)
 
 
@@ -334,9 +336,8 @@ def walk(
 
 
 @routine
-def langevin_life(c: Contacts, key: Key, contact: int, life: int, xi: float, clock: float, step: float) -> Any:
+def langevin_life(law: PathLaw, key: Key, contact: int, life: int, xi: float, clock: float, step: float) -> Any:
     """Stretch at breaking and work done over k of a contact of threshold `xi` at birth and exponential `clock`."""
-    law = path_law(c)
     x, total, draw, broke = 0.0, 0.0, np.int64(0), False  # typed: a literal 0 would be compiled for itself
     while not broke:
         broke, xi, x, clock, work, draw = walk(law, key, contact, life, draw, xi, x, clock, math.inf, step)

@@ -24,12 +24,12 @@ from eqsim.engine.life import (
     spring_work,
     typical_lives,
 )
-from eqsim.engine.paths import STEP, langevin_life, path_law, walk
+from eqsim.engine.paths import STEP, PathLaw, langevin_life, walk
 from eqsim.engine.standing import Standing, extremes, standing_contact
 from eqsim.engine.streams import Key, fill_words, uniform, uniforms
 from eqsim.ensemble import Contacts
 from eqsim.errors import InputError
-from eqsim.laws.aging import LANGEVIN, UNAGED, growth
+from eqsim.laws.aging import UNAGED, growth
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import kappa
@@ -288,23 +288,22 @@ def flow_force(
 
 @routine
 def langevin_force(
-    c: Contacts, key: Key, contact: int, life: int, xi: float, clock: float, born: float,
+    paths: PathLaw, key: Key, contact: int, life: int, xi: float, clock: float, born: float,
     run: Run, deposits: Array, batches: Array, batch: int, scales: Array, batch_scales: Array,
 ) -> float:  # fmt: skip
     """Stretch at breaking of a `langevin` contact, and what it leaves. Where its stiffness follows its threshold, its
     steps end at grid points, and nobody follows it beyond the last one."""
-    if c.kappa_slope == 0.0:
-        stretch, _ = langevin_life(c, key, contact, life, xi, clock, STEP)
+    if paths.kappa_slope == 0.0:
+        stretch, _ = langevin_life(paths, key, contact, life, xi, clock, STEP)
         deposit(deposits, run, 1.0, born, born + stretch, scales)
         return stretch
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
     quarters = 0.25 * run.distance
-    law = path_law(c)
     x, draw, broke, j = 0.0, np.int64(0), False, max(0, math.ceil(born * per_step))
     window = max(2, math.floor(born / quarters) + 1)  # the next edge of a window is at window * quarters
     while not broke:
         if j < run.points and j * step - born <= x:
-            leave_force(deposits, run, j, kappa(c.kappa_slope, c.kappa_constant, xi) * x, scales)
+            leave_force(deposits, run, j, kappa(paths.kappa_slope, paths.kappa_constant, xi) * x, scales)
             j += 1
             continue
         if window * quarters - born <= x:
@@ -316,7 +315,7 @@ def langevin_force(
         stop = window * quarters - born
         if j < run.points:
             stop = min(stop, j * step - born)
-        broke, xi, at, clock, work, draw = walk(law, key, contact, life, draw, xi, x, clock, stop - x, STEP)
+        broke, xi, at, clock, work, draw = walk(paths, key, contact, life, draw, xi, x, clock, stop - x, STEP)
         if 2 < window < 5:
             batches[batch, window - 3, AREA] += fixed(work, batch_scales[AREA])
         x = at if broke or at < stop * (1.0 - 1e-15) else stop
@@ -326,7 +325,7 @@ def langevin_force(
 
 @routine
 def found_contact(
-    c: Contacts, standing: Standing, key: Key, contact: int, residual: float,
+    c: Contacts, paths: PathLaw, standing: Standing, key: Key, contact: int, residual: float,
     run: Run, deposits: Array, batches: Array, batch: int, scales: Array, batch_scales: Array,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Birth, breaking and re-attachment of what a snapshot of the stationary state finds at X = 0, under `langevin`.
@@ -340,7 +339,7 @@ def found_contact(
         age = (standing.longest + c.delay) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
         xi, path = threshold_draw(c.threshold_table, c.steps, u), 2**32 - 1 - attempt
         stretch = langevin_force(
-            c, key, contact, path, xi, -math.log(v), -age, run, deposits, batches, batch, scales, batch_scales
+            paths, key, contact, path, xi, -math.log(v), -age, run, deposits, batches, batch, scales, batch_scales
         )
         if stretch > age:
             return -age, stretch - age, 0.0
@@ -361,16 +360,16 @@ def draw_delays(c: Contacts, key: Key, contact: Array, turn: Array, words: Array
 
 @routine
 def found_at_start(
-    c: Contacts, standing: Standing, key: Key, contact: int,
+    c: Contacts, paths: PathLaw | None, standing: Standing, key: Key, contact: int,
     run: Run, deposits: Array, batches: Array, scales: Array, batch_scales: Array,
 ) -> float:  # fmt: skip
     """Where a contact of the stationary start is pinned for the first time after what the start finds, its life 0."""
     batch = contact % BATCHES
     u_state, u_residual = uniforms(key, contact, 0, 0)
     gap = delay_draw(c.delay, c.exponential, uniforms(key, contact, 0, 65535)[0])
-    if c.aging == LANGEVIN:
+    if paths is not None:
         born, broke, reborn = found_contact(
-            c, standing, key, contact, u_residual, run, deposits, batches, batch, scales, batch_scales
+            c, paths, standing, key, contact, u_residual, run, deposits, batches, batch, scales, batch_scales
         )
         spring = c.kappa_constant
         if born < 0.0 < broke:
@@ -393,16 +392,17 @@ def found_at_start(
 
 @routine
 def live(
-    c: Contacts, key: Key, contact: int, life: int, stiffness: float, stretch: float, clock: float, gap: float,
-    born: float, run: Run, deposits: Array, batches: Array, scales: Array, batch_scales: Array,
+    c: Contacts, paths: PathLaw | None, key: Key, contact: int, life: int, stiffness: float, stretch: float,
+    clock: float, gap: float, born: float, run: Run, deposits: Array, batches: Array, scales: Array,
+    batch_scales: Array,
 ) -> float:  # fmt: skip
     """One life on its own and the delay `gap` after it, and where they end. `stretch` at breaking, or under `langevin`
     the threshold at birth."""
     batch = (contact + life * run.batch_by_life) % BATCHES
-    if c.aging == LANGEVIN:
+    if paths is not None:
         stiffness = c.kappa_constant
         stretch = langevin_force(
-            c, key, contact, life, stretch, clock, born, run, deposits, batches, batch, scales, batch_scales
+            paths, key, contact, life, stretch, clock, born, run, deposits, batches, batch, scales, batch_scales
         )
     elif c.aging != UNAGED and c.kappa_slope > 0.0:
         flow_force(c, run, deposits, batches, batch, stiffness, born, stretch, scales, batch_scales)
@@ -444,6 +444,7 @@ def cross(
 @kernel
 def simulate(
     c: Contacts,
+    paths: PathLaw | None,
     standing: Standing,
     run: Run,
     scales: Array,
@@ -482,7 +483,7 @@ def simulate(
                 contact[active], turn[active], position[active] = upcoming, oldest, 0.0
                 if run.stationary:
                     position[active] = found_at_start(
-                        c, standing, key, upcoming, run, deposits, batches, scales, batch_scales
+                        c, paths, standing, key, upcoming, run, deposits, batches, scales, batch_scales
                     )
                 upcoming += 1
                 x = position[active]
@@ -504,18 +505,18 @@ def simulate(
         )  # fmt: skip
         if c.exponential:
             draw_delays(c, key, contact, turn, words, delay, full)
-        if c.aging != LANGEVIN:
+        if paths is None:
             break_all(c, stretch, clock, stiffness, index, full)
         elif not one_by_one:
-            langevin_all(c, key, contact, turn, stretch, clock, index, active)
+            langevin_all(paths, key, contact, turn, stretch, clock, index, active)
         ended = False
         for r in range(ROUNDS):
             if one_by_one:
                 for i in range(active):
                     if position[i] <= run.distance:
                         position[i] = live(
-                            c, key, contact[i], ROUNDS * turn[i] + r, stiffness[r, i], stretch[r, i], clock[r, i],
-                            delay[r, i], position[i], run, deposits, batches, scales, batch_scales,
+                            c, paths, key, contact[i], ROUNDS * turn[i] + r, stiffness[r, i], stretch[r, i],
+                            clock[r, i], delay[r, i], position[i], run, deposits, batches, scales, batch_scales,
                         )  # fmt: skip
                         status[0] += 1
                 ended = True

@@ -31,6 +31,7 @@ from scipy.stats import qmc
 
 from eqsim.compiled import kernel
 from eqsim.engine.life import LANES, ROUNDS, lives, plain_sums, rough_stretch
+from eqsim.engine.paths import path_law
 from eqsim.engine.streams import STEADY, Key, key
 from eqsim.ensemble import Contacts, Ensemble, lower
 from eqsim.errors import POSITIVE, InputError, require_number
@@ -249,12 +250,12 @@ def _identity(contacts: Contacts) -> int:
 
 def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, mean stretch at breaking, largest single share of either."""
-    paths: Key = key(job.seed, STEADY + job.identity)
+    stream: Key = key(job.seed, STEADY + job.identity)
 
     def one(index: int) -> tuple[float, float, float]:
         if job.proposal is None:
             turns = size // (ROUNDS * LANES)  # an attempt of another size takes other turns
-            work, stretch, *most = plain_sums(contacts, paths, index * LANES, turns, 2 * turns)
+            work, stretch, *most = plain_sums(contacts, path_law(contacts), stream, index * LANES, turns, 2 * turns)
             return work / size, stretch / size, max(most[0] / work, most[1] / stretch)
         sobol = qmc.Sobol(2, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
         sums, largest = np.zeros(2), np.zeros(2)
@@ -262,7 +263,7 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
             points = sobol.random(min(size, _BLOCK)) + 2.0**-31  # 30 bits, centred in their cells, away from 0
             u, weight = job.proposal.threshold.draw(points[:, 0])
             v, clock_weight = job.proposal.clock.draw(points[:, 1])
-            work, stretch = lives(contacts, paths, index * size + first, u, v)
+            work, stretch = lives(contacts, stream, index * size + first, u, v)
             terms = weight * clock_weight * np.stack((work, stretch))
             sums += terms.sum(axis=1)
             largest = np.maximum(largest, terms.max(axis=1))

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.engine.life import rough_stretch, typical_lives
+from eqsim.engine.paths import path_law
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments, simulate
 from eqsim.engine.standing import FRESH, Standing, standing
 from eqsim.engine.steady import settled
@@ -191,7 +192,8 @@ _Job = tuple[Contacts, Standing, Run, Scales, Key]
 def arguments(job: _Job, total: Totals) -> tuple[Any, ...]:
     """What `simulate` needs besides the range of contacts."""
     c, table, run, scales, stream = job
-    return c, table, run, scales.deposits, scales.batches, stream, total.scratch, total.batches, total.status
+    sums = (total.scratch, total.batches, total.status)
+    return c, path_law(c), table, run, scales.deposits, scales.batches, stream, *sums
 
 
 class _Blocks(NamedTuple):
