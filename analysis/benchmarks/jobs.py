@@ -13,6 +13,7 @@ import numpy as np
 from analysis.benchmarks import scalar, stepped, tuned
 from analysis.benchmarks.cases import VELOCITY, Case, Sizes
 from eqsim.engine.life import LANES, ROUNDS, plain_sums
+from eqsim.engine.paths import path_law
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.streams import STEADY, key
 from eqsim.engine.trajectory import Trajectory, trajectory
@@ -54,7 +55,7 @@ def plain(ensemble: Ensemble, velocity: float, lives: int, seed: int, threads: i
     size = turns * LANES * ROUNDS
 
     def sums(batch: int) -> tuple[float, float]:
-        work, stretch, *_ = plain_sums(c, None, key(seed, STEADY), batch * LANES, 0, turns)
+        work, stretch, *_ = plain_sums(c, path_law(c), key(seed, STEADY), batch * LANES, 0, turns)
         return work, stretch
 
     with ThreadPoolExecutor(threads) as pool:
