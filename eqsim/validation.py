@@ -388,17 +388,23 @@ def _fluctuations(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, size
     if predicted_lives(shown, Drive(v, lag)) * ensembles > (2e8 / _DEAR**2 if shown.fluctuates else 2e8):
         return []
     exact, level = fluctuations(ensemble, v, lag, points=2), reference(ensemble, v).friction
+    # contacts that carry the force in all ensembles together, and of these the share that does after the lag
+    square, product = exact.covariance + known(level) ** 2
+    carry = contacts * ensembles * known(level) ** 2 / square
     F, _ = _forces(shown, Drive(v, lag, "stationary"), ensembles, seed)
     first, second = (F - known(level)).T
     births = _REL_ERROR * known(level) if ensemble.self_consistent else 0.0  # what the error of C can do
-    sigma = math.hypot(float(first.std()) / math.sqrt(ensembles), births)
-    scores = [_score("mean", ensemble, v, float(F[:, 0].mean()), known(level), sigma)]
-    for kind, products, value in (
-        ("variance", first**2, exact.covariance[0]),
-        ("covariance", first * second, exact.covariance[1]),
+    scores = []
+    if carry >= _ENOUGH:
+        sigma = math.hypot(float(first.std()) / math.sqrt(ensembles), births)
+        scores.append(_score("mean", ensemble, v, float(F[:, 0].mean()), known(level), sigma))
+    for kind, products, value, few in (
+        ("variance", first**2, exact.covariance[0], carry),
+        ("covariance", first * second, exact.covariance[1], carry * product / square),
     ):
-        sigma = float(products.std(ddof=1)) / math.sqrt(ensembles)
-        scores.append(_score(kind, ensemble, v, float(products.mean()), float(value) / contacts, sigma))
+        if few >= _ENOUGH_SQUARES:
+            sigma = float(products.std(ddof=1)) / math.sqrt(ensembles)
+            scores.append(_score(kind, ensemble, v, float(products.mean()), float(value) / contacts, sigma))
     return scores
 
 
