@@ -181,7 +181,7 @@ def pace(c: PathLaw, xi: float, x: float, left: float, most: float, step: float)
     slope = 2.0 * a * xi
     if c.breaking == STIFF:
         part = math.sqrt(gap / xi)
-        slope = a * xi * part * (2.0 * part * part + 1.5)
+        slope = a * xi * part * (1.5 + 0.5 * part * part)
     slope += barrier * c.kappa_slope / k0
     quiet = max(barrier - c.log_w - log(gap), 0.0)  # -ln of the hazard of a way as long as the gap
     h = min(h, max(
@@ -216,13 +216,14 @@ def meets(c: PathLaw, xi: float, x: float, h: float, end: float, passage: float)
         return False
     way = gap + ahead
     t, dip = gap / way, 2.0 * gap * ahead / way  # where the straight ways touch, and how far below the direct one
-    weight = dip * (
-        (c.shape * c.shape - 0.25) / (xi * (x + t * h) * end)
-        + (dip - xi * (2.0 - t) - end * (1.0 + t)) / (3.0 * c.final2 * c.final2)
-    )
+    touch = x + t * h
+    swerve = 0.5 * variance * dip * (0.25 - c.shape * c.shape) / (xi * touch * end)
+    pull = 0.5 * variance * dip * (xi * (2.0 - t) + end * (1.0 + t) - dip) / (3.0 * c.final2 * c.final2)
+    if c.shape < 0.5:  # first order fails next to 0, where no more can come than a process of 2n + 2 < 3 dimensions has
+        swerve = min(swerve, (0.5 - c.shape) * log(xi * end / (touch * touch)))
     per = -2.0 / variance
     zero = exp(xi * end * per)
-    return passage * (1.0 - zero) < (exp(gap * ahead * per) - zero) * exp(-0.5 * variance * weight)
+    return passage * (1.0 - zero) < (exp(gap * ahead * per) - zero) * exp(swerve + pull)
 
 
 @inlined
@@ -288,13 +289,14 @@ def burn(
 ) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
     """Whether heat breaks a contact in a step, which ends there, the length of the step, the threshold at its end, the
     hazard spent and the next draw."""
-    spent = hazard(h, rate, between, last)
+    spent, scatter = hazard(h, rate, between, last), 0.0
     if spent > _SCATTERS:  # the average over bridges has a spread of its own, which keeps some contacts pinned
         a, b, _, _ = midpoints(key, contact, life, draw)
         draw += 1
         z, _ = normals_of(a, b)
         scatter = slope * math.sqrt(0.5 * c.alpha * c.final2 * h / 12.0)
-        factor = exp(scatter * (z - 0.5 * scatter)) if scatter < 1.0 else 1.0
+        scatter = scatter if scatter < 1.0 else 0.0
+        factor = exp(scatter * (z - 0.5 * scatter))
         rate, between, last, spent = rate * factor, between * factor, last * factor, spent * factor
     if spent < left:
         return False, h, end, spent, draw
@@ -305,6 +307,8 @@ def burn(
         here = max(rate + part * (bend + part * curve), 1e-3 * spent / h)
         done = h * part * (rate + part * (0.5 * bend + part * curve / 3.0))
         part = min(max(part + (left - done) / (h * here), 0.0), 1.0)
+    # bridges scatter differently before the end: what that does to the mean part, to first order in scatter^2 (derived)
+    part = min(part * (1.0 + scatter * scatter * (6.0 * part * (1.0 - part) - 1.0)), 1.0)
     return True, part * h, xi + part * (end - xi), left, draw
 
 
