@@ -141,6 +141,26 @@ def test_lives_with_another_rate_fail(path):
     assert distance(lived(path, 1.2)[1], expected(path)) > 2.5 + STEPS * math.sqrt(LIVES)
 
 
+def test_steps_next_to_zero():
+    """Two-dimensional paths that come close to 0 while the stretch is short hardly ever meet it: S(x) as above, of so
+    many lives that 1 % of wrong breaks would show."""
+    path, many = (0.0, 5.0, 5.0, 0.0, 1.0, "soft", "sqrt"), 100_000
+    c = lower(Ensemble(Gamma(0.0), aging=Aging("langevin", 5.0, 5.0)), 1.0)
+    _, stretch = lives(c, key(2, 98), 0, *np.random.default_rng(11).random((2, many)))
+    assert distance(stretch, expected(path)) < 2.5 + STEPS * math.sqrt(many)
+
+
+def test_clocks_that_stop_within_a_step():
+    """Low barriers, early breaks: fluctuations change the mean stretch by some per mille, which a single step has to
+    get right. Of 2^20 lives 1.4e-4 of the mean are left to chance (1 s.e., from ten seeds); 4 of these are allowed."""
+    aging = Aging("langevin", 0.3, 6.0)
+    c = lower(Ensemble(Gamma(2.5), Thermal(3.0, 180.0, "stiff"), aging=aging, stiffness_law="uniform"), 1.0)
+    u, v = scipy.stats.qmc.Sobol(2, rng=np.random.default_rng(1)).random(2**20).T + 2.0**-31
+    _, stretch = lives(c, key(2, 99), 0, u, v)
+    exact = expected((2.5, 6.0, 0.3, 3.0, 180.0, "stiff", "uniform")).stretch
+    assert abs(stretch.mean() / exact - 1) < 4 * 1.4e-4
+
+
 @pytest.mark.parametrize("path", [PATHS[2], PATHS[3]])
 def test_work_of_a_stiffness_that_fluctuates(path):
     """Work under the sqrt law with the same lives under the uniform law as a control variate (at T = 0 they break at
