@@ -98,7 +98,8 @@ def test_loops_vectorise(name):
         for i in range(x.size):
             y[i] = math.log(x[i])
 
-    assert packed(loop(name)) > 2
+    fewest = 3 if name == "exp_less_one" else 4  # which holds three, besides those that are fused with additions
+    assert packed(loop(name)) >= fewest
     assert packed(libm) == 0
 
 

@@ -247,7 +247,8 @@ TABLES = st.lists(logarithmic(0.01, 100.0), min_size=1, max_size=12)
 
 @everywhere(8, 80, steps=TABLES, e=ensembles(laws=st.just(Delta()), agings=FRESH), v=VELOCITIES, chance=st.randoms())
 def order_of_a_table_is_nothing(steps, e, v, chance):
-    """The same bits in any order; twice the same contacts are the same law."""
+    """The same bits in any order; twice the same contacts are the same law, but for the rounding of means over them:
+    that of the thresholds, the unit of length, is off by an eps or two, which exponents may multiply."""
     shuffled = steps.copy()
     chance.shuffle(shuffled)
     one, other, twice = (dataclasses.replace(e, thresholds=Table(x)) for x in (steps, shuffled, steps + shuffled))
