@@ -1,10 +1,9 @@
-"""The command line: arguments and printing only."""
+"""The command line: arguments and what is printed."""
 
 import dataclasses
 import io
 import os
 import sys
-import time
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,17 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 import typer
 from typer.core import TyperGroup
 
-from eqsim import interrupts
+from eqsim import interrupts, terminal
 from eqsim.errors import InputError, require_choice, require_integer, require_number, shown, under
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from rich.table import Table
-
     from eqsim.engine.steady import Steady
     from eqsim.ensemble import Disorder
-    from eqsim.estimate import Estimate
     from eqsim.runfile import RunFile
 
 _WHOLE = "interrupted; nothing is half-written"
@@ -130,7 +126,8 @@ def run(
 
     output = file.output
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
-    with _executor(workers, dask, cores) as (executor, many), _lives_bar(expected, quiet or json) as progress:
+    bar = terminal.bar("simulating", quiet or json, "lives", expected)
+    with _executor(workers, dask, cores) as (executor, many), bar as progress:
         rough = 5e-3 if ensemble.fluctuates else 1e-3
         level = steady(ensemble, drive.velocity, rel_error=rough, seed=output.seed, threads=cores, max_lives=max_lives)
         result = trajectory(
@@ -187,7 +184,7 @@ def steady(
     from eqsim import tables
     from eqsim.engine.steady import steady as estimate_steady
 
-    with _lives_bar(None, quiet or json) as progress:
+    with terminal.bar("simulating", quiet or json, "lives") as progress:
         result = estimate_steady(
             ensemble, drive.velocity, rel_error=rel_error, seed=file.output.seed, threads=cores, max_lives=max_lives,
             progress=progress,
@@ -206,17 +203,19 @@ def steady(
         more = {"lives": result.lives, "seed": result.seed, "reached": result.reached, "reference": values, "z": z}
         print(tables.to_json({**out, **more}))
     elif not quiet:
-        table = _table("", "particles", "relative error", "reference", "z")
+        table = terminal.table("", "particles", "relative error", "reference", "z")
         for name, (found, known) in rows.items():
             value = f"{known.value:.9g}" if known else "none"
-            table.add_row(
-                name, _text_of(found), _relative(found), value, "exact" if z[name] is None else f"{z[name]:+.2f}"
-            )
-        _show(file.title or path.stem, table)
+            both = terminal.value_and_error(found), terminal.relative_error(found)
+            table.add_row(name, *both, value, terminal.scores(z[name]))
+        terminal.show(file.title or path.stem, table)
         if reason:
             print(f"no reference: {reason}")
         speed = result.lives / max(result.engine_seconds, 1e-9)
-        print(f"{_lives(result.lives)} lives in {result.engine_seconds:.2f} s ({_lives(speed)}/s), seed {result.seed}")
+        print(
+            f"{terminal.many(result.lives)} lives in {result.engine_seconds:.2f} s ({terminal.many(speed)}/s), "
+            f"seed {result.seed}"
+        )
 
 
 @app.command()
@@ -260,10 +259,10 @@ def reference(
         values = {name: estimate.value for name, estimate in found.items()}
         print(tables.to_json({**values, "error": errors, "method": result.method}))
     elif not quiet:
-        table = _table("", "value", "error of the solver")
+        table = terminal.table("", "value", "error of the solver")
         for name, estimate in found.items():
             table.add_row(name, f"{estimate.value:.10g}", f"{estimate.stderr:.1e}")
-        _show(file.title or path.stem, table)
+        terminal.show(file.title or path.stem, table)
         print(f"method: {result.method}")
 
 
@@ -286,7 +285,7 @@ def validate(
     from eqsim.validation import validate as run_suite
 
     tables.check_folder(out)
-    with _bar("validating", quiet or json, "points") as progress:
+    with terminal.bar("validating", quiet or json, "points") as progress:
         result = run_suite(suite, seed=seed, threads=cores, progress=progress)
     from eqsim.plots import validation_png
 
@@ -305,7 +304,7 @@ def validate(
     if json:
         print(tables.to_json(summary))
     elif not quiet:
-        shown = _table("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
+        shown = terminal.table("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
         for v in result.verdicts:
             numbers = (
                 str(v.count),
@@ -315,7 +314,7 @@ def validate(
                 f"{v.p_largest:.2g}",
             )
             shown.add_row(v.kind, *numbers, "passed" if v.passed else "FAILED")
-        _show(f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {ALARM:g}", shown)
+        terminal.show(f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {ALARM:g}", shown)
         print(f"{out}/: scores.parquet, summary.json, validation.png")
     if not result.passed:
         raise typer.Exit(1)
@@ -360,7 +359,7 @@ def sweep(
 
     asked, silent = Asked(rel_error, max_lives, transient), quiet or json
     try:
-        with _bar("sweeping", silent, "points") as progress:
+        with terminal.bar("sweeping", silent, "points") as progress:
             found = compute(
                 file, path.parent, out, asked=asked, text=text, workers=workers, threads=each,
                 dask=dask, progress=progress, note=(lambda _: None) if silent else print,
@@ -407,13 +406,13 @@ def info(
     if json:
         print(tables.to_json({**{g.name: g.value for g in found}, "lives": lives}))
     elif not quiet:
-        table = _table("group", "value", "meaning")
+        table = terminal.table("group", "value", "meaning")
         for group in found:
             table.add_row(
                 group.name, group.value if isinstance(group.value, str) else f"{group.value:.6g}", group.meaning
             )
-        table.add_row("lives", _lives(lives), "predicted for `eqsim run`")
-        _show(file.title or path.stem, table)
+        table.add_row("lives", terminal.many(lives), "predicted for `eqsim run`")
+        terminal.show(file.title or path.stem, table)
 
 
 @app.command()
@@ -493,16 +492,16 @@ def figures(
     require_integer("--workers", workers, 1, 1024)
     tables.check_folder(out)
     made = []
-    with unbroken(workers, None) as crew, _bar("computing", quiet or json, "points") as progress:
+    with unbroken(workers, None) as crew, terminal.bar("computing", quiet or json, "points") as progress:
         for figure in scripts.make(wanted, out, quick=quick, executor=crew.pool, progress=progress):
             made.append(figure)
     if json:
         print(tables.to_json({"out": str(out), "figures": [figure._asdict() for figure in made]}))
     elif not quiet:
-        shown = _table("", "curves", "particle estimates", "largest |z|", "chi-square p")
+        shown = terminal.table("", "curves", "particle estimates", "largest |z|", "chi-square p")
         for name, curves, particles, largest, p in made:
             shown.add_row(name, str(curves), str(particles), f"{largest:.2f}", f"{p:.2g}")
-        _show("figures: particles against the master equation of their ensemble", shown)
+        terminal.show("figures: particles against the master equation of their ensemble", shown)
         print(f"{out}/: {', '.join(figure.name for figure in made)}, each .pdf, .png and .parquet")
 
 
@@ -517,7 +516,7 @@ def replay(
     from eqsim import tables
     from eqsim.replay import replay as repeat
 
-    with _bar("repeating", quiet or json, "units") as progress:
+    with terminal.bar("repeating", quiet or json, "units") as progress:
         found = repeat(path, workers=_threads(threads), progress=progress)
     if json:
         print(tables.to_json({**dataclasses.asdict(found), "same": found.same}))
@@ -560,10 +559,10 @@ def material(
     if json:
         print(tables.to_json({row.name: row.value for row in rows}))
     elif not quiet:
-        table = _table("", "value", "unit", "meaning")
+        table = terminal.table("", "value", "unit", "meaning")
         for row in rows:
             table.add_row(row.name, f"{row.value:.5g}", row.unit, row.meaning)
-        _show(f"{name} at {kelvin:.4g} K", table)
+        terminal.show(f"{name} at {kelvin:.4g} K", table)
 
 
 def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFile", str]:
@@ -628,106 +627,23 @@ def _executor(workers: int | None, dask: str | None, threads: int) -> Iterator[t
         yield crew.pool, crew.slots()
 
 
-@contextmanager
-def _lives_bar(total: float | None, silent: bool) -> Iterator[Callable[..., None]]:
-    """A progress bar with lives per second."""
-    from eqsim.compiled import cold
-
-    with _bar("compiling kernels, first run only" if cold() else "simulating", silent, "lives", total) as progress:
-        yield progress
-
-
-@contextmanager
-def _bar(title: str, silent: bool, unit: str, total: float | None = None) -> Iterator[Callable[..., None]]:
-    """A progress bar on the terminal's standard error: `progress(done)` or `progress(done, total)`."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if silent or not console.is_terminal:
-        yield lambda *_: None
-        return
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
-        TimeRemainingColumn(), console=console, transient=True,
-    )  # fmt: skip
-    task = bar.add_task(title, total=total, rate="0")
-    begin: list[float] = []
-
-    def progress(done: int, of: int | None = None) -> None:
-        now = time.perf_counter()
-        if not begin and done:
-            begin.append(now)
-        rate = done / (now - begin[0]) if begin and now > begin[0] else 0.0
-        description = "simulating" if unit == "lives" else f"{title} {done}/{of or total or '?'}"
-        bar.update(task, completed=done, total=of or total, description=description, rate=_lives(rate))
-
-    with bar:
-        yield progress
-
-
 def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result: Any, folder: Path, who: str) -> None:
     from eqsim.estimate import difference
 
-    table = _table("", "second half of the run", "steady value", "difference / s.e.")
+    table = terminal.table("", "second half of the run", "steady value", "difference / s.e.")
     for name, estimate in averages.items():
         other = getattr(level, name)
-        z = difference(estimate, other)
-        table.add_row(name, _text_of(estimate), _text_of(other), "exact" if z is None else f"{z:+.2f}")
-    _show(file.title or folder.name, table)
+        both = terminal.value_and_error(estimate), terminal.value_and_error(other)
+        table.add_row(name, *both, terminal.scores(difference(estimate, other)))
+    terminal.show(file.title or folder.name, table)
     if not all(estimate.reliable for estimate in averages.values()):
         print("unreliable: the halves of the averaging window differ, or too few contacts broke in it")
     print(
-        f"{_lives(result.lives)} lives of {_lives(ensemble.count * file.output.replicas)} contacts in "
-        f"{result.engine_seconds:.2f} s ({_lives(result.lives / max(result.engine_seconds, 1e-9))}/s), "
+        f"{terminal.many(result.lives)} lives of {terminal.many(ensemble.count * file.output.replicas)} contacts in "
+        f"{result.engine_seconds:.2f} s ({terminal.many(result.lives / max(result.engine_seconds, 1e-9))}/s), "
         f"{result.threads} {who}, seed {result.seed}"
     )
     print(f"{folder}/: trajectory.parquet, summary.json, force.png")
-
-
-def _text_of(estimate: "Estimate") -> str:
-    """Value(error in the last two digits), as physicists write it."""
-    import math
-
-    if estimate.value is None:
-        return "none seen"
-    mark = "" if estimate.reliable else "  unreliable"
-    if not estimate.stderr:
-        return f"{estimate.value:.8g}{mark}"
-    exponent = math.floor(math.log10(abs(estimate.value))) if estimate.value else 0
-    exponent = 0 if -4 < exponent < 6 else exponent
-    scale = 10.0**exponent
-    digits = max(0, 1 - math.floor(math.log10(float(f"{estimate.stderr / scale:.1e}"))))
-    last = round(estimate.stderr / scale * 10**digits)
-    power = f"e{exponent:+03d}" if exponent else ""
-    return f"{estimate.value / scale:.{digits}f}({last}){power}{mark}"
-
-
-def _relative(estimate: "Estimate") -> str:
-    return "exact" if not estimate.stderr or not estimate.value else f"{abs(estimate.stderr / estimate.value):.1e}"
-
-
-def _lives(number: float) -> str:
-    for size, letter in ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if number >= size:
-            return f"{number / size:.3g} {letter}"
-    return f"{number:.3g}"
-
-
-def _table(*columns: str) -> "Table":
-    from rich.table import Table
-
-    table = Table()
-    for column in columns:
-        table.add_column(column, justify="left" if column in ("", "group", "meaning", "unit") else "right")
-    return table
-
-
-def _show(title: str, table: "Table") -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    Console().print(Text(title, style="bold"), table)
 
 
 def main() -> None:

@@ -44,11 +44,6 @@ def _cache_folder() -> str | None:
 _CACHE = _cache_folder()
 
 
-def cold() -> bool:
-    """Whether the next call has to compile first."""
-    return _CACHE is None or not any(Path(_CACHE).rglob("*.nbc"))
-
-
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a routine that is called from Python, cached on disk if any of the usual folders can be written."""
     if _CACHE is None:

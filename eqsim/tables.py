@@ -99,10 +99,7 @@ def save(path: Path, content: bytes) -> None:
 def _save(path: Path, content: bytes) -> None:
     handle, name = tempfile.mkstemp(prefix=".eqsim-", dir=path.parent)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+        _write(handle, content)
         os.chmod(name, 0o644)  # mkstemp's files are private
         os.replace(name, path)
     except BaseException:
@@ -114,6 +111,13 @@ def _save(path: Path, content: bytes) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+def _write(place: Path | int, content: bytes) -> None:
+    with open(place, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def check_folder(folder: Path) -> None:
@@ -128,7 +132,7 @@ def check_folder(folder: Path) -> None:
 
 
 def publish(folder: Path, files: dict[str, bytes]) -> None:
-    """Write files so that either all of them appear under their names or none does. Raises InputError."""
+    """Write files, and only when all are on disk give them their names. Raises InputError."""
     for name in files:
         if (folder / name).is_dir():
             raise InputError(f"--out {folder}: {name} is a folder there")
@@ -138,10 +142,7 @@ def publish(folder: Path, files: dict[str, bytes]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
         for name, content in files.items():
-            with (staging / name).open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            _write(staging / name, content)
         for name in files:
             os.replace(staging / name, folder / name)
     except OSError as error:

@@ -391,7 +391,10 @@ def _fluctuations(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, size
     # contacts that carry the force in all ensembles together, and of these the share that does after the lag
     square, product = exact.covariance + known(level) ** 2
     carry = contacts * ensembles * known(level) ** 2 / square
-    F, _ = _forces(shown, Drive(v, lag, "stationary"), ensembles, seed)
+    try:
+        F, _ = _forces(shown, Drive(v, lag, "stationary"), ensembles, seed)
+    except InputError:  # lives too rare and too long to be found, which the engine says
+        return []
     first, second = (F - known(level)).T
     births = _REL_ERROR * known(level) if ensemble.self_consistent else 0.0  # what the error of C can do
     scores = []

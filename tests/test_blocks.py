@@ -1,7 +1,9 @@
 """One ensemble split over threads, processes and machines: the same bits."""
 
 import multiprocessing
+import os
 import pickle
+import signal
 import sys
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 
@@ -73,6 +75,28 @@ def test_same_bits_on_dask(expected, command):
     assert there[0].exit_code == 0, there[0].output
     assert "2 workers" in there[0].output
     assert here[1] == there[1]
+
+
+def test_a_lost_worker_of_a_cluster_changes_no_bit():
+    """Others repeat its share."""
+    distributed = pytest.importorskip("distributed")
+    ensemble, drive, killed = Ensemble(thermal=Thermal(0.1), count=3_000_000), Drive(0.1, 4.0), []
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
+    )
+    with cluster, distributed.Client(cluster) as client:
+
+        def kill(lives):
+            if lives and not killed:
+                killed.append((lives, min(client.run(os.getpid).values())))
+                os.kill(killed[0][1], signal.SIGKILL)
+
+        executor = client.get_executor()
+        there = trajectory(ensemble, drive, points=101, seed=9, threads=2, executor=executor, progress=kill)
+    here = trajectory(ensemble, drive, points=101, seed=9)
+    assert killed[0][0] < here.lives
+    assert there.force.tobytes() == here.force.tobytes()
+    assert there.lives == here.lives
 
 
 @pytest.fixture

@@ -9,14 +9,17 @@ import subprocess
 import sys
 import time
 
+import numba
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
+import rich.progress
 from typer.testing import CliRunner
 
-from eqsim.cli import _text_of, app
+from eqsim.cli import app
 from eqsim.estimate import Estimate
+from eqsim.terminal import bar, value_and_error
 
 RUN = """
 title = "small"
@@ -257,7 +260,7 @@ def test_help_needs_no_numba():
     ],
 )
 def test_printed_errors(value, stderr, text):
-    assert _text_of(Estimate(value, stderr, 1)) == text
+    assert value_and_error(Estimate(value, stderr, 1)) == text
 
 
 def test_reference_curves(tmp_path):
@@ -278,3 +281,17 @@ def test_reference_curves(tmp_path):
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")
     assert result.stderr.count("\n") == 1
+
+
+def test_the_bar_tells_of_compiling(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, to rich
+    said = []
+    monkeypatch.setattr(rich.progress.Progress, "update", lambda *_, description, **__: said.append(description))
+    fresh = numba.njit(lambda x: x + 1.0)
+    for turn in ("compiled", "known"):
+        with bar("simulating", False, "lives") as progress:
+            assert fresh(2.0) == 3.0
+            progress(1)
+        assert ("compiling kernels, first run only" in said) == (turn == "compiled")
+        assert said[-1] == "simulating"
+        said.clear()

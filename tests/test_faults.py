@@ -360,7 +360,7 @@ def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
         folder.chmod(0o500)
     home = {"HOME": str(package), "XDG_CACHE_HOME": str(package), "PYTHONPATH": str(package)}
     home |= {"MPLCONFIGDIR": str(tmp_path)}
-    code = "import eqsim.compiled as c; assert c._CACHE is None and c.cold(), c._CACHE; " + EQSIM
+    code = "import eqsim.compiled as c; assert c._CACHE is None, c._CACHE; " + EQSIM
     process = start("steady", run_file, code=code, limit=powerless, env=os.environ | home, cwd=tmp_path)
     try:
         code, output, errors = ended(process, timeout=300)

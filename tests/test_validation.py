@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from eqsim import Ensemble, InputError
+from eqsim import Aging, Delay, Ensemble, Gamma, InputError, Thermal
 from eqsim.cli import app
-from eqsim.validation import KINDS, SUITES, Score, _hazard, sample, validate, verdict
+from eqsim.validation import KINDS, SUITES, Score, _fluctuations, _hazard, sample, validate, verdict
 
 
 def changed(**changes):
@@ -107,3 +107,12 @@ def test_sample():
     assert 6 < ratio.max() <= 10
     share = np.mean([e.disorder == "quenched" for e in aging])
     assert abs(share - 0.5) < 5 * math.sqrt(0.25 / len(aging))
+
+
+def test_no_fluctuations_where_the_stationary_start_is_refused():
+    """Most contacts break at once, a few with high thresholds live long: no score, and no end of the suite."""
+    aging, rare = Aging("langevin", 1.4e-4, 7.8), Delay(1500.0)
+    hot = Ensemble(Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform")
+    assert _fluctuations(hot, hot, 2.2e-4, 1, (20, 2000)) == []
+    warm = dataclasses.replace(hot, thermal=Thermal(0.1))
+    assert _fluctuations(warm, warm, 2.2e-4, 1, (20, 2000)) != []

@@ -1,0 +1,100 @@
+"""What a terminal shows: tables, values with their errors, progress."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from eqsim.estimate import Estimate
+
+
+def value_and_error(estimate: "Estimate") -> str:
+    """Value(error in the last two digits), as physicists write it."""
+    if estimate.value is None:
+        return "none seen"
+    mark = "" if estimate.reliable else "  unreliable"
+    if not estimate.stderr:
+        return f"{estimate.value:.8g}{mark}"
+    exponent = math.floor(math.log10(abs(estimate.value))) if estimate.value else 0
+    exponent = 0 if -4 < exponent < 6 else exponent
+    scale = 10.0**exponent
+    digits = max(0, 1 - math.floor(math.log10(float(f"{estimate.stderr / scale:.1e}"))))
+    last = round(estimate.stderr / scale * 10**digits)
+    power = f"e{exponent:+03d}" if exponent else ""
+    return f"{estimate.value / scale:.{digits}f}({last}){power}{mark}"
+
+
+def relative_error(estimate: "Estimate") -> str:
+    return "exact" if not estimate.stderr or not estimate.value else f"{abs(estimate.stderr / estimate.value):.1e}"
+
+
+def scores(z: float | None) -> str:
+    """A difference in standard errors; None if there is neither."""
+    return "exact" if z is None else f"{z:+.2f}"
+
+
+def many(number: float) -> str:
+    """A count to three digits, with k, M, G or T."""
+    for size, letter in ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= size:
+            return f"{number / size:.3g} {letter}"
+    return f"{number:.3g}"
+
+
+def table(*columns: str) -> "Table":
+    from rich.table import Table
+
+    found = Table()
+    for column in columns:
+        found.add_column(column, justify="left" if column in ("", "group", "meaning", "unit") else "right")
+    return found
+
+
+def show(title: str, shown: "Table") -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    Console().print(Text(title, style="bold"), shown)
+
+
+@contextmanager
+def bar(title: str, silent: bool, unit: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """A progress bar on the terminal's standard error, for `progress(done)` or `progress(done, total)`; it tells when
+    kernels are compiled."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if silent or not console.is_terminal:
+        yield lambda *_: None
+        return
+    from numba.core import event
+
+    shown = Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
+        TimeRemainingColumn(), console=console, transient=True,
+    )  # fmt: skip
+    task = shown.add_task(title, total=total, rate="0")
+    begin: list[float] = []
+
+    class Compiling(event.Listener):  # type: ignore[misc]
+        def on_start(self, _: Any) -> None:
+            shown.update(task, description="compiling kernels, first run only")
+
+        def on_end(self, _: Any) -> None:
+            shown.update(task, description=title)
+
+    def progress(done: int, of: int | None = None) -> None:
+        now = time.perf_counter()
+        if not begin and done:
+            begin.append(now)
+        rate = done / (now - begin[0]) if begin and now > begin[0] else 0.0
+        description = title if of is None or unit == "lives" else f"{title} {done}/{of}"
+        shown.update(task, completed=done, total=of or total, description=description, rate=many(rate))
+
+    with shown, event.install_listener("numba:compile", Compiling()):
+        yield progress
