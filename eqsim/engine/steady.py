@@ -213,7 +213,9 @@ class Proposal(NamedTuple):
     @classmethod
     def of(cls, contacts: Contacts) -> "Proposal":
         """Births times the root mean square of what a life contributes to friction and to break_stretch, plus a tenth
-        of plain births so that no weight can grow large; all on a fixed grid."""
+        of plain births so that no weight can grow large; all on a fixed grid. This tenth, of clocks, is the root of
+        births: the few clocks so early that they change a whole life contribute little, but errors have to show them.
+        """
         fine = (1000, 100) if contacts.aging == UNAGED else (200, 40)  # lives that age take long
         log_e = np.linspace(-53 * math.log(2), math.log(500), fine[0])
         log_clock = np.linspace(-12, math.log(40), fine[1])
@@ -236,9 +238,9 @@ class Proposal(NamedTuple):
         if contacts.breaking != MECHANICAL:
             over = np.maximum(density, 1e-300)
             means = [(size**2 / over) @ square for square, size in zip(squares, sizes, strict=True)]
-            clock_density = mixed(log_clock, clock_births, *(clock_births * np.sqrt(mean) for mean in means))
+            clock_density = mixed(log_clock, np.sqrt(clock_births), *(clock_births * np.sqrt(mean) for mean in means))
         low = np.linspace(-53 * math.log(2), log_clock[0], 100)[:-1]  # below the grid nothing happens but short lives
-        clock_density = np.append(clock_density[0] * np.exp(low - log_clock[0]), clock_density)
+        clock_density = np.append(clock_density[0] * np.exp(0.5 * (low - log_clock[0])), clock_density)
         covered = bool(density[-1] < _NEGLIGIBLE * density.max())
         return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
 
@@ -285,14 +287,14 @@ def _unseen(contacts: Contacts, count: int) -> float:
     """The relative error that clocks rarer than one in `count`, early or late, may hide from so many lives."""
     if contacts.breaking == MECHANICAL or contacts.aging == LANGEVIN:  # no clocks; errors of another size
         return 0.0
-    share = (np.arange(16) + 0.5) / 16  # of thresholds, and of the clocks beyond an edge, which comes first
-    rare = np.append(1.0, share) / count
+    share, rare = (np.arange(16) + 0.5) / 16, 0.5 ** np.arange(37) / count  # of thresholds; of clocks
     u, v = (grid.ravel() for grid in np.meshgrid(share, np.append(rare, 1.0 - rare), indexing="ij"))
     errors = []
     for part in lives(contacts, key(0, STEADY), 0, u, v):
         part = part.reshape(share.size, 2, rare.size)
-        errors.append(np.abs(part[:, :, 1:] - part[:, :, :1]).mean() / part[:, :, 0].mean())
-    return 2.0 * float(max(errors)) / count
+        change = np.abs(part[:, :, 1:] - part[:, :, :1]).mean(axis=0).sum(axis=0)  # grows as clocks become rarer
+        errors.append(float(change @ -np.diff(rare) / part[:, :, 0].mean()))
+    return 2.0 * max(errors)
 
 
 def _averages(
