@@ -240,7 +240,8 @@ class Proposal(NamedTuple):
             means = [(size**2 / over) @ square for square, size in zip(squares, sizes, strict=True)]
             clock_density = mixed(log_clock, np.sqrt(clock_births), *(clock_births * np.sqrt(mean) for mean in means))
         low = np.linspace(-53 * math.log(2), log_clock[0], 100)[:-1]  # below the grid nothing happens but short lives
-        clock_density = np.append(clock_density[0] * np.exp(0.5 * (low - log_clock[0])), clock_density)
+        falls = math.log(clock_density[1] / clock_density[0]) / (log_clock[1] - log_clock[0])
+        clock_density = np.append(clock_density[0] * np.exp(falls * (low - log_clock[0])), clock_density)
         covered = bool(density[-1] < _NEGLIGIBLE * density.max())
         return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
 
