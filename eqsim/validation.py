@@ -189,8 +189,9 @@ def validate(
     progress: Progress | None = None,
 ) -> Validation:
     """Run a suite, or of its points only every m-th from the i-th on, `part` = (i, m): the scores of all parts are
-    those of the suite. `wrong` changes the ensemble the engine sees but not the reference's: a suite that then still
-    passes is worthless. Raises InputError for an unknown suite."""
+    those of the suite. Averages that call themselves unreliable are not scored. `wrong` changes the ensemble the engine
+    sees but not the reference's: a suite that then still passes is worthless. Raises InputError for an unknown suite.
+    """
     if suite not in SUITES:
         raise InputError(f"suite = {suite!r}: must be one of " + ", ".join(f'"{name}"' for name in SUITES))
     plan = SUITES[suite]
@@ -242,6 +243,8 @@ def _averages(ensemble: Ensemble, shown: Ensemble, v: float, found: Steady) -> l
         sigma = math.hypot(ours.stderr, theirs.stderr)
         if name == "pinned" and ensemble.delay.time == shown.delay.time == 0:
             continue  # 1, exactly
+        if not ours.reliable:
+            continue  # and says so
         z = z_score(ours, theirs.value, theirs.stderr)
         scores.append(Score(name, ensemble, v, known(ours), known(theirs), sigma, math.inf if z is None else z))
     return scores

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from eqsim import Aging, Delay, Ensemble, Gamma, InputError, Thermal
+from eqsim import Aging, Delay, Ensemble, Gamma, InputError, Thermal, steady
 from eqsim.cli import app
-from eqsim.validation import KINDS, SUITES, Score, _fluctuations, _hazard, sample, validate, verdict
+from eqsim.validation import KINDS, SUITES, Score, _averages, _fluctuations, _hazard, sample, validate, verdict
 
 
 def changed(**changes):
@@ -116,3 +116,13 @@ def test_no_fluctuations_where_the_stationary_start_is_refused():
     assert _fluctuations(hot, hot, 2.2e-4, 1, (20, 2000)) == []
     warm = dataclasses.replace(hot, thermal=Thermal(0.1))
     assert _fluctuations(warm, warm, 2.2e-4, 1, (20, 2000)) != []
+
+
+def test_averages_that_call_themselves_unreliable_are_not_scored():
+    """Few contacts that live long carry the force, and 2^16 lives of fluctuating thresholds say that they miss some."""
+    aging = Aging("langevin", 1.4e-3, 4.0)
+    warm = Ensemble(Gamma(0.0), Thermal(1.9, barrier="stiff"), aging=aging, stiffness_law="uniform")
+    for velocity, scored in ((2.7e-4, []), (0.1, ["friction", "break_stretch"])):
+        found = steady(warm, velocity, rel_error=1.0)
+        assert found.friction.reliable == bool(scored)
+        assert [score.kind for score in _averages(warm, warm, velocity, found)] == scored

@@ -22,8 +22,8 @@ from eqsim.validation import ALARM, KINDS, SUITES, Score, overall, verdict
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"
-SEED, PARTS = 1211, 25  # of the parameter space; 25, so that every part has points of all kinds
-SEEDS = range(1301, 1341)  # of the suites whose p-values are to be flat
+SEED, PARTS = 1511, 25  # of the parameter space; 25, so that every part has points of all kinds
+SEEDS = range(1601, 1641)  # of the suites whose p-values are to be flat
 P_VALUES = ("p_chi_square", "p_largest")
 
 
@@ -120,7 +120,8 @@ def text(found):
     lines = ["# Statistical verification", "", f"Code {DIGEST}, " + ", ".join(f"{k} {v}" for k, v in versions()), ""]
     lines += ["## Engine against master equation over the parameter space", ""]
     lines += [
-        f"{len(parts('space'))} of {PARTS} parts of {points} points, seed {SEED}: {len(found.scores)} scores.",
+        f"{len(parts('space'))} of {PARTS} parts of {points} points, seed {SEED}: {len(found.scores)} scores; none of "
+        "averages that the engine itself calls unreliable, and of a stationary start only where there is one.",
         "",
     ]
     lines += [
@@ -130,9 +131,11 @@ def text(found):
     for v in found.verdicts:
         lines.append(
             f"| {v.kind} | {v.count} | {v.chi_square:.1f} | {v.p_chi_square:.2g} | {v.largest:.2f} | {v.p_largest:.2g} "
-            f"| {'passed' if v.passed else 'FAILED'} |"
+            f"| {('passed' if v.passed else 'FAILED') if v.count else 'not run'} |"
         )
-    lines += ["", f"Smallest p of all kinds, Bonferroni: {p_overall(found.verdicts):.2g}.", ""]
+    if not found.scores.empty:
+        lines += ["", f"Smallest p of all kinds, Bonferroni: {p_overall(found.verdicts):.2g}."]
+    lines.append("")
     lines.append(
         f"Each p must exceed {ALARM:g}: a correct program fails once in {1 / (2 * len(KINDS) * ALARM):.0f} runs."
     )
