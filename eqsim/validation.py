@@ -203,16 +203,21 @@ def validate(
         rel_error = 1.0 if shown.fluctuates else _REL_ERROR  # 1.0: the first 65 536 lives will do
         found = steady(shown, v, rel_error=rel_error, seed=seed, threads=threads)
         scores += _averages(ensemble, shown, v, found)
-        shown = _held(shown, v, found)
+        shown, own = _held(shown, v, found), _stream(seed, index)
         if index % 3 == 0:
-            scores += _transient(ensemble, shown, v, seed + index, threads, plan)
+            scores += _transient(ensemble, shown, v, own, threads, plan)
         if index % 3 == 1:
-            scores += _hazard(ensemble, shown, v, seed + index)
+            scores += _hazard(ensemble, shown, v, own)
         if stride and index % stride == 2:
-            scores += _fluctuations(ensemble, shown, v, seed + index, plan.sizes[index // stride % len(plan.sizes)])
+            scores += _fluctuations(ensemble, shown, v, own, plan.sizes[index // stride % len(plan.sizes)])
         if progress:
             progress(done, len(points))
     return Validation(suite, seed, scores, [verdict(kind, scores) for kind in KINDS])
+
+
+def _stream(*numbers: int) -> int:
+    """A seed of its own for all that draws."""
+    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0] >> 1)
 
 
 def overall(p: list[float]) -> float:
@@ -271,15 +276,18 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
         few = min(pinned, carry, loose)
         if few < _ENOUGH:
             continue
-        run = trajectory(shown, Drive(v, 5 * mean * i / 8), points=2, seed=seed * 10 + i, threads=threads)
+        drive = Drive(v, 5 * mean * i / 8)
+        run = trajectory(shown, drive, points=2, seed=_stream(seed, i), threads=threads)
         sigma = math.hypot(run.force_stderr[1], exact.force_error[i])
         scores.append(_score("transient", ensemble, v, float(run.force[1]), float(exact.force[i]), sigma))
-        if squares is not None and few >= _ENOUGH_SQUARES:
+        if squares is not None:
             level, (square, error) = float(exact.force[i]), squares[:, i]
             group = dataclasses.replace(shown, count=shown.count // _GROUPS)
-            forces, variances = _forces(group, Drive(v, 5 * mean * i / 8), _GROUPS, seed * 10 + i)
-            about = (variances + (forces - level) ** 2)[:, 1]
-            found = Estimate(float(about.mean()), float(about.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
+            # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts
+            pilot, groups = (_about(level, group, drive, _stream(seed, i, turn)) for turn in (1, 2))
+            if not pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0:
+                continue
+            found = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
             off = float(error) + 2 * level * float(exact.force_error[i])
             z = z_score(found, float(square) - level**2, off)
             sigma = math.hypot(found.stderr or 0.0, off)
@@ -288,6 +296,12 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
                 Score("transient variance", ensemble, v, known(found), value, sigma, math.inf if z is None else z)
             )
     return scores
+
+
+def _about(level: float, group: Ensemble, drive: Drive, seed: int) -> Array:
+    """The variance of F/k per contact about its expectation, at the end of the drive, in each of _GROUPS groups."""
+    forces, variances = _forces(group, drive, _GROUPS, seed)
+    return np.asarray((variances + (forces - level) ** 2)[:, 1])
 
 
 def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) -> Array | None:
@@ -355,7 +369,9 @@ def _hazard(ensemble: Ensemble, shown: Ensemble, v: float, seed: int) -> list[Sc
         a = s.b * relative_stiffness(s.stiffness, at[1], s.law.rms / s.law.scale)
         hazard, total = np.exp(log_hazard(barrier, at, at[1], a) + s.log_w)
     mean = float(hazard.sum())
-    scores = [_score("hazard", ensemble, v, float(thermal.sum()), mean, math.sqrt(mean))]
+    scores = []
+    if mean >= _ENOUGH:
+        scores.append(_score("hazard", ensemble, v, float(thermal.sum()), mean, math.sqrt(mean)))
     if thermal.any():
         scores.append(_law(ensemble, v, np.expm1(-hazard[thermal]) / np.expm1(-total[thermal])))
     return scores
