@@ -1,8 +1,9 @@
 """Runs whose numbers never change: the digests of tests/data/digests.json, on one thread, on two, and in processes.
 
 A digest is that of the number of lives, which is exact, and of all columns rounded to single precision, 24 of 53 bits:
-the last bits of a quantile's or an inverse hazard's table may differ between versions of SciPy. A change of streams or
-of the order of draws changes every digest, and must be meant: `python tests/test_digests.py` writes them anew.
+the last bits of a quantile's or an inverse hazard's table may differ between versions of SciPy. (Where thresholds age
+these bits also decide which of equally good samples `steady` draws.) A change of streams or of the order of draws
+changes every digest, and must be meant: `python tests/test_digests.py` writes them anew.
 """
 
 import hashlib
