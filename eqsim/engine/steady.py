@@ -101,7 +101,7 @@ def steady(
         else:
             sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
-        hidden = math.hypot(tables, _unseen(contacts, RANDOMISATIONS * size))
+        hidden = math.hypot(tables, _unseen(contacts, proposal, RANDOMISATIONS * size))
         result = _averages(sums, contacts.delay, drag, unit, size, proposal is None or proposal.covered, hidden)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
@@ -284,18 +284,20 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
     return np.array(rows)
 
 
-def _unseen(contacts: Contacts, count: int) -> float:
-    """The relative error that clocks rarer than one in `count`, early or late, may hide from so many lives."""
+def _unseen(contacts: Contacts, proposal: Proposal | None, count: int) -> float:
+    """The relative error that clocks may hide of which `count` lives meet fewer than four, early or late."""
     if contacts.breaking == MECHANICAL or contacts.aging == LANGEVIN:  # no clocks; errors of another size
         return 0.0
-    share, rare = (np.arange(16) + 0.5) / 16, 0.5 ** np.arange(37) / count  # of thresholds; of clocks
-    u, v = (grid.ravel() for grid in np.meshgrid(share, np.append(rare, 1.0 - rare), indexing="ij"))
+    share, rare = (np.arange(16) + 0.5) / 16, 4.0 * 0.5 ** np.arange(37) / count  # of thresholds; of clocks
+    p = np.append(rare, 1.0 - rare)
+    clock, weight = proposal.clock.draw(p) if proposal else (p, np.ones(p.size))
+    u, v = (grid.ravel() for grid in np.meshgrid(share, clock, indexing="ij"))
     errors = []
     for part in lives(contacts, key(0, STEADY), 0, u, v):
         part = part.reshape(share.size, 2, rare.size)
-        change = np.abs(part[:, :, 1:] - part[:, :, :1]).mean(axis=0).sum(axis=0)  # grows as clocks become rarer
-        errors.append(float(change @ -np.diff(rare) / part[:, :, 0].mean()))
-    return 2.0 * max(errors)
+        change = np.abs(part - part[:, :, :1]).mean(axis=0) * weight.reshape(2, rare.size)  # grows with rarity
+        errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / part[:, :, 0].mean()))
+    return max(errors)
 
 
 def _averages(
