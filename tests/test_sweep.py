@@ -1,6 +1,7 @@
 """Sweeps: the grid, identity, the folder that survives anything, and workers that do not change a bit."""
 
 import concurrent.futures as futures
+import contextlib
 import dataclasses
 import json
 import os
@@ -436,8 +437,10 @@ def start(path, out, *options):
 
 def on_disk(out):
     """id -> seconds of every row a reader can find."""
-    paths = [*(out / "_parts").glob("part-*.parquet"), *out.glob("sweep.parquet")]
-    rows = [row for path in paths for row in pq.read_table(path).to_pylist()]
+    rows = []
+    for path in [*(out / "_parts").glob("part-*.parquet"), *out.glob("sweep.parquet")]:
+        with contextlib.suppress(FileNotFoundError):  # a sweep at work has just moved these rows
+            rows += pq.read_table(path).to_pylist()
     return {row["id"]: row["seconds"] for row in rows}
 
 
