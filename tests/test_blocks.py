@@ -7,6 +7,7 @@ import signal
 import sys
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 
+import distributed
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -62,7 +63,6 @@ def compiled_signatures():
 
 
 def test_same_bits_on_dask(expected, command):
-    distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
     )
@@ -79,7 +79,6 @@ def test_same_bits_on_dask(expected, command):
 
 def test_a_lost_worker_of_a_cluster_changes_no_bit():
     """Others repeat its share."""
-    distributed = pytest.importorskip("distributed")
     ensemble, drive, killed = Ensemble(thermal=Thermal(0.1), count=3_000_000), Drive(0.1, 4.0), []
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
@@ -137,7 +136,6 @@ def test_command_refuses_in_one_line(command, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "distributed", None)
         refused('--dask: needs the package "distributed"', "--dask", "localhost:8786")
-    distributed = pytest.importorskip("distributed")
     refused("--dask nowhere: must be HOST:PORT", "--dask", "nowhere")
     monkeypatch.setattr(distributed, "Client", silent)
     refused("--dask localhost:9: no scheduler answers (timed out)", "--dask", "localhost:9")

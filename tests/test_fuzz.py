@@ -430,6 +430,26 @@ def test_many_threshold_tables(tmp_path):
     assert 200 < fuzz_tables(tmp_path, range(1000, 3000)) < 1800
 
 
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("threshold\n1,5\n2,5\n", "line 2: more values than columns (a decimal comma?)"),
+        ("threshold,threshold\n1,2\n", '2 columns "threshold"'),
+        ("threshold\n1_5\n", "'1_5' must be a finite number"),
+        ('threshold\n1\n"2\n', "is not a CSV text file"),
+        ("threshold\n1e-40\n1\n", "x.csv: threshold table: spans"),
+        ("a\x1b[31mb\n", "found a\\x1b[31mb"),
+    ],
+)
+def test_tables_once_misread(tmp_path, content, message):
+    path = tmp_path / "x.csv"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_thresholds(path)
+    assert message in str(caught.value)
+    judge(str(caught.value), path)
+
+
 def test_a_table_that_is_no_file(tmp_path):
     """A pipe nobody writes to, a device without end, links to nowhere and to themselves."""
     os.mkfifo(tmp_path / "pipe")
