@@ -262,12 +262,12 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
     dear = _DEAR if shown.fluctuates else 1
     least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
     shown = dataclasses.replace(shown, count=int(min(20_000, max(least, 1e6 / dear / cost))))
+    if predicted_lives(shown, Drive(v, 5 * mean)) > 1e8 / dear:  # very low velocity: nothing for a test of minutes
+        return []
     exact = transient(ensemble, Drive(v, 5 * mean), points=9)
     squares = _squares(ensemble, v, 5 * mean, exact)
     scores = []
     for i in range(1, 9):
-        if predicted_lives(shown, Drive(v, 5 * mean)) > 1e8:  # very low velocity: nothing for a test of minutes
-            break
         # how many contacts carry the force: all pinned ones if they carry the same, a few where strong ones are rare
         pinned = carry = shown.count * float(exact.pinned[i])
         if squares is not None:
@@ -280,7 +280,7 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
         run = trajectory(shown, drive, points=2, seed=_stream(seed, i), threads=threads)
         sigma = math.hypot(run.force_stderr[1], exact.force_error[i])
         scores.append(_score("transient", ensemble, v, float(run.force[1]), float(exact.force[i]), sigma))
-        if squares is not None:
+        if squares is not None and few >= _ENOUGH_SQUARES:
             level, (square, error) = float(exact.force[i]), squares[:, i]
             group = dataclasses.replace(shown, count=shown.count // _GROUPS)
             # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts

@@ -1,6 +1,6 @@
 """Whatever ends a command or stands in its way: nothing half-written, nobody left behind, one clear line.
 
-The kills at random moments, and what needs minutes, are in `pytest -m verification`.
+The kills at random moments, and what needs minutes, are in `pytest -m long`.
 """
 
 import contextlib
@@ -168,7 +168,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.verification
+@pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, number):
@@ -260,7 +260,7 @@ def test_a_sweep_clears_what_a_killed_command_has_left(run_file, tmp_path):
     assert names(out) == ["_lock", "_sweep.json", "sweep.parquet"]
 
 
-@pytest.mark.verification
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "files", "kills", "longest"),
     [
@@ -291,7 +291,7 @@ def test_killed_at_any_moment(run_file, tmp_path, command, files, kills, longest
     assert set(files) <= set(names(tmp_path / "o"))
 
 
-@pytest.mark.verification
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["run --workers", "figures"])
 def test_a_killed_worker_ends_what_cannot_go_on_without_it(run_file, tmp_path, command):
     process = start(*COMMANDS[command], cwd=tmp_path)
@@ -350,7 +350,7 @@ def test_a_device_is_no_folder(tmp_path, run_file, command):
     assert (done.exit_code, done.stderr) == (2, "eqsim: --out /dev/full: /dev/full is not a folder\n")
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
     """A package, a home and a cache that are read-only: kernels are compiled for this one run."""
     package = tmp_path / "package"

@@ -334,7 +334,7 @@ def test_run_files(tmp_path):
     assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 10  # neither all is refused nor all taken
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_many_run_files(tmp_path):
     outcomes = fuzz(tmp_path, range(1000, 6000), solved=250)
     assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 200
@@ -425,7 +425,7 @@ def test_threshold_tables(tmp_path):
     assert 50 < fuzz_tables(tmp_path, range(400)) < 350
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_many_threshold_tables(tmp_path):
     assert 200 < fuzz_tables(tmp_path, range(1000, 3000)) < 1800
 
@@ -526,7 +526,7 @@ def test_points_files(tmp_path):
     assert 5 < fuzz_points(tmp_path, range(200)) < 190
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_many_points_files(tmp_path):
     assert 20 < fuzz_points(tmp_path, range(1000, 2500)) < 1400
 
@@ -590,7 +590,7 @@ def test_axes(tmp_path):
     assert fuzz_axes(tmp_path, range(400)) > 10
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_many_axes(tmp_path):
     assert fuzz_axes(tmp_path, range(1000, 3000)) > 50
 
@@ -728,7 +728,7 @@ def test_processes(tmp_path):
     assert set(fuzz_processes(tmp_path, (1, 3))) <= {0, 2}
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_many_processes(tmp_path):
     codes = fuzz_processes(tmp_path, range(20_000, 20_060))
     assert len(codes) >= 50

@@ -8,7 +8,7 @@ from analysis.limits import measure
 from eqsim import Drive, Ensemble, InputError, Thermal, trajectory
 
 
-@pytest.mark.parametrize("contacts", [2 * 10**6, pytest.param(10**8, marks=pytest.mark.verification)])
+@pytest.mark.parametrize("contacts", [2 * 10**6, pytest.param(10**8, marks=pytest.mark.long)])
 def test_memory_does_not_grow_with_contacts(contacts):
     """Peak memory of a run with many contacts is that with a thousand, but for what the allocator rounds up to; a
     single number per contact would take 16 MB."""
@@ -17,7 +17,7 @@ def test_memory_does_not_grow_with_contacts(contacts):
     assert many.megabytes - few.megabytes < 8
 
 
-@pytest.mark.parametrize("points", [10**5 + 1, pytest.param(10**7 + 1, marks=pytest.mark.verification)])
+@pytest.mark.parametrize("points", [10**5 + 1, pytest.param(10**7 + 1, marks=pytest.mark.long)])
 def test_finest_grids(points):
     """Forces do not depend on the grid: every point of a coarse one is a point of a fine one. Deposits are the same
     integers; X <= 10 is rounded in two ways, by 2e-15 at the most, and enters with slopes <= 2 (means of k_i/k)."""

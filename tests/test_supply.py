@@ -122,7 +122,7 @@ def test_wheel_needs_no_source(tmp_path):
     call(eqsim, "figures", "--help", cwd=tmp_path)
 
 
-@pytest.mark.verification
+@pytest.mark.long
 def test_lowest_versions(tmp_path):
     """The lowest version of every dependency that is declared, and a part of the tests with them."""
     python = python_of(tmp_path / "venv")

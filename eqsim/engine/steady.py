@@ -304,7 +304,7 @@ def _averages(
     sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool, hidden: float
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length, `hidden` a relative error
-    that does not show in their scatter."""
+    of the means over lives that does not show in their scatter."""
     reliable = covered and float(sums[:, 2].max()) < _DOMINANT
     work, stretch = sums[:, 0], sums[:, 1]
     cycle = stretch + delay
@@ -312,14 +312,13 @@ def _averages(
     pinned = float(stretch.mean() / cycle.mean())
     n = RANDOMISATIONS * size
 
-    def estimate(value: float, residual: Array, unit: float) -> Estimate:
-        stderr = float(np.std(residual, ddof=1)) / math.sqrt(RANDOMISATIONS)
-        return Estimate(value * unit, math.hypot(stderr, hidden * abs(value)) * unit, n, RANDOMISATIONS - 1, reliable)
+    def estimate(value: float, residual: Array, hidden: float, unit: float) -> Estimate:
+        stderr = math.hypot(float(np.std(residual, ddof=1)) / math.sqrt(RANDOMISATIONS), hidden)
+        return Estimate(value * unit, stderr * unit, n, RANDOMISATIONS - 1, reliable)
 
+    waiting = delay / float(cycle.mean())
     return (
-        estimate(friction, (work + drag * delay - friction * cycle) / cycle.mean(), unit),
-        estimate(pinned, (stretch - pinned * cycle) / cycle.mean(), 1.0)
-        if delay
-        else Estimate(1.0, 0.0, n, RANDOMISATIONS - 1, reliable),  # for certain
-        estimate(float(stretch.mean()), stretch, unit),
+        estimate(friction, (work + drag * delay - friction * cycle) / cycle.mean(), hidden * friction, unit),
+        estimate(pinned, (stretch - pinned * cycle) / cycle.mean(), hidden * pinned * waiting, 1.0),
+        estimate(float(stretch.mean()), stretch, hidden * float(stretch.mean()), unit),
     )
