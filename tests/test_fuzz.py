@@ -27,8 +27,8 @@ from eqsim.cli import app
 from eqsim.engine.trajectory import check_run
 from eqsim.ensemble import groups
 from eqsim.estimate import OBSERVABLES
+from eqsim.grid import Plan
 from eqsim.runfile import keys, read_thresholds
-from eqsim.sweep import Plan
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
 LONGEST = 600  # characters of a message beyond those of the path

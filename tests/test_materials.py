@@ -13,6 +13,7 @@ from scipy.special import gamma
 
 from eqsim import Aging, Delay, InputError, load, reference, steady
 from eqsim.estimate import z_score
+from eqsim.grid import Plan
 from eqsim.master.asymptotics import C_0, Published
 from eqsim.materials import (
     BOLTZMANN,
@@ -28,7 +29,6 @@ from eqsim.materials import (
     omcts_film,
     run_file_text,
 )
-from eqsim.sweep import Plan
 
 RUNS = Path(__file__).parent.parent / "runs"
 ELECTRON_VOLT = 1.602176634e-19

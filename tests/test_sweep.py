@@ -1,4 +1,4 @@
-"""Sweeps: the grid, identity, the folder that survives anything, and workers that do not change a bit."""
+"""Sweeps: rows, the folder that survives anything, and workers that do not change a bit."""
 
 import concurrent.futures as futures
 import contextlib
@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -20,6 +19,7 @@ import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from test_grid import BASE, file_of, plan_of
 from typer.testing import CliRunner
 
 from eqsim import sweep as module
@@ -27,30 +27,17 @@ from eqsim.cli import app
 from eqsim.engine.steady import steady
 from eqsim.ensemble import Ensemble
 from eqsim.errors import InputError
+from eqsim.grid import results_version, seed_of
 from eqsim.master.reference import reference
-from eqsim.runfile import check, keys, load
-from eqsim.sweep import Asked, Plan, Store, results_version, schema, seed_of, sweep
+from eqsim.runfile import keys, load
+from eqsim.sweep import Asked, Store, schema, sweep
 
-BASE = 'title = "small"\n[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5.0\n'
 GRID = (
     BASE
     + '[sweep]\n"drive.velocity" = { log = [0.01, 1.0, 3] }\n"thermal.kT" = [0.1, 1.0]\n"delay.time" = [0.0, 1.0]\n'
 )
 # Rows reach the disk at once, and workers are told to stop nowhere in particular.
 EAGER = "import eqsim.sweep as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; from eqsim.cli import main; main()"
-
-
-def file_of(text):
-    return check(tomllib.loads(text))
-
-
-def plan_of(text, folder=Path()):
-    return Plan(file_of(text), folder)
-
-
-def grid(table, base=BASE, folder=Path()):
-    plan = plan_of(f"{base}[sweep]\n{table}\n", folder)
-    return [plan.changes(index) for index in range(plan.size)]
 
 
 def table_of(folder):
@@ -65,120 +52,6 @@ def small(tmp_path_factory):
     (folder / "small.toml").write_text(GRID)
     sweep(load(folder / "small.toml"), folder, folder / "one", text=GRID)
     return folder
-
-
-# ---- the grid ----
-
-
-def test_axes_and_their_product():
-    assert grid('"thermal.kT" = [0.1, 1]\n"delay.law" = ["fixed", "exponential"]') == [
-        {"thermal.kT": 0.1, "delay.law": "fixed"},
-        {"thermal.kT": 0.1, "delay.law": "exponential"},
-        {"thermal.kT": 1, "delay.law": "fixed"},
-        {"thermal.kT": 1, "delay.law": "exponential"},
-    ]
-    log = [point["drive.velocity"] for point in grid("drive.velocity = { log = [1e-3, 1e2, 6] }")]
-    assert log == [0.001, 0.01, 0.1, 1.0, 10.0, 100.0]  # to the last bit, whatever made the powers
-    assert [p["delay.time"] for p in grid('"delay.time" = { linear = [0, 1, 5] }')] == [0, 0.25, 0.5, 0.75, 1]
-    assert [p["contacts.count"] for p in grid('"contacts.count" = { log = [10, 1000, 5] }')] == [10, 32, 100, 316, 1000]
-    assert [p["disorder"] for p in grid('disorder = ["quenched", "annealed"]')] == ["quenched", "annealed"]
-
-
-def test_zipped_axes_advance_together():
-    text = 'zip = [{ "drive.velocity" = { log = [0.1, 10, 3] }, "thermal.kT" = [1, 2, 3] }]\n"delay.time" = [0, 1]'
-    assert [tuple(point.values()) for point in grid(text)] == [
-        (0.1, 1, 0), (0.1, 1, 1), (1.0, 2, 0), (1.0, 2, 1), (10, 3, 0), (10, 3, 1),
-    ]  # fmt: skip
-
-
-def test_points_file(tmp_path):
-    columns = {"thresholds.law": ["gamma", "delta"], "thresholds.n": [2.0, None], "contacts.count": [5, 6]}
-    pq.write_table(pa.table(columns), tmp_path / "points.parquet")
-    points = grid('file = "points.parquet"', folder=tmp_path)
-    assert points == [
-        {"thresholds.law": "gamma", "thresholds.n": 2.0, "contacts.count": 5},
-        {"thresholds.law": "delta", "contacts.count": 6},
-    ]
-
-
-@pytest.mark.parametrize(
-    ("table", "said"),
-    [
-        ('"drive.velocty" = [1]', 'sweep.drive.velocty.*did you mean "drive.velocity"'),
-        ("velocity = [1]", 'sweep.velocity.*did you mean "drive.velocity"'),
-        ('title = ["a"]', "sweep.title"),
-        ('"thermal.kT" = 0.1', r"sweep.thermal.kT = 0.1: must be a list"),
-        ('"thermal.kT" = []', "sweep.thermal.kT = .*must be a list"),
-        ('"thermal.kT" = { log = [0.0, 1.0, 3] }', r"sweep.thermal.kT.log = 0.0: .*> 0"),
-        ('"thermal.kT" = { log = [1.0, 2.0] }', r"must be \[first, last, count\]"),
-        ('"thermal.kT" = { linear = [1.0, 2.0, 2.5] }', r"thermal.kT.linear, count = 2.5: must be an integer from 2"),
-        ('"thermal.kT" = { linear = [1.0, 2.0, inf] }', r"thermal.kT.linear, count = inf: must be an integer from 2"),
-        ('"thermal.kT" = { linear = [1.0, "a", 3] }', "thermal.kT.linear = 'a': must be a finite number"),
-        ('"thermal.barrier" = { linear = [1.0, 2.0, 3] }', "holds text"),
-        ('"thermal.kT" = [0.1, "hot"]', r"sweep, point 2 of 2: thermal.kT = 'hot': must be a valid number"),
-        ('"thermal.kT" = [0.1, -1]', r"sweep, point 2 of 2: thermal.kT = -1.0: must be a finite number >= 0"),
-        ('"thermal.barrier" = ["soft", "hard"]', r"point 2 of 2: thermal.barrier = 'hard': must be one of"),
-        ('"thermal.kT" = [0.1, 0.1]', r"points 1 and 2 are the same \(thermal.kT = 0.1\)"),
-        ('zip = [{ "thermal.kT" = [1, 2], "delay.time" = [1] }]', "equal lengths; found thermal.kT 2, delay.time 1"),
-        ('zip = [{ "thermal.kT" = [1, 2] }]\n"thermal.kT" = [3]', "sweep.thermal.kT: is in two axes"),
-        ("zip = [3]", "sweep.zip: must be tables"),
-        ('file = "absent.parquet"', "absent.parquet: cannot be read"),
-        ('"thermal.kT" = { linear = [0, 1, 100000] }\n"delay.time" = { linear = [0, 1, 100] }', "at most 1000000"),
-        ("", r"needs a \[sweep\] table"),
-    ],
-)  # fmt: skip
-def test_bad_sweeps_are_refused_by_name(table, said):
-    with pytest.raises(InputError, match=said):
-        grid(table)
-
-
-# ---- identity ----
-
-
-def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
-    def ids(text):
-        return plan_of(text).ids
-
-    swept = BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
-    ids_ = ids(swept)
-    assert ids_ == ids(swept.replace("small", "other title"))
-    assert ids_[::-1] == ids(swept.replace("[0.1, 1.0]", "[1, 0.1]"))  # neither order nor 1 for 1.0
-    assert ids_[0] in ids(swept.replace("[0.1, 1.0]", "[0.1, 2.0, 3.0]"))  # nor the rest of the grid
-    assert ids_ == ids(BASE + "[thresholds]\nn = 1.0\nx_star = 1\n" + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n')
-    seeds = ids(BASE + '[sweep]\n"thermal.kT" = [0.1]\n"output.seed" = [1, 2]\n')
-    assert seeds[0] == ids_[0]
-    assert seeds[1] not in ids_
-    assert not set(ids_) & set(ids(swept.replace("count = 500", "count = 501")))
-    monkeypatch.setattr(module, "results_version", lambda: "other")
-    assert not set(ids_) & set(ids(swept))
-    assert all(0 <= seed_of(i) < 2**63 for i in ("f" * 64, "0" * 64, *ids_))
-
-
-def test_a_table_of_thresholds_enters_with_its_values(tmp_path):
-    text = '[thresholds]\nlaw = "table"\nfile = "x.csv"\n[drive]\nvelocity = 1.0\n[sweep]\n"thermal.kT" = [0.1]\n'
-    path = tmp_path / "x.csv"
-    path.write_text("threshold\n1.0\n2.0\n")
-    before = plan_of(text, tmp_path).ids
-    path.rename(tmp_path / "y.csv")
-    assert plan_of(text.replace("x.csv", "y.csv"), tmp_path).ids == before
-    path.write_text("threshold\n1.0\n2.5\n")
-    assert plan_of(text, tmp_path).ids != before
-
-
-def test_results_version_is_that_of_the_sources(tmp_path):
-    """It changes with any byte of a source that numbers depend on (negative control: not with the plots)."""
-    code = (
-        "import shutil, sys, pathlib; import eqsim; root = pathlib.Path(eqsim.__file__).parent\n"
-        "import eqsim.sweep as s\n"
-        "copy = pathlib.Path(sys.argv[1]) / 'eqsim'\n"
-        "shutil.copytree(root, copy, ignore=shutil.ignore_patterns('__pycache__'))\n"
-        "s._PACKAGE = copy; first = s.results_version()\n"
-        "for name in ('plots.py', 'laws/thermal.py', 'engine/life.py', 'master/flow.py', 'estimate.py'):\n"
-        "    (copy / name).write_bytes((copy / name).read_bytes() + b'#')\n"
-        "    s.results_version.cache_clear(); now = s.results_version(); print(now != first); first = now\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True", "True", "True", "True"]
 
 
 # ---- the dataset ----
