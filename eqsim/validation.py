@@ -265,37 +265,45 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
     if predicted_lives(shown, Drive(v, 5 * mean)) > 1e8 / dear:  # very low velocity: nothing for a test of minutes
         return []
     exact = transient(ensemble, Drive(v, 5 * mean), points=9)
-    squares = _squares(ensemble, v, 5 * mean, exact)
+    squares, drag = _squares(ensemble, v, 5 * mean, exact), _drag(ensemble, v)
     scores = []
     for i in range(1, 9):
-        # how many contacts carry the force: all pinned ones if they carry the same, a few where strong ones are rare
-        pinned = carry = shown.count * float(exact.pinned[i])
-        if squares is not None:
-            carry = shown.count * float(exact.force[i] ** 2 / squares[0, i])
-        loose = shown.count - pinned if ensemble.eta > 0 and ensemble.delay.time > 0 else math.inf
-        few = min(pinned, carry, loose)
-        if few < _ENOUGH:
+        level = float(exact.force[i])
+        variance = 0.0 if squares is None else float(squares[0, i]) - level**2
+        few = shown.count * _carrying(level, variance, float(exact.pinned[i]), drag)
+        if not few >= _ENOUGH:
             continue
         drive = Drive(v, 5 * mean * i / 8)
         run = trajectory(shown, drive, points=2, seed=_stream(seed, i), threads=threads)
         sigma = math.hypot(run.force_stderr[1], exact.force_error[i])
-        scores.append(_score("transient", ensemble, v, float(run.force[1]), float(exact.force[i]), sigma))
+        scores.append(_score("transient", ensemble, v, float(run.force[1]), level, sigma))
         if squares is not None and few >= _ENOUGH_SQUARES:
-            level, (square, error) = float(exact.force[i]), squares[:, i]
             group = dataclasses.replace(shown, count=shown.count // _GROUPS)
             # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts
             pilot, groups = (_about(level, group, drive, _stream(seed, i, turn)) for turn in (1, 2))
             if not pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0:
                 continue
             found = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
-            off = float(error) + 2 * level * float(exact.force_error[i])
-            z = z_score(found, float(square) - level**2, off)
+            off = float(squares[1, i]) + 2 * level * float(exact.force_error[i])
+            z = z_score(found, variance, off)
             sigma = math.hypot(found.stderr or 0.0, off)
-            value = float(square) - level**2
             scores.append(
-                Score("transient variance", ensemble, v, known(found), value, sigma, math.inf if z is None else z)
+                Score("transient variance", ensemble, v, known(found), variance, sigma, math.inf if z is None else z)
             )
     return scores
+
+
+def _drag(ensemble: Ensemble, v: float) -> float:
+    """What a detached contact adds to F/k, if there are any."""
+    return ensemble.drag(v) * ensemble.thresholds.scale if ensemble.delay.time else 0.0
+
+
+def _carrying(level: float, variance: float, pinned: float, drag: float) -> float:
+    """The share of contacts that make the mean force `level`, as if each of these did as much: <f>^2/<f^2>, f the force
+    above the `drag`, which all detached contacts carry alike. Where pinned contacts are few, or detached ones with
+    their drag, it is these that make its fluctuations."""
+    share = (level - drag) ** 2 / max((level - drag) ** 2 + variance, 1e-300)
+    return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
 
 def _about(level: float, group: Ensemble, drive: Drive, seed: int) -> Array:
@@ -406,20 +414,21 @@ def _fluctuations(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, size
     shown = dataclasses.replace(shown, count=contacts)
     if predicted_lives(shown, Drive(v, lag)) * ensembles > (2e8 / _DEAR**2 if shown.fluctuates else 2e8):
         return []
-    exact, level = fluctuations(ensemble, v, lag, points=2), reference(ensemble, v).friction
-    # contacts that carry the force in all ensembles together, and of these the share that does after the lag
-    square, product = exact.covariance + known(level) ** 2
-    carry = contacts * ensembles * known(level) ** 2 / square
+    exact, means, drag = fluctuations(ensemble, v, lag, points=2), reference(ensemble, v), _drag(ensemble, v)
+    level = known(means.friction)
+    # contacts that make the force in all ensembles together, and of these the share that does after the lag
+    carry = contacts * ensembles * _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
+    square, product = exact.covariance + (level - drag) ** 2
     try:
         F, _ = _forces(shown, Drive(v, lag, "stationary"), ensembles, seed)
     except InputError:  # lives too rare and too long to be found, which the engine says
         return []
-    first, second = (F - known(level)).T
-    births = _REL_ERROR * known(level) if ensemble.self_consistent else 0.0  # what the error of C can do
+    first, second = (F - level).T
+    births = _REL_ERROR * level if ensemble.self_consistent else 0.0  # what the error of C can do
     scores = []
     if carry >= _ENOUGH:
         sigma = math.hypot(float(first.std()) / math.sqrt(ensembles), births)
-        scores.append(_score("mean", ensemble, v, float(F[:, 0].mean()), known(level), sigma))
+        scores.append(_score("mean", ensemble, v, float(F[:, 0].mean()), level, sigma))
     for kind, products, value, few in (
         ("variance", first**2, exact.covariance[0], carry),
         ("covariance", first * second, exact.covariance[1], carry * product / square),
