@@ -41,11 +41,14 @@ def _undisturbed() -> Iterator[None]:
 
 class _Pool(ProcessPoolExecutor):
     """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all processes of a terminal, and
-    one that is still starting would answer with a traceback."""
+    one that is still starting would answer with a traceback. What is submitted cannot be cancelled: when workers are
+    killed, the thread that manages them stumbles over what is, and the process may never end."""
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
         with _undisturbed():
-            return super().submit(*args, **kwargs)
+            future = super().submit(*args, **kwargs)
+        future.cancel = lambda: False  # type: ignore[method-assign]
+        return future
 
 
 class Processes:

@@ -6,6 +6,7 @@ The kills at random moments, and what needs minutes, are in `pytest -m long`.
 import contextlib
 import ctypes
 import itertools
+import multiprocessing
 import os
 import random
 import re
@@ -14,6 +15,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -141,6 +143,26 @@ def test_ctrl_c_does_not_reach_a_worker_that_starts():
     finally:
         crew.close(hurry=True)
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_killed_workers_leave_no_thread_behind(monkeypatch):
+    """Not even if there is more to send than a pipe holds and somebody tries to cancel it."""
+    complaints, before = [], threading.active_count()
+    monkeypatch.setattr(threading, "excepthook", complaints.append)
+    crew = Processes(1)
+    futures = [crew.pool.submit(time.sleep, 60)] + [crew.pool.submit(len, bytes(10**6)) for _ in range(4)]
+    while not futures[1].running():  # and waits in the pipe
+        time.sleep(0.01)
+    for future in futures:
+        future.cancel()
+    for child in multiprocessing.active_children():
+        child.kill()
+        child.join()
+    deadline = time.monotonic() + 10
+    while threading.active_count() > before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert (complaints, threading.active_count()) == ([], before)
+    crew.close(hurry=True)
 
 
 def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_file, tmp_path):
