@@ -8,18 +8,34 @@ import atexit
 import os
 import signal
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-_AGAIN, _SOON = 2.0, 0.05  # seconds until an interrupt is raised again, and if Python says that it was dropped
+_AGAIN, _SOON = 2.0, 0.05  # seconds until an interrupt is raised again, and if it waits or Python dropped it
 _stopped: list[int] = []  # the signals that were to end this process
+_waiting: list[bool] = []  # not empty: they wait
 
 
 def listen() -> None:
     """From now on a signal raises KeyboardInterrupt, until `heard`; signals that were ignored remain so."""
     sys.unraisablehook = _dropped
     _give(_stop)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Signals that end a process wait until this is over, and in processes that are started meanwhile. They are blocked
+    in this thread; Python answers in this thread also to those that reach another."""
+    block: Any = getattr(signal, "pthread_sigmask", lambda *_: None)
+    before = block(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT, signal.SIGTERM})
+    _waiting.append(True)
+    try:
+        yield
+    finally:
+        block(getattr(signal, "SIG_SETMASK", 0), before)
+        _waiting.pop()
 
 
 def heard() -> int:
@@ -55,8 +71,9 @@ def _give(handler: Any) -> None:
 def _stop(number: int, _: Any) -> None:
     if number != signal.SIGALRM:
         _stopped.append(number)
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-    raise KeyboardInterrupt
+    signal.setitimer(signal.ITIMER_REAL, _SOON if _waiting else _AGAIN)
+    if not _waiting:
+        raise KeyboardInterrupt
 
 
 def _dropped(lost: Any) -> None:

@@ -21,22 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from eqsim.errors import InputError
+from eqsim.interrupts import undisturbed
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Signals that end a process wait until this is over."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Pool(ProcessPoolExecutor):
@@ -45,7 +33,7 @@ class _Pool(ProcessPoolExecutor):
     killed, the thread that manages them stumbles over what is, and the process may never end."""
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
-        with _undisturbed():
+        with undisturbed():
             future = super().submit(*args, **kwargs)
         future.cancel = lambda: False  # type: ignore[method-assign]
         return future
@@ -65,7 +53,7 @@ class Processes:
 
     def renew(self) -> None:
         context = multiprocessing.get_context("spawn")
-        with _undisturbed():
+        with undisturbed():
             self.pool: Executor = _Pool(self.workers, context, initializer=_enlist)
 
     def slots(self) -> int:
