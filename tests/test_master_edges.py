@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 from scipy import integrate, optimize, special
 
-from eqsim import Distribution, Gamma
+from eqsim import Distribution, Gamma, Table
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.thermal import log_hazard
 from eqsim.master import flow, kinetic, published
@@ -91,6 +91,34 @@ def test_annealed_laws_with_edges(name, barrier, stiffness):
         assert m.work_error < 1e-9 * m.work
         moved = published.stationary(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001))
         assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
+
+
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+@pytest.mark.parametrize("thresholds", [[0.03, 1.0], [1e-4, 1.0], [1e-6, 0.3, 2.0]])
+def test_annealed_thresholds_of_many_scales(thresholds, barrier):
+    """C and work, lives from longer than the greatest threshold to shorter than the least, against an ODE solver in
+    steps of a third from below both, and from each threshold on."""
+    law, b = Table(thresholds), 1.5
+    xi = law.steps / law.scale
+    for w in 10.0 ** np.arange(-1.0, 8.0):
+
+        def slope(x, y, w=w):
+            h = np.mean([rate(barrier, x, s, b) if x < s else 0.0 for s in xi])
+            alive = math.exp(-y[0]) * np.mean(xi > x)
+            return [w * h, alive, x * alive]
+
+        state = np.zeros(3)
+        for low, high in itertools.pairwise(np.append(0.0, xi)):
+            grid = low + np.append(0.0, np.geomspace(1e-9 * min(xi[0], 1 / w), high - low, 100))
+            for left, right in itertools.pairwise(grid):
+                right = min(right, np.nextafter(high, 0.0))
+                if state[0] < 60.0:
+                    state = integrate.solve_ivp(slope, (left, right), state, "DOP853", rtol=1e-9, atol=1e-30).y[:, -1]
+        m = published.stationary(law, "uniform", barrier, b, math.log(w))
+        assert m.stretch == pytest.approx(state[1], rel=1e-7, abs=0)
+        assert m.work == pytest.approx(state[2], rel=1e-7, abs=0)
+        assert m.stretch_error < 1e-6 * m.stretch
+        assert m.work_error < 1e-6 * m.work
 
 
 @pytest.mark.parametrize("b", [1e-3, 1.0, 30.0])

@@ -125,6 +125,22 @@ def test_a_law_without_an_end_is_unreliable():
     assert steady(Ensemble(Distribution(scipy.stats.pareto(5.0))), 1.0).friction.reliable
 
 
+@pytest.mark.parametrize("law", ["sqrt", "uniform"])
+def test_jumps_of_the_density_count_in_error_bars(law):
+    """A histogram with a gap: the table of thresholds is a smooth bridge across it, which shifts the friction by more
+    than the scatter of lives (by more than 5 of its standard errors, the negative control). Quoted is a bound."""
+    gap = Distribution(scipy.stats.rv_histogram(([3, 0, 1], [0.5, 1.0, 1.5, 2.0]), density=True))
+    contacts = Ensemble(gap, stiffness_law=law)
+    found, exact = steady(contacts, 0.1, rel_error=1e-4), reference(contacts, 0.1)
+    assert not found.reached
+    for name in ("friction", "break_stretch"):
+        assert abs(z_score(getattr(found, name), known(getattr(exact, name)))) < 1.1
+    gap.drawn_to = 0.0
+    assert abs(z_score(steady(contacts, 0.1, rel_error=1e-4).friction, known(exact.friction))) > 5
+    for smooth in (scipy.stats.uniform(0.5, 1), scipy.stats.lognorm(0.5), scipy.stats.gamma(0.3)):
+        assert Distribution(smooth).drawn_to < 1e-9
+
+
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
 @pytest.mark.parametrize("stiffness_law", ["sqrt", "uniform"])
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])

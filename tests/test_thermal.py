@@ -488,6 +488,18 @@ def test_documented_error_of_the_pool_of_a_table(barrier):
 
 
 @pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("thresholds", [[0.03, 1.0], [1e-4, 1.0], [1e-6, 0.3, 2.0], [1e-20, 1e-10, 1.0]])
+def test_pool_of_thresholds_of_many_scales(thresholds, barrier):
+    """The inverse to 1e-4 of itself from the least threshold on, where lives end that are much shorter than the next
+    one. Without the nodes above each threshold it was off by factors."""
+    law = Table(thresholds)
+    pool = pooled_hazard(law, "uniform", barrier, 1.0)
+    x = np.geomspace(law.steps[0], 0.5 * law.steps[-1], 2000) / law.scale
+    inverse = [pooled_stretch(*pool, target) for target in mean_hazard(law, "uniform", barrier, 1.0, x)]
+    np.testing.assert_allclose(inverse, x, rtol=1e-4)
+
+
+@pytest.mark.parametrize("barrier", BARRIERS)
 def test_pool_of_one_threshold_is_the_contact_itself(barrier):
     """Identical contacts: the pooled inverse is that of a single quenched contact."""
     pool = pooled_hazard(Delta(2.0), "sqrt", barrier, 5.0)

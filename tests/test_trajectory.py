@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady, trajectory
+from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady, trajectory
 from eqsim.engine.ramps import Run, Scales, moments, simulate
 from eqsim.engine.standing import standing
 from eqsim.engine.streams import TRAJECTORY, key
@@ -283,3 +283,14 @@ def test_without_delay_the_pinned_fraction_is_exact(stiffness_law):
     run = trajectory(Ensemble(count=2000, stiffness_law=stiffness_law), Drive(0.1, 40.0), points=41)
     assert (run.pinned_fraction.value, run.pinned_fraction.stderr) == (1.0, 0.0)
     assert run.pinned_fraction.reliable
+
+
+def test_laws_too_broad_to_add_up():
+    """Sums are of integers: where the strongest contact leaves no bits for the work of others, it says so."""
+    broad = Ensemble(Distribution(scipy.stats.pareto(3.5)), count=20_000)
+    with pytest.raises(InputError, match="strongest of 20000 contacts can carry"):
+        trajectory(broad, Drive(1.0, 5.0, "stationary"), points=5)
+    even = Ensemble(broad.thresholds, count=20_000, **UNIFORM)
+    run = trajectory(even, Drive(1.0, 5.0, "stationary"), points=5)
+    # <xi^2>/2<xi>; 9 errors, as <xi^4> is infinite
+    assert abs(z_score(run.friction, 5 / 6)) < 9

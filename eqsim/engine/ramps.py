@@ -38,6 +38,9 @@ from eqsim.laws.threshold import threshold_draw
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
+_LEAST_WORK = (
+    2.0**5
+)  # the mean work of a life in such units: what rounding does to small ones is 1/24 unit^2 of density
 _BITS = 62  # of a sum; the sign and one more are left
 
 # columns of the deposits; Y = -X0 is where the slider would have been pulled from. What stands in for the others where
@@ -86,14 +89,13 @@ class Scales(NamedTuple):
 
         work, stretch = typical_lives(c)
         typical = float(np.mean(work) / np.mean(stretch))
-        by_column = power(deposits, contacts)
-        if not typical * by_column[FORCE] > _LEAST_UNITS:
+        by_column, by_batch = power(deposits, contacts), power(batches, contacts)
+        if not (typical * by_column[FORCE] > _LEAST_UNITS and np.mean(work) * by_batch[AREA] > _LEAST_WORK):
             raise InputError(
                 f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
                 "force, too much to add up in 64 bits; take fewer contacts or a narrower law"
             )
         by_column[COUNT] = 1.0
-        by_batch = power(batches, contacts)
         by_batch[BREAKS] = 1.0
         most = max(force, drag)
         by_replica = power([most, most**2], replicas)

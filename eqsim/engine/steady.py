@@ -40,6 +40,7 @@ from eqsim.laws.aging import LANGEVIN, UNAGED
 from eqsim.laws.elementary import exp
 from eqsim.laws.octaves import Array
 from eqsim.laws.thermal import MECHANICAL, POOLED
+from eqsim.laws.threshold import Distribution
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
@@ -91,6 +92,8 @@ def steady(
     begin = time.perf_counter()
     drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale
     tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
+    if isinstance(ensemble.thresholds, Distribution):
+        tables = max(tables, ensemble.thresholds.drawn_to)
     response: Array | None = None
     size, done = _FIRST, 0
     while True:

@@ -265,7 +265,7 @@ _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(3)
 
 def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
     """G of equally likely thresholds: a mean of closed forms, at nodes that crowd towards each threshold from below,
-    where the rate of attempts on it rises to 1."""
+    where the rate of attempts on it rises to 1, and if the next one is far away also from above, where it is gone."""
     xi = np.unique(law.steps) / law.scale
     if xi.size > MOST_POOLED_STEPS:
         raise InputError(
@@ -277,8 +277,10 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0, 0.25)]  # from the linear beginning
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, 2 * a * xi, strict=True):
         depth = 12 + math.ceil(math.log2(max(scale * (high - low), 1.0)))  # down to a fraction of the layer
-        nodes.append(high - (high - low) * np.append(2.0 ** (-np.arange(depth * fine) / fine), 0.0))
-    y = np.unique(np.concatenate(nodes))[1:]
+        nodes.append(high - (high - low) * np.append(2.0 ** (-np.arange(1, depth * fine) / fine), 0.0))
+        if low and high - low > low / 16:  # G grows by a constant rate: no power of x
+            nodes.append(low + (high - low) * 2.0 ** -np.arange(0.125, math.log2(16 * (high / low - 1.0)) + 1.0, 0.125))
+    y = np.unique(np.concatenate(nodes))
     G, left, right = np.zeros(y.size), np.zeros(y.size), np.zeros(y.size)
     for j in range(xi.size):
         k = np.searchsorted(y, xi[j])

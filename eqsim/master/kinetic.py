@@ -228,11 +228,13 @@ def _threshold_at(
 
 def panels(law: ThresholdLaw, stiffness: StiffnessLaw, b: float) -> Array:
     """Ascending stretches between which what happens to contacts of a discrete law is smooth: they crowd towards
-    every threshold from below, and towards 0."""
+    every threshold from below and, down to a small part of it, from above, and towards 0."""
     xi = np.unique(law.steps) / law.scale
     rate = 2.0 * (b if math.isfinite(b) else 0.0) * relative_stiffness(stiffness, xi, law.rms / law.scale) * xi
-    edges = [xi[0] * 2.0 ** -np.arange(1.0, 100.0)]
+    edges = [xi[0] * 2.0 ** -np.arange(1.0, 340.0)]
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):
         depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))
         edges.append(high - (high - low) * np.append(2.0 ** -(np.arange(2 * depth) / 2), 0.0))
+        if low and high - low > low / 64:
+            edges.append(low + (high - low) * 2.0 ** -np.arange(1.0, math.log2(64 * (high / low - 1.0)) + 1.0))
     return np.unique(np.concatenate(edges))
