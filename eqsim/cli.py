@@ -37,6 +37,10 @@ class _Commands(TyperGroup):
             for problem in getattr(error.__cause__, "errors", list)():  # typer's, which do not tell the value
                 said = said.replace("Input should be", f"{shown(problem['input'])} must be")
             code = _say(f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`", 2)
+        except SystemExit as error:  # rich's, if the reader has left
+            if not isinstance(error.__context__, BrokenPipeError):
+                raise
+            code = 0
         except OSError as error:
             code = _say(f"{error.filename or 'file system'}: {error.strerror or error}", 2)
         sys.exit(code)
@@ -526,7 +530,10 @@ def replay(
         if found.same:
             print(f"{path}: `eqsim {found.command}` gives the same {found.rows} rows, to the last bit")
         for name, (rows, most) in found.differences.items():
-            print(f"{path}: {name} differs in {rows} of {found.rows} rows" + (f", by up to {most:.3g}" if most else ""))
+            print(
+                f"{path}: {name} differs in {rows} of {max(rows, found.rows)} rows"
+                + (f", by up to {most:.3g}" if most else "")
+            )
     if not found.same:
         raise typer.Exit(1)
 
@@ -552,6 +559,8 @@ def material(
     require_choice("NAME", name, tuple(MATERIALS))
     found, kelvin = MATERIALS[name], ROOM_TEMPERATURE if temperature is None else temperature
     if toml:
+        if json:
+            raise InputError("--toml: prints a run file; it cannot be asked for with --json")
         if not quiet:
             print(run_file_text(found, kelvin, velocity, disorder=cast("Disorder", disorder)), end="")
         return
@@ -572,7 +581,7 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
         if not item.isascii() and any("\ud800" <= c <= "\udfff" for c in item):  # bytes that are no UTF-8
             raise InputError(f"--set {item}: is not text in UTF-8")
         key, equals, text = item.partition("=")
-        if not equals or not key.strip():
+        if not equals or not all(map(str.strip, key.split("."))):
             raise InputError(f"--set {item}: must be section.key=value")
         try:
             parsed = tomllib.loads(f"value = {text}")

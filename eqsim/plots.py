@@ -92,7 +92,9 @@ def validation_png(result: Validation) -> bytes:
         )
         z = np.clip([score.z for score in shown], -8, 8)
         left.scatter(x, z, s=9, color=color, marker=marker, alpha=0.6, label=disorder)
-    names = [f"{v.kind}\n{v.count} scores\n{'passed' if v.passed else 'FAILED'}" for v in result.verdicts]
+    names = [
+        "\n".join([*v.kind.split(), f"{v.count} scores", "passed" if v.passed else "FAILED"]) for v in result.verdicts
+    ]
     left.set_xticks(range(len(names)), names, fontsize=8)
     left.set_ylabel("z = (engine - master) / standard error")
     left.set_title(f"suite {result.suite}, seed {result.seed}: {'passed' if result.passed else 'FAILED'}", fontsize=10)

@@ -42,6 +42,8 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
     import pyarrow
     from pyarrow import parquet as pq
 
+    if path.exists() and not path.is_file():  # a pipe or a device may never end
+        raise InputError(f"{path}: is not a file")
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -50,12 +52,15 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
         table = pq.read_table(pyarrow.BufferReader(content))
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
         repeat = _REPEAT[origin["command"]]
-    except (pyarrow.ArrowException, KeyError, ValueError, TypeError):
-        raise InputError(f"{path}: is not a Parquet file that eqsim has written") from None
+        written = isinstance(origin["settings"], dict) and isinstance(origin["versions"], dict)
+    except (pyarrow.ArrowException, OSError, KeyError, ValueError, TypeError, RecursionError):
+        written = False
+    if not written:
+        raise InputError(f"{path}: is not a Parquet file that eqsim has written, or is damaged")
     try:
         again = repeat(origin, workers, progress)
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: its provenance lacks {error}") from None
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: its provenance is damaged ({type(error).__name__}: {error})") from None
     here = tables.versions()
     changed = {name: (then, here.get(name, "none")) for name, then in origin["versions"].items()}
     return Replay(

@@ -29,6 +29,7 @@ def _whole(value: Any) -> Any:
 
 Whole = Annotated[int, BeforeValidator(_whole)]
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
+_LONGEST = 10_000_000  # characters of a run file
 
 
 class _Section(BaseModel):
@@ -153,11 +154,15 @@ class RunFile(_Section):
 def read(path: Path) -> str:
     """The text of a run file. Raises InputError."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(_LONGEST + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8") from None
+    if len(text) > _LONGEST:  # a device may never end
+        raise InputError(f"{path}: is longer than {_LONGEST:.0e} characters; a run file is not")
+    return text
 
 
 def load(path: Path, changes: dict[str, Any] | None = None, text: str | None = None) -> RunFile:

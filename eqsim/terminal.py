@@ -50,7 +50,9 @@ def table(*columns: str) -> "Table":
 
     found = Table()
     for column in columns:
-        found.add_column(column, justify="left" if column in ("", "group", "meaning", "unit") else "right")
+        found.add_column(
+            column, justify="left" if column in ("", "group", "meaning", "unit") else "right", overflow="fold"
+        )
     return found
 
 

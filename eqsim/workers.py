@@ -4,6 +4,7 @@ Both kinds of crew have a `pool` (an Executor), `slots()` (how many can work at 
 makes the pool raise), `renew()` (replace the dead) and `close(hurry)`.
 """
 
+import json
 import logging
 import math
 import multiprocessing
@@ -14,7 +15,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -96,12 +97,17 @@ class Cluster:
             raise InputError('--dask: needs the package "distributed" (pip install "eqsim[dask]")') from None
         self.address = address
         self.lost = (distributed.KilledWorker, MemoryError)
-        where = {"scheduler_file" if Path(address).is_file() else "address": address}
-        if "address" in where and not re.fullmatch(_ADDRESS, address):
-            raise InputError(f"--dask {address}: must be HOST:PORT of a scheduler or an existing scheduler file")
+        where = address
+        if Path(address).is_file():
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+                where = str(json.loads(Path(address).read_bytes())["address"])
+        if not re.fullmatch(_ADDRESS, where):
+            raise InputError(
+                f"--dask {address}: must be HOST:PORT of a scheduler or a file in which one wrote its address"
+            )
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost cluster is told in one line
         try:
-            self.client = distributed.Client(**where, timeout=15, set_as_default=False)
+            self.client = distributed.Client(address=where, timeout=15, set_as_default=False)
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f"--dask {address}: no scheduler answers ({error})") from None
         self.pool: Executor = self.client.get_executor(pure=False)

@@ -120,7 +120,7 @@ def test_command_on_processes(command):
     assert here[1] == there[1]
 
 
-def test_command_refuses_in_one_line(command, monkeypatch):
+def test_command_refuses_in_one_line(command, monkeypatch, tmp_path):
     def silent(**_):
         raise TimeoutError("timed out")
 
@@ -137,6 +137,9 @@ def test_command_refuses_in_one_line(command, monkeypatch):
         patch.setitem(sys.modules, "distributed", None)
         refused('--dask: needs the package "distributed"', "--dask", "localhost:8786")
     refused("--dask nowhere: must be HOST:PORT", "--dask", "nowhere")
+    for text in ("{}", "[[", '{"address": 5}', "[contacts]"):
+        (tmp_path / "scheduler").write_text(text)
+        refused("scheduler: must be HOST:PORT of a scheduler or a file", "--dask", str(tmp_path / "scheduler"))
     monkeypatch.setattr(distributed, "Client", silent)
     refused("--dask localhost:9: no scheduler answers (timed out)", "--dask", "localhost:9")
 

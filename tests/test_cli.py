@@ -124,6 +124,7 @@ def test_steady_and_info(run_file):
         (["--set", "drive.velocity=0"], "drive.velocity = 0.0: must be a finite number > 0"),
         (["--set", "drive.distance=0"], "drive.distance = 0.0"),
         (["--set", "nonsense"], "--set nonsense: must be section.key=value"),
+        (["--set", ".count=1"], "--set .count=1: must be section.key=value"),
         (["--set", "output.points=1"], "points = 1: must be an integer from 2"),
         (["--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
         (["--set", "thresholds.law=table", "--set", "thresholds.file=no.csv"], "no.csv: cannot be read"),

@@ -147,7 +147,7 @@ def test_ctrl_c_does_not_reach_a_worker_that_starts():
 
 def test_killed_workers_leave_no_thread_behind(monkeypatch):
     """Not even if there is more to send than a pipe holds and somebody tries to cancel it."""
-    complaints, before = [], threading.active_count()
+    complaints, before = [], set(threading.enumerate())
     monkeypatch.setattr(threading, "excepthook", complaints.append)
     crew = Processes(1)
     futures = [crew.pool.submit(time.sleep, 60)] + [crew.pool.submit(len, bytes(10**6)) for _ in range(4)]
@@ -159,9 +159,9 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
         child.kill()
         child.join()
     deadline = time.monotonic() + 10
-    while threading.active_count() > before and time.monotonic() < deadline:
+    while set(threading.enumerate()) - before and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert (complaints, threading.active_count()) == ([], before)
+    assert (complaints, set(threading.enumerate()) - before) == ([], set())
     crew.close(hurry=True)
 
 
@@ -364,6 +364,27 @@ def test_output_that_cannot_be_written(run_file, tmp_path, command):
             [sys.executable, "-c", EQSIM, *command], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert (done.returncode, done.stderr) == (2, "eqsim: file system: No space left on device\n")
+
+
+@pytest.mark.parametrize("command", [("steady", "a.toml"), ("info", "a.toml", "--json"), ("--help",)])
+def test_reader_that_has_left(run_file, tmp_path, command):
+    """As with `eqsim ... | head`: nothing is wrong, and nobody listens."""
+    unread, output = os.pipe()
+    os.close(unread)
+    done = subprocess.run(
+        [sys.executable, "-c", EQSIM, *command], cwd=tmp_path, stdout=output, stderr=subprocess.PIPE, text=True
+    )
+    os.close(output)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("command", ["info", "run"])
+def test_a_run_file_without_an_end(tmp_path, command):
+    done = CliRunner().invoke(app, [command, "/dev/zero"])
+    assert (done.exit_code, done.stderr) == (
+        2,
+        "eqsim: /dev/zero: is longer than 1e+07 characters; a run file is not\n",
+    )
 
 
 @pytest.mark.parametrize("command", ["run", "sweep"])

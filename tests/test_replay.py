@@ -116,7 +116,18 @@ def test_compare():
 def test_bad_input_is_one_line(tmp_path):
     pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "other.parquet")
     (tmp_path / "text.parquet").write_text("no table")
+    os.mkfifo(tmp_path / "pipe.parquet")
+    good = {"command": "run", "settings": {}, "versions": {}}
+    for number, origin in enumerate(
+        ({**good, "settings": None}, {**good, "versions": []}, {"command": "run"}, [], "[" * 5000, good)
+    ):
+        text = origin if isinstance(origin, str) else json.dumps(origin)
+        table = pa.table({"a": [1]}).replace_schema_metadata({"eqsim": text})
+        pq.write_table(table, tmp_path / f"{number}.parquet")
     for name, message in (
+        *((f"{number}.parquet", "that eqsim has written, or is damaged") for number in range(5)),
+        ("5.parquet", "its provenance is damaged (KeyError: 'folder')"),
+        ("pipe.parquet", "is not a file"),
         ("absent.parquet", "cannot be read (No such file"),
         ("other.parquet", "is not a Parquet file that eqsim has written"),
         ("text.parquet", "is not a Parquet file that eqsim has written"),
