@@ -3,6 +3,7 @@
 Seeds are fixed, so a pass today is a pass tomorrow; the stated false-alarm rates are those of a fresh seed.
 """
 
+import dataclasses
 import math
 
 import numpy as np
@@ -123,6 +124,46 @@ def test_a_law_without_an_end_is_unreliable():
     heavy = Distribution(scipy.stats.pareto(3.02))
     assert not steady(Ensemble(heavy), 1.0).friction.reliable
     assert steady(Ensemble(Distribution(scipy.stats.pareto(5.0))), 1.0).friction.reliable
+
+
+def random_tables(rng, disorder):
+    """Ensembles of 2 to 12 thresholds that span up to 6 decades, and velocities at which heat matters to some."""
+    for number in range(40):
+        thresholds = 10.0 ** rng.uniform(-rng.uniform(0, 6), 0, rng.integers(2, 13))
+        thermal = Thermal(10.0 ** rng.uniform(-3, 0), barrier=("soft", "stiff")[number % 2])
+        law = ("uniform", "sqrt")[number // 2 % 2]
+        yield Ensemble(Table(thresholds), thermal, stiffness_law=law, disorder=disorder), 10.0 ** rng.uniform(-4, 1)
+
+
+@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
+def test_tables(disorder):
+    """80 scores: the largest with p > 1e-4, chi-square with p > 1e-4 on the upper side (false alarm: 2e-4); on the
+    lower side error bars count what few thresholds may hide. A temperature 10 % off fails."""
+    rng = np.random.default_rng(71 if disorder == "quenched" else 72)
+    right, wrong = [], []
+    for number, (contacts, v) in enumerate(random_tables(rng, disorder)):
+        found = steady(contacts, v, seed=number)
+        warmer = dataclasses.replace(
+            contacts, thermal=dataclasses.replace(contacts.thermal, kT=1.1 * contacts.thermal.kT)
+        )
+        for law, scored in ((contacts, right), (warmer, wrong)):
+            exact = reference(law, v)
+            for name in ("friction", "break_stretch"):
+                value = getattr(exact, name)
+                scored.append(z_score(getattr(found, name), value.value, value.stderr))
+    assert np.abs(right).max() < scipy.stats.norm.isf(0.5e-4 / len(right))
+    assert scipy.stats.chi2.sf(np.sum(np.square(right)), len(right)) > 1e-4
+    assert np.abs(wrong).max() > 10
+
+
+@pytest.mark.parametrize("t", [[0.5, 1.0], [0.0157973, 1.71568]])
+def test_two_thresholds_without_heat(t):
+    """All randomisations may share the same one life more of one kind: 100 seeds, the false alarm of each is 1e-6.
+    Scatter alone is a wrong error bar (the control: some score beyond 6)."""
+    contacts = Ensemble(Table(t), stiffness_law="uniform")
+    exact = np.mean(t)
+    found = [steady(contacts, 0.1, seed=seed).break_stretch for seed in range(100)]
+    assert max(abs(z_score(one, exact)) for one in found) < 5
 
 
 @pytest.mark.parametrize("law", ["sqrt", "uniform"])

@@ -104,7 +104,8 @@ def steady(
         else:
             sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
-        hidden = math.hypot(tables, _unseen(contacts, proposal, RANDOMISATIONS * size))
+        count = RANDOMISATIONS * size
+        hidden = math.hypot(tables, _unseen(contacts, proposal, count), _uneven(contacts, count))
         result = _averages(sums, contacts.delay, drag, unit, size, proposal is None or proposal.covered, hidden)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
@@ -301,6 +302,16 @@ def _unseen(contacts: Contacts, proposal: Proposal | None, count: int) -> float:
         change = np.abs(part - part[:, :, :1]).mean(axis=0) * weight.reshape(2, rare.size)  # grows with rarity
         errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / part[:, :, 0].mean()))
     return max(errors)
+
+
+def _uneven(contacts: Contacts, count: int) -> float:
+    """The relative error that a few different thresholds may hide: each randomisation has one life more or less of each
+    than its share, and if one of these is rare all may have the same. Then the error exceeds z of these with e^-3z."""
+    if contacts.breaking == POOLED or contacts.steps.size < 2:
+        return 0.0
+    parts = (contacts.steps, contacts.steps ** (3 if contacts.kappa_slope else 2))
+    jumps = max(np.unique(contacts.steps).size - 1, 1)
+    return max(3.0 * float(np.ptp(part) / part.mean()) / jumps / count for part in parts)
 
 
 def _averages(

@@ -298,10 +298,10 @@ def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
     (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
     x, G = x[keep], G[keep]
-    with np.errstate(divide="ignore", over="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # neighbours whose logarithms are the same
         limit = 3.0 * np.diff(np.log(x)) / np.diff(np.log(G))
         left, right = G / (x * left[keep]), G / (x * right[keep])
-    return PooledHazard(x, G, np.minimum(np.stack((right[:-1], left[1:]), axis=1), limit[:, None]))
+    return PooledHazard(x, G, np.fmin(np.stack((right[:-1], left[1:]), axis=1), limit[:, None]))
 
 
 @inlined
