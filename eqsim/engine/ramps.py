@@ -38,9 +38,7 @@ from eqsim.laws.threshold import threshold_draw
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
-_LEAST_WORK = (
-    2.0**5
-)  # the mean work of a life in such units: what rounding does to small ones is 1/24 unit^2 of density
+_LEAST_WORK = 2.0**5  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
 _BITS = 62  # of a sum; the sign and one more are left
 
 # columns of the deposits; Y = -X0 is where the slider would have been pulled from. What stands in for the others where

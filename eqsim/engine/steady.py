@@ -307,10 +307,10 @@ def _unseen(contacts: Contacts, proposal: Proposal | None, count: int) -> float:
 def _uneven(contacts: Contacts, count: int) -> float:
     """The relative error that a few different thresholds may hide: each randomisation has one life more or less of each
     than its share, and if one of these is rare all may have the same. Then the error exceeds z of these with e^-3z."""
-    if contacts.breaking == POOLED or contacts.steps.size < 2:
+    jumps = np.unique(contacts.steps).size - 1
+    if contacts.breaking == POOLED or jumps < 1:
         return 0.0
     parts = (contacts.steps, contacts.steps ** (3 if contacts.kappa_slope else 2))
-    jumps = max(np.unique(contacts.steps).size - 1, 1)
     return max(3.0 * float(np.ptp(part) / part.mean()) / jumps / count for part in parts)
 
 
