@@ -2,7 +2,7 @@
 
 import functools
 import math
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_integer, require_number
@@ -61,6 +61,12 @@ class Ensemble:
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         require_number("eta", self.eta, **NOT_NEGATIVE)
         self.aging.check(self.thresholds, self.disorder)
+
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        """What a life depends on besides velocity, as it was declared: texts and numbers that name random streams."""
+        parts = (*astuple(self.thermal), *astuple(self.delay), *astuple(self.aging), *self.thresholds.declared)
+        return (self.disorder, self.stiffness_law, self.stiffness, *parts)
 
     @property
     def self_consistent(self) -> bool:

@@ -17,7 +17,6 @@ randomisation finds its own fixed point C = E[x_b; C], to first order from lives
 errors quoted hold the error of C.
 """
 
-import hashlib
 import math
 import time
 from collections.abc import Callable
@@ -32,7 +31,7 @@ from scipy.stats import qmc
 from eqsim.compiled import kernel
 from eqsim.engine.life import LANES, ROUNDS, lives, plain_sums, rough_stretch
 from eqsim.engine.paths import path_law
-from eqsim.engine.streams import STEADY, Key, key
+from eqsim.engine.streams import STEADY, Key, key, name_of
 from eqsim.ensemble import Contacts, Ensemble, lower
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
@@ -88,7 +87,10 @@ def steady(
     rough = rough_stretch(ensemble, velocity)
     contacts = lower(ensemble, velocity, rough)
     proposal = None if plain else Proposal.of(contacts)
-    job = _Job(ensemble, velocity, proposal, _identity(contacts), seed, threads, progress)
+    # parameters enter the streams, so that the errors of many parameter sets at one seed are independent; as they were
+    # declared, because a table's last bits are the processor's
+    identity = name_of(*ensemble.declared, velocity)
+    job = _Job(ensemble, velocity, proposal, identity, seed, threads, progress)
     begin = time.perf_counter()
     drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale
     tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
@@ -248,11 +250,6 @@ class Proposal(NamedTuple):
         clock_density = np.append(clock_density[0] * np.exp(falls * (low - log_clock[0])), clock_density)
         covered = bool(density[-1] < _NEGLIGIBLE * density.max())
         return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
-
-
-def _identity(contacts: Contacts) -> int:
-    """Parameters enter the streams, so that the scores of many parameter sets at one seed are independent."""
-    return int.from_bytes(hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in contacts)).digest()[:8])
 
 
 def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:

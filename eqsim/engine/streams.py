@@ -5,6 +5,7 @@ and a key into 128 random bits. The key comes from (seed, purpose), the counter 
 a contact's history cannot depend on threads, blocks, or on what was simulated before it.
 """
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,22 @@ def key(seed: int, purpose: int) -> Key:
     """The two 32-bit words of a Philox key."""
     words = np.random.SeedSequence((seed, purpose)).generate_state(2, np.uint32)
     return np.uint64(words[0]), np.uint64(words[1])
+
+
+def name_of(*declared: Any) -> int:
+    """A 64-bit number that stands for declared parameters, texts and numbers (of any shape), in the names of streams.
+
+    Of numbers only 33 bits count: one that was computed, 10**-1.5, may differ in its last bits between processors, and
+    still has to name the same stream.
+    """
+    digest = hashlib.sha256()
+    for part in declared:
+        if isinstance(part, str):
+            digest.update(part.encode() + b"\0")
+        else:
+            mantissa, exponent = np.frexp(np.asarray(part, float))
+            digest.update(np.ldexp(np.rint(mantissa * 2.0**33), exponent - 33).astype("<f8").tobytes() + b"\0")
+    return int.from_bytes(digest.digest()[:8])
 
 
 @inlined

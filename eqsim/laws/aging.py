@@ -142,6 +142,10 @@ class Pooled:
     def __repr__(self) -> str:
         return f"Pooled({self.newborn}, x_star_final={self.final * self.scale:g}, decay={self.decay:g})"
 
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        return "pooled", *self.newborn.declared, self.final  # `decay` is an estimate, which no stream may depend on
+
     def _log(self, x: Any) -> tuple[Array, Array]:
         """ln(x/scale) clipped to the splines, and by how much it was below."""
         with np.errstate(divide="ignore"):

@@ -32,6 +32,10 @@ class ThresholdLaw(Protocol):
         """Laws are immutable; their tables are remembered."""
 
     @property
+    def declared(self) -> tuple[Any, ...]:
+        """Name and parameters as they were given, nothing computed: what names random streams."""
+
+    @property
     def scale(self) -> float:
         """A typical threshold, the unit of length inside the kernels."""
 
@@ -82,6 +86,10 @@ class Gamma:
     def __post_init__(self) -> None:
         require_number("n", self.n, least=0, most=1e6)
         require_number("x_star", self.x_star, **POSITIVE)
+
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        return "gamma", self.n, self.x_star
 
     @property
     def scale(self) -> float:
@@ -138,6 +146,10 @@ class _Discrete:
     """What laws of finitely many equally likely thresholds share."""
 
     steps: Array
+
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        return "table", self.steps
 
     @property
     def mean(self) -> float:
@@ -249,8 +261,17 @@ class Distribution:
         )
 
     def __repr__(self) -> str:
-        law = getattr(self.frozen, "dist", self.frozen)
-        return f"Distribution({law.name}, mean {self.mean:g}, rms {self.rms:g})"
+        return f"Distribution({self._name}, mean {self.mean:g}, rms {self.rms:g})"
+
+    @property
+    def _name(self) -> str:
+        return str(getattr(self.frozen, "dist", self.frozen).name)
+
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        given = [*getattr(self.frozen, "args", ()), *sorted(getattr(self.frozen, "kwds", {}).items())]
+        flat = [part for item in given for part in (item if isinstance(item, tuple) else (item,))]
+        return self._name, *flat, self.breakpoints, self.cdf(self.breakpoints)  # a histogram's are all it has
 
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
