@@ -24,8 +24,8 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
 The metadata key `eqsim` holds the run file, the settings, versions and the version of the schema.
 
 A value depends on the id of its point and on nothing else: not on the order, the workers, restarts or the rest of the
-grid. The results version stands for the code and the libraries; processors of different make may still differ in the
-last bits.
+grid. The results version stands for the code and the libraries. Processors of different make draw the same random
+numbers and round differently: values agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 """
 
 import dataclasses

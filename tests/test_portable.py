@@ -1,0 +1,176 @@
+"""Results that are the same on every machine: those of tests/data/results.json, on threads, in processes, and on
+other processors.
+
+Random numbers depend on declared parameters and the seed alone. On one machine results are the same to the last bit; on
+two of different make, NumPy's exponentials, quantiles and inverse hazards differ in their last bits, results by some
+1e-12, and numbers of lives not at all. Allowed are 1e-9, and 1e-6 where thresholds fluctuate, whose paths may amplify
+rounding with every step; a single draw out of place makes 1e-5 at the least. A change of streams, or of the order of
+draws, changes every result, and must be meant: `python tests/test_portable.py` writes them anew.
+"""
+
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy._core import _multiarray_umath as built
+
+from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, steady, trajectory
+from eqsim.ensemble import pooled_hazard_of, threshold_table_of
+from eqsim.laws import aging, octaves, thermal, threshold
+from eqsim.laws.thermal import erfi_inverse_table
+
+PATH = Path(__file__).parent / "data" / "results.json"
+WARM, STIFF = Thermal(kT=0.1), Thermal(kT=0.1, barrier="stiff")
+UNIFORM, ANNEALED = {"stiffness_law": "uniform"}, {"disorder": "annealed"}
+FRESH, STANDING = Drive(0.1, 7.0), Drive(0.1, 7.0, "stationary")
+CASES = {
+    "T = 0": (Ensemble(**UNIFORM), FRESH, 1),
+    "T = 0, sqrt": (Ensemble(), FRESH, 1),
+    "T = 0, delay": (Ensemble(delay=Delay(5.0)), FRESH, 1),
+    "T = 0, n = 0": (Ensemble(Gamma(0.0)), FRESH, 1),
+    "T = 0, n = 2.5": (Ensemble(Gamma(2.5, 0.3)), FRESH, 1),
+    "delta": (Ensemble(Delta(1.5), WARM), FRESH, 1),
+    "table": (Ensemble(Table([0.5, 1.0, 1.0, 2.0]), STIFF), FRESH, 1),
+    "soft": (Ensemble(thermal=WARM, **UNIFORM), FRESH, 1),
+    "soft, sqrt, exponential delay": (Ensemble(thermal=WARM, delay=Delay(5.0, "exponential")), FRESH, 1),
+    "soft, stationary": (Ensemble(thermal=WARM, delay=Delay(5.0), eta=1.0), STANDING, 1),
+    "soft, b = 5e8": (Ensemble(thermal=Thermal(kT=1e-9)), Drive(1e-9, 7.0), 1),
+    "stiff": (Ensemble(thermal=STIFF), FRESH, 1),
+    "stiff, replicas": (Ensemble(thermal=STIFF, delay=Delay(1.0)), FRESH, 3),
+    "annealed": (Ensemble(thermal=WARM, **ANNEALED), FRESH, 1),
+    "annealed, stiff, stationary": (Ensemble(thermal=STIFF, **UNIFORM, **ANNEALED), STANDING, 1),
+    "annealed, aging": (Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0), **UNIFORM, **ANNEALED), FRESH, 1),
+    "flow": (Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0)), FRESH, 1),
+    "flow, stationary": (Ensemble(aging=Aging("flow", 0.1, 0.5), **UNIFORM), STANDING, 1),
+    "langevin": (Ensemble(aging=Aging("langevin", 0.01, 2.0), **UNIFORM), FRESH, 1),
+    "langevin, warm, sqrt": (Ensemble(thermal=WARM, aging=Aging("langevin", 0.01, 2.0)), FRESH, 1),
+}
+COLUMNS = ("force", "pinned", "force_stderr", "pinned_stderr", "force_replica_std", "second half", "steady")
+
+
+def result(name, threads=1, executor=None, seed=3):
+    """Of 500 contacts, and the steady averages of the same ensemble: numbers of lives, and columns by name."""
+    ensemble, drive, replicas = CASES[name]
+    ensemble = Ensemble(**{**vars(ensemble), "count": 500})
+    run = trajectory(ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads, executor=executor)
+    found = steady(ensemble, drive.velocity, rel_error=0.1, seed=seed, threads=threads)
+    half = [run.friction, run.pinned_fraction, run.break_stretch]
+    level = [found.friction, found.pinned, found.break_stretch]
+    columns = {name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()}
+    columns |= {"second half": [x for e in half for x in (e.value, e.stderr)]}
+    columns |= {"steady": [x for e in level for x in (e.value, e.stderr)]}
+    return {"lives": [run.lives, found.lives], **columns}
+
+
+def agree(name, found, stored):
+    """Raise AssertionError unless lives are the same and all numbers agree."""
+    assert found["lives"] == stored["lives"]
+    assert found.keys() == stored.keys()
+    for column in found.keys() - {"lives"}:
+        exact = np.array(stored[column])
+        relative = 1e-6 if name.startswith("langevin") else 1e-9
+        # what is left of a difference of larger numbers, a variance that vanishes, is rounding of these
+        rounding = 1e-14 * np.abs(exact).max()
+        np.testing.assert_allclose(found[column], exact, rtol=relative, atol=rounding, err_msg=f"{name}, {column}")
+
+
+def stored():
+    return json.loads(PATH.read_text())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_results(name):
+    """As stored, and on two threads the same bits."""
+    found = result(name)
+    agree(name, found, stored()[name])
+    assert result(name, threads=2) == found
+
+
+def test_in_processes():
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for name in ("soft, sqrt, exponential delay", "langevin"):
+            assert result(name, 2, pool) == result(name)
+
+
+@pytest.mark.parametrize("name", ["T = 0", "soft, stationary", "langevin"])
+def test_other_draws_are_told_apart(name):
+    """Negative control: with another seed no column agrees, but for what is exact."""
+    found, exact = result(name, seed=4), stored()[name]
+    for column in ("force", "force_stderr", "second half", "steady"):
+        with pytest.raises(AssertionError):
+            agree(name, {**exact, column: found[column]}, exact)
+
+
+@pytest.mark.parametrize("name", ["T = 0, n = 2.5", "soft", "flow", "annealed, aging"])
+def test_last_bits_of_tables_change_no_draw(name, monkeypatch):
+    """All tables an ulp larger, as another processor may find them: the same lives, results within rounding."""
+
+    def larger(first, y, slope):
+        table = octaves.octave_table(first, y, slope)
+        table[1:] = np.nextafter(table[1:], math.inf)
+        return table
+
+    remembered = threshold_table_of, pooled_hazard_of, erfi_inverse_table
+    exact = result(name)
+    for module in (aging, thermal, threshold):
+        monkeypatch.setattr(module, "octave_table", larger)
+    for function in remembered:
+        function.cache_clear()
+    found = result(name)
+    for function in remembered:
+        function.cache_clear()
+    assert found != exact
+    agree(name, found, stored()[name])
+
+
+FEATURES = [name for name in built.__cpu_dispatch__ if built.__cpu_features__[name]]
+PLAIN = {"NPY_DISABLE_CPU_FEATURES": " ".join(FEATURES), "OPENBLAS_CORETYPE": "Nehalem"}
+PLAIN |= {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4"}  # other exponentials, too
+X86 = platform.machine() in ("x86_64", "AMD64")
+OLD = PLAIN | {"NUMBA_CPU_NAME": "x86-64-v2" if X86 else "generic", "NUMBA_CPU_FEATURES": ""}
+AVX2 = {"OPENBLAS_CORETYPE": "Haswell", "NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
+AVX2 |= {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in FEATURES if "512" in name or name == "X86_V4")}
+PROCESSORS = {"plain": PLAIN, "old": OLD, "AVX2": AVX2}
+QUICK = [name for name in CASES if not name.startswith("langevin")]  # their kernels compile in half of the time
+
+
+def elsewhere(processor, names):
+    """Results of a process that takes its processor for another one."""
+    done = subprocess.run(
+        [sys.executable, __file__, *names], capture_output=True, text=True, env=os.environ | PROCESSORS[processor]
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("processor", "names"),
+    [
+        ("plain", [*CASES]),
+        ("old", QUICK),
+        pytest.param("old", [*CASES], marks=pytest.mark.long),
+        pytest.param("AVX2", [*CASES], marks=[pytest.mark.long, pytest.mark.skipif(not X86, reason="not x86")]),
+    ],
+)
+def test_other_processors(processor, names):
+    """NumPy, the mathematical library, BLAS and the compiler, without what newer processors have."""
+    found = elsewhere(processor, ["only", *names])
+    assert list(found) == names
+    for name in names:
+        agree(name, found[name], stored()[name])
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["only"]:
+        print(json.dumps({name: result(name) for name in sys.argv[2:]}))
+    else:
+        rows = [f"{json.dumps(name)}: {json.dumps(result(name))}" for name in CASES]
+        PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n")
