@@ -17,7 +17,10 @@ GENERAL = Case(0.1, "soft", True)
 
 
 def by_case(cases):
-    return pytest.mark.parametrize("case", cases, ids=lambda case: case.name)
+    """The cases with stiff barriers or without heat only with -m long."""
+    marks = {case: [] if case.kT and case.barrier == "soft" else [pytest.mark.long] for case in cases}
+    few = [pytest.param(case, marks=marks[case]) for case in cases]
+    return pytest.mark.parametrize("case", few, ids=lambda case: case.name)
 
 
 @needs_compiler

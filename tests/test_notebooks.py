@@ -55,6 +55,7 @@ def test_committed_with_results(path):
     assert path.stat().st_size < 600_000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_runs_at_reduced_size(path, tmp_path, monkeypatch):
     """Seeds are fixed; each notebook states the false-alarm rate of a fresh one."""

@@ -78,7 +78,8 @@ def test_error_bars_over_seeds(name):
 def test_negative_controls(name, wrong):
     """One thing wrong, some by 2 %: the same score must cry out."""
     row = REFERENCE[REFERENCE.id == name].iloc[0]
-    found = scores(row, steady(ensemble_of(row, **wrong), row.velocity, rel_error=1e-5, seed=11))
+    rel_error = 1e-4 if row.rule == "flow" and row.disorder == "quenched" else 1e-5  # lives along a flow take long
+    found = scores(row, steady(ensemble_of(row, **wrong), row.velocity, rel_error=rel_error, seed=11))
     assert max(abs(z) for z in found if z is not None) > 10
 
 
@@ -156,7 +157,7 @@ def test_tables(disorder):
     assert np.abs(wrong).max() > 10
 
 
-@pytest.mark.parametrize("t", [[0.5, 1.0], [0.0157973, 1.71568]])
+@pytest.mark.parametrize("t", [[0.5, 1.0], pytest.param([0.0157973, 1.71568], marks=pytest.mark.verification)])
 def test_two_thresholds_without_heat(t, monkeypatch):
     """All randomisations may share the same one life more of one kind: of 100 seeds none is 5 errors off, with a false
     alarm of e^-15 each. Scatter alone is a wrong error bar (the control)."""
