@@ -225,10 +225,11 @@ UNIT = {"thresholds": Gamma(1.0, 0.1), "thermal": Thermal(0.01)}
 RUNS = {
     "flow sqrt": Ensemble(**UNIT, delay=Delay(0.1), aging=Aging("flow", 0.1, 1.0), count=20_000),
     "flow uniform exponential": Ensemble(
-        **UNIT, delay=Delay(0.1, "exponential"), aging=Aging("flow", 0.1, 1.0), stiffness_law="uniform", eta=0.3
+        **UNIT, delay=Delay(0.1, "exponential"), aging=Aging("flow", 0.1, 1.0), stiffness_law="uniform", eta=0.3,
+        count=20_000,
     ),
     "flow weaker": Ensemble(
-        Gamma(0.5), Thermal(0.2, 2.0, "stiff"), Delay(0.4), Aging("flow", 0.5, 0.2), stiffness_law="sqrt"
+        Gamma(0.5), Thermal(0.2, 2.0, "stiff"), Delay(0.4), Aging("flow", 0.5, 0.2), stiffness_law="sqrt", count=20_000
     ),
     "langevin sqrt": Ensemble(
         **UNIT, delay=Delay(0.1), aging=Aging("langevin", 0.1, 1.0), stiffness_law="sqrt", count=2_000

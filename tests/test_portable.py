@@ -22,8 +22,9 @@ import numpy as np
 import pytest
 from numpy._core import _multiarray_umath as built
 
-from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, steady, trajectory
+from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
 from eqsim.ensemble import pooled_hazard_of, threshold_table_of
+from eqsim.grid import Plan
 from eqsim.laws import aging, octaves, thermal, threshold
 from eqsim.laws.thermal import erfi_inverse_table
 
@@ -142,6 +143,12 @@ PROCESSORS = {"plain": PLAIN, "old": OLD, "AVX2": AVX2}
 QUICK = [name for name in CASES if not name.startswith("langevin")]  # their kernels compile in half of the time
 
 
+def identities():
+    """Of the points of the committed sweep: a sweep begun on one machine continues on another."""
+    path = Path(__file__).parent.parent / "runs" / "sweep.toml"
+    return Plan(load(path), path.parent).ids
+
+
 def elsewhere(processor, names):
     """Results of a process that takes its processor for another one."""
     done = subprocess.run(
@@ -162,7 +169,8 @@ def elsewhere(processor, names):
 )
 def test_other_processors(processor, names):
     """NumPy, the mathematical library, BLAS and the compiler, without what newer processors have."""
-    found = elsewhere(processor, ["only", *names])
+    points, found = elsewhere(processor, ["only", *names])
+    assert points == identities()
     assert list(found) == names
     for name in names:
         agree(name, found[name], stored()[name])
@@ -170,7 +178,7 @@ def test_other_processors(processor, names):
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["only"]:
-        print(json.dumps({name: result(name) for name in sys.argv[2:]}))
+        print(json.dumps([identities(), {name: result(name) for name in sys.argv[2:]}]))
     else:
         rows = [f"{json.dumps(name)}: {json.dumps(result(name))}" for name in CASES]
         PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n")
