@@ -2,7 +2,7 @@
 
 import functools
 import math
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_integer, require_number
@@ -62,11 +62,15 @@ class Ensemble:
         require_number("eta", self.eta, **NOT_NEGATIVE)
         self.aging.check(self.thresholds, self.disorder)
 
-    @property
-    def declared(self) -> tuple[Any, ...]:
-        """What a life depends on besides velocity, as it was declared: texts and numbers that name random streams."""
-        parts = (*astuple(self.thermal), *astuple(self.delay), *astuple(self.aging), *self.thresholds.declared)
-        return (self.disorder, self.stiffness_law, self.stiffness, *parts)
+    def declared(self, velocity: float) -> tuple[Any, ...]:
+        """What a life depends on, as it was declared, for the names of random streams: texts and dimensionless numbers,
+        which are products and ratios and so the same in other units and on other machines."""
+        thermal, delay, aging = self.thermal, self.delay, self.aging
+        unit, *law = self.thresholds.declared
+        heat = thermal.barrier, thermal.kT / (self.stiffness * unit * unit), thermal.attempt_frequency * unit / velocity
+        rule = "pooled" if self.disorder == "annealed" else aging.rule
+        ages = (rule, aging.rate / (unit * velocity), aging.x_star_final / unit) if aging.active else ()
+        return (self.disorder, self.stiffness_law, *law, *heat, delay.law, delay.time * velocity / unit, *ages)
 
     @property
     def self_consistent(self) -> bool:

@@ -89,7 +89,7 @@ def steady(
     proposal = None if plain else Proposal.of(contacts)
     # parameters enter the streams, so that the errors of many parameter sets at one seed are independent; as they were
     # declared, because a table's last bits are the processor's
-    identity = name_of(*ensemble.declared, velocity)
+    identity = name_of(*ensemble.declared(velocity))
     job = _Job(ensemble, velocity, proposal, identity, seed, threads, progress)
     begin = time.perf_counter()
     drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale

@@ -144,7 +144,7 @@ class Pooled:
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        return "pooled", *self.newborn.declared, self.final  # `decay` is an estimate, which no stream may depend on
+        return *self.newborn.declared, "pooled", self.final  # `decay` is an estimate, which no stream may depend on
 
     def _log(self, x: Any) -> tuple[Array, Array]:
         """ln(x/scale) clipped to the splines, and by how much it was below."""

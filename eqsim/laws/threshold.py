@@ -33,7 +33,8 @@ class ThresholdLaw(Protocol):
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """Name and parameters as they were given, nothing computed: what names random streams."""
+        """What names random streams: a length that was given, then the law's name and numbers in units of it; nothing
+        that takes more than products and ratios to compute."""
 
     @property
     def scale(self) -> float:
@@ -89,7 +90,7 @@ class Gamma:
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        return "gamma", self.n, self.x_star
+        return self.x_star, "gamma", self.n
 
     @property
     def scale(self) -> float:
@@ -149,7 +150,7 @@ class _Discrete:
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        return "table", self.steps
+        return self.steps[-1], "table", self.steps / self.steps[-1]
 
     @property
     def mean(self) -> float:
@@ -271,7 +272,7 @@ class Distribution:
     def declared(self) -> tuple[Any, ...]:
         given = [*getattr(self.frozen, "args", ()), *sorted(getattr(self.frozen, "kwds", {}).items())]
         flat = [part for item in given for part in (item if isinstance(item, tuple) else (item,))]
-        return self._name, *flat, self.breakpoints, self.cdf(self.breakpoints)  # a histogram's are all it has
+        return 1.0, self._name, *flat, self.breakpoints, self.cdf(self.breakpoints)  # a histogram's are all it has
 
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
