@@ -101,6 +101,11 @@ def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
     return axes
 
 
+def swept(file: RunFile, folder: Path) -> set[str]:
+    """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
+    return {key for axis in _axes(file.sweep, folder) for key in set.intersection(*map(set, axis))}
+
+
 def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """TOML reads the unquoted key drive.velocity as a table; take it as it was meant."""
     sections = {key.split(".")[0] for key in keys() if "." in key}

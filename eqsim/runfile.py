@@ -175,6 +175,9 @@ def load(path: Path, changes: dict[str, Any] | None = None, text: str | None = N
         raise InputError(f"{path}: is not valid TOML: {error}") from None
     for key, value in (changes or {}).items():
         *sections, last = key.split(".")
+        axes, axis = data.get("sweep"), key.removeprefix("sweep.")
+        if isinstance(axes, dict) and axis != key and axis in axes:
+            sections, last = ["sweep"], axis
         place = data
         for name in sections:
             place = place.setdefault(name, {})

@@ -128,8 +128,8 @@ def test_steady_and_info(run_file):
         (["--set", "output.points=1"], "points = 1: must be an integer from 2"),
         (["--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
         (["--set", "thresholds.law=table", "--set", "thresholds.file=no.csv"], "no.csv: cannot be read"),
-        (["--set", "contacts.count=1000000000000"], "lives, more than max_lives"),
-        (["--max-lives", "100"], "more than max_lives = 100"),
+        (["--set", "contacts.count=1000000000000"], "lives, more than --max-lives"),
+        (["--max-lives", "100"], "more than --max-lives = 100"),
         (["--threads", "0"], "--threads = 0: must be an integer from 1"),
         (["--set", "drive.velocity=1e-300"], "must be a finite number"),
         (["--set", "drive.distance=1e300"], "drive.distance = 1e+300: must be a finite number > 0"),
@@ -144,6 +144,30 @@ def test_bad_input(run_file, args, message):
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
     assert tree(run_file.parent) == ["small.toml"]
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["steady", "RUN", "--rel-error", "0"], "--rel-error = 0.0: must be a finite number > 0"),
+        (["steady", "RUN", "--max-lives", "-1"], "--max-lives = -1.0: must be a finite number > 0"),
+        (["steady", "RUN", "--max-lives", "10"], "this needs 6.55e+04 lives, more than --max-lives = 10"),
+        (["run", "RUN", "--max-lives", "10"], "more than --max-lives = 10"),
+        (["run", "RUN", "--seed", "-1"], "--seed = -1: must be an integer from 0 to 9223372036854775807"),
+        (["run", "RUN", "--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
+        (["reference", "RUN", "--transient", "--closure"], "--transient, --closure: only one of them"),
+        (["material", "steel", "--temperature", "-1"], "--temperature = -1.0: must be a finite number >= 0"),
+        (["material", "steel", "--toml", "--velocity", "0"], "--velocity = 0.0: must be a finite number > 0"),
+        (["material", "steel", "--toml", "--disorder", "frozen"], "--disorder = 'frozen': must be one of"),
+        (["material", "steel", "--velocity", "1"], "--velocity 1.0: is of the run file that --toml prints"),
+        (["material", "steel", "--disorder", "x"], "--disorder x: is of the run file that --toml prints"),
+    ],
+)
+def test_options_are_named_as_they_are_typed(run_file, args, said):
+    result = call(*(run_file if arg == "RUN" else arg for arg in args))
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith(f"eqsim: {said}") or said.startswith("more")
+    assert said in result.stderr
 
 
 @pytest.mark.parametrize(
