@@ -76,7 +76,7 @@ Threads = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.")]
+MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.", show_default="1e10")]
 
 
 def _say(message: str, code: int) -> int:
@@ -351,11 +351,11 @@ def sweep(
     threads: Annotated[
         int | None, typer.Option(help="Threads per process. Default: cores that are left.", show_default=False)
     ] = None,
-    max_lives: Annotated[float, typer.Option(help="Most lives per point.")] = 1e10,
+    max_lives: Annotated[float, typer.Option(help="Most lives per point.", show_default="1e10")] = 1e10,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
+    """A grid of points, the "sweep" table of the run file: a resumable Parquet dataset, one row per point."""
     file, text = _load(path, set_, seed)
     if dask is not None and workers is not None:
         raise InputError("--workers: not with --dask, whose cluster has its own")
@@ -487,7 +487,8 @@ def plot(
 @app.command()
 def figures(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[A01 ...]", help="Which figures. Default: all.", show_default=False)
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="Of A01, A01num, A02, A02ab, A03, A04, A05. Default: all."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = Path(
         "runs/out/figures"

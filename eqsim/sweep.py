@@ -193,8 +193,11 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked, text: str) -> None:
         tables.check_folder(out)
         self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
-        if not (out / _MANIFEST).exists() and any((*out.glob("*.parquet"), *out.glob(f"{_PARTS}/*.parquet"))):
-            raise InputError(f"--out {out}: holds Parquet files of another origin; must be a folder of its own")
+        theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))
+        if theirs:  # the folder is read as one table
+            raise InputError(
+                f"--out {out}: holds files of another origin, {theirs[0].name}; must be a folder of its own"
+            )
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
         try:

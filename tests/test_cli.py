@@ -119,6 +119,9 @@ def test_steady_and_info(run_file):
     ("args", "message"),
     [
         (["--set", "contacts.cuont=5"], 'contacts.cuont: unknown key; did you mean "count"?'),
+        (["--set", "thermal.kt=1"], 'thermal.kt: unknown key; did you mean "kT"?'),
+        (["--set", "kt=1"], 'kt: unknown key; did you mean "thermal.kT"?'),
+        (["--set", "aging.rate=1"], "aging.rule: is required with rate; must be"),
         (["--set", "thermal.kT=-1"], "thermal.kT = -1.0: must be a finite number >= 0"),
         (["--set", "thermal.kT=hot"], "thermal.kT = 'hot': must be a valid number"),
         (["--set", "drive.velocity=0"], "drive.velocity = 0.0: must be a finite number > 0"),
@@ -306,6 +309,13 @@ def test_reference_curves(tmp_path):
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")
     assert result.stderr.count("\n") == 1
+
+
+def test_help_has_all_its_words():
+    """What is in brackets is markup, and vanishes."""
+    assert 'the "sweep" table' in " ".join(call("sweep", "--help").output.split())
+    assert "A02ab" in call("figures", "--help").output
+    assert "1e10" in call("run", "--help").output
 
 
 def test_the_bar_tells_of_compiling(monkeypatch):

@@ -176,7 +176,10 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "theirs.parquet")
     with pytest.raises(InputError, match="another origin"):
         sweep(file_of(GRID), tmp_path, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["theirs.parquet"]
+    (tmp_path / "theirs.parquet").rename(tmp_path / "notes.txt")  # which readers of the folder would stumble over
+    with pytest.raises(InputError, match=r"another origin, notes.txt; must be a folder of its own"):
+        sweep(file_of(GRID), tmp_path, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_one_sweep_at_a_time(tmp_path):
