@@ -676,7 +676,8 @@ def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result:
     for name, estimate in averages.items():
         other = getattr(level, name)
         both = terminal.value_and_error(estimate), terminal.value_and_error(other)
-        table.add_row(name, *both, terminal.scores(difference(estimate, other)))
+        z = "none" if estimate.value is None else terminal.scores(difference(estimate, other))
+        table.add_row(name, *both, z)
     terminal.show(file.title or folder.name, table)
     if not all(estimate.reliable for estimate in averages.values()):
         print("unreliable: the halves of the averaging window differ, or too few contacts broke in it")

@@ -80,6 +80,13 @@ def test_run_writes_table_summary_and_picture(run_file):
     assert (out / "force.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
+    result = call("run", run_file, "--out", tmp_path / "o", "--set", "contacts.count=1", "--set", "drive.distance=1e-6")
+    (row,) = [line for line in result.stdout.splitlines() if "break_stretch" in line]
+    assert "none seen" in row
+    assert "exact" not in row
+
+
 def test_run_json_and_replicas(run_file, tmp_path):
     out = tmp_path / "o"
     result = call("run", run_file, "--out", out, "--json", "--set", "output.replicas=4", "--seed", 3)
