@@ -220,13 +220,13 @@ def parameters(file: RunFile) -> dict[str, Any]:
 
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
-    data = file.model_dump(exclude={"sweep"})
+    data = file.model_dump(exclude={"sweep"}, exclude_unset=True)
     for key, value in changes.items():
         if key not in keys():
             hint = meant(key, keys()) or "known are " + ", ".join(keys())
             raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
         *section, last = key.split(".")
-        (data[section[0]] if section else data)[last] = value
+        (data.setdefault(section[0], {}) if section else data)[last] = value
     return check(data)
 
 
