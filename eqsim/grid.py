@@ -148,8 +148,8 @@ def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
 
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys")
-    if (folder / name).exists() and not (folder / name).is_file():
-        raise InputError(f"sweep.file = {folder / name}: is not a file")
+    if not (folder / name).is_file():
+        raise InputError(f"sweep.file = {folder / name}: is not a file; must be a Parquet file whose columns are keys")
     try:
         rows = pq.read_table(folder / name).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from eqsim.cli import app
 from eqsim.estimate import Estimate
-from eqsim.terminal import bar, value_and_error
+from eqsim.terminal import bar, show, table, value_and_error
 
 RUN = """
 title = "small"
@@ -323,6 +323,14 @@ def test_help_has_all_its_words():
     assert 'the "sweep" table' in " ".join(call("sweep", "--help").output.split())
     assert "A02ab" in call("figures", "--help").output
     assert "1e10" in call("run", "--help").output
+
+
+def test_names_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = table("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
+    shown.add_row("transient variance", "55", "49.1", "0.61", "2.48", "0.51", "passed")
+    show("suite", shown)
+    assert "transient variance" in capsys.readouterr().out
 
 
 def test_the_bar_tells_of_compiling(monkeypatch):

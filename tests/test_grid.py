@@ -82,7 +82,7 @@ def test_points_file(tmp_path):
         ('zip = [{ "thermal.kT" = [1, 2], "delay.time" = [1] }]', "equal lengths; found thermal.kT 2, delay.time 1"),
         ('zip = [{ "thermal.kT" = [1, 2] }]\n"thermal.kT" = [3]', "sweep.thermal.kT: is in two axes"),
         ("zip = [3]", "sweep.zip: must be tables"),
-        ('file = "absent.parquet"', "absent.parquet: cannot be read"),
+        ('file = "absent.parquet"', "absent.parquet: is not a file; must be a Parquet file"),
         ('"thermal.kT" = { linear = [0, 1, 100000] }\n"delay.time" = { linear = [0, 1, 100] }', "at most 1000000"),
         ("", r"needs a \[sweep\] table"),
     ],
