@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from eqsim.engine.steady import Steady
     from eqsim.ensemble import Disorder
     from eqsim.runfile import RunFile
-
-_WHOLE = "interrupted; nothing is half-written"
 
 
 class _Commands(TyperGroup):
@@ -49,13 +48,13 @@ class _Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            _fail(str(error), 2)
+            _fail(_as_typed(str(error)), 2)
         except MemoryError:
             _fail("not enough memory; fewer output.points need less", 2)
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
         except KeyboardInterrupt:
-            _fail(_WHOLE, interrupts.heard())
+            _fail(interrupts.WHOLE, interrupts.heard())
 
 
 app = typer.Typer(
@@ -77,12 +76,18 @@ Threads = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.")]
+MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.", show_default="1e10")]
 
 
 def _say(message: str, code: int) -> int:
     print("eqsim: " + " ".join(message.split()), file=sys.stderr)
     return code
+
+
+def _as_typed(message: str) -> str:
+    """Arguments of functions by the options they come from."""
+    names = r"(?<![\w.-])(rel_error|max_lives|temperature|velocity)(?= (= |was ))"
+    return re.sub(names, lambda found: "--" + found[1].replace("_", "-"), message)
 
 
 def _fail(message: str, code: int) -> NoReturn:
@@ -236,6 +241,8 @@ def reference(
     quiet: Quiet = False,
 ) -> None:
     """Exact averages from the master equation, without random numbers."""
+    if transient and closure:
+        raise InputError("--transient, --closure: only one of them")
     file, _ = _load(path, set_, seed)
     _threads(threads)
     ensemble, drive = file.ensemble(path.parent), file.driven()
@@ -344,11 +351,11 @@ def sweep(
     threads: Annotated[
         int | None, typer.Option(help="Threads per process. Default: cores that are left.", show_default=False)
     ] = None,
-    max_lives: Annotated[float, typer.Option(help="Most lives per point.")] = 1e10,
+    max_lives: Annotated[float, typer.Option(help="Most lives per point.", show_default="1e10")] = 1e10,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
+    """A grid of points, the "sweep" table of the run file: a resumable Parquet dataset, one row per point."""
     file, text = _load(path, set_, seed)
     if dask is not None and workers is not None:
         raise InputError("--workers: not with --dask, whose cluster has its own")
@@ -358,18 +365,27 @@ def sweep(
     require_integer("--workers", workers, 1, 1024)
     each = each or (1 if dask else max(1, cores // workers))
     from eqsim import tables
-    from eqsim.sweep import Asked
+    from eqsim.grid import swept
+    from eqsim.sweep import Asked, Store
     from eqsim.sweep import sweep as compute
 
+    given = {item.partition("=")[0].strip(): f"--set {item}" for item in set_ or []}
+    given |= {} if seed is None else {"output.seed": "--seed"}
+    for key in sorted(given.keys() & swept(file, path.parent)):
+        said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
+        raise InputError(f"{given[key]}: has no effect, {said}")
     asked, silent = Asked(rel_error, max_lives, transient), quiet or json
+    stores: list[Store] = []
     try:
         with terminal.bar("sweeping", silent, "points") as progress:
             found = compute(
-                file, path.parent, out, asked=asked, text=text, workers=workers, threads=each,
-                dask=dask, progress=progress, note=(lambda _: None) if silent else print,
+                file, path.parent, out, asked=asked, text=text, workers=workers, threads=each, dask=dask,
+                progress=progress, note=(lambda _: None) if silent else print, opened=stores.append,
             )  # fmt: skip
-    except KeyboardInterrupt as stop:
-        _fail(f"interrupted; {str(stop) or 'nothing was computed'}; the same command continues", interrupts.heard())
+    except KeyboardInterrupt:
+        code = interrupts.heard()  # no further one can break off the writing of what is finished
+        kept = stores[0].kept() if stores else "this call has computed nothing"
+        _fail(f"interrupted; {kept}; the same command continues", code)
     failures = found.failures[:10]
     if json:
         print(tables.to_json({**dataclasses.asdict(found), "failures": failures, "out": str(out)}))
@@ -383,7 +399,8 @@ def sweep(
     if found.failed:
         for failure in failures if not json else []:
             values = ", ".join(f"{key} = {value}" for key, value in failure["changes"].items())
-            print(f"eqsim: point {failure['point']} ({values}) failed: {failure['message']}", file=sys.stderr)
+            said = _as_typed(failure["message"])
+            print(f"eqsim: point {failure['point']} ({values}) failed: {said}", file=sys.stderr)
         raise typer.Exit(1)
 
 
@@ -470,13 +487,14 @@ def plot(
 @app.command()
 def figures(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[A01 ...]", help="Which figures. Default: all.", show_default=False)
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="Of A01, A01num, A02, A02ab, A03, A04, A05. Default: all."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = Path(
         "runs/out/figures"
     ),
     quick: Annotated[
-        bool, typer.Option("--quick", help="A quarter of the points: coarse, under a minute each.")
+        bool, typer.Option("--quick", help="Few points: coarse, under a minute of one core each.")
     ] = False,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine. Default: all cores.", show_default=False)
@@ -495,10 +513,16 @@ def figures(
     workers = workers if workers is not None else _threads(None)
     require_integer("--workers", workers, 1, 1024)
     tables.check_folder(out)
-    made = []
-    with unbroken(workers, None) as crew, terminal.bar("computing", quiet or json, "points") as progress:
-        for figure in scripts.make(wanted, out, quick=quick, executor=crew.pool, progress=progress):
-            made.append(figure)
+    made: list[Any] = []
+    try:
+        with unbroken(workers, None) as crew, terminal.bar("computing", quiet or json, "points") as progress:
+            for figure in scripts.make(wanted, out, quick=quick, executor=crew.pool, progress=progress):
+                made.append(figure)
+    except KeyboardInterrupt:
+        code = interrupts.heard()
+        finished = ", ".join(figure.name for figure in made)
+        _fail(f"interrupted; finished in {out}/: {finished}" if made else interrupts.WHOLE, code)
+    made.sort(key=lambda figure: wanted.index(figure.name))
     if json:
         print(tables.to_json({"out": str(out), "figures": [figure._asdict() for figure in made]}))
     elif not quiet:
@@ -545,9 +569,12 @@ def material(
         float | None, typer.Option(help="Kelvin. Default: 289.7, kT = 4e-21 J as in the paper.", show_default=False)
     ] = None,
     toml: Annotated[bool, typer.Option("--toml", help="Print a run file instead.")] = False,
-    disorder: Annotated[str, typer.Option(help="Of the run file.")] = "quenched",
+    disorder: Annotated[
+        str | None, typer.Option(help='Of the run file. Default: "quenched".', show_default=False)
+    ] = None,
     velocity: Annotated[
-        float | None, typer.Option(help="Of the run file, m/s. Default: v_*.", show_default=False)
+        float | None,
+        typer.Option(help="Of the run file, m/s. Default: v_* at 289.7 K, at any temperature.", show_default=False),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -561,9 +588,14 @@ def material(
     if toml:
         if json:
             raise InputError("--toml: prints a run file; it cannot be asked for with --json")
+        require_choice("--disorder", kind := disorder or "quenched", ("quenched", "annealed"))
+        text = run_file_text(found, kelvin, velocity, disorder=cast("Disorder", kind))
         if not quiet:
-            print(run_file_text(found, kelvin, velocity, disorder=cast("Disorder", disorder)), end="")
+            print(text, end="")
         return
+    for option, value in (("--disorder", disorder), ("--velocity", velocity)):
+        if value is not None:
+            raise InputError(f"{option} {value}: is of the run file that --toml prints")
     rows = parameters(found, kelvin)
     if json:
         print(tables.to_json({row.name: row.value for row in rows}))
@@ -589,6 +621,7 @@ def _load(path: Path, set_: list[str] | None, seed: int | None) -> tuple["RunFil
         except (ValueError, RecursionError):
             changes[key.strip()] = text
     if seed is not None:
+        require_integer("--seed", seed, 0, 2**63 - 1)
         changes["output.seed"] = seed
     from eqsim.ensemble import check_output
     from eqsim.runfile import load, read
@@ -643,7 +676,8 @@ def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result:
     for name, estimate in averages.items():
         other = getattr(level, name)
         both = terminal.value_and_error(estimate), terminal.value_and_error(other)
-        table.add_row(name, *both, terminal.scores(difference(estimate, other)))
+        z = "none" if estimate.value is None else terminal.scores(difference(estimate, other))
+        table.add_row(name, *both, z)
     terminal.show(file.title or folder.name, table)
     if not all(estimate.reliable for estimate in averages.values()):
         print("unreliable: the halves of the averaging window differ, or too few contacts broke in it")
@@ -656,7 +690,7 @@ def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result:
 
 
 def main() -> None:
-    """Entry point of the `eqsim` command."""
+    """The command, from its arguments to its exit code."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
@@ -668,6 +702,6 @@ def main() -> None:
         code = end.code
     finally:
         if interrupts.unheard():
-            _say(_WHOLE, 0)
+            _say(interrupts.WHOLE, 0)
         interrupts.leave(code)
     sys.exit(code)

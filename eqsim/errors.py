@@ -1,8 +1,9 @@
 """Errors a user's input can cause: one line that names the field, its value and what is allowed."""
 
+import difflib
 import math
 import reprlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -36,6 +37,15 @@ class _Brief(reprlib.Repr):
 def shown(value: Any) -> str:
     """A value in a message: its `repr`, shortened in the middle."""
     return _Brief().repr(value)
+
+
+def meant(name: str, known: Iterable[str]) -> str:
+    """A hint which of the `known` keys, section.key or bare, may have been meant by `name`; "" if none is close."""
+    known = list(known)
+    last = name.rpartition(".")[2].lower()
+    close = [key for key in known if key.rpartition(".")[2].lower() == last]
+    close += difflib.get_close_matches(name, known, 1)
+    return f'did you mean "{close[0]}"?' if close else ""
 
 
 @contextmanager

@@ -101,6 +101,11 @@ def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
     return axes
 
 
+def swept(file: RunFile, folder: Path) -> set[str]:
+    """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
+    return {key for axis in _axes(file.sweep, folder) for key in set.intersection(*map(set, axis))}
+
+
 def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """TOML reads the unquoted key drive.velocity as a table; take it as it was meant."""
     sections = {key.split(".")[0] for key in keys() if "." in key}
@@ -143,8 +148,8 @@ def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
 
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys")
-    if (folder / name).exists() and not (folder / name).is_file():
-        raise InputError(f"sweep.file = {folder / name}: is not a file")
+    if not (folder / name).is_file():
+        raise InputError(f"sweep.file = {folder / name}: is not a file; must be a Parquet file whose columns are keys")
     try:
         rows = pq.read_table(folder / name).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:

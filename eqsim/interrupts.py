@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+WHOLE = "interrupted; nothing is half-written"
 _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _AGAIN, _SOON = 2.0, 0.05  # seconds until an interrupt is raised again, and if it waits or Python dropped it
 _stopped: list[int] = []  # the signals that were to end this process

@@ -314,10 +314,11 @@ def run_file_text(
     stiffness_law: StiffnessLaw = "uniform",
     count: int = 100_000,
 ) -> str:
-    """A run file (TOML, SI units) of `material.ensemble(...)` sliding at `velocity` (m/s, default v_*) over 20 x_*,
-    with a sweep of 21 velocities over the five decades around it; loads to the same numbers. Raises InputError."""
+    """A run file (TOML, SI units) of `material.ensemble(...)` sliding at `velocity` (m/s, default v_* at room
+    temperature, whatever `temperature` is) over 20 x_*, with a sweep of 21 velocities over the five decades around it;
+    loads to the same numbers. Raises InputError."""
     contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
-    drive = Drive(material.crossover_velocity(temperature) if velocity is None else velocity, 20.0 * material.x_star)
+    drive = Drive(material.crossover_velocity() if velocity is None else velocity, 20.0 * material.x_star)
     decade = math.floor(math.log10(drive.velocity))
     title = f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)"
     sections: dict[str, list[tuple[str, float | int | str, str]]] = {

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from eqsim.engine.steady import Steady
 from eqsim.engine.trajectory import Trajectory
-from eqsim.errors import InputError
+from eqsim.errors import InputError, meant
 from eqsim.estimate import Estimate
 from eqsim.laws.octaves import Array
 from eqsim.master.transient import Transient
@@ -227,7 +227,8 @@ def sweep_png(
 
 def _column(table: Points, name: str, option: str) -> Column:
     if name not in table:
-        raise InputError(f"{option} {name}: no such column; there are {', '.join(map(str, table))}")
+        hint = meant(name, map(str, table)) or f"there are {', '.join(map(str, table))}"
+        raise InputError(f"{option} {name}: no such column; {hint}")
     return table[name]
 
 

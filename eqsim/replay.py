@@ -128,7 +128,7 @@ def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> Any:
     scripts, settings = import_module("eqsim_figures"), origin["settings"]
     with unbroken(workers, None) as crew:
         name, quick = settings["figure"], settings["quick"]
-        return scripts.tabulate([name], quick=quick, executor=crew.pool, progress=progress)[name]
+        return dict(scripts.tabulate([name], quick=quick, executor=crew.pool, progress=progress))[name]
 
 
 _REPEAT: dict[str, Callable[[dict[str, Any], int, Progress], Any]] = {

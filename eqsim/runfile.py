@@ -4,7 +4,6 @@ Structure and types are checked here; what a value may be is known to the law it
 """
 
 import csv
-import difflib
 import functools
 import stat
 import tomllib
@@ -15,7 +14,7 @@ import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from eqsim.ensemble import Drive, Ensemble
-from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_number, shown, under
+from eqsim.errors import NOT_NEGATIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
@@ -105,6 +104,9 @@ class RunFile(_Section):
             delay = Delay(self.delay.time, self.delay.law)  # type: ignore[arg-type]
         law = self._threshold_law(folder)
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
+        given = self.aging.model_fields_set
+        if given and "rule" not in given:  # contacts that do not age would be a surprise
+            raise InputError(f'aging.rule: is required with {min(given)}; must be "langevin", "flow" or "none"')
         with under("aging"):
             final = self.aging.x_star_final
             aging = Aging(self.aging.rule, self.aging.rate, 1.0 if final is None else final)  # type: ignore[arg-type]
@@ -175,6 +177,9 @@ def load(path: Path, changes: dict[str, Any] | None = None, text: str | None = N
         raise InputError(f"{path}: is not valid TOML: {error}") from None
     for key, value in (changes or {}).items():
         *sections, last = key.split(".")
+        axes, axis = data.get("sweep"), key.removeprefix("sweep.")
+        if isinstance(axes, dict) and axis != key and axis in axes:
+            sections, last = ["sweep"], axis
         place = data
         for name in sections:
             place = place.setdefault(name, {})
@@ -215,15 +220,13 @@ def parameters(file: RunFile) -> dict[str, Any]:
 
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
-    data = file.model_dump(exclude={"sweep"})
+    data = file.model_dump(exclude={"sweep"}, exclude_unset=True)
     for key, value in changes.items():
         if key not in keys():
-            same = [known for known in keys() if known.split(".")[-1] == key.split(".")[-1]]
-            close = same + difflib.get_close_matches(key, keys(), 1)
-            hint = f'did you mean "{close[0]}"?' if close else "known are " + ", ".join(keys())
+            hint = meant(key, keys()) or "known are " + ", ".join(keys())
             raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
         *section, last = key.split(".")
-        (data[section[0]] if section else data)[last] = value
+        (data.setdefault(section[0], {}) if section else data)[last] = value
     return check(data)
 
 
@@ -274,11 +277,10 @@ def _nearest(location: list[str]) -> str:
         if isinstance(kind, type) and issubclass(kind, BaseModel)
     }
     here = known.get(location[0], []) if len(location) > 1 else list(sections)
-    elsewhere = [f"{name}.{location[-1]}" for name, keys in known.items() if location[-1] in keys]
-    close = difflib.get_close_matches(location[-1], here, 1)
-    if elsewhere or close:
-        return f'did you mean "{(elsewhere + close)[0]}"?'
-    return "known here: " + ", ".join(here)
+    elsewhere = [f"{name}.{key}" for name, keys in known.items() if keys != here for key in keys]
+    last = location[-1]
+    same = [key for key in here + elsewhere if key.rpartition(".")[2].lower() == last.lower()]
+    return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
 
 
 def read_thresholds(path: Path) -> Table:

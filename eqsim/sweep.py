@@ -193,8 +193,11 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked, text: str) -> None:
         tables.check_folder(out)
         self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
-        if not (out / _MANIFEST).exists() and any((*out.glob("*.parquet"), *out.glob(f"{_PARTS}/*.parquet"))):
-            raise InputError(f"--out {out}: holds Parquet files of another origin; must be a folder of its own")
+        theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))
+        if theirs:  # the folder is read as one table
+            raise InputError(
+                f"--out {out}: holds files of another origin, {theirs[0].name}; must be a folder of its own"
+            )
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
         try:
@@ -217,7 +220,7 @@ class Store:
         self.flushed = time.monotonic()
 
     def _locked(self) -> int:
-        handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)  # modulo umask: the folder may be a group's
         try:
             import fcntl
 
@@ -298,6 +301,12 @@ class Store:
         self.tables.append(table)
         self.rows, self.flushed = [], time.monotonic()
 
+    def kept(self) -> str:
+        """Write the rows at hand, also those of a `flush` that was broken off, and say how many points are on disk."""
+        self.flush()
+        found = {point_id for table in self.tables for point_id in table["id"].to_pylist()} & set(self.plan.ids)
+        return f"{len(found)} of {self.plan.size} points are on disk"
+
     def compact(self) -> Any:
         """All rows in one file, in the order of the grid, each once; a death in between loses and doubles nothing."""
         import pyarrow as pa
@@ -339,38 +348,37 @@ def sweep(
     dask: str | None = None,
     progress: Progress | None = None,
     note: Note | None = None,
+    opened: Callable[["Store"], None] = lambda _: None,
 ) -> Summary:
     """Compute all points of a run file's [sweep] table into the folder `out`, or those that are not there yet.
 
     Paths in the run file are relative to `folder`; `text` is kept in the metadata. `workers` processes of this machine
     (or those of the cluster whose scheduler is at `dask`) use `threads` threads each; both change speed only.
-    `progress(done, total)` counts the points of this call, `note` is told what to expect. Raises InputError, and
-    KeyboardInterrupt with a message once finished rows are safe.
+    `progress(done, total)` counts the points of this call, `note` is told what to expect, and `opened` is given the
+    folder's store once it is there. Raises InputError.
     """
     begin = time.perf_counter()
     asked, note = asked or Asked(), note or (lambda _: None)
     plan = Plan(file, folder)
-    store = Store(out, plan, asked, text)
-    try:
-        for path in store.damaged:
-            note(f"{path} is damaged; its points are computed again")
-        pending = [index for index in range(plan.size) if plan.ids[index] not in store.done]
-        resumed = plan.size - len(pending)
-        sizes = " x ".join(str(len(axis)) for axis in plan.axes)
-        note(f"{plan.size} points ({sizes})" + (f", {resumed} of them on disk" if resumed else ""))
-        seconds = 0.0
-        if pending:
-            with crew(workers, dask) as found:
+    with crew(workers, dask) as found:  # before there is a folder: a cluster that does not answer leaves none
+        store = Store(out, plan, asked, text)
+        opened(store)
+        try:
+            for path in store.damaged:
+                note(f"{path} is damaged; its points are computed again")
+            pending = [index for index in range(plan.size) if plan.ids[index] not in store.done]
+            resumed = plan.size - len(pending)
+            sizes = " x ".join(str(len(axis)) for axis in plan.axes)
+            note(f"{plan.size} points ({sizes})" + (f", {resumed} of them on disk" if resumed else ""))
+            seconds = 0.0
+            if pending:
                 seconds = _Loop(plan, store, asked, threads, found, progress, note).run(pending)
-        table = store.compact()
-    except KeyboardInterrupt:
-        store.flush()
-        raise KeyboardInterrupt(f"{len(store.done)} of {plan.size} points are on disk") from None
-    except BaseException:
-        store.flush()
-        raise
-    finally:
-        store.close()
+            table = store.compact()
+        except BaseException:
+            store.flush()
+            raise
+        finally:
+            store.close()
     columns = table.select(["status", "message"]).to_pydict()
     count = Counter(columns["status"])
     failures = [

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import platform
+import secrets
 import shutil
 import tempfile
 from importlib import metadata
@@ -97,13 +98,12 @@ def save(path: Path, content: bytes) -> None:
 
 
 def _save(path: Path, content: bytes) -> None:
-    handle, name = tempfile.mkstemp(prefix=".eqsim-", dir=path.parent)
+    name = path.parent / f".eqsim-{secrets.token_hex(8)}"  # tempfile's would be private
     try:
-        _write(handle, content)
-        os.chmod(name, 0o644)  # mkstemp's files are private
+        _write(name, content)
         os.replace(name, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        name.unlink(missing_ok=True)
         raise
     if os.name == "posix":  # the name itself must reach the disk too
         folder = os.open(path.parent, os.O_RDONLY)
@@ -113,7 +113,7 @@ def _save(path: Path, content: bytes) -> None:
             os.close(folder)
 
 
-def _write(place: Path | int, content: bytes) -> None:
+def _write(place: Path, content: bytes) -> None:
     with open(place, "wb") as file:
         file.write(content)
         file.flush()

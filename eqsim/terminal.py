@@ -49,10 +49,9 @@ def table(*columns: str) -> "Table":
     from rich.table import Table
 
     found = Table()
-    for column in columns:
-        found.add_column(
-            column, justify="left" if column in ("", "group", "meaning", "unit") else "right", overflow="fold"
-        )
+    for place, column in enumerate(columns):
+        justify: Any = "left" if column in ("", "group", "meaning", "unit") else "right"
+        found.add_column(column, justify=justify, overflow="fold", no_wrap=place == 0)  # names stay whole
     return found
 
 

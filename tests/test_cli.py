@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from eqsim.cli import app
 from eqsim.estimate import Estimate
-from eqsim.terminal import bar, value_and_error
+from eqsim.terminal import bar, show, table, value_and_error
 
 RUN = """
 title = "small"
@@ -80,6 +80,13 @@ def test_run_writes_table_summary_and_picture(run_file):
     assert (out / "force.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
+    result = call("run", run_file, "--out", tmp_path / "o", "--set", "contacts.count=1", "--set", "drive.distance=1e-6")
+    (row,) = [line for line in result.stdout.splitlines() if "break_stretch" in line]
+    assert "none seen" in row
+    assert "exact" not in row
+
+
 def test_run_json_and_replicas(run_file, tmp_path):
     out = tmp_path / "o"
     result = call("run", run_file, "--out", out, "--json", "--set", "output.replicas=4", "--seed", 3)
@@ -119,6 +126,9 @@ def test_steady_and_info(run_file):
     ("args", "message"),
     [
         (["--set", "contacts.cuont=5"], 'contacts.cuont: unknown key; did you mean "count"?'),
+        (["--set", "thermal.kt=1"], 'thermal.kt: unknown key; did you mean "kT"?'),
+        (["--set", "kt=1"], 'kt: unknown key; did you mean "thermal.kT"?'),
+        (["--set", "aging.rate=1"], "aging.rule: is required with rate; must be"),
         (["--set", "thermal.kT=-1"], "thermal.kT = -1.0: must be a finite number >= 0"),
         (["--set", "thermal.kT=hot"], "thermal.kT = 'hot': must be a valid number"),
         (["--set", "drive.velocity=0"], "drive.velocity = 0.0: must be a finite number > 0"),
@@ -128,8 +138,8 @@ def test_steady_and_info(run_file):
         (["--set", "output.points=1"], "points = 1: must be an integer from 2"),
         (["--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
         (["--set", "thresholds.law=table", "--set", "thresholds.file=no.csv"], "no.csv: cannot be read"),
-        (["--set", "contacts.count=1000000000000"], "lives, more than max_lives"),
-        (["--max-lives", "100"], "more than max_lives = 100"),
+        (["--set", "contacts.count=1000000000000"], "lives, more than --max-lives"),
+        (["--max-lives", "100"], "more than --max-lives = 100"),
         (["--threads", "0"], "--threads = 0: must be an integer from 1"),
         (["--set", "drive.velocity=1e-300"], "must be a finite number"),
         (["--set", "drive.distance=1e300"], "drive.distance = 1e+300: must be a finite number > 0"),
@@ -144,6 +154,30 @@ def test_bad_input(run_file, args, message):
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
     assert tree(run_file.parent) == ["small.toml"]
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["steady", "RUN", "--rel-error", "0"], "--rel-error = 0.0: must be a finite number > 0"),
+        (["steady", "RUN", "--max-lives", "-1"], "--max-lives = -1.0: must be a finite number > 0"),
+        (["steady", "RUN", "--max-lives", "10"], "this needs 6.55e+04 lives, more than --max-lives = 10"),
+        (["run", "RUN", "--max-lives", "10"], "more than --max-lives = 10"),
+        (["run", "RUN", "--seed", "-1"], "--seed = -1: must be an integer from 0 to 9223372036854775807"),
+        (["run", "RUN", "--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
+        (["reference", "RUN", "--transient", "--closure"], "--transient, --closure: only one of them"),
+        (["material", "steel", "--temperature", "-1"], "--temperature = -1.0: must be a finite number >= 0"),
+        (["material", "steel", "--toml", "--velocity", "0"], "--velocity = 0.0: must be a finite number > 0"),
+        (["material", "steel", "--toml", "--disorder", "frozen"], "--disorder = 'frozen': must be one of"),
+        (["material", "steel", "--velocity", "1"], "--velocity 1.0: is of the run file that --toml prints"),
+        (["material", "steel", "--disorder", "x"], "--disorder x: is of the run file that --toml prints"),
+    ],
+)
+def test_options_are_named_as_they_are_typed(run_file, args, said):
+    result = call(*(run_file if arg == "RUN" else arg for arg in args))
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith(f"eqsim: {said}") or said.startswith("more")
+    assert said in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -282,6 +316,21 @@ def test_reference_curves(tmp_path):
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")
     assert result.stderr.count("\n") == 1
+
+
+def test_help_has_all_its_words():
+    """What is in brackets is markup, and vanishes."""
+    assert 'the "sweep" table' in " ".join(call("sweep", "--help").output.split())
+    assert "A02ab" in call("figures", "--help").output
+    assert "1e10" in call("run", "--help").output
+
+
+def test_names_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = table("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
+    shown.add_row("transient variance", "55", "49.1", "0.61", "2.48", "0.51", "passed")
+    show("suite", shown)
+    assert "transient variance" in capsys.readouterr().out
 
 
 def test_the_bar_tells_of_compiling(monkeypatch):

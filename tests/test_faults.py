@@ -179,6 +179,33 @@ def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_
     assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
 
 
+SLOW = "import time; import eqsim.tables as t; w = t.sealed; t.sealed = lambda x: (time.sleep(0.2), w(x))[1]; " + EAGER
+
+
+def test_a_sweep_interrupted_again_and_again_counts_what_is_on_disk(run_file, tmp_path):
+    """Impatience, or `timeout`, which sends its signal to the leader and to the group; writing takes its time."""
+    out = tmp_path / "o"
+    process = start("sweep", tmp_path / "grid.toml", "--out", out, *WORKERS, code=SLOW)
+    once(lambda: [*(out / "_parts").glob("part-*")], process)
+    os.killpg(process.pid, signal.SIGINT)
+    for gap in (0.0, 0.1, 0.1, 0.1):
+        time.sleep(gap)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGINT)
+    code, _, errors = ended(process)
+    said = re.fullmatch(r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n", errors)
+    assert said, errors
+    assert code == 130
+    assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
+
+
+def test_a_signal_while_modules_are_imported(tmp_path):
+    (tmp_path / "typer.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n")
+    code = "import runpy; runpy.run_module('eqsim', run_name='__main__')"
+    process = start("--help", code=code, env=os.environ | {"PYTHONPATH": str(tmp_path)})
+    assert ended(process, timeout=30) == (130, "", OVER)
+
+
 COMMANDS = {
     "run": ("run", "a.toml", "--out", "o", *LONG),
     "run --workers": ("run", "a.toml", "--out", "o", *LONG, *WORKERS),
@@ -211,6 +238,8 @@ def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, 
         assert command == "sweep" or output == ""
         if command == "sweep":
             assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "_parts"}
+        elif command == "figures":  # each is whole as soon as its points are there
+            assert {name.partition(".")[2] for name in names(tmp_path / "o")} <= {"pdf", "png", "parquet"}
         else:
             assert not (tmp_path / "o").exists()
 

@@ -2,7 +2,10 @@
 
 import dataclasses
 import json
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,6 +14,7 @@ from eqsim_figures import NAMES, a01, a02, a02ab, a04, a05, check, compute, make
 from typer.testing import CliRunner
 
 from eqsim.cli import app
+from eqsim.estimate import Estimate
 
 
 class Here(Executor):
@@ -25,7 +29,7 @@ class Here(Executor):
 def tabulated(curves, velocities):
     """The master equation's rows of some curves, at other velocities and without particles."""
     curves = [dataclasses.replace(curve, velocities=velocities, points=()) for curve in curves]
-    return compute({"figure": curves}, Here())["figure"]
+    return dict(compute({"figure": curves}, Here()))["figure"]
 
 
 def slope(table, name, exact):
@@ -71,8 +75,6 @@ def test_exponents_are_those_of_a_power_law():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_curves_are_named_once_and_cover_both_ensembles(name):
-    from importlib import import_module
-
     curves = import_module(f"eqsim_figures.{name.lower()}").curves()
     assert len({curve.name for curve in curves}) == len(curves)
     assert {curve.ensemble.disorder for curve in curves} == {"annealed", "quenched"}
@@ -102,6 +104,36 @@ def test_command(tmp_path):
         lost = (np.log(film.crossover_velocity() / flat.velocity.min()) / 6 + 2) / film.b()
         assert 0 < np.ptp(flat.friction) / flat.friction.mean() < lost
     assert contents[0]["A05.pdf"].startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_quick_is_quick(name):
+    """Where contacts age, references of annealed and of fluctuating thresholds take half a second each."""
+    curves = [curve.thinned() for curve in import_module(f"eqsim_figures.{name.lower()}").curves() if curve.points]
+    slow = [curve for curve in curves if curve.ensemble.self_consistent or curve.ensemble.fluctuates]
+    assert sum(len(curve.velocities) + len(curve.points) for curve in slow) <= 80
+    assert all(len(curve.velocities) >= 6 and curve.points for curve in curves)
+
+
+def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
+    def stub(job):
+        if job.ensemble.thresholds.x_star != 1.0:  # films are in SI units
+            raise KeyboardInterrupt
+        return Estimate(0.5, 0.01, 100)
+
+    @contextmanager
+    def here(*_):
+        with ThreadPoolExecutor(1) as pool:  # in the order of the paper
+            yield SimpleNamespace(pool=pool)
+
+    monkeypatch.setattr("eqsim_figures._compute", stub)
+    monkeypatch.setattr("eqsim.workers.unbroken", here)
+    monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
+    out = tmp_path / "o"
+    for names, said in ((["A05"], "nothing is half-written"), (["A05", "A01"], f"finished in {out}/: A01")):
+        result = CliRunner().invoke(app, ["figures", *names, "--quick", "--out", str(out)])
+        assert (result.exit_code, result.stderr) == (130, f"eqsim: interrupted; {said}\n")
+    assert sorted(path.name for path in out.iterdir()) == ["A01.parquet", "A01.pdf", "A01.png"]
 
 
 def test_bad_input_is_one_line(tmp_path):

@@ -32,7 +32,7 @@ from eqsim.runfile import keys, read_thresholds
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
 LONGEST = 600  # characters of a message beyond those of the path
-WORDS = {word for key in keys() for word in key.split(".")} | {"sweep", "max_lives", "title"}
+WORDS = {word for key in keys() for word in key.split(".")} | {"sweep", "max_lives", "--max-lives", "title"}
 EQSIM = [sys.executable, "-c", "from eqsim.cli import main; main()"]
 FASTEST = 100.0  # alpha of `langevin` aging: a life takes as many steps, and a kernel cannot be interrupted
 CHEAP = 65_536  # lives of the first attempt of `steady`
@@ -59,7 +59,8 @@ def judge(message, path):
     assert message, "an empty message"
     assert message.isprintable(), message
     assert len(message) < LONGEST + 2 * len(str(path)), message
-    named = str(path) in message or ": unknown key; " in message or not WORDS.isdisjoint(re.findall(r"\w+", message))
+    words = re.findall(r"--[a-z-]+|\w+", message)
+    named = str(path) in message or ": unknown key; " in message or not WORDS.isdisjoint(words)
     assert named, f"names no field: {message}"
 
 

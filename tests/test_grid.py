@@ -82,7 +82,7 @@ def test_points_file(tmp_path):
         ('zip = [{ "thermal.kT" = [1, 2], "delay.time" = [1] }]', "equal lengths; found thermal.kT 2, delay.time 1"),
         ('zip = [{ "thermal.kT" = [1, 2] }]\n"thermal.kT" = [3]', "sweep.thermal.kT: is in two axes"),
         ("zip = [3]", "sweep.zip: must be tables"),
-        ('file = "absent.parquet"', "absent.parquet: cannot be read"),
+        ('file = "absent.parquet"', "absent.parquet: is not a file; must be a Parquet file"),
         ('"thermal.kT" = { linear = [0, 1, 100000] }\n"delay.time" = { linear = [0, 1, 100] }', "at most 1000000"),
         ("", r"needs a \[sweep\] table"),
     ],
@@ -139,3 +139,13 @@ def test_results_version_is_that_of_the_sources(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True", "True", "True", "True"]
+
+
+def test_rates_without_a_rule_are_refused():
+    """Nothing would age, and nobody would know; with a rule, or the rule as an axis, something does."""
+    rates = '[sweep]\n"aging.rate" = [0.1, 1.0]\n'
+    with pytest.raises(InputError, match=r"point 1 of 2: aging.rule: is required with rate"):
+        plan_of(BASE + rates)
+    assert plan_of(BASE + '[aging]\nrule = "flow"\nx_star_final = 2.0\n' + rates).size == 2
+    aging = "[aging]\nrate = 0.1\nx_star_final = 2.0\n"
+    assert plan_of(BASE + aging + '[sweep]\n"aging.rule" = ["none", "flow"]\n').size == 2

@@ -311,9 +311,18 @@ def test_run_file_text_loads_to_the_same_numbers(tmp_path, delay, aging):
         text = run_file_text(film, temperature, disorder=disorder, stiffness_law="sqrt", count=123)
         file = stored(tmp_path, text)
         assert file.ensemble(tmp_path) == film.ensemble(temperature, disorder=disorder, stiffness_law="sqrt", count=123)
-        assert file.driven().velocity == film.crossover_velocity(temperature)
+        assert file.driven().velocity == film.crossover_velocity()  # at room temperature
         assert film.name in file.title
     assert stored(tmp_path, text.replace("kT = ", "kT = 1")).ensemble(tmp_path) != file.ensemble(tmp_path)
+
+
+def test_friction_depends_on_the_temperature_of_run_files(tmp_path):
+    """At one velocity, that of a laboratory: v_*(T) would leave annealed friction at that of kT -> 0."""
+    cold, warm = (stored(tmp_path, run_file_text(STEEL, kelvin, disorder="annealed")) for kelvin in (77.0, 400.0))
+    assert cold.driven() == warm.driven()
+    values = [reference(file.ensemble(tmp_path), file.driven().velocity).friction.value for file in (cold, warm)]
+    assert values[0] > 1.1 * values[1]
+    assert stored(tmp_path, run_file_text(STEEL, 0.0)).driven() == warm.driven()
 
 
 # ---- bad input ----

@@ -172,9 +172,9 @@ def test_other_parameters_must_be_chosen(tmp_path):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["--x", "velocity"], "--x velocity: no such column; there are disorder, contacts.stiffness"),
-        (["--y", "fraction"], "--y fraction: no such column; there are disorder"),
-        (["--by", "kT"], "--by kT: no such column"),
+        (["--x", "velocity"], '--x velocity: no such column; did you mean "drive.velocity"?'),
+        (["--y", "mass"], "--y mass: no such column; there are disorder, contacts.stiffness"),
+        (["--by", "kt"], '--by kt: no such column; did you mean "thermal.kT"?'),
         (["--where", "kT=1"], "--where kT: no such column"),
         (["--where", "kT"], "--where kT: must be KEY=VALUE"),
         (["--where", "thermal.kT=2"], "--where thermal.kT=2: no point has this value; there are 0.01, 0.1, 1"),

@@ -27,10 +27,11 @@ from eqsim.cli import app
 from eqsim.engine.steady import steady
 from eqsim.ensemble import Ensemble
 from eqsim.errors import InputError
-from eqsim.grid import results_version, seed_of
+from eqsim.grid import Plan, results_version, seed_of, swept
 from eqsim.master.reference import reference
 from eqsim.runfile import keys, load
 from eqsim.sweep import Asked, Store, schema, sweep
+from eqsim.tables import publish
 
 GRID = (
     BASE
@@ -175,7 +176,10 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "theirs.parquet")
     with pytest.raises(InputError, match="another origin"):
         sweep(file_of(GRID), tmp_path, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["theirs.parquet"]
+    (tmp_path / "theirs.parquet").rename(tmp_path / "notes.txt")  # which readers of the folder would stumble over
+    with pytest.raises(InputError, match=r"another origin, notes.txt; must be a folder of its own"):
+        sweep(file_of(GRID), tmp_path, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_one_sweep_at_a_time(tmp_path):
@@ -387,6 +391,106 @@ def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
     assert process.returncode == 0, errors
     assert json.loads(out)["resumed"] == len(kept)
     assert table_of(larger / "stopped").equals(table_of(larger / "exact"))
+
+
+@pytest.mark.parametrize("moment", ["_finish", "flush", "compact", "close"])
+def test_interrupts_at_any_moment_lose_no_row(small, tmp_path, monkeypatch, moment):
+    """The first one in a method once three points are finished, another one as the rows at hand are written."""
+    monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
+    monkeypatch.setattr(module, "_FLUSH_ROWS", 2)
+    owner = module._Loop if moment == "_finish" else Store
+    real, flush, begun = getattr(owner, moment), Store.flush, []
+
+    def broken(self, *args, **kwargs):
+        if len(getattr(self, "store", self).done) >= 3 and not begun:
+            begun.append(None)
+            if moment == "close":
+                real(self)
+            raise KeyboardInterrupt
+        return real(self, *args, **kwargs)
+
+    def hindered(self, *args, **kwargs):
+        if len(begun) == 1 and moment != "close":
+            begun.append(None)
+            raise KeyboardInterrupt
+        return broken(self, *args, **kwargs) if moment == "flush" else flush(self, *args, **kwargs)
+
+    monkeypatch.setattr(owner, moment, broken)
+    monkeypatch.setattr(Store, "flush", hindered)
+    out = tmp_path / "o"
+    done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(out), "--workers", "1", "--quiet"])
+    assert done.exit_code == 130
+    said = re.fullmatch(
+        r"eqsim: interrupted; (\d+) of 12 points are on disk; the same command continues\n", done.stderr
+    )
+    assert said, done.stderr
+    assert len(on_disk(out)) == int(said[1])
+    assert int(said[1]) >= 3
+
+
+def test_an_interrupt_before_there_is_a_folder(small, tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
+    monkeypatch.setattr(module, "Plan", stop)
+    done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o")])
+    said = "eqsim: interrupted; this call has computed nothing; the same command continues\n"
+    assert (done.exit_code, done.stderr) == (130, said)
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "args", "said"),
+    [
+        ('"thermal.kT" = [0.1, 1.0]', ["--set", "thermal.kT=0.5"], "--set thermal.kT=0.5: has no effect"),
+        ("thermal.kT = [0.1, 1.0]", ["--set", "thermal.kT=0.5"], "--set thermal.kT=0.5: has no effect"),
+        ('zip = [{ "thermal.kT" = [0.1, 1.0] }]', ["--set", "thermal.kT=0.5"], "--set thermal.kT=0.5: has no effect"),
+        ('"output.seed" = [1, 2]', ["--seed", "3"], "--seed: has no effect, the [sweep] table sets output.seed at"),
+        ('file = "points.parquet"', ["--set", "drive.velocity=2"], "--set drive.velocity=2: has no effect"),
+    ],
+)
+def test_set_and_sweep_do_not_contend(tmp_path, table, args, said):
+    path, out = tmp_path / "a.toml", tmp_path / "o"
+    path.write_text(BASE + "[sweep]\n" + table)
+    points = {"drive.velocity": [0.1, 1.0], "delay.time": [None, 1.0]}
+    pq.write_table(pa.table(points), tmp_path / "points.parquet")
+    done = CliRunner().invoke(app, ["sweep", str(path), "--out", str(out), *args])
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert said in done.stderr
+    assert not out.exists()
+    plan = Plan(load(path, {"contacts.count": 7}), tmp_path)  # what no axis sets, or not at every point, can change
+    assert plan.at(0).contacts.count == 7
+    if "file" in table:
+        assert swept(load(path), tmp_path) == {"drive.velocity"}
+
+
+def test_axes_can_be_set(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n')
+    assert Plan(load(path, {"sweep.thermal.kT": [0.2, 0.3, 0.4]}), tmp_path).axes == [
+        [{"thermal.kT": kT} for kT in (0.2, 0.3, 0.4)]
+    ]
+
+
+def test_without_a_cluster_nothing_is_left(small, tmp_path):
+    args = ["--out", str(tmp_path / "o"), "--dask", "nowhere"]
+    done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), *args])
+    assert done.exit_code == 2
+    assert "--dask nowhere: must be HOST:PORT" in done.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_files_can_be_read_by_those_the_umask_allows(small, tmp_path):
+    before = os.umask(0o027)
+    try:
+        CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o"), "--workers", "1"])
+        publish(tmp_path / "p", {"a": b""})
+    finally:
+        os.umask(before)
+    files = [path for folder in "op" for path in (tmp_path / folder).iterdir()]
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o640}
+    assert {path.name for path in files} == {"_lock", "_sweep.json", "sweep.parquet", "a"}
 
 
 def test_quiet_and_progress(small):

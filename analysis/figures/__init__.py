@@ -6,6 +6,7 @@ every marker from an estimate by particles (`eqsim.steady`). Installed as `eqsim
 """
 
 import io
+import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, as_completed
 from importlib import import_module
@@ -19,7 +20,7 @@ from scipy import stats
 
 from eqsim import reference, steady, tables
 from eqsim.errors import require_choice
-from eqsim.estimate import z_score
+from eqsim.estimate import Estimate, z_score
 
 from .common import STYLE, Curve
 
@@ -57,9 +58,9 @@ def make(
     executor: Executor,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[Made]:
-    """Compute the named figures on the `executor`, each point once, and write NAME.pdf, NAME.png and
-    NAME.parquet to `out`, one figure after the other. `quick`: a quarter of the points. Raises InputError."""
-    for name, table in tabulate(names, quick=quick, executor=executor, progress=progress).items():
+    """Compute the named figures on the `executor`, each point once, and write NAME.pdf, NAME.png and NAME.parquet to
+    `out` as soon as all points of a figure are there. `quick`: few points. Raises InputError."""
+    for name, table in tabulate(names, quick=quick, executor=executor, progress=progress):
         with matplotlib.rc_context(STYLE):
             figure = _module(name).plot(table)
             files = {f"{name}.{form}": _saved(figure, form) for form in ("pdf", "png")}
@@ -76,11 +77,13 @@ def tabulate(
     quick: bool = False,
     executor: Executor,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, pd.DataFrame]:
-    """Every row of the named figures: curves, particles and formulas."""
-    curves = {name: [curve.thinned(4 if quick else 1) for curve in _module(name).curves()] for name in names}
-    found = compute(curves, executor, progress)
-    return {name: pd.concat([rows, _module(name).formulas(rows)], ignore_index=True) for name, rows in found.items()}
+) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Every row of the named figures, as they are finished: curves, particles and formulas."""
+    curves = {name: _module(name).curves() for name in names}
+    if quick:  # lines without particles are left out
+        curves = {name: [curve.thinned() for curve in every if curve.points] for name, every in curves.items()}
+    for name, rows in compute(curves, executor, progress):
+        yield name, pd.concat([rows, _module(name).formulas(rows)], ignore_index=True)
 
 
 def _module(name: str) -> Any:
@@ -89,36 +92,49 @@ def _module(name: str) -> Any:
 
 def compute(
     curves: dict[str, list[Curve]], executor: Executor, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, pd.DataFrame]:
-    """A table of the curves of each figure: one row per velocity and source, each point computed once."""
-    jobs = dict.fromkeys(job for every in curves.values() for curve in every for job in _jobs(curve))
-    pending = {executor.submit(_compute, job): job for job in jobs}
-    found: dict[_Job, dict[str, Any]] = {}
+) -> Iterator[tuple[str, pd.DataFrame]]:
+    """A table of the curves of each figure, as they are finished: one row per velocity and source, each point computed
+    once."""
+    jobs = {name: [job for curve in every for job in _jobs(curve)] for name, every in curves.items()}
+    pending = {executor.submit(_compute, job): job for job in dict.fromkeys(itertools.chain(*jobs.values()))}
+    missing = {name: set(every) for name, every in jobs.items()}
+    found: dict[_Job, Estimate] = {}
     for future in as_completed(pending):
-        found[pending[future]] = future.result()
-        progress(len(found), len(jobs))
-    return {
-        name: pd.DataFrame([curve.row() | found[job] for curve in every for job in _jobs(curve)])
-        for name, every in curves.items()
-    }
+        job = pending[future]
+        found[job] = future.result()
+        progress(len(found), len(pending))
+        for name in [name for name, rest in missing.items() if job in rest]:
+            missing[name].discard(job)
+            if not missing[name]:
+                yield name, pd.DataFrame([row for curve in curves[name] for row in _rows(curve, found)])
 
 
 def _jobs(curve: Curve) -> list[_Job]:
-    solved = [_Job(False, curve.ensemble, v) for v in curve.velocities]
+    solved = [_Job(False, curve.ensemble, v) for v in dict.fromkeys(curve.velocities + curve.points)]
     return solved + [_Job(True, curve.ensemble, v) for v in curve.points]
 
 
-def _compute(job: _Job) -> dict[str, Any]:
-    """Friction at a velocity, by the master equation or by particles; z compares the two."""
-    exact = reference(job.ensemble, job.velocity).friction
+def _compute(job: _Job) -> Estimate:
+    """Friction at a velocity, by particles or by the master equation."""
     if not job.particles:
-        row = {"source": "master equation", "friction": exact.value, "error": exact.stderr}
-        return {"velocity": job.velocity, **row, "reliable": True, "z": None}
+        return reference(job.ensemble, job.velocity).friction
     rel_error = 5e-3 if job.ensemble.fluctuates else 2e-3
-    particles = steady(job.ensemble, job.velocity, rel_error=rel_error).friction
-    row = {"source": "particles", "friction": particles.value, "error": particles.stderr}
-    z = z_score(particles, exact.value, exact.stderr)
-    return {"velocity": job.velocity, **row, "reliable": particles.reliable, "z": z}
+    return steady(job.ensemble, job.velocity, rel_error=rel_error).friction
+
+
+def _rows(curve: Curve, found: dict[_Job, Estimate]) -> Iterator[dict[str, Any]]:
+    """The master equation along a curve, then particles; z compares the two."""
+    for particles, velocities in ((False, curve.velocities), (True, curve.points)):
+        for v in velocities:
+            exact, value = found[_Job(False, curve.ensemble, v)], found[_Job(particles, curve.ensemble, v)]
+            yield curve.row() | {
+                "velocity": v,
+                "source": "particles" if particles else "master equation",
+                "friction": value.value,
+                "error": value.stderr,
+                "reliable": value.reliable,
+                "z": z_score(value, exact.value, exact.stderr) if particles else None,
+            }
 
 
 def _saved(figure: Figure, form: str) -> bytes:

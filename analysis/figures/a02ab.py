@@ -7,6 +7,8 @@ reaches from the maximum of f_k (for D = 0, from where it comes within 10 % of i
 error is the standard error of the regression, which is all that a fit to a curve that is no power law can quote.
 """
 
+import math
+
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -35,7 +37,8 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
             near = (v >= v[first]) & (v <= v[first] * 10**WINDOW * (1 + 1e-9))
             fit = stats.linregress(np.log(v[near]), np.log(f_k[near] / v[near]))
             eta = np.exp(fit.intercept + fit.slope * np.log(v[near]))
-            fitted = {"exponent": -fit.slope, "exponent_error": fit.stderr, "D": D, "kT": 1.0}
+            error = fit.stderr if near.sum() > 2 else math.nan  # a line through two points says nothing of its error
+            fitted = {"exponent": -fit.slope, "exponent_error": error, "D": D, "kT": 1.0}
             rows.append(formula(f"{name}, power law", "fit", v[near], eta * v[near], **fitted))
     return pd.concat(rows)
 
@@ -52,7 +55,7 @@ def plot(table: pd.DataFrame) -> Figure:
             draw(lower, table, name, style, y="viscosity")
             fit = solved(table, f"{name}, power law")
             alpha, error = fit.exponent.iloc[0], fit.exponent_error.iloc[0]
-            label = f"${alpha:.3f} \\pm {error:.3f}$"
+            label = f"${alpha:.3f} \\pm {error:.3f}$" if math.isfinite(error) else f"${alpha:.3f}$"
             lower.plot(fit.velocity, 2 * fit.viscosity, color=style["color"], linewidth=0.9, linestyle="--")
             lower.plot([], [], color=style["color"], marker=style["marker"], markerfacecolor="white", label=label)
         upper.set(xscale="log", yscale="log", title=MODEL_TITLES[model])
