@@ -334,7 +334,7 @@ def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) ->
         back = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
         solved.append((left + np.append(0.0, back) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
     best, every = (4 * solved[1] - solved[0]) / 3, cells // (points - 1)
-    error = np.abs(solved[1] - solved[0]) / 3 + profile.error * np.abs(best)
+    error = np.abs(solved[1] - solved[0]) + profile.error * np.abs(best)
     return np.stack((best, error))[:, ::every] * unit**2
 
 

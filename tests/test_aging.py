@@ -74,7 +74,7 @@ def test_what_may_age():
 
 def test_alpha():
     """4 D x_*i/(v x_*f^2), and its own message beyond 1e100."""
-    assert Aging("flow", 0.3, 2.0).alpha(0.5, 3.0) == pytest.approx(4 * 0.3 * 0.5 / (3.0 * 4.0), rel=1e-15)
+    assert Aging("flow", 0.3, 2.0).alpha(0.5, 3.0) == pytest.approx(4 * 0.3 * 0.5 / (3.0 * 4.0), rel=1e-15, abs=0)
     assert Aging("flow", 0.0).alpha(1.0, 1.0) == Aging("none", 1.0).alpha(1.0, 1.0) == 0.0
     assert Aging("flow", math.inf).alpha(1.0, 1.0) == math.inf
     with pytest.raises(InputError, match=r"^aging rate \* x_star / \(velocity \* x_star_final\^2\) = "):
@@ -146,7 +146,7 @@ def test_pooled_law_in_mpmath():
             return mpmath.exp(-s) * mpmath.gammainc(n + 1, x * x / square, mpmath.inf, regularized=True)
 
         exact = mpmath.quad(survive, [0, 1e-3, 0.1, 1, 5, 20, 100])
-        assert law.sf(x) == pytest.approx(float(exact), rel=1e-9)
+        assert law.sf(x) == pytest.approx(float(exact), rel=1e-9, abs=0)
 
 
 def test_pooled_limits():
@@ -157,12 +157,12 @@ def test_pooled_limits():
     for decay, like in ((1e-14, newborn), (math.inf, Gamma(1.5, 12.0))):
         law = Pooled(newborn, 12.0, decay)
         np.testing.assert_allclose(law.exceeded_by(e), like.exceeded_by(e), rtol=5e-9)
-        assert law.mean == pytest.approx(like.mean, rel=1e-12)
+        assert law.mean == pytest.approx(like.mean, rel=1e-12, abs=0)
         assert (law.scale, law.rms) == (newborn.scale, newborn.rms)
     for final, decay in ((12.0, 0.7), (0.3, 20.0)):
         law = Pooled(newborn, final, decay)
         total, _ = integrate.quad(law.sf, 0.0, float(law.exceeded_by(60.0)), limit=500, epsabs=0, epsrel=1e-11)
-        assert law.mean == pytest.approx(total, rel=1e-9)
+        assert law.mean == pytest.approx(total, rel=1e-9, abs=0)
     assert law.sf(0.0) == 1.0
     assert law.cdf(-1.0) == law.pdf(0.0) == 0.0
 
@@ -239,7 +239,7 @@ def test_flow_stretch_spends_its_clock(law, rho):
     ):
         case = law, rho**2, alpha, b, log_w, xi0
         end = flow_end(rho**2, alpha, xi0)
-        assert xi0 * growth(rho**2, alpha, end) == pytest.approx(end, rel=1e-13)
+        assert xi0 * growth(rho**2, alpha, end) == pytest.approx(end, rel=1e-13, abs=0)
         steep = b * (1 + xi0 * max(rho, 1)) * (xi0 * max(1.0, rho)) ** 2 * (1 + alpha * end)
         before = 0.0
         for clock in (1e-6, 1e-2, 0.7, 5.0, 50.0):
@@ -252,7 +252,7 @@ def test_flow_stretch_spends_its_clock(law, rho):
                 assert found <= clock * (1 + 5e-9 + 1e-15 * steep)
             else:
                 assert spent == clock
-                assert found == pytest.approx(clock, rel=5e-9 + 4e-15 * steep)
+                assert found == pytest.approx(clock, rel=5e-9 + 4e-15 * steep, abs=0)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)
@@ -275,7 +275,7 @@ def test_flow_stretch_in_an_ode(law):
             lambda x, y, case=case: [rate(case, x)], (0.0, 100.0), [0.0], "DOP853",
             events=(spent, met), rtol=1e-11, atol=1e-13, max_step=0.01 * flow_end(rho**2, alpha, case[5]),
         )  # fmt: skip
-        assert stretch_of(case, clock)[0] == pytest.approx(path.t[-1], rel=1e-8)
+        assert stretch_of(case, clock)[0] == pytest.approx(path.t[-1], rel=1e-8, abs=0)
 
 
 @pytest.mark.parametrize(("barrier", "closed"), [(SOFT, "soft"), (STIFF, "stiff")])
@@ -288,7 +288,7 @@ def test_flow_without_aging(barrier, closed):
         exact = soft_stretch(table, xi, b, log_w, clock) if closed == "soft" else stiff_stretch(xi, b, log_w, clock)
         for final2, alpha in ((100.0, 0.0), (100.0, 1e-16), (1.0, 5.0), (0.01, 1e-16)):
             found, _ = flow_stretch(final2, alpha, barrier, 0.0, 1.0, b, log_w, xi, clock)
-            assert found == pytest.approx(exact, rel=1e-9 + 1e-15 * b * xi * xi)
+            assert found == pytest.approx(exact, rel=1e-9 + 1e-15 * b * xi * xi, abs=0)
 
 
 def test_flow_without_attempts():
@@ -296,13 +296,13 @@ def test_flow_without_attempts():
     for rho, alpha, xi in itertools.product((1e-3, 0.3, 1.0, 50.0, 1e3), (0.0, 1e-3, 1.0, 1e6), (1e-4, 1.0, 7.0)):
         x, spent = flow_stretch(rho**2, alpha, MECHANICAL, 0.0, 1.0, 1.0, 0.0, xi, 1.0)
         assert spent == 0.0
-        assert x == pytest.approx(xi * math.sqrt(rho**2 - (rho**2 - 1) * math.exp(-alpha * x)), rel=1e-12)
+        assert x == pytest.approx(xi * math.sqrt(rho**2 - (rho**2 - 1) * math.exp(-alpha * x)), rel=1e-12, abs=0)
 
 
 def test_barrier_is_that_of_the_thermal_law():
     for xi, x, a in ((2.0, 0.5, 3.0), (1e-3, 0.0, 1e5), (1.0, 1.0, 1e9)):
-        assert barrier_of(SOFT, xi, x, a) == pytest.approx(a * (xi**2 - x**2), rel=1e-14)
-        assert barrier_of(STIFF, xi, x, a) == pytest.approx(a * xi**2 * (1 - x / xi) ** 1.5, rel=1e-14)
+        assert barrier_of(SOFT, xi, x, a) == pytest.approx(a * (xi**2 - x**2), rel=1e-14, abs=0)
+        assert barrier_of(STIFF, xi, x, a) == pytest.approx(a * xi**2 * (1 - x / xi) ** 1.5, rel=1e-14, abs=0)
 
 
 @pytest.mark.parametrize("rho", [1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 1e3])
@@ -316,17 +316,21 @@ def test_flow_work(rho):
                 integrate.quad(lambda y, alpha=alpha: y * growth(rho**2, alpha, y), *pair, epsabs=0, epsrel=1e-11)[0]
                 for pair in itertools.pairwise(edges)
             )
-            assert look_up(table, x) == pytest.approx(exact, rel=1e-8)
+            assert look_up(table, x) == pytest.approx(exact, rel=1e-8, abs=0)
 
 
 def test_what_is_lowered():
     """Plain numbers of an aging ensemble: alpha and final2; the newborn rms for the sqrt law, final law or not."""
     base = {"thresholds": Gamma(1.0, 0.1), "thermal": Thermal(0.01), "stiffness_law": "sqrt"}
     c = lower(Ensemble(**base, aging=Aging("flow", 0.1, 1.0)), 2.0)
-    assert (c.aging, c.final2, c.alpha) == (1, pytest.approx(100.0), pytest.approx(0.02))
+    assert (c.aging, c.final2, c.alpha) == (
+        1,
+        pytest.approx(100.0, rel=1e-15, abs=0),
+        pytest.approx(0.02, rel=1e-15, abs=0),
+    )
     for disorder in ("quenched", "annealed"):
         at_once = Ensemble(**base, aging=Aging("flow", math.inf, 1.0), disorder=disorder)
         final = lower(at_once, 2.0)
         assert final.aging == 0
-        assert final.kappa_slope == pytest.approx(1.0 / math.sqrt(2.0))
-        assert at_once.births(2.0).mean == pytest.approx(Gamma(1.0, 1.0).mean, rel=1e-12)
+        assert final.kappa_slope == pytest.approx(1.0 / math.sqrt(2.0), rel=1e-15, abs=0)
+        assert at_once.births(2.0).mean == pytest.approx(Gamma(1.0, 1.0).mean, rel=1e-12, abs=0)

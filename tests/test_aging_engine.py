@@ -67,7 +67,6 @@ PATHS = [  # n, x_*f/x_*i, D_v, kT/(k x_*^2), omega x_*/v, barrier, stiffness
 ]
 
 
-@functools.cache
 @pytest.mark.parametrize("shape", [0, 1])
 @pytest.mark.parametrize("length", [0.1, 1.0, 4.0])  # in relaxation times
 def test_halfway_of_a_step(shape, length):
@@ -108,6 +107,7 @@ def lived(path, factor=1.0):
     return lives(c, key(2, 98), 0, u, v)
 
 
+@functools.cache
 def expected(path):
     n, final, mobility, kT, omega, barrier, stiffness = path
     if kT == 0:
@@ -358,7 +358,7 @@ def test_a_finer_grid_sees_the_same(name):
     # deposits are rounded to units of 2^-62 of a bound on the sum over contacts; ten times as many are added up
     np.testing.assert_allclose(fine.force[::10], coarse.force, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(fine.pinned[::10], coarse.pinned)
-    assert fine.friction.value == pytest.approx(coarse.friction.value, rel=1e-12)
+    assert fine.friction.value == pytest.approx(coarse.friction.value, rel=1e-12, abs=0)
 
 
 def test_grids_of_steps():
@@ -377,9 +377,9 @@ def test_conservation(name):
     ensemble = replace(RUNS[name], count=300, eta=1e6)
     result = trajectory(ensemble, Drive(1.0, 1.0, "stationary"), points=11)
     # the elastic force, some lengths of a threshold, is less than 200 beside a drag of 1e6
-    np.testing.assert_allclose(result.force / 1e6, 1.0 - result.pinned, atol=2e-4)
+    np.testing.assert_allclose(result.force / 1e6, 1.0 - result.pinned, rtol=0, atol=2e-4)
     # a count over 300, times 300: rounding alone, far below the distance to the next count
-    assert np.all(np.isclose(result.pinned * 300, np.rint(result.pinned * 300), atol=1e-9))
+    assert np.all(np.abs(result.pinned * 300 - np.rint(result.pinned * 300)) < 1e-9)
     for start in ("fresh", "stationary"):
         result = trajectory(replace(ensemble, delay=Delay(), eta=0.0), Drive(1.0, 1.0, start), points=11)
         assert np.all(result.pinned == 1.0)

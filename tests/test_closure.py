@@ -36,7 +36,7 @@ def test_without_aging(n, thermal, v):
     found = closure(n, 1.5, 3.0, 0.0, stiffness=2.0, thermal=thermal, velocity=v, distance=12.0, points=101)
     contacts = Ensemble(Gamma(n, 1.5), thermal, stiffness=2.0, stiffness_law="uniform", disorder="annealed")
     exact = transient(contacts, Drive(v, 12.0), 101)
-    np.testing.assert_allclose(found.X, exact.X)
+    np.testing.assert_allclose(found.X, exact.X, rtol=1e-15)
     assert np.all(np.abs(found.force - exact.force) <= found.force_error + exact.force_error)
     assert found.force_error.max() < 1e-4
     np.testing.assert_allclose(found.mean_threshold, contacts.thresholds.mean, rtol=1e-12)

@@ -56,7 +56,7 @@ def test_closed_forms(kT):
     np.testing.assert_allclose(state.density(x), form.E_P(x, v) / C, rtol=1e-8)
     np.testing.assert_allclose(state.C, C, rtol=1e-9)
     assert state.dU(0.0) == 0.0
-    assert state.H(0.0) == pytest.approx(float(form.H(0.0, v)), rel=1e-8)
+    assert state.H(0.0) == pytest.approx(float(form.H(0.0, v)), rel=1e-8, abs=0)
 
 
 @pytest.mark.parametrize(("ensemble", "v"), SMOOTH)
@@ -65,11 +65,11 @@ def test_normalised(ensemble, v):
     x = grid(ensemble)
     state = StationaryState(ensemble, v)
     Q = state.density(x)
-    assert x[0] * Q[0] + np.trapezoid(x * Q, np.log(x)) == pytest.approx(1.0, rel=1e-8)
+    assert x[0] * Q[0] + np.trapezoid(x * Q, np.log(x)) == pytest.approx(1.0, rel=1e-8, abs=0)
     if ensemble.stiffness_law == "uniform":
         force = np.trapezoid(x**2 * Q, np.log(x))
-        assert force == pytest.approx(reference(ensemble, v).f_k.value, rel=1e-8)
-    assert state.density(0.0) == pytest.approx(1 / state.C, rel=1e-8)
+        assert force == pytest.approx(reference(ensemble, v).f_k.value, rel=1e-8, abs=0)
+    assert state.density(0.0) == pytest.approx(1 / state.C, rel=1e-8, abs=0)
     assert np.all(np.diff(Q) <= 1e-9 * Q[0])
 
 
@@ -80,7 +80,7 @@ def test_discrete_laws(law, disorder):
     state = StationaryState(Ensemble(law, Thermal(0.5), disorder=disorder), 0.1)
     edges = np.append(0.0, np.unique(law.steps))
     parts = [integrate.fixed_quad(state.density, a, b, n=40)[0] for a, b in itertools.pairwise(edges)]
-    assert sum(parts) == pytest.approx(1.0, rel=1e-8)
+    assert sum(parts) == pytest.approx(1.0, rel=1e-8, abs=0)
     assert state.density(2.0 * edges[-1]) == 0.0
 
 
@@ -95,7 +95,7 @@ def test_marginal_of_the_joint_density(ensemble, v):
             integrate.quad(lambda xi, x=x: float(state.joint_density(x, max(xi, 1e-12))), a, b, epsrel=1e-10)[0]
             for a, b in itertools.pairwise(ends)
         ]
-        assert sum(parts) == pytest.approx(float(state.density(x)), rel=1e-8)
+        assert sum(parts) == pytest.approx(float(state.density(x)), rel=1e-8, abs=0)
     assert state.joint_density(mean, [0.9 * mean, mean, 1.1 * mean]).astype(bool).tolist() == [False, False, True]
 
 

@@ -23,6 +23,7 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
+from waiting import once
 
 import eqsim
 from eqsim import tables
@@ -86,14 +87,6 @@ def names(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def once(happens, process):
-    """Wait until it happens; the process must not end by itself before."""
-    while not (found := happens()):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
-    return found
-
-
 # ---- signals ----
 
 SWALLOWED = """
@@ -134,11 +127,14 @@ def test_ctrl_c_does_not_reach_a_worker_that_starts():
     crew = Processes(1)
     try:
         future = crew.pool.submit(os.getpid)
-        while not future.done():
+
+        def done():
             for child in psutil.Process().children():
                 if "spawn_main" in " ".join(child.cmdline()):
                     child.send_signal(signal.SIGINT)
-            time.sleep(0.005)
+            return future.done()
+
+        once(done)
         assert future.result() != os.getpid()
     finally:
         crew.close(hurry=True)
@@ -151,8 +147,7 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
     monkeypatch.setattr(threading, "excepthook", complaints.append)
     crew = Processes(1)
     futures = [crew.pool.submit(time.sleep, 60)] + [crew.pool.submit(len, bytes(10**6)) for _ in range(4)]
-    while not futures[1].running():  # and waits in the pipe
-        time.sleep(0.01)
+    once(futures[1].running)  # and waits in the pipe
     for future in futures:
         future.cancel()
     for child in multiprocessing.active_children():

@@ -253,7 +253,7 @@ def test_levels_are_where_the_hazard_says():
         inside = x < xi[:, None]
         reached = log_hazard("stiff", np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
         far = inside & (x < 0.9 * xi[:, None])
-        np.testing.assert_allclose(reached[far], np.broadcast_to(kinetic._LEVELS, x.shape)[far], atol=1e-10)
+        np.testing.assert_allclose(reached[far], np.broadcast_to(kinetic._LEVELS, x.shape)[far], rtol=0, atol=1e-10)
 
 
 # ------------------------------------------------------------------------------------------------ quenched, survivors

@@ -118,13 +118,19 @@ def test_units_of_the_aging_rate_matter():
 POWERS = st.integers(-40, 40).map(lambda power: 2.0**power)
 
 
-@everywhere(10, 100, e=ensembles(), velocity=VELOCITIES, length=POWERS, time=POWERS, force=POWERS)
+@everywhere(
+    8,
+    100,
+    e=ensembles().filter(lambda e: not e.self_consistent),
+    velocity=VELOCITIES,
+    length=POWERS,
+    time=POWERS,
+    force=POWERS,
+)
 def powers_of_two_change_no_bit_of_the_engine(e, velocity, length, time, force):
     """All groups are the same floating-point numbers, but ln(omega x_*/v), which is a sum of rounded logarithms: at
     T > 0 lengths and times stay as they are. Annealed contacts that age are found by iterations that stop at rounding
     errors: left out."""
-    if e.self_consistent:
-        return
     if e.thermal.kT > 0:
         length = time = 1.0
     other, faster = in_units(e, velocity, length, time, force)
@@ -174,9 +180,9 @@ def pinned_falls_with_delay(e, velocity, tau, factor):
     )
     assert long.pinned.value < short.pinned.value < none.pinned.value == 1.0
     C = none.break_stretch.value
-    assert short.break_stretch.value == pytest.approx(C, rel=1e-12)
-    assert short.pinned.value == pytest.approx(C / (C + velocity * tau), rel=1e-12)
-    assert short.friction.value == pytest.approx(none.friction.value * C / (C + velocity * tau), rel=1e-12)
+    assert short.break_stretch.value == pytest.approx(C, rel=1e-12, abs=0)
+    assert short.pinned.value == pytest.approx(C / (C + velocity * tau), rel=1e-12, abs=0)
+    assert short.friction.value == pytest.approx(none.friction.value * C / (C + velocity * tau), rel=1e-12, abs=0)
 
 
 @everywhere(10, 100, e=ensembles(temperatures=st.just(0.0), agings=FRESH), velocity=VELOCITIES, other=VELOCITIES)
@@ -184,8 +190,8 @@ def velocity_is_nothing_to_cold_friction(e, velocity, other):
     """f_k at T = 0 without aging, whatever the delay; both ensembles are the same there."""
     one, two = reference(e, velocity), reference(e, other)
     flipped = dataclasses.replace(e, disorder="annealed" if e.disorder == "quenched" else "quenched")
-    assert one.f_k.value == pytest.approx(two.f_k.value, rel=1e-12)
-    assert one.f_k.value == pytest.approx(reference(flipped, velocity).f_k.value, rel=1e-12)
+    assert one.f_k.value == pytest.approx(two.f_k.value, rel=1e-12, abs=0)
+    assert one.f_k.value == pytest.approx(reference(flipped, velocity).f_k.value, rel=1e-12, abs=0)
 
 
 # ---- limits ----

@@ -41,7 +41,7 @@ def test_table(row):
         estimate, value = getattr(result, name), getattr(row, name)
         assert estimate.value == pytest.approx(value, rel=row.rel_accuracy if path else 1e-8, abs=estimate.stderr)
         assert estimate.stderr <= (1e-5 if path else 1e-9) * estimate.value
-    assert result.f_k.value == pytest.approx(row.friction / row.pinned, rel=2 * row.rel_accuracy)
+    assert result.f_k.value == pytest.approx(row.friction / row.pinned, rel=2 * row.rel_accuracy, abs=0)
 
 
 AGED = {"thresholds": Gamma(1.0, 0.1), "stiffness_law": "uniform"}
@@ -59,7 +59,7 @@ def test_aging_rules(disorder, rule, values):
     """x_*i = .1, x_*f = 1, D = .1, T = 0, v = .01 .. 10 (values printed to six digits)."""
     for v, value in zip((0.01, 0.1, 1.0, 10.0), values, strict=True):
         exact = reference(Ensemble(aging=Aging(rule, 0.1, 1.0), disorder=disorder, **AGED), v).friction
-        assert exact.value == pytest.approx(value, rel=6e-6)
+        assert exact.value == pytest.approx(value, rel=6e-6, abs=0)
 
 
 def test_annealed_aging_in_closed_form():
@@ -71,14 +71,14 @@ def test_annealed_aging_in_closed_form():
             exact = reference(Ensemble(aging=Aging("flow", 0.1, 1.0), disorder="annealed", **AGED), v)
             C = exact.break_stretch.value
             closed = (1 - 0.99 / (1 + 0.4 * C / v)) / C
-            assert exact.f_k.value == pytest.approx(closed, rel=1e-9)
+            assert exact.f_k.value == pytest.approx(closed, rel=1e-9, abs=0)
             found.append(exact.f_k.value)
     ends = [reference(Ensemble(Gamma(1.0, x), stiffness_law="uniform"), 1.0).f_k.value for x in (1.0, 0.1)]
-    assert (ends[0] - slow[1]) / (ends[0] - slow[0]) == pytest.approx(2.0, rel=0.01)
-    assert (fast[0] - ends[1]) / (fast[1] - ends[1]) == pytest.approx(2.0, rel=0.01)
+    assert (ends[0] - slow[1]) / (ends[0] - slow[0]) == pytest.approx(2.0, rel=0.01, abs=0)
+    assert (fast[0] - ends[1]) / (fast[1] - ends[1]) == pytest.approx(2.0, rel=0.01, abs=0)
     late = Ensemble(aging=Aging("langevin", 0.1, 1.0), disorder="annealed", delay=Delay(0.5), **AGED)
     for name, value in zip(OBSERVABLES, (0.176900, 0.509671, 0.519724), strict=True):
-        assert getattr(reference(late, 1.0), name).value == pytest.approx(value, rel=4e-6)
+        assert getattr(reference(late, 1.0), name).value == pytest.approx(value, rel=4e-6, abs=0)
 
 
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
@@ -90,16 +90,16 @@ def test_limits_of_aging(disorder, stiffness_law):
     fresh = reference(Ensemble(**given), 0.3).friction.value
     for rule, D in (("flow", 1e-11), ("langevin", 1e-8)):
         assert reference(Ensemble(aging=Aging(rule, D, 2.0), **given), 0.3).friction.value == pytest.approx(
-            fresh, rel=1e-6
+            fresh, rel=1e-6, abs=0
         )
     at_once = reference(Ensemble(aging=Aging("flow", math.inf, 2.0), **given), 0.3).friction.value
     late = reference(Ensemble(aging=Aging("flow", 1e9, 2.0), **given), 0.3).friction.value
-    assert late == pytest.approx(at_once, rel=1e-6)
+    assert late == pytest.approx(at_once, rel=1e-6, abs=0)
     # the final law at T = 0, its k_i in units of the newborn k: x_*f/x_*i times stronger with the sqrt law
     given["thermal"] = Thermal()
     cold = reference(Ensemble(aging=Aging("flow", math.inf, 2.0), **given), 0.3).friction.value
     final = reference(Ensemble(**given | {"thresholds": Gamma(0.5, 2.0)}), 0.3).friction.value
-    assert cold == pytest.approx(final * (4.0 if stiffness_law == "sqrt" else 1.0), rel=1e-9)
+    assert cold == pytest.approx(final * (4.0 if stiffness_law == "sqrt" else 1.0), rel=1e-9, abs=0)
     if disorder == "quenched":
         forces = [
             reference(Ensemble(aging=Aging("langevin", D, 2.0), **given), 0.3).friction.value for D in (0.3, 3.0, 30.0)
@@ -120,17 +120,17 @@ def test_two_ensembles(disorder, kT, values):
     """n = 1, uniform, v = 1e-3 .. 10: how far apart the two models are (values printed to six digits)."""
     for v, value in zip((1e-3, 1e-2, 0.1, 1.0, 10.0), values, strict=True):
         friction = reference(Ensemble(thermal=Thermal(kT), disorder=disorder, **UNIFORM), v).friction.value
-        assert friction == pytest.approx(value, rel=4e-6)
+        assert friction == pytest.approx(value, rel=4e-6, abs=0)
 
 
 @pytest.mark.parametrize("n", [0.0, 0.5, 1.0, 2.5, 30.0])
 def test_zero_temperature(n):
     """nt07 for any n, and the sqrt law (derived)."""
     sqrt = reference(Ensemble(Gamma(n)), 1.0)
-    assert sqrt.friction.value == pytest.approx((n + 1.5) / (2 * math.sqrt(n + 1)), rel=1e-10)
-    assert sqrt.break_stretch.value == pytest.approx(special.poch(n + 1, 0.5), rel=1e-10)
+    assert sqrt.friction.value == pytest.approx((n + 1.5) / (2 * math.sqrt(n + 1)), rel=1e-10, abs=0)
+    assert sqrt.break_stretch.value == pytest.approx(special.poch(n + 1, 0.5), rel=1e-10, abs=0)
     uniform = reference(Ensemble(Gamma(n), **UNIFORM), 1.0)
-    assert uniform.friction.value == pytest.approx((n + 1) / (2 * special.poch(n + 1, 0.5)), rel=1e-10)
+    assert uniform.friction.value == pytest.approx((n + 1) / (2 * special.poch(n + 1, 0.5)), rel=1e-10, abs=0)
 
 
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])
@@ -139,9 +139,9 @@ def test_low_velocity_limits(barrier):
     v = 1e-11
     if barrier == "soft":
         annealed = Ensemble(thermal=Thermal(0.25), disorder="annealed", **UNIFORM)
-        assert reference(annealed, v).friction.value == pytest.approx(v * 9.0, rel=1e-8)
+        assert reference(annealed, v).friction.value == pytest.approx(v * 9.0, rel=1e-8, abs=0)
     quenched = Ensemble(Gamma(0.5), Thermal(2.5, 1.0, barrier), **UNIFORM)
-    assert reference(quenched, v).friction.value == pytest.approx(v * (0.8 / 0.6) ** 1.5, rel=1e-8)
+    assert reference(quenched, v).friction.value == pytest.approx(v * (0.8 / 0.6) ** 1.5, rel=1e-8, abs=0)
 
 
 def oracle(barrier, xi, b, w):
@@ -165,10 +165,10 @@ def test_one_contact(barrier, xi, b, w):
     """The panels against an independent quadrature of the rate itself (Simpson on 4001 points, 1e-7)."""
     found = kinetic.life_moments(barrier, np.array([xi]), np.array([b]), math.log(w))
     exact = oracle(barrier, xi, b, w)
-    assert found[0][0] == pytest.approx(exact[0], rel=1e-7)
-    assert found[1][0] == pytest.approx(exact[1], rel=1e-7)
+    assert found[0][0] == pytest.approx(exact[0], rel=1e-7, abs=0)
+    assert found[1][0] == pytest.approx(exact[1], rel=1e-7, abs=0)
     wrong = kinetic.life_moments(barrier, np.array([xi]), np.array([b]), math.log(1.001 * w))
-    assert wrong[0][0] != pytest.approx(exact[0], rel=1e-7)
+    assert wrong[0][0] != pytest.approx(exact[0], rel=1e-7, abs=0)
 
 
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
@@ -186,23 +186,22 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier):
                 assert result.friction.stderr <= 1e-9 * result.friction.value
                 assert result.break_stretch.stderr <= 1e-9 * result.break_stretch.value
     top = (2.0 / (2 * math.sqrt(1.5))) if stiffness_law == "sqrt" else 1.5 / (2 * special.poch(1.5, 0.5))
-    assert result.friction.value == pytest.approx(top, rel=1e-9)
+    assert result.friction.value == pytest.approx(top, rel=1e-9, abs=0)
 
 
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
 def test_error_estimates(disorder, monkeypatch):
-    """Coarser solvers quote larger errors, and these cover what they miss."""
-    ensemble = Ensemble(thermal=Thermal(0.02), disorder=disorder)
-    best = reference(ensemble, 1e-3)
+    """Coarser solvers quote larger errors, and these cover what they miss, which is more than the error of the best."""
+    ensemble = Ensemble(Gamma(0.0), Thermal(0.3), disorder=disorder)
+    best = reference(ensemble, 1e-6)
     if disorder == "quenched":
-        monkeypatch.setattr(kinetic, "_CONVERGED", 1e-3)
+        monkeypatch.setattr(kinetic, "_CONVERGED", 1.0)
     else:
-        monkeypatch.setattr(published, "_STEP", 0.8)
-    rough = reference(ensemble, 1e-3)
+        monkeypatch.setattr(published, "_RESOLVED", 1.0)
+    rough = reference(ensemble, 1e-6)
     for name in ("friction", "break_stretch"):
         a, b = getattr(best, name), getattr(rough, name)
-        assert abs(a.value - b.value) <= 3 * b.stderr
-        assert a.stderr <= b.stderr
+        assert 10 * a.stderr < abs(a.value - b.value) <= b.stderr
 
 
 def test_laws_agree():
@@ -211,9 +210,11 @@ def test_laws_agree():
     for disorder in ("quenched", "annealed"):
         given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
         ours, theirs = Ensemble(Gamma(0.0), **given), Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given)
-        assert reference(ours, 0.1).friction.value == pytest.approx(reference(theirs, 0.1).friction.value, rel=1e-8)
+        assert reference(ours, 0.1).friction.value == pytest.approx(
+            reference(theirs, 0.1).friction.value, rel=1e-8, abs=0
+        )
         near = reference(Ensemble(fine, **given), 0.1).friction.value
-        assert near == pytest.approx(reference(Ensemble(Gamma(1.0), **given), 0.1).friction.value, rel=3e-3)
+        assert near == pytest.approx(reference(Ensemble(Gamma(1.0), **given), 0.1).friction.value, rel=3e-3, abs=0)
     one = Ensemble(Delta(1.0), Thermal(0.1))
     assert reference(one, 0.1) == reference(Ensemble(Delta(1.0), Thermal(0.1), disorder="annealed"), 0.1)
     many = Table(np.linspace(1, 2, 1001))
@@ -271,21 +272,44 @@ def test_transients_end_in_the_steady_state(ensemble, velocity):
     exact = reference(ensemble, velocity)
     result = transient(ensemble, Drive(velocity, 60.0 * ensemble.thresholds.mean), points=601)
     loose = 1e-3 if ensemble.thresholds.steps.size else 1e-7
-    assert result.force[-1] == pytest.approx(exact.friction.value, rel=loose)
-    assert result.pinned[-1] == pytest.approx(exact.pinned.value, rel=loose)
-    assert result.breaks[-1] == pytest.approx(exact.pinned.value / exact.break_stretch.value, rel=loose)
+    assert result.force[-1] == pytest.approx(exact.friction.value, rel=loose, abs=0)
+    assert result.pinned[-1] == pytest.approx(exact.pinned.value, rel=loose, abs=0)
+    assert result.breaks[-1] == pytest.approx(exact.pinned.value / exact.break_stretch.value, rel=loose, abs=0)
 
 
-@pytest.mark.parametrize(("ensemble", "velocity"), CASES[:5])
-def test_transients_refine_as_stated(ensemble, velocity, monkeypatch):
-    """A grid four times as fine differs by no more than three times the stated error."""
-    drive = Drive(velocity, 5.0)
-    coarse = transient(ensemble, drive, points=101)
+SHORT = [  # lives are much shorter than a cell: of first order
+    (Ensemble(thermal=Thermal(1.0)), 1e-6),
+    (Ensemble(thermal=Thermal(1.0), delay=Delay(1e5, "exponential"), eta=1e4), 1e-6),
+]
+
+
+def missed(solve, monkeypatch):
+    """What a grid four times as fine changes, in units of the stated error, of each pair of a value and its error."""
+    coarse = solve()
     monkeypatch.setattr("eqsim.master.transient._CELL", 0.005)
     monkeypatch.setattr("eqsim.master.transient._LEAST_CELLS", 2000)
-    fine = transient(ensemble, drive, points=101)
-    assert np.all(abs(fine.force - coarse.force) <= 3 * coarse.force_error)
-    assert np.all(abs(fine.pinned - coarse.pinned) <= 3 * coarse.pinned_error + 1e-9)
+    fine = solve()
+    monkeypatch.undo()
+    pairs = zip(coarse, fine, strict=True)
+    return [np.max(np.abs(a - b)[error > 0] / error[error > 0]) for (a, error), (b, _) in pairs]
+
+
+@pytest.mark.parametrize(("ensemble", "velocity"), CASES + SHORT)
+def test_transients_refine_as_stated(ensemble, velocity, monkeypatch):
+    """By no more than the stated error, at first order by half of it: three quarters of e/3, where e/2 is stated."""
+
+    def means():
+        found = transient(ensemble, Drive(velocity, 5.0), points=101)
+        return (found.force, found.force_error), (found.pinned, found.pinned_error)
+
+    def spread():
+        found = fluctuations(ensemble, velocity, 5.0, points=101)
+        return [(found.covariance, found.error)]
+
+    found = missed(means, monkeypatch) + missed(spread, monkeypatch)
+    assert max(found) <= 1
+    if velocity == 1e-6:
+        assert max(found) == pytest.approx(0.5, abs=0.1)
 
 
 @pytest.mark.parametrize(("ensemble", "velocity"), CASES)

@@ -194,7 +194,7 @@ def test_product_is_never_0_or_1_and_is_that_of_cell_centres():
     assert product(*words(0, 0)) == 2.0**-66
     assert product(*words(MASK, MASK)) == (1.0 - 2.0**-33) ** 2 < 1.0
     for low, high in np.random.default_rng(4).integers(0, 2**32, (200, 2)).tolist():
-        assert product(*words(low, high)) == pytest.approx((low + 0.5) * (high + 0.5) * 2.0**-64, rel=2e-16)
+        assert product(*words(low, high)) == pytest.approx((low + 0.5) * (high + 0.5) * 2.0**-64, rel=2e-16, abs=0)
 
 
 def test_small_products_are_refined_within_their_cells():
@@ -202,7 +202,9 @@ def test_small_products_are_refined_within_their_cells():
     k = key(6, TRAJECTORY)
     for contact, (low, high) in enumerate(np.random.default_rng(4).integers(0, 2**12, (200, 2)).tolist()):
         u, v = uniforms(k, contact, 9, 2)
-        assert fine_product(k, contact, 9, 2, *words(low, high)) == pytest.approx((low + u) * (high + v) * 2.0**-64)
+        assert fine_product(k, contact, 9, 2, *words(low, high)) == pytest.approx(
+            (low + u) * (high + v) * 2.0**-64, rel=1e-15, abs=0
+        )
 
 
 def test_resolution_of_products():

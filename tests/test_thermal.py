@@ -255,8 +255,8 @@ def test_pooled_hazard_is_nt09(b):
 def test_crossover_velocity_is_nt12(b):
     """v_* = omega x_* S (S_0 = 1)."""
     ensemble = Ensemble(Gamma(1.0, 3.0), Thermal(4.5 / b * 2.0, 7.0), stiffness=2.0, stiffness_law="uniform")
-    assert ensemble.b == pytest.approx(b)
-    assert ensemble.crossover_velocity == pytest.approx(21.0 * nt09(b, 1.0)[0], rel=1e-8)
+    assert ensemble.b == pytest.approx(b, rel=1e-15, abs=0)
+    assert ensemble.crossover_velocity == pytest.approx(21.0 * nt09(b, 1.0)[0], rel=1e-8, abs=0)
 
 
 @pytest.mark.parametrize("barrier", BARRIERS)
@@ -515,9 +515,14 @@ def test_pool_of_one_threshold_is_the_contact_itself(barrier):
 
 
 def test_pooled_stretch_at_its_ends():
-    """Linear from 0; infinite when no stretch is enough."""
+    """Linear from 0, with the rate there; infinite when no stretch is enough."""
+    for stiffness, barrier, b in (("sqrt", "soft", 30.0), ("uniform", "stiff", 1e6)):
+        pool = pooled_hazard(Gamma(1.0), stiffness, barrier, b)
+        start = 1.0 / pooled_rate(Gamma(1.0), stiffness, barrier, b, np.array([1e-100]))[0]
+        for target in (1e-200, 0.5 * pool.G[0], pool.G[0], 1.5 * pool.G[0]):
+            assert pooled_stretch(*pool, target) == pytest.approx(start * target, rel=ERROR["smooth"], abs=0)
     pool = pooled_hazard(Gamma(1.0), "uniform", "soft", 1.0)
-    assert pooled_stretch(*pool, 1e-200) == pytest.approx(1e-200 * 4.0, rel=1e-8)  # h(0) = 1/(1 + b)^2
+    assert pooled_stretch(*pool, 1e-200) == pytest.approx(1e-200 * 4.0, rel=1e-8, abs=0)  # h(0) = 1/(1 + b)^2
     assert pooled_stretch(*pool, float(pool.G[-1])) == math.inf
     assert pooled_stretch(*pool, 1e300) == math.inf
     assert pooled_stretch(*pool, math.inf) == math.inf
