@@ -431,6 +431,17 @@ def test_limits(stiffness):
     assert np.all(np.diff(few) < -0.05 * np.array(few[:-1]))
 
 
+@pytest.mark.parametrize("v", [1e-17, 1e-18, 1e-20, 1e-90])
+def test_flow_with_the_shortest_lives(v):
+    """Hot contacts with the sqrt law break after 1/omega, before they have slid 1e-17 x_* or far less, while their
+    thresholds grow: friction within 4.5 errors of some 3e-5. Without growth it is more than 50 errors away."""
+    ensemble = Ensemble(thermal=Thermal(1000.0), aging=Aging("flow", 0.5, 3.0))
+    found = steady(ensemble, v, rel_error=1e-2).friction
+    assert abs(found.value - reference(ensemble, v).friction.value) < LIMIT * found.stderr
+    still = steady(replace(ensemble, aging=Aging()), v, rel_error=1e-2).friction
+    assert abs(still.value / found.value - 1) > 50 * found.stderr / found.value
+
+
 @pytest.mark.parametrize(("v", "annealed", "flow", "langevin"), [
     (0.01, 0.746793, 0.752253, 0.228496), (1.0, 0.347086, 0.463275, 0.333598), (10.0, 0.0986062, 0.108048, 0.100408)
 ])  # fmt: skip
