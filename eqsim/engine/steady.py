@@ -229,7 +229,7 @@ class Proposal(NamedTuple):
         squares, sizes = [], []
         for part in (stretch, work):
             part = part.reshape(log_e.size, log_clock.size)
-            size = part.max(axis=1)  # squares of extreme thresholds overflow
+            size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
             squares.append((part / size[:, None]) ** 2)
             sizes.append(births * size / (births @ part @ clock_births))
 
