@@ -284,12 +284,13 @@ def flow_stretch(
         now = xi * growth(final2, alpha, x1)
         right = barrier_of(barrier, now, x1, b * kappa(slope, constant, now))
         seen = log_w + math.log(2.0 * end * width) - min(left, right) > floor
-        fine = level >= _DEEPEST or (
+        last = level >= _DEEPEST or x1 - x0 <= 4e-16 * x1  # rounding is all that still varies, times b perhaps a lot
+        fine = last or (
             abs(right - left) <= _RANGE
             and (alpha * (x1 - x0) <= 1.0 or alpha * x0 > 40.0 or final2 == 1.0)
             and now <= _GROWN * xi * growth(final2, alpha, x0)  # x_*(x)^2 vanishes at some x < 0, perhaps nearby
         )
-        if seen and fine and level < _DEEPEST:
+        if seen and fine and not last:
             for quarter in range(1, 4):  # the barrier may rise and fall inside
                 part = z + 0.25 * quarter * width
                 inner = end * part * (2.0 - part)
