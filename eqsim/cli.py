@@ -196,7 +196,7 @@ def steady(
     with terminal.bar("simulating", quiet or json, "lives") as progress:
         result = estimate_steady(
             ensemble, drive.velocity, rel_error=rel_error, seed=file.output.seed, threads=cores, max_lives=max_lives,
-            progress=progress,
+            progress=terminal.foretold(progress, (lambda _: None) if quiet or json else print),
         )  # fmt: skip
     if not result.reached and not quiet:
         print(f"eqsim: relative error {rel_error:g} was not reached", file=sys.stderr)

@@ -290,7 +290,7 @@ def lower(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
         final2=final2,
         alpha=alpha,
         shape=getattr(law, "n", 0.0),
-        spring_work=flow_work_table(final2, alpha) if rule == FLOW and sqrt else NO_TABLE,
+        spring_work=flow_work_table(final2) if rule == FLOW and sqrt else NO_TABLE,
     )
 
 

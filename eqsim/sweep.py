@@ -51,6 +51,7 @@ from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.grid import Plan, Task, entries, results_version, seed_of
 from eqsim.runfile import RunFile, keys, parameters
+from eqsim.terminal import duration
 from eqsim.workers import crew
 
 SCHEMA = 1
@@ -447,7 +448,7 @@ class _Loop:
                 if self.recent and queue:
                     mean, slots = statistics.fmean(self.recent), self.crew.slots()
                     left = mean * len(queue) / slots
-                    self.note(f"about {_duration(left)} to go: {mean * 1e3:.3g} ms a point, {slots} workers")
+                    self.note(f"about {duration(left)} to go: {mean * 1e3:.3g} ms a point, {slots} workers")
             self.progress(self.done, total)
         return self.seconds
 
@@ -500,10 +501,3 @@ class _Loop:
         if self.deaths > 4 * _LOSSES:
             raise InputError("workers die as soon as they start; finished points are on disk")
         self.crew.renew()
-
-
-def _duration(seconds: float) -> str:
-    for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.2g} s"

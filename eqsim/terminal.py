@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
     from eqsim.estimate import Estimate
 
+_LONG = 20.0  # seconds of which a note is made
+
 
 def value_and_error(estimate: "Estimate") -> str:
     """Value(error in the last two digits), as physicists write it."""
@@ -45,6 +47,13 @@ def many(number: float) -> str:
     return f"{number:.3g}"
 
 
+def duration(seconds: float) -> str:
+    for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.2g} s"
+
+
 def table(*columns: str) -> "Table":
     from rich.table import Table
 
@@ -62,6 +71,26 @@ def show(title: str, shown: "Table") -> None:
     Console().print(Text(title, style="bold"), shown)
 
 
+def foretold(progress: Callable[[int, int], None], note: Callable[[str], None]) -> Callable[[int, int], None]:
+    """`progress(done, total)` of lives that are drawn in attempts, each of which begins with done = 0, that also notes
+    how long an attempt of more than 20 s will take, by the speed of the one before."""
+    begin, speed, largest = 0.0, 0.0, 0
+
+    def told(done: int, total: int) -> None:
+        nonlocal begin, speed, largest
+        now = time.perf_counter()
+        if done == 0:
+            begin = now
+            if speed and total > max(largest, _LONG * speed):
+                largest = total
+                note(f"about {duration(total / speed)} to go: {many(total)} lives at {many(speed)}/s")
+        elif now > begin:
+            speed = done / (now - begin)
+        progress(done, total)
+
+    return told
+
+
 @contextmanager
 def bar(title: str, silent: bool, unit: str, total: float | None = None) -> Iterator[Callable[..., None]]:
     """A progress bar on the terminal's standard error, for `progress(done)` or `progress(done, total)`; it tells when
@@ -77,7 +106,7 @@ def bar(title: str, silent: bool, unit: str, total: float | None = None) -> Iter
 
     shown = Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
-        TimeRemainingColumn(), console=console, transient=True,
+        TimeRemainingColumn(), console=console, transient=True, speed_estimate_period=3600.0,
     )  # fmt: skip
     task = shown.add_task(title, total=total, rate="0")
     begin: list[float] = []
@@ -91,7 +120,9 @@ def bar(title: str, silent: bool, unit: str, total: float | None = None) -> Iter
 
     def progress(done: int, of: int | None = None) -> None:
         now = time.perf_counter()
-        if not begin and done:
+        if done == 0:
+            begin.clear()
+        elif not begin:
             begin.append(now)
         rate = done / (now - begin[0]) if begin and now > begin[0] else 0.0
         description = title if of is None or unit == "lives" else f"{title} {done}/{of}"

@@ -16,8 +16,7 @@ from scipy import integrate, special
 
 from eqsim import Delta, Ensemble, Gamma, InputError, Table, Thermal
 from eqsim.ensemble import lower
-from eqsim.laws.aging import Aging, Pooled, barrier_of, flow_end, flow_stretch, flow_work_table, growth
-from eqsim.laws.octaves import look_up
+from eqsim.laws.aging import Aging, Pooled, barrier_of, flow_end, flow_stretch, flow_work, flow_work_table, growth
 from eqsim.laws.thermal import MECHANICAL, SOFT, STIFF, erfi_inverse_table, soft_stretch, stiff_stretch
 from eqsim.laws.threshold import NO_STEPS, threshold_draw
 
@@ -307,16 +306,16 @@ def test_barrier_is_that_of_the_thermal_law():
 
 @pytest.mark.parametrize("rho", [1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 1e3])
 def test_flow_work(rho):
-    """int_0^x y s(y) dy to 1e-8 (cubic in cells of 1/64), where thresholds fall too."""
-    for alpha in (1e-3, 0.1, 1.0, 10.0, 1e3, 1e6):
-        table = flow_work_table(rho**2, alpha)
-        for x in np.geomspace(1e-6, 1e6, 25):
-            edges = [0.0, *sorted(p for p in np.array([0.1, 1, 3, 10, 30]) / alpha if p < x), x]
+    """int_0^x y s(y) dy to 2e-8 (cubic in cells of 1/64), where thresholds fall too, and lives of any length."""
+    table = flow_work_table(rho**2)
+    for alpha in (0.0, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6, 1e30):
+        for x in np.geomspace(1e-100, 1e6, 54):
+            edges = [0.0, *sorted(p / alpha for p in (0.1, 1, 3, 10, 30, 1e3) if p < alpha * x), x]
             exact = sum(
                 integrate.quad(lambda y, alpha=alpha: y * growth(rho**2, alpha, y), *pair, epsabs=0, epsrel=1e-11)[0]
                 for pair in itertools.pairwise(edges)
             )
-            assert look_up(table, x) == pytest.approx(exact, rel=1e-8, abs=0)
+            assert flow_work(table, rho**2, alpha, x) == pytest.approx(exact, rel=2e-8, abs=0)
 
 
 def test_what_is_lowered():

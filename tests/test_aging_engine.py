@@ -6,6 +6,7 @@ Kolmogorov-Smirnov tests (some 30: 3e-4). All seeds are fixed.
 
 import functools
 import math
+import time
 from dataclasses import replace
 
 import numba
@@ -16,7 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
 from eqsim.engine.life import lives
-from eqsim.engine.paths import WALKERS, halfway, langevin_life, langevin_lives, path_law, random_step
+from eqsim.engine.paths import WALKERS, halfway, langevin_life, langevin_lives, path_law, random_step, touching
+from eqsim.engine.standing import flow_ends, stretches
 from eqsim.engine.streams import key
 from eqsim.ensemble import lower
 from eqsim.laws.aging import Aging
@@ -98,12 +100,12 @@ def test_halfway_of_a_step(shape, length):
     assert length < 1 or abs(score(straight)) > 4.06
 
 
-def lived(path, factor=1.0):
-    """Work and stretch of lives on one `path`, D_v times `factor`."""
+def lived(path, factor=1.0, many=LIVES):
+    """Work and stretch of so many lives on one `path`, D_v times `factor`."""
     n, final, mobility, kT, omega, barrier, stiffness = path
     aging = Aging("langevin", factor * mobility, final)
     c = lower(Ensemble(Gamma(n), Thermal(kT, omega, barrier), aging=aging, stiffness_law=stiffness), 1.0)
-    u, v = np.random.default_rng(11).random((2, LIVES))
+    u, v = np.random.default_rng(11).random((2, many))
     return lives(c, key(2, 98), 0, u, v)
 
 
@@ -148,6 +150,53 @@ def test_steps_next_to_zero():
     c = lower(Ensemble(Gamma(0.0), aging=Aging("langevin", 5.0, 5.0)), 1.0)
     _, stretch = lives(c, key(2, 98), 0, *np.random.default_rng(11).random((2, many)))
     assert distance(stretch, expected(path)) < 2.5 + STEPS * math.sqrt(many)
+
+
+@pytest.mark.parametrize("n", [0.0, 0.1, 0.3, 0.49])
+@pytest.mark.parametrize("r", [1e-4, 1e-2, 0.1, 0.5])
+def test_passages_next_to_zero(n, r):
+    """The chance to touch r in a step of the default accuracy from 1: summed over all ends within 4e-3 of the inverse
+    Laplace transform on a straight contour, at no end off by more than 5e-2. Control: a process of 0.1 dimensions
+    more."""
+    t = (0.35 * (1 - r)) ** 2
+    u, weight = np.polynomial.legendre.leggauss(400)
+    log_ahead = math.log(1e-6) + 0.5 * (u + 1) * math.log(2e6)
+    b = r + np.exp(log_ahead)
+    arrive = weight * (b - r) * b / t * b**n * np.exp(-((1 - b) ** 2) / (2 * t)) * scipy.special.ive(n, b / t)
+    y, share = np.polynomial.hermite_e.hermegauss(80)
+    way = 1 + b - 2 * r
+    q = way[:, None] / t + 1j * y / math.sqrt(t)
+
+    def k(z):
+        return np.sqrt(z) * scipy.special.kve(n, z)
+
+    i = np.sqrt(r * q) * scipy.special.iv(n, r * q) * np.exp(-r * q)
+    values = (k(q) * k(b[:, None] * q) * i / k(r * q)).real @ share / share.sum() * math.sqrt(2 / math.pi)
+    exact = np.exp(-2 * (1 - r) * (b - r) / t) * values / (np.sqrt(b / t) * scipy.special.ive(n, b / t))
+
+    def found(n):
+        return np.array([touching(n, 1.0, end, r, t) for end in b])
+
+    matter = arrive * exact > 1e-4 * np.max(arrive * exact)
+    assert np.abs(found(n) / exact - 1)[matter].max() < 5e-2
+    assert abs(arrive @ found(n) / (arrive @ exact) - 1) < 4e-3
+    assert r == 0.5 or abs(arrive @ found(n + 0.05) / (arrive @ exact) - 1) > 8e-3
+
+
+@pytest.mark.parametrize("path", [
+    (0.1, 22.8, 522.0, 0.0, 1.0, "soft", "sqrt"), (0.0, 22.8, 522.0, 1.0, 60.0, "soft", "uniform")
+])  # fmt: skip
+def test_thresholds_that_dive(path):
+    """Few dimensions, growth and fluctuations carry thresholds down to the stretch again and again: mean stretch and
+    S(x) as above, of so many lives that what first order makes of such passages, 5 % of the mean, is 12 of its standard
+    errors. Control: D 20 % off."""
+    many = 2**16
+    life = expected(path)
+    stretch, other = lived(path, many=many)[1], lived(path, 1.2, many)[1]
+    allowed = STEPS * life.stretch + LIMIT * stretch.std() / math.sqrt(many)
+    assert distance(stretch, life) < 2.5 + STEPS * math.sqrt(many)
+    assert abs(stretch.mean() - life.stretch) < allowed
+    assert distance(other, life) > 2.5 + STEPS * math.sqrt(many) or abs(other.mean() - life.stretch) > allowed
 
 
 @pytest.mark.parametrize(
@@ -433,6 +482,32 @@ def test_limits(stiffness):
         for rate in (1e-6, 0.1, 1.0, 10.0)
     ]
     assert np.all(np.diff(few) < -0.05 * np.array(few[:-1]))
+
+
+def test_flow_of_strong_cold_contacts():
+    """Where the barrier of a contact about to break is known to some units only, by rounding of its threshold: a life
+    took seconds. The break is at the threshold to 1e-14, and friction is that of the reference."""
+    ensemble = Ensemble(Gamma(300.0), Thermal(0.5 / 2.6e5), aging=Aging("flow", 57.9, 579.0))
+    c, stretch = lower(ensemble, 1.0), np.empty(2000)
+    xi, ends, hazard = np.full((3, 2000), np.linspace(15.0, 20.0, 2000))
+    flow_ends(c, xi, ends, hazard)
+    begin = time.thread_time()
+    stretches(c, xi, np.ones(2000), stretch)
+    assert time.thread_time() - begin < 1.0  # of some 0.01
+    np.testing.assert_allclose(stretch, ends, rtol=1e-14)
+    found, exact = steady(ensemble, 1.0, rel_error=1e-2).friction, reference(ensemble, 1.0).friction
+    assert abs(found.value - exact.value) < LIMIT * math.hypot(found.stderr, exact.stderr)
+
+
+@pytest.mark.parametrize("v", [1e-17, 1e-18, 1e-20, 1e-90])
+def test_flow_with_the_shortest_lives(v):
+    """Hot contacts with the sqrt law break after 1/omega, before they have slid 1e-17 x_* or far less, while their
+    thresholds grow: friction within 4.5 errors of some 3e-5. Without growth it is more than 50 errors away."""
+    ensemble = Ensemble(thermal=Thermal(1000.0), aging=Aging("flow", 0.5, 3.0))
+    found = steady(ensemble, v, rel_error=1e-2).friction
+    assert abs(found.value - reference(ensemble, v).friction.value) < LIMIT * found.stderr
+    still = steady(replace(ensemble, aging=Aging()), v, rel_error=1e-2).friction
+    assert abs(still.value / found.value - 1) > 50 * found.stderr / found.value
 
 
 @pytest.mark.parametrize(("v", "annealed", "flow", "langevin"), [

@@ -17,6 +17,7 @@ import rich.progress
 from typer.testing import CliRunner
 from waiting import once
 
+from eqsim import terminal
 from eqsim.cli import app
 from eqsim.estimate import Estimate
 from eqsim.terminal import bar, show, table, value_and_error
@@ -120,6 +121,23 @@ def test_steady_and_info(run_file):
     exact = json.loads(call("info", run_file, "--json", "--set", "contacts.stiffness_law=uniform").stdout)["v_*"]
     assert exact == pytest.approx(3 * np.sqrt(np.pi) / 4 * (1 + 5 / 3) / 36, rel=1e-9, abs=0)  # nt12
     assert "annealed ensemble" in call("info", run_file).output
+
+
+def test_long_estimates_say_how_long(run_file, monkeypatch):
+    """From the speed of the attempt before, here of a clock that ticks once a look: 1000 lives a second."""
+    seconds, notes, told = iter(range(100)), [], []
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(seconds)))
+    progress = terminal.foretold(lambda *both: told.append(both), notes.append)
+    calls = [(0, 2000), (1000, 2000), (2000, 2000), (0, 20_000), (20_000, 20_000), (0, 10**6), (10**6, 10**6)]
+    for both in calls:
+        progress(*both)
+    assert told == calls
+    assert notes == ["about 50 s to go: 1 M lives at 20 k/s"]  # and 20 s are none worth a note
+    monkeypatch.undo()
+    monkeypatch.setattr(terminal, "_LONG", 0.0)
+    args = ("steady", run_file, "--rel-error", "2e-5")
+    assert re.search(r"^about \S+ s to go: \S+ [kM] lives at \S+ [kM]/s\n", call(*args).stdout)
+    assert "to go" not in call(*args, "--json").stdout
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
-from scipy import interpolate, special
+from scipy import integrate, interpolate, special
 
 from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal
 from eqsim.engine.life import lives
@@ -414,6 +414,61 @@ def test_pooled_inverse_against_nt09(b):
     pool = pooled_hazard(Gamma(1.0), "uniform", "soft", b)
     assert inverse_errors(pool, u, G).max() < ERROR["smooth"]
     assert inverse_errors(pool, u * (1 + 1e-6), G).min() > ERROR["smooth"]  # negative control
+
+
+@pytest.mark.parametrize(("n", "b"), [(3e4, 0.05), (1e5, 0.02), (1e6, 1e-3), (1e6, 5e-3)])
+def test_pooled_inverse_far_below_a_narrow_law(n, b):
+    """Attempts so many that contacts break far below all thresholds, on the weakest of a share of 1e-20 to 1e-240:
+    h = exp(b y^2) Q(n+1, (1+b) y^2)/(1+b)^(n+1), Q the regularised incomplete gamma function, and its integral by
+    Simpson's rule over steps in which it rises by a few per cent. Control: b 1e-4 off."""
+    x, pool = np.linspace(0.3, 0.999, 100) * math.sqrt(n), pooled_hazard(Gamma(n), "uniform", "soft", b)
+
+    def errors(b):
+        found = []
+        for end in x:
+            at = np.linspace(max(0.0, end - 45.0 / min(2 * b * end, 4 * (math.sqrt(n) - end))), end, 8001)
+            h = np.exp(b * at**2 - (n + 1) * math.log1p(b) + np.log(special.gammaincc(n + 1, (1 + b) * at**2)))
+            G = integrate.simpson(h, x=at)
+            if 1e-240 < G < 1e-20:
+                found.append(pooled_stretch(*pool, G) / end - 1)
+        return np.abs(found)
+
+    assert errors(b).size > 5
+    assert errors(b).max() < ERROR["smooth"]
+    assert errors(b * (1 + 1e-4)).max() > ERROR["smooth"]
+
+
+def rate_of_weak(shape, barrier, b, y):
+    """h(y) of the gamma law of this shape < 1, uniform stiffness, lengths in its scale: trapezoidal in ln(xi - y)."""
+    step = np.linspace(-80.0, 6.0, 4000)
+    beyond = np.exp(step)
+    xi = y + beyond
+    weight = np.exp((shape - 1) * np.log(xi) - xi - math.lgamma(shape) + step) * (step[1] - step[0])
+    if barrier == "soft":
+        return weight @ np.exp(-b * beyond * (beyond + 2 * y))
+    return weight @ (np.sqrt(beyond / xi) * np.exp(-b * xi**2 * (beyond / xi) ** 1.5))
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5])
+@pytest.mark.parametrize("barrier", BARRIERS)
+def test_pools_of_infinite_density_at_zero(shape, barrier):
+    """So many weak contacts that the rate still varies where stretches are 1e-25: rate and inverse. Control:
+    a shape 1e-4 off."""
+    law, b = Distribution(scipy.stats.gamma(shape)), 20.0
+    unit = law.scale
+    y = np.array([1e-25, 1e-15, 1e-9, 1e-3, 0.3, 2.0])
+    exact = np.array([rate_of_weak(shape, barrier, b, v) for v in y])
+    found = pooled_rate(law, "uniform", barrier, b * unit**2, y / unit)
+    np.testing.assert_allclose(found, exact, rtol=ERROR["smooth"])
+    other = rate_of_weak(shape + 1e-4, barrier, b, y[0])
+    assert abs(found[0] / other - 1) > 10 * ERROR["smooth"]
+    u = np.linspace(-75.0, 1.0, 1200)
+    G = integrate.cumulative_simpson(
+        np.exp(u) * [rate_of_weak(shape, barrier, b, v) for v in np.exp(u)], x=u, initial=0
+    )
+    pool = pooled_hazard(law, "uniform", barrier, b * unit**2)
+    inverse = [unit * pooled_stretch(*pool, G[i] / unit) for i in range(400, 1200, 50)]
+    np.testing.assert_allclose(inverse, np.exp(u[400::50]), rtol=ERROR["smooth"])
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from eqsim.engine.paths import STEP, PathLaw, langevin_lives, path_law
 from eqsim.engine.streams import ROUGH, Key, fill_words, fine_product, product, uniform
 from eqsim.engine.streams import key as key_of
 from eqsim.ensemble import Contacts, Ensemble, lower
-from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, flow_stretch
+from eqsim.laws.aging import FLOW, LANGEVIN, UNAGED, flow_stretch, flow_work
 from eqsim.laws.elementary import log
-from eqsim.laws.octaves import Array, look_up, look_up_all
+from eqsim.laws.octaves import Array, look_up_all
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.thermal import (
     MECHANICAL,
@@ -55,7 +55,7 @@ def break_stretch(c: Contacts, xi: float, clock: float) -> float:
 def spring_work(c: Contacts, stiffness: float, x: float) -> float:
     """int_0^x (k_i/k) y dy of a contact of relative stiffness `stiffness` at birth (not `langevin`)."""
     if c.aging == FLOW and c.kappa_slope > 0.0:
-        return stiffness * look_up(c.spring_work, x)
+        return stiffness * flow_work(c.spring_work, c.final2, c.alpha, x)
     return 0.5 * stiffness * x * x
 
 

@@ -78,8 +78,8 @@ def steady(
 
     `plain` draws independent lives as they are born, without Sobol sequences and weights: slower, a check of the
     default, and unreliable where tails are heavy. `threads` changes speed only; `progress(done, total)` is told about
-    lives. Raises InputError for arguments out of range and, before the work starts, if more than `max_lives` lives
-    would be needed.
+    the lives of an attempt, each of which begins with done = 0. Raises InputError for arguments out of range and,
+    before the work starts, if more than `max_lives` lives would be needed.
     """
     require_number("velocity", velocity, **POSITIVE)
     require_number("rel_error", rel_error, above=0)
@@ -231,7 +231,7 @@ class Proposal(NamedTuple):
         squares, sizes = [], []
         for part in (stretch, work):
             part = part.reshape(log_e.size, log_clock.size)
-            size = part.max(axis=1)  # squares of extreme thresholds overflow
+            size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
             squares.append((part / size[:, None]) ** 2)
             sizes.append(births * size / (births @ part @ clock_births))
 
@@ -273,13 +273,14 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
             largest = np.maximum(largest, terms.max(axis=1))
         return sums[0] / size, sums[1] / size, float(np.max(largest / sums))
 
-    rows = []
+    rows: list[tuple[float, float, float]] = []
+    report = job.progress or (lambda *_: None)
+    report(0, RANDOMISATIONS * size)
     pool = ThreadPoolExecutor(max(1, job.threads))
     try:
         for row in pool.map(one, range(RANDOMISATIONS)):
             rows.append(row)
-            if job.progress:
-                job.progress(len(rows) * size, RANDOMISATIONS * size)
+            report(len(rows) * size, RANDOMISATIONS * size)
     finally:
         pool.shutdown(cancel_futures=True)
     return np.array(rows)

@@ -24,7 +24,7 @@ from scipy import interpolate
 
 from eqsim.compiled import inlined, routine
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_number
-from eqsim.laws.octaves import Array, octave_edges, octave_table
+from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.thermal import MECHANICAL, SOFT, STIFF
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Gamma
@@ -192,18 +192,21 @@ def _spline(x: Array, y: Array) -> Any:
 # -------------------------------------------------------------------------------------------------- flow, kernels
 
 
-def flow_work_table(final2: float, alpha: float) -> Array:
-    """int_0^x y x_*(y)/x_*i dy, for the work of a contact whose stiffness follows its threshold (sqrt law); tabulated
-    as it is, because it rises with x however thresholds move."""
-    first, last = -60, 22
-    x = octave_edges(first, last)
-    half = 0.5 * np.diff(np.append(0.0, x))[:, None]
-    y = x[:, None] - half + half * _NODES
+def flow_work_table(final2: float) -> Array:
+    """By how much the mean of x_*(y)/x_*i, weighted with y, over 0 < y < x differs from 1, up to the sign, over
+    2 and of alpha x: it rises, from a line through the origin to a constant, over which the table may be continued."""
+    first, last = -60, 30
+    t = octave_edges(first, last)
+    half = 0.5 * np.diff(np.append(0.0, t))[:, None]
+    y = t[:, None] - half + half * _NODES
 
-    def s(x: Array) -> Array:
-        return np.sqrt(1.0 - (final2 - 1.0) * np.expm1(-np.minimum(alpha * x, 800.0)))
+    def excess(t: Array) -> Array:
+        """|x_*/x_*i - 1|."""
+        change = (1.0 - final2) * np.expm1(-t)
+        return np.asarray(np.abs(change) / (1.0 + np.sqrt(1.0 + change)))
 
-    return octave_table(first, np.cumsum((half * _WEIGHTS * y * s(y)).sum(axis=1)), x * s(x))
+    mean = np.cumsum((half * _WEIGHTS * y * excess(y)).sum(axis=1)) / t**2
+    return octave_table(first, mean, (excess(t) - 2.0 * mean) / t)
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -214,6 +217,13 @@ _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST = 4.0, 1.5, 37.0, 60
 def growth(final2: float, alpha: float, x: float) -> float:
     """x_*(x)/x_*i."""
     return math.sqrt(1.0 - (final2 - 1.0) * math.expm1(-alpha * x))
+
+
+@inlined
+def flow_work(table: Array, final2: float, alpha: float, x: float) -> float:
+    """int_0^x y x_*(y)/x_*i dy, the work of a contact whose stiffness follows its threshold (sqrt law)."""
+    excess = look_up(table, alpha * x)
+    return x * x * (0.5 + excess if final2 > 1.0 else 0.5 - excess)
 
 
 @routine
@@ -278,12 +288,13 @@ def flow_stretch(
         now = xi * growth(final2, alpha, x1)
         right = barrier_of(barrier, now, x1, b * kappa(slope, constant, now))
         seen = log_w + math.log(2.0 * end * width) - min(left, right) > floor
-        fine = level >= _DEEPEST or (
+        last = level >= _DEEPEST or x1 - x0 <= 4e-16 * x1  # rounding is all that still varies, times b perhaps a lot
+        fine = last or (
             abs(right - left) <= _RANGE
             and (alpha * (x1 - x0) <= 1.0 or alpha * x0 > 40.0 or final2 == 1.0)
             and now <= _GROWN * xi * growth(final2, alpha, x0)  # x_*(x)^2 vanishes at some x < 0, perhaps nearby
         )
-        if seen and fine and level < _DEEPEST:
+        if seen and fine and not last:
             for quarter in range(1, 4):  # the barrier may rise and fall inside
                 part = z + 0.25 * quarter * width
                 inner = end * part * (2.0 - part)

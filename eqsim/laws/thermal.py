@@ -19,6 +19,7 @@ that contacts share one pooled rate h(x) = int_x^inf P_c(xi') r(x|xi') dxi' (H(x
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -30,7 +31,7 @@ from eqsim.errors import NOT_NEGATIVE, InputError, require_choice, require_numbe
 from eqsim.laws.elementary import bounded_exp, log_one_plus, two_thirds_power
 from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.threshold import ThresholdLaw, panels_above
+from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
 
 Barrier = Literal["soft", "stiff"]
 MECHANICAL, SOFT, STIFF, POOLED = range(4)  # how a life ends, for the kernels
@@ -196,7 +197,9 @@ def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b:
     attempts succeed.
     """
     rms, y = law.rms / law.scale, np.asarray(y, float)
-    edges = panels_above(law, y, y[:, None] + _layer(stiffness, barrier, b, rms, y))
+    weak = np.append(law.exceeded_by(_WEAK) / law.scale, _steep(law))  # attempts may succeed on these
+    layer = y[:, None] + _layer(stiffness, barrier, b, rms, y)
+    edges = panels_above(law, y, np.concatenate((layer, np.broadcast_to(weak, (y.size, weak.size))), axis=1))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     beyond = edges[:, :-1, None] - y[:, None, None] + half * (1.0 + _NODES)  # xi' - y without cancellation
     y = y[:, None, None]
@@ -212,7 +215,16 @@ def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b:
 
 
 _NODES, _WEIGHTS = special.roots_legendre(8)
+_WEAK = 10.0 ** -np.array([7.0, 9.0, 12.0, 17.0, 25.0, 37.0, 55.0, 80.0, 120.0, 180.0, 270.0])  # ranks e
 _EXPONENTS = np.array([1e-9, 1e-6, 1e-4, 3e-3, 0.03, 0.2, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0])
+
+
+def _steep(law: ThresholdLaw) -> Array:
+    """Thresholds, in factors of 4 of their distance from the least one, of a law with so many weak contacts that its
+    density may be infinite there; none of other laws."""
+    low = law.support[0] / law.scale
+    least = max(float(law.exceeded_by(1e-10)) / law.scale - low, 1e-15 * low, 1e-100)
+    return low + 4.0 ** np.arange(math.log(least, 4.0), 0.0) if least < 1e-6 else NO_STEPS
 
 
 def _layer(stiffness: StiffnessLaw, barrier: Barrier, b: float, rms: float, y: Array) -> Array:
@@ -240,7 +252,9 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     top = min(float(law.exceeded_by(60.0)) / law.scale, high)
     toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)  # the ends of the support are approached from both sides
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
-    nodes = [np.geomspace(1e-14, linear, 200), np.linspace(0.0, top, 1500)]
+    first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
+    nodes = [np.geomspace(first, linear, 200), np.linspace(0.0, top, 1500)]
+    nodes.append(4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125))  # of rates that are not constant
     nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
     if low > 0:  # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its exponent
         nodes.append(low - low * 2.0 ** -np.arange(0.0, min(46.0, 14.0 + math.log2(1.0 + b)), 1 / 32))
@@ -248,19 +262,35 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, 
     if math.isfinite(high):
         nodes.append(top - (top - low) * toward)
     y = np.unique(np.concatenate(nodes))
-    y = y[y >= 1e-14]
+    y = y[y >= first]
     if low == 0 and math.isinf(high) and not law.breakpoints.size:  # h is smooth
+        y = np.unique(np.append(y, np.asarray(law.exceeded_by(_RANKS)) / law.scale))
+        y = y[(y >= first) & (y <= top)]
         h = pooled_rate(law, stiffness, barrier, b, y)
-        rest = interpolate.CubicSpline(np.log(y), y * (h - h[0])).antiderivative()
-        return _pool(y, y * h[0] + rest(np.log(y)), h, h)
-    half = 0.5 * np.diff(np.log(y))[:, None]
-    inner = np.exp(np.log(y[:-1, None]) + half * (1.0 + _FEW_NODES))
-    cells = half * _FEW_WEIGHTS * inner * pooled_rate(law, stiffness, barrier, b, inner.ravel()).reshape(inner.shape)
-    h = pooled_rate(law, stiffness, barrier, b, y)
+        y, h = y[h > 1e-300], h[h > 1e-300]
+        if y.size < 2:
+            return NO_POOL
+        log_y, log_h = np.log(y), np.log(h)
+        rate = interpolate.CubicSpline(log_y, log_h)  # the rate may rise by factors of 1e8 between neighbours
+        parts = np.maximum(np.ceil(np.abs(np.diff(log_h)) / _RISE), 1.0)
+        at = np.interp(np.arange(parts.sum() + 1), np.append(0.0, np.cumsum(parts)), log_y)
+        return _pooled_cells(at, lambda x: np.exp(rate(x)))
+    return _pooled_cells(np.log(y), lambda x: pooled_rate(law, stiffness, barrier, b, np.exp(x)))
+
+
+def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
+    """G at nodes ln y, between which 3 points of the rate, a function of ln y, will do."""
+    half = 0.5 * np.diff(log_y)[:, None]
+    inner = log_y[:-1, None] + half * (1.0 + _FEW_NODES)
+    cells = half * _FEW_WEIGHTS * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
+    y, h = np.exp(log_y), rate(log_y)
     return _pool(y, y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1))), h, h)
 
 
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(3)
+_RISE = 0.25  # of ln h between nodes
+_Z = np.arange(-37.0, 10.0, 0.05)
+_RANKS = np.where(_Z < 0, -np.log1p(-np.minimum(special.ndtr(_Z), 0.5)), -special.log_ndtr(-_Z))  # e of nodes
 
 
 def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float) -> PooledHazard:
