@@ -292,7 +292,7 @@ def validate(
     require_integer("--seed", seed, 0, 2**63 - 1)
     cores = _threads(threads)
     from eqsim import tables
-    from eqsim.validation import ALARM, columns
+    from eqsim.validation import ALARM, REASONS, columns, law_text, left_out
     from eqsim.validation import validate as run_suite
 
     tables.check_folder(out)
@@ -301,12 +301,15 @@ def validate(
     from eqsim.plots import validation_png
 
     origin = tables.provenance("validate", {"suite": suite}, "", seed)
-    verdicts = [dataclasses.asdict(verdict) for verdict in result.verdicts]
+    left = left_out(result.unscored)
     summary = {
         "suite": suite,
         "seed": seed,
         "passed": result.passed,
-        "verdicts": verdicts,
+        "verdicts": [dataclasses.asdict(verdict) for verdict in result.verdicts],
+        "declined": result.declined,
+        "left_out": left,
+        "refused": sorted({(law_text(one.ensemble.thresholds), one.message) for one in result.unscored if one.message}),
         "versions": tables.versions(),
     }
     table = tables.parquet(columns(result.scores), origin)
@@ -319,13 +322,15 @@ def validate(
         for v in result.verdicts:
             numbers = (
                 str(v.count),
-                f"{v.chi_square:.1f}",
+                f"{v.chi_square:.1f}/{v.even}",
                 f"{v.p_chi_square:.2g}",
                 f"{v.largest:.2f}",
                 f"{v.p_largest:.2g}",
             )
-            shown.add_row(v.kind, *numbers, "passed" if v.passed else "FAILED")
+            shown.add_row(v.kind, *numbers, "passed" if v.passed and v.kind not in result.declined else "FAILED")
         terminal.show(f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {ALARM:g}", shown)
+        reasons = [f"{sum(of.get(reason, 0) for of in left.values())} {reason}" for reason in REASONS]
+        print("left out: " + ", ".join(reasons))
         print(f"{out}/: scores.parquet, summary.json, validation.png")
     if not result.passed:
         raise typer.Exit(1)

@@ -55,12 +55,14 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Steady(Averages):
-    """Steady averages as estimated from `lives` lives; `reached` says whether the requested error was."""
+    """Steady averages as estimated from `lives` lives; `reached` says whether the requested error was, `hidden` what of
+    the errors is no scatter: a bound on the relative error of means over lives."""
 
     lives: int
     seed: int
     engine_seconds: float
     reached: bool
+    hidden: float
 
 
 def steady(
@@ -115,7 +117,7 @@ def steady(
         aim, decay = (1.3, 0.5) if plain or contacts.aging == LANGEVIN else (2.0, _DECAY)
         needed = 2 ** math.ceil(math.log2(max(size * (aim * excess) ** (1 / decay), 2.0 * size)))
         if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
-            return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error)
+            return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error, hidden)
         size = needed
 
 

@@ -256,7 +256,8 @@ class Distribution:
         self.mean, self.rms = float(frozen.mean()), math.sqrt(float(frozen.moment(2)))
         self.scale = self.mean
         self.steps = NO_STEPS
-        self.support = tuple(float(edge) for edge in frozen.support())
+        low, high = frozen.support()
+        self.support = float(low), float(high)
         self.breakpoints = np.asarray(
             getattr(frozen, "_hbins", NO_STEPS) if breakpoints is None else breakpoints, float
         )

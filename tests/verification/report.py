@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from eqsim import plots, tables
-from eqsim.validation import ALARM, KINDS, SUITES, Score, overall, verdict
+from eqsim.validation import ALARM, KINDS, REASONS, SUITES, Score, overall, verdict
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"
@@ -68,11 +68,12 @@ def parts(kind):
 
 
 class Report(NamedTuple):
-    """Verdicts on the parameter space, its scores, p-values by seed, their flatness, and the controls; `complete` says
-    which of "space" and "flat" have all their parts."""
+    """Verdicts on the parameter space, its scores, what was left out by kind and reason, p-values by seed, their
+    flatness, and the controls; `complete` says which of "space" and "flat" have all their parts."""
 
     verdicts: list
     scores: pd.DataFrame
+    left_out: dict
     flat: pd.DataFrame
     flatness: dict
     controls: dict
@@ -84,19 +85,27 @@ def gather():
     """Put the parts together that there are."""
     space, seeds, controls = parts("space"), parts("flat"), parts("control")
     read = [pd.read_parquet(FOLDER / "parts" / f"{name}.parquet") for name in space]
-    scores = pd.concat(read, ignore_index=True) if read else pd.DataFrame({"kind": [], "z": []})
-    rows = [Score(kind, None, 0.0, 0.0, 0.0, 1.0, z) for kind, z in zip(scores["kind"], scores["z"], strict=True)]
+    scores = pd.concat(read, ignore_index=True) if read else pd.DataFrame({"kind": [], "z": [], "even": []})
+    rows = [Score(row.kind, None, 0.0, 0.0, 0.0, 1.0, row.z, row.even) for row in scores.itertuples()]
+    left_out = {
+        kind: {
+            reason: sum(part["left_out"].get(kind, {}).get(reason, 0) for part in space.values()) for reason in REASONS
+        }
+        for kind in KINDS
+    }
     flat = pd.DataFrame([row for record in seeds.values() for row in record["verdicts"]], columns=["kind", *P_VALUES])
     flatness = {
-        (kind, name): float(stats.kstest(flat.loc[flat["kind"] == kind, name], "uniform").pvalue)
+        (kind, name): float(stats.kstest(flat.loc[flat["kind"] == kind, name], "uniform", alternative=side).pvalue)
         for kind in KINDS
-        for name in P_VALUES
+        for name, side in zip(P_VALUES, ("two-sided", "greater"), strict=True)
         if (flat["kind"] == kind).any()
     }
     complete = {name for name, got, all_ in (("space", space, PARTS), ("flat", seeds, len(SEEDS))) if len(got) == all_}
     records = (("parameter space", space), ("flatness", seeds), ("negative controls", controls))
     seconds = {name: sum(record["seconds"] for record in group.values()) for name, group in records}
-    return Report([verdict(kind, rows) for kind in KINDS], scores, flat, flatness, controls, complete, seconds)
+    return Report(
+        [verdict(kind, rows) for kind in KINDS], scores, left_out, flat, flatness, controls, complete, seconds
+    )
 
 
 def publish():
@@ -120,19 +129,22 @@ def text(found):
     lines = ["# Statistical verification", "", f"Code {DIGEST}, " + ", ".join(f"{k} {v}" for k, v in versions()), ""]
     lines += ["## Engine against master equation over the parameter space", ""]
     lines += [
-        f"{len(parts('space'))} of {PARTS} parts of {points} points, seed {SEED}: {len(found.scores)} scores; none of "
-        "averages that the engine itself calls unreliable, and of a stationary start only where there is one.",
+        f"{len(parts('space'))} of {PARTS} parts of {points} points, seed {SEED}: {len(found.scores)} scores. Those "
+        "whose errors are scatter make the chi-square.",
         "",
     ]
     lines += [
-        "| kind | scores | chi-square | p | largest abs(z) | p (of so many) | verdict |",
-        "|---|---|---|---|---|---|---|",
+        "| kind | scores | chi-square | of | p | largest abs(z) | p (of so many) | verdict |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for v in found.verdicts:
         lines.append(
-            f"| {v.kind} | {v.count} | {v.chi_square:.1f} | {v.p_chi_square:.2g} | {v.largest:.2f} | {v.p_largest:.2g} "
-            f"| {('passed' if v.passed else 'FAILED') if v.count else 'not run'} |"
+            f"| {v.kind} | {v.count} | {v.chi_square:.1f} | {v.even} | {v.p_chi_square:.2g} | {v.largest:.2f} "
+            f"| {v.p_largest:.2g} | {('passed' if v.passed else 'FAILED') if v.count else 'not run'} |"
         )
+    lines += ["", "What was left out:", "", "| kind | " + " | ".join(REASONS) + " |", "|---" * (len(REASONS) + 1) + "|"]
+    lines += [f"| {kind} | " + " | ".join(str(n) for n in of.values()) + " |" for kind, of in found.left_out.items()]
+    lines += by_law(found.scores)
     if not found.scores.empty:
         lines += ["", f"Smallest p of all kinds, Bonferroni: {p_overall(found.verdicts):.2g}."]
     lines.append("")
@@ -142,7 +154,9 @@ def text(found):
     worst = found.scores.reindex(found.scores["z"].abs().sort_values(ascending=False).index).head(5)
     lines += ["", "The five largest:", ""]
     for _, row in worst.iterrows():
-        lines.append("- " + ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()))
+        lines.append(
+            "- " + ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v!s:.200}" for k, v in row.items())
+        )
     lines += ["", "## Flatness of p-values over seeds", ""]
     count = found.flat.groupby("kind").size().max() if len(found.flat) else 0
     lines += [f"{count} of {len(SEEDS)} seeds from {SEEDS[0]}. Kolmogorov-Smirnov probability that p is uniform:", ""]
@@ -157,17 +171,30 @@ def text(found):
     lines += [
         "## Negative controls",
         "",
-        "One thing wrong in the engine alone; chi-square/scores of the kinds that fail.",
+        "One thing wrong in the engine alone; chi-square/even scores of the kinds that fail.",
         "",
     ]
     lines += ["| law | what is wrong | caught | kinds that fail |", "|---|---|---|---|"]
     for record in found.controls.values():
         kinds = ", ".join(
-            f"{v['kind']} {(v['chi_square'] or np.inf):.3g}/{v['count']}" for v in record["verdicts"] if not v["passed"]
+            f"{v['kind']} {(v['chi_square'] or np.inf):.3g}/{v['even']}" for v in record["verdicts"] if not v["passed"]
         )
         lines.append(f"| {record['law']} | {record['wrong']} | {'yes' if record['caught'] else 'NO'} | {kinds} |")
     lines += ["", "## Time", ""] + [f"- {name}: {seconds / 60:.1f} min" for name, seconds in found.seconds.items()]
     return "\n".join(lines) + "\n"
+
+
+def by_law(scores):
+    """A table of scores by law of thresholds and by kind."""
+    if scores.empty:
+        return []
+    law = scores["thresholds"].str.extract(r"(?:stats\.)?(\w+)\((?!stats)", expand=False)
+    lines = ["", "By law of thresholds, scores, even ones, mean square of these, and largest abs(z):", ""]
+    lines += ["| law | scores | even | mean square | largest abs(z) |", "|---|---|---|---|---|"]
+    for name, of in scores.groupby(law):
+        z, even = of["z"].astype(float), of["even"].astype(bool)
+        lines.append(f"| {name} | {len(of)} | {even.sum()} | {(z[even] ** 2).mean():.3f} | {z.abs().max():.2f} |")
+    return lines
 
 
 def versions():

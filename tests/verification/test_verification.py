@@ -9,6 +9,7 @@ seeds once in 500, single scores beyond 6.5 once in a million.
 """
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -17,12 +18,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from report import PARTS, SEED, SEEDS, leave, publish
+from scipy import stats
 
-from eqsim import validation
+from eqsim import Distribution, InputError, Table, validation
 from eqsim.engine.standing import standing
 from eqsim.laws.octaves import octave_edges, octave_table
-from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE
-from eqsim.validation import ALARM, KINDS, Suite, columns, validate
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, Gamma
+from eqsim.validation import ALARM, KINDS, Suite, columns, declined, left_out, validate
 
 pytestmark = pytest.mark.verification
 
@@ -31,25 +33,28 @@ FAR = 6.5  # 8e-11 of a normal score
 
 @pytest.mark.parametrize("part", range(PARTS))
 def test_parameter_space(part):
-    """Engine against master equation at 1008 points: means (Z), variances (Y), hazards, covariances."""
+    """Engine against master equation at 1008 points: means (Z), variances (Y), hazards, covariances. As many scores as
+    were declined are made, and even ones of every kind."""
     begin = time.perf_counter()
     result = validate("verification", seed=SEED, part=(part, PARTS))
-    leave(f"space-{part:02d}", begin, columns(result.scores))
+    leave(f"space-{part:02d}", begin, columns(result.scores), left_out=left_out(result.unscored))
     found = publish()
     far = [score for score in result.scores if not abs(score.z) < FAR]
     assert not far
     if "space" in found.complete:
         assert [v for v in found.verdicts if not v.passed] == []
-        assert min(v.count for v in found.verdicts) >= 50
+        assert min(v.even for v in found.verdicts) >= 50
+        assert [v.kind for v in found.verdicts if declined(v.kind, v.count, found.left_out)] == []
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_p_values_are_flat(seed, monkeypatch):
-    """Over seeds both p-values of every kind are uniform, and none is too small for so many."""
+    """Over seeds the p-value of the chi-square of every kind is uniform, that of the largest score, which bounds only
+    make smaller, is at least not too often small, and none is too small for so many."""
     begin = time.perf_counter()
     monkeypatch.setitem(validation.SUITES, "flat", Suite(15, 5, ((20, 2000), (100, 1000))))
     result = validate("flat", seed=seed)
-    leave(f"flat-{seed}", begin, verdicts=[dataclasses.asdict(v) for v in result.verdicts if v.count])
+    leave(f"flat-{seed}", begin, verdicts=[dataclasses.asdict(v) for v in result.verdicts if v.even])
     found = publish()
     assert [v for v in result.verdicts if not min(v.p_chi_square, v.p_largest) > ALARM / len(SEEDS)] == []
     if "flat" in found.complete:
@@ -94,6 +99,53 @@ def shape(e):
     return dataclasses.replace(e, thresholds=dataclasses.replace(e.thresholds, n=1.03 * e.thresholds.n + 0.01))
 
 
+def gamma(e):
+    return isinstance(e.thresholds, Gamma)
+
+
+def few(e):
+    return isinstance(e.thresholds, Table) and e.thresholds.steps.size <= 12
+
+
+def one_off(e):
+    """The greatest threshold of a table."""
+    steps = e.thresholds.steps
+    return dataclasses.replace(e, thresholds=Table([*steps[:-1], 1.02 * steps[-1]]))
+
+
+def many(e):
+    return isinstance(e.thresholds, Table) and e.thresholds.steps.size > 12
+
+
+def all_off(e):
+    return dataclasses.replace(e, thresholds=Table(1.002 * e.thresholds.steps))
+
+
+def of_scipy(name):
+    def known(e):
+        return isinstance(e.thresholds, Distribution) and getattr(e.thresholds.frozen, "dist", stats.norm).name == name
+
+    return known
+
+
+def shape_off(e):
+    """Of a law of SciPy, which may have two parameters, a shape and a scale, or place and width."""
+    frozen = e.thresholds.frozen
+    law = frozen.dist(1.02 * frozen.args[0], *frozen.args[1:], **frozen.kwds)
+    return dataclasses.replace(e, thresholds=Distribution(law))
+
+
+def histogram(e):
+    return isinstance(e.thresholds, Distribution) and isinstance(e.thresholds.frozen, stats.rv_histogram)
+
+
+def bin_off(e):
+    """The height of the last bin."""
+    heights, edges = e.thresholds.frozen._histogram
+    law = stats.rv_histogram(([*heights[:-1], 1.05 * heights[-1]], edges), density=True)
+    return dataclasses.replace(e, thresholds=Distribution(law))
+
+
 def soft(e):
     return e.thermal.barrier == "soft"
 
@@ -124,8 +176,15 @@ def pooled(e):
 
 STEADY = {"friction", "break_stretch"}
 CONTROLS = [
-    Control("thresholds", "x_* 2 % too large", part("thresholds", x_star=1.02), {*STEADY, "transient"}),
-    Control("thresholds", "n 3 % and 0.01 too large", shape, STEADY),
+    Control("thresholds", "x_* 2 % too large", part("thresholds", x_star=1.02), {*STEADY, "transient"}, gamma),
+    Control("thresholds", "n 3 % and 0.01 too large", shape, STEADY, gamma),
+    Control("table", "the greatest of a few 2 % too large", one_off, STEADY, few),
+    Control("table", "all of many 0.2 % too large", all_off, STEADY, many),
+    Control("lognormal", "s 2 % too large", shape_off, STEADY, of_scipy("lognorm")),
+    Control("Weibull", "exponent 2 % too large", shape_off, STEADY, of_scipy("weibull_min")),
+    Control("Pareto", "exponent 2 % too large", shape_off, STEADY, of_scipy("pareto")),
+    Control("uniform", "least threshold 2 % too large", shape_off, STEADY, of_scipy("uniform")),
+    Control("histogram", "last bin 5 % too likely", bin_off, STEADY, histogram),
     Control("stiffness", "k 2 % too large", set_(stiffness=1.02), STEADY),
     Control("stiffness", "uniform instead of sqrt", set_(stiffness_law="uniform"), {"friction", "transient variance"}),
     Control("attempts", "omega 2 % too large", part("thermal", attempt_frequency=1.02), STEADY, hot),
@@ -170,15 +229,22 @@ def test_wrong_law(control, monkeypatch):
         validation.SUITES, "control", Suite(control.points, control.points // 3, ((20, 2000), (100, 1000)))
     )
     drawn = validation.sample
-    monkeypatch.setattr(validation, "sample", lambda count, seed: knowing(drawn, control, count, seed))
+    monkeypatch.setattr(validation, "sample", lambda count, seed, _: knowing(drawn, control, count, seed))
     result = validate("control", seed=7, wrong=control.change)
     run_control(control.law, control.wrong, control.kinds, result, begin)
 
 
 def knowing(drawn, control, count, seed):
-    """The first `count` points that know what is wrong."""
-    points = [(e, v) for e, v in drawn(24 * count, seed) if control.of(e) and control.change(e) != e]
-    return points[:count]
+    """The first `count` points that know what is wrong, and can be drawn so."""
+    knows = ((e, v) for _, e, v in drawn(48 * count, seed) if control.of(e) and changes(control, e))
+    return ((index, e, v) for index, (e, v) in enumerate(itertools.islice(knows, count)))
+
+
+def changes(control, e):
+    try:
+        return control.change(e) != e
+    except InputError:  # what would be wrong cannot be
+        return False
 
 
 def all_pinned(c):
