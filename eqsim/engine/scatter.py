@@ -32,6 +32,7 @@ from eqsim.laws.thermal import MECHANICAL
 _NODES = 1024  # of a lattice
 _FINE = 32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
 _POWERS = 7  # of forces: 0 to 6
+_RANGE = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
 _TOLERANCE = 0.05  # of the law's variance: lattice, lives
 ENOUGH = 100  # lives that make the variance, for their mean over its error to be normal
@@ -46,26 +47,36 @@ class Births(NamedTuple):
 
 
 def births(c: Contacts) -> Births:
-    """Lives on a grid of thresholds and clocks, e = -ln J_c(xi) and E = ln(1 + exp(s)) by the trapezoidal rule in s:
-    of even relative spacing where they are small, even where they are large, up to 45: beyond, nobody matters."""
-    if c.aging == LANGEVIN:  # a path for each threshold, and a clock from a Kronecker sequence
-        u, share = _uniforms(_PATHS)
-        v, clock_share = (0.5 + 0.6180339887498949 * np.arange(_PATHS)) % 1.0, np.ones(1)
+    """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal rule in s: of even relative
+    spacing where they are small, even where they are large, up to 45: beyond, nobody matters. The clocks of different
+    thresholds lie between each other."""
+    if c.aging == LANGEVIN:  # a path for each threshold
+        u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
+        v = _spread(_PATHS)
     else:
-        fine = (500, 70) if c.aging == UNAGED else (150, 30)  # lives that age take long
-        u, share = _uniforms(fine[0])
-        if 0 < c.steps.size <= fine[0]:
-            u, share = (np.arange(c.steps.size) + 0.5) / c.steps.size, np.full(c.steps.size, 1.0 / c.steps.size)
-        v, clock_share = (np.ones(1), np.ones(1)) if c.breaking == MECHANICAL else _uniforms(fine[1])
-        u, v = np.repeat(u, v.size), np.tile(v, u.size)
+        rows, clocks = (500, 70) if c.aging == UNAGED else (150, 30)  # lives that age take long
+        u, share = _uniforms(np.linspace(*_RANGE, rows))
+        if 0 < c.steps.size <= rows:
+            rows = c.steps.size * math.ceil(rows / c.steps.size)
+            u, share = (np.arange(rows) + 0.5) / rows, np.full(rows, 1.0 / rows)
+        v = np.ones(rows)
+        if c.breaking != MECHANICAL:
+            s, gap = np.linspace(*_RANGE, clocks, retstep=True)
+            v, clock_share = _uniforms(s + gap * (_spread(rows)[:, None] - 0.5))
+            u, v, share = np.repeat(u, clocks), v.ravel(), (share[:, None] * clock_share).ravel()
     work, stretch = lives(c, key(0, 0), 0, u, v)
-    return Births(np.outer(share, clock_share).ravel(), 2.0 * work / stretch**2, stretch)
+    return Births(share, 2.0 * work / stretch**2, stretch)
 
 
-def _uniforms(nodes: int) -> tuple[Array, Array]:
-    s = np.linspace(-16.0, 45.0, nodes)
+def _uniforms(s: Array) -> tuple[Array, Array]:
+    """exp(-ln(1 + exp(s))), and its share in each row."""
     share = special.expit(s) * special.expit(-s)
-    return special.expit(-s), share / share.sum()
+    return special.expit(-s), share / share.sum(axis=-1, keepdims=True)
+
+
+def _spread(n: int) -> Array:
+    """Numbers spread evenly over (0, 1), in an order of no pattern: a Kronecker sequence."""
+    return (0.5 + 0.6180339887498949 * np.arange(n)) % 1.0
 
 
 class Scatter(NamedTuple):
