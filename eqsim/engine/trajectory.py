@@ -39,7 +39,9 @@ class Trajectory:
     Arrays of shape (points,): `X` (length), `t` (time), `force` = <F>/(N k) (length) and its standard error, `pinned`
     = <N_c>/N and its standard error, all averaged over replicas; `force_replica_std`, the standard deviation of
     F/(N k) between replicas, if there are several. `force_reliable` is False where too few contacts make the force for
-    five standard errors to mean what they say. The three estimates average over the second half of the distance.
+    five standard errors to mean what they say; `force_replica_std` then misses what the sample did. The three estimates
+    average over the second half of the distance; they are unreliable also where the law expects a transient in it, or
+    too few of the lives that make their scatter (`scatter`).
     """
 
     X: Array
