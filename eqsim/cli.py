@@ -148,6 +148,7 @@ def run(
     summary = {
         "title": file.title,
         **{name: estimate.as_dict() for name, estimate in averages.items()},
+        "force_reliable": result.force_reliable,
         "steady": {name: getattr(level, name).as_dict() for name in averages},
         "lives": result.lives,
         "engine_seconds": result.engine_seconds,
@@ -685,7 +686,9 @@ def _print_run(file: Any, ensemble: Any, averages: Any, level: "Steady", result:
         table.add_row(name, *both, z)
     terminal.show(file.title or folder.name, table)
     if not all(estimate.reliable for estimate in averages.values()):
-        print("unreliable: the halves of the averaging window differ, or too few contacts broke in it")
+        print("unreliable: the steady state was not reached before the second half, or too few contacts broke in it")
+    if not result.force_reliable:
+        print("force_stderr: not to be trusted, forces this heavy-tailed need more contacts")
     print(
         f"{terminal.many(result.lives)} lives of {terminal.many(ensemble.count * file.output.replicas)} contacts in "
         f"{result.engine_seconds:.2f} s ({terminal.many(result.lives / max(result.engine_seconds, 1e-9))}/s), "

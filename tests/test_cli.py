@@ -76,6 +76,8 @@ def test_run_writes_table_summary_and_picture(run_file):
     assert {"friction", "pinned", "break_stretch", "lives", "engine_seconds", "threads", "seed", "versions"} <= set(
         summary
     )
+    assert summary["force_reliable"]
+    assert "force_stderr" not in result.output
     friction = summary["friction"]
     assert abs(friction["value"] - summary["steady"]["friction"]["value"]) < 5 * friction["stderr"]
     assert (out / "force.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -86,6 +88,19 @@ def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
     (row,) = [line for line in result.stdout.splitlines() if "break_stretch" in line]
     assert "none seen" in row
     assert "exact" not in row
+
+
+def test_error_bars_that_cannot_be_trusted_say_so(tmp_path):
+    """Three contacts; one threshold of 4000 is so strong that it would make most of the force's scatter."""
+    (tmp_path / "broad.csv").write_text("threshold\n" + "1.0\n" * 3999 + "10.0\n")
+    run = tmp_path / "broad.toml"
+    run.write_text('[contacts]\ncount = 3\n[thresholds]\nlaw = "table"\nfile = "broad.csv"\n[drive]\nvelocity = 1.0\n')
+    said = call("run", run, "--set", "output.points=11").output
+    assert "force_stderr: not to be trusted" in said
+    assert "unreliable" in said
+    summary = json.loads((tmp_path / "out" / "broad" / "summary.json").read_text())
+    assert not summary["force_reliable"]
+    assert not summary["friction"]["reliable"]
 
 
 def test_run_json_and_replicas(run_file, tmp_path):

@@ -58,14 +58,13 @@ class Run(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, the
-    typical force of a pinned contact, and whether all contacts are equally stiff."""
+    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and
+    whether all contacts are equally stiff."""
 
     deposits: Array
     batches: Array
     replica: float
     replica_square: float
-    typical: float
     even: bool
 
     @classmethod
@@ -97,7 +96,7 @@ class Scales(NamedTuple):
         by_batch[BREAKS] = 1.0
         most = max(force, drag)
         by_replica = power([most, most**2], replicas)
-        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), typical, c.kappa_slope == 0.0)
+        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), c.kappa_slope == 0.0)
 
 
 def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: float) -> tuple[Array, Array, Array]:

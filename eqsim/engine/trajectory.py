@@ -17,6 +17,7 @@ import numpy as np
 from eqsim.engine.life import rough_stretch, typical_lives
 from eqsim.engine.paths import path_law
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments, simulate
+from eqsim.engine.scatter import ENOUGH, births, independent, known_variance, scatter
 from eqsim.engine.standing import FRESH, Standing, standing
 from eqsim.engine.steady import settled
 from eqsim.engine.streams import TRAJECTORY, Key, key
@@ -26,6 +27,7 @@ from eqsim.estimate import Estimate, drifts, known, ratio
 from eqsim.laws.octaves import Array
 
 Progress = Callable[[int], None]
+_RARE = 1e-4  # probability of more than five standard errors of the force
 _BLOCK = 128  # contacts, at least, unless there are fewer
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
@@ -36,13 +38,17 @@ class Trajectory:
 
     Arrays of shape (points,): `X` (length), `t` (time), `force` = <F>/(N k) (length) and its standard error, `pinned`
     = <N_c>/N and its standard error, all averaged over replicas; `force_replica_std`, the standard deviation of
-    F/(N k) between replicas, if there are several. The three estimates average over the second half of the distance.
+    F/(N k) between replicas, if there are several. `force_reliable` is False where too few contacts make the force for
+    five standard errors to mean what they say; `force_replica_std` then misses what the sample did. The three estimates
+    average over the second half of the distance; they are unreliable also where the law expects a transient in it, or
+    too few of the lives that make their scatter (`scatter`).
     """
 
     X: Array
     t: Array
     force: Array
     force_stderr: Array
+    force_reliable: bool
     pinned: Array
     pinned_stderr: Array
     force_replica_std: Array | None
@@ -117,32 +123,36 @@ def trajectory(
     force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)
     grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
     # A sample of N contacts does not tell what fewer than about two of them do (Agresti and Coull, 1998): without these
-    # two, of typical force at that X, an error bar would vanish wherever no contact happens to be pinned or detached.
-    two = 2.0 / contacts
-    typical = np.full(points, scales.typical)
-    pinned_variance = pinned * (1 - pinned) / contacts + (two**2 if c.delay > 0 else 0.0)
+    # two an error bar would vanish wherever no contact happens to be pinned or detached.
+    pinned_variance = pinned * (1 - pinned) / contacts + ((2.0 / contacts) ** 2 if c.delay > 0 else 0.0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
-        typical = np.minimum(typical, run.distance / (points - 1) * np.arange(points))
         pinned_variance[0] = 0.0
-    if c.delay > 0 and drag > 0:
-        typical[pinned_variance > 0] = np.maximum(typical, drag)[pinned_variance > 0]
+    born = births(c)
+    level = scatter(c, born, None, drag)
+    law = level if run.stationary else scatter(c, born, run.distance, drag)
+    force_variance, rare = known_variance(law.at(grid / unit), level, variance, contacts)
+    _, always_rare = known_variance(level, level, level.variance, contacts)
     rounding = 1e-15 * run.distance  # of the cumulative sums
     std = None
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
     friction, pinned_fraction, stretch = _second_half(total.batches / scales.batches, total.lives, contacts, drag)
+    late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
+    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
+    enough = [lives >= ENOUGH for lives in independent(c, born, 0.5 * run.distance * contacts, drag)]
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
         force=force * unit,
-        force_stderr=np.sqrt(variance / max(contacts - 1, 1) + (typical * two) ** 2 + rounding**2 * (grid > 0)) * unit,
+        force_stderr=np.sqrt(force_variance + rounding**2 * (grid > 0)) * unit,
+        force_reliable=bool(min(np.mean(rare), always_rare[0]) < _RARE),
         pinned=pinned,
         pinned_stderr=np.sqrt(pinned_variance),
         force_replica_std=std,
-        friction=_in(friction, unit),
-        pinned_fraction=pinned_fraction,
-        break_stretch=_in(stretch, unit),
+        friction=_in(friction, unit, gone and enough[0]),
+        pinned_fraction=_in(pinned_fraction, 1.0, gone and enough[1]),
+        break_stretch=_in(stretch, unit, gone and enough[2]),
         lives=total.lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
@@ -282,8 +292,13 @@ def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tupl
     return over(area + drag * (elapsed - pinned), elapsed), over(pinned, elapsed), over(stretch, breaks)
 
 
-def _in(estimate: Estimate, unit: float) -> Estimate:
-    if estimate.value is None:
-        return estimate
+def _is_over(estimate: Estimate, expected: Array, level: float) -> bool:
+    """Whether the transient, as the law expects it, moves an average by less than half its error, or by rounding."""
+    return bool(abs(np.mean(expected) - level) <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * level)
+
+
+def _in(estimate: Estimate, unit: float, trusted: bool) -> Estimate:
+    """In the user's unit, and unreliable unless `trusted`."""
+    value = None if estimate.value is None else estimate.value * unit
     stderr = None if estimate.stderr is None else estimate.stderr * unit
-    return replace(estimate, value=estimate.value * unit, stderr=stderr)
+    return replace(estimate, value=value, stderr=stderr, reliable=estimate.reliable and trusted)

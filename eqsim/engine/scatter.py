@@ -1,0 +1,206 @@
+"""What the law of the contacts says of the scatter of their forces: error bars that few contacts cannot supply.
+
+The sample variance of few contacts, or of a rare kind among many, knows nothing of what the sample did not meet, and is
+smallest just where the mean is too low. But the law is known, and with it the moments of the force f of a contact at X.
+From lives, each with a probability, from the law (`births`), with the work they do over k, int_0^{x_b} (k_i/k) x dx,
+that is with an average k_i/k where it follows an aging threshold:
+
+    stationary    E f^p = E[int_0^{x_b} (k_i x/k)^p dx] / (E[x_b] + v<tau>)                       (p = 0: pinned)
+    fresh         E f^p = int_0^X B(Y) m_p(X - Y) dY,   m_p(x) = E[(k_i x/k)^p; x_b > x],   B = delta + B * g
+
+(derived) and (eta v/k)^p for detached contacts, with B the density of births, that at X = 0 included, and g the law of
+x_b + v tau. On a lattice of displacements B is the power series of 1/(1 - g). Births are shared between the two nearest
+nodes, so that the mean life is kept; forces are averaged over the cells in between. However coarse the lattice, the
+stationary values are exact; the transient is good to a few per cent where a cell is a fraction of a life.
+
+This serves error bars only: forces come from the contacts that were simulated.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal, special
+
+from eqsim.engine.life import lives
+from eqsim.engine.streams import key
+from eqsim.ensemble import Contacts
+from eqsim.laws.aging import LANGEVIN, UNAGED
+from eqsim.laws.octaves import Array
+from eqsim.laws.thermal import MECHANICAL
+
+_NODES = 1024  # of a lattice
+_FINE = 32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
+_POWERS = 7  # of forces: 0 to 6
+_RANGE = -16.0, 45.0
+_PATHS = 2**12  # of thresholds that fluctuate
+_TOLERANCE = 0.05  # of the law's variance: lattice, lives
+ENOUGH = 100  # lives that make the variance, for their mean over its error to be normal
+
+
+class Births(NamedTuple):
+    """Lives from the law: their shares, mean k_i/k and stretch at breaking."""
+
+    share: Array
+    stiffness: Array
+    stretch: Array
+
+
+def births(c: Contacts) -> Births:
+    """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal rule in s: of even relative
+    spacing where they are small, even where they are large, up to 45: beyond, nobody matters. The clocks of different
+    thresholds lie between each other."""
+    if c.aging == LANGEVIN:  # a path for each threshold
+        u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
+        v = _spread(_PATHS)
+    else:
+        rows, clocks = (500, 70) if c.aging == UNAGED else (150, 30)  # lives that age take long
+        u, share = _uniforms(np.linspace(*_RANGE, rows))
+        if 0 < c.steps.size <= rows:
+            rows = c.steps.size * math.ceil(rows / c.steps.size)
+            u, share = (np.arange(rows) + 0.5) / rows, np.full(rows, 1.0 / rows)
+        v = np.ones(rows)
+        if c.breaking != MECHANICAL:
+            s, gap = np.linspace(*_RANGE, clocks, retstep=True)
+            v, clock_share = _uniforms(s + gap * (_spread(rows)[:, None] - 0.5))
+            u, v, share = np.repeat(u, clocks), v.ravel(), (share[:, None] * clock_share).ravel()
+    work, stretch = lives(c, key(0, 0), 0, u, v)
+    return Births(share, 2.0 * work / stretch**2, stretch)
+
+
+def _uniforms(s: Array) -> tuple[Array, Array]:
+    """exp(-ln(1 + exp(s))), and its share in each row."""
+    share = special.expit(s) * special.expit(-s)
+    return special.expit(-s), share / share.sum(axis=-1, keepdims=True)
+
+
+def _spread(n: int) -> Array:
+    """Numbers spread evenly over (0, 1), in an order of no pattern: a Kronecker sequence."""
+    return (0.5 + 0.6180339887498949 * np.arange(n)) % 1.0
+
+
+class Scatter(NamedTuple):
+    """Moments of the force of a contact at the nodes `X`, in the units of `Contacts`: mean, pinned fraction, variance,
+    fourth and sixth central moment, and `one`, the mean square force of a pinned contact, or of a detached one if its
+    drag is larger."""
+
+    X: Array
+    mean: Array
+    pinned: Array
+    variance: Array
+    fourth: Array
+    sixth: Array
+    one: Array
+
+    def at(self, X: Array) -> "Scatter":
+        """The same at other displacements."""
+        return Scatter(X, *(np.interp(X, self.X, part) for part in self[1:]))
+
+
+def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> Scatter:
+    """From a fresh start over a distance, or (None) in the stationary state."""
+    if distance is None:
+        X, moments = np.zeros(1), _stationary(c, born)[:, None]
+    else:
+        size = float(np.sum(born.share * born.stretch**2) / np.sum(born.share * born.stretch))
+        X, moments = _fresh(c, born, min(size / _FINE, distance / _NODES))
+        if X[-1] < distance:
+            further, later = _fresh(c, born, distance / _NODES)
+            beyond = further > X[-1]
+            X, moments = np.append(X, further[beyond]), np.hstack((moments, later[:, beyond]))
+    pinned = np.minimum(moments[0], 1.0)
+    with np.errstate(all="ignore"):  # of laws so broad that their moments overflow
+        one = np.where(pinned > 0, moments[2] / pinned, 0.0)
+        if c.delay > 0:
+            one = np.maximum(one, drag**2)
+            moments = moments + (1.0 - pinned) * drag ** np.arange(len(moments))[:, None]
+        moments[0] = 1.0
+        mean = moments[1]
+        variance, fourth, sixth = (
+            np.maximum(sum(math.comb(p, j) * (-mean) ** (p - j) * moments[j] for j in range(p + 1)), 0.0)
+            for p in (2, 4, 6)
+        )
+    return Scatter(X, mean, pinned, variance, fourth, sixth, one)
+
+
+def _stationary(c: Contacts, born: Births) -> Array:
+    """E f^p of pinned contacts, p = 0, 1, ..., times the pinned fraction."""
+    cycle = np.sum(born.share * born.stretch) + c.delay
+    carried, moments = born.share * born.stretch, []
+    with np.errstate(over="ignore"):
+        for p in range(_POWERS):
+            moments.append(np.sum(carried) / ((p + 1) * cycle))
+            carried *= born.stiffness * born.stretch
+    return np.array(moments)
+
+
+def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
+    """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts there, shape (p, X)."""
+    edges = step * np.arange(_NODES + 1)
+    at = np.minimum(born.stretch / step, _NODES)
+    cell = at.astype(np.int64)
+    ends = np.bincount(cell, born.share * (1.0 - at + cell), _NODES + 2)
+    ends[1:] += np.bincount(cell, born.share * (at - cell), _NODES + 1)
+    # a delay T is shared likewise: second differences of E[(T - x)+]
+    rest = c.delay * np.exp(-edges / c.delay) if c.exponential and c.delay else np.maximum(c.delay - edges, 0.0)
+    waits = np.append(1.0 + (rest[1] - rest[0]) / step, np.diff(rest, 2) / step)
+    renewals = np.convolve(ends, waits)[:_NODES]
+    first = np.zeros(_NODES)
+    first[0] = 1.0
+    density = signal.lfilter(first[:1], first - renewals, first)
+    moments = np.zeros((_POWERS, _NODES + 1))
+    moments[0, 0] = 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        strength, carried = born.share.copy(), born.share * born.stretch
+        for p in range(len(moments)):
+            ending = np.bincount(cell, strength, _NODES + 1)
+            lasting = np.cumsum(ending[::-1])[-2::-1]  # of lives that outlast each cell
+            power = edges ** (p + 1)
+            within = (np.bincount(cell, carried, _NODES + 1) - ending * power)[:-1] + lasting * np.diff(power)
+            moments[p, 1:] = np.convolve(density, within)[:_NODES] / ((p + 1) * step)
+            strength *= born.stiffness
+            carried *= born.stiffness * born.stretch
+    return np.append(0.0, edges[:-1] + 0.5 * step), moments
+
+
+def independent(c: Contacts, born: Births, slid: float, drag: float) -> tuple[float, float, float]:
+    """How many lives like those that make the scatter there are while contacts slide `slid` in all, for their averages:
+    friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
+    these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
+    half of it how far Student's t is off in the mean (derived)."""
+    waits = c.delay * (-np.log((np.arange(16) + 0.5) / 16) if c.exponential else np.ones(1))
+    share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
+    stretch = np.repeat(born.stretch, waits.size)
+    work = 0.5 * np.repeat(born.stiffness, waits.size) * stretch**2
+    cycle = stretch + wait
+
+    def alike(reward: Array, per: Array) -> float:
+        with np.errstate(all="ignore"):
+            residual = reward - np.sum(share * reward) / np.sum(share * per) * per
+            residual *= np.abs(residual) > 1e-12 * np.abs(reward)  # rounding
+            cubes = share * residual**3
+            square, cube = np.sum(share * residual**2), max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0]))
+            return float(slid / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
+
+    return alike(work + drag * wait, cycle), alike(stretch, cycle), alike(stretch, np.ones(stretch.size))
+
+
+def known_variance(law: Scatter, level: Scatter, sample: Array, contacts: int) -> tuple[Array, Array]:
+    """Variance of the mean force of `contacts` contacts whose forces scatter with variance `sample`, and a bound on the
+    probability that the mean is off by more than five times its root; `level` is the stationary state.
+
+    The sample variance has a relative variance of K/N, K = E(f - Ef)^4/Var^2 large where few contacts make the force
+    (derived); the law's is good to 5 %; they are weighted accordingly. N/K contacts of size s, s^2 = K Var, would have
+    the same moments. Where fewer than one is expected, one stands for those that are not met (as pseudo-counts do in
+    Agresti and Coull, 1998), s being at most twice the stationary root mean square force of a pinned contact. The bound
+    is Markov's for sixth powers, of the large deviations that single contacts make: N E(f - Ef)^6/(5 N error)^6.
+    """
+    with np.errstate(all="ignore"):
+        doubt = law.fourth / law.variance / contacts
+        share = np.nan_to_num(1.0 / (1.0 + _TOLERANCE**2 * law.variance / doubt))
+        one = np.minimum(np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf), 4.0 * level.one)
+        unmet = np.nan_to_num(one / (1.0 + contacts * law.variance / one))
+        own = sample * contacts / (contacts - 1) if contacts > 1 else np.zeros_like(sample)
+        variance = (share * law.variance + (1.0 - share) * own + unmet / contacts) / contacts
+        rare = np.where(law.sixth > 0, law.sixth / contacts**5 / (25.0 * variance) ** 3, 0.0)
+    return variance, np.where(rare < 1.0, rare, 1.0)
