@@ -1,15 +1,18 @@
-"""Transients of contacts that stay in step for many cycles: the reference against plain simulations and closed forms.
+"""Transients of contacts in step, of very short lives and of rare long ones: the reference against plain simulations,
+closed forms and adaptive quadrature.
 
 What fails by chance is said of each test; seeds are fixed.
 """
 
+import itertools
 import math
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import integrate, special, stats
 
 from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, Thermal
+from eqsim.master import kinetic
 from eqsim.master.transient import fluctuations, transient
 
 
@@ -127,3 +130,46 @@ def test_fluctuations_of_identical_contacts():
         assert np.all(np.abs(found.covariance[shown] - exact) <= found.error[shown] + 2e-5)
         if distance < 10:
             assert found.error.max() < 0.2 * exact[0]
+
+
+@pytest.mark.parametrize("law", ["fixed", "exponential"])
+@pytest.mark.parametrize("velocity", [1e-12, 1e-16, 1e-30])
+def test_very_short_lives(velocity, law):
+    """Far from the start the linear creep of section 3: C = (v/omega)/(1 - b)^2, friction/pinned = (v/omega)
+    ((1 - b)/(1 - 2b))^2, exact up to terms of the order of v; b 1 % off fails."""
+    b = 0.05
+    life = velocity / (1 - b) ** 2
+    ensemble = Ensemble(thermal=Thermal(0.5 / b), delay=Delay(1.0, law), stiffness_law="uniform")
+    found = transient(ensemble, Drive(velocity, 60.0 * life), points=61)
+    pinned = life / (life + velocity)
+    for elastic, matches in ((((1 - b) / (1 - 2 * b)) ** 2, True), (((1 - b) / (1 - 2.02 * b)) ** 2, False)):
+        off = abs(found.force[-1] - pinned * velocity * elastic)
+        assert (off <= found.force_error[-1] + 10 * velocity * found.force[-1]) == matches
+    assert abs(found.pinned[-1] - pinned) <= found.pinned_error[-1] + 10 * velocity
+    assert found.force_error[-1] < 1e-6 * found.force[-1]
+
+
+@pytest.mark.parametrize(("stiffness", "b"), [("sqrt", 0.1), ("uniform", 0.6)])
+def test_contacts_too_strong_to_break_by_heat(stiffness, b):
+    """S(x) where only one birth in 1e20 to 1e60 outlasts x, against adaptive quadrature over ln xi to its 1e-8: at such
+    velocities these carry the force. A temperature 1 % off fails."""
+    n, x = 1.0, 0.3
+    for log_w in (30.0, 46.0, 69.0):
+
+        def term(log_xi, b=b, log_w=log_w):
+            xi = math.exp(log_xi)
+            a = b * (xi / math.sqrt(n + 1) if stiffness == "sqrt" else 1.0)
+            log_hazard = log_w - a * (xi**2 - x**2) + math.log(special.dawsn(math.sqrt(a) * x) / math.sqrt(a))
+            return 2.0 * math.exp((2 * n + 2) * log_xi - xi**2 - math.exp(min(log_hazard, 7.0)))
+
+        grid = np.linspace(math.log(x), math.log(25.0), 2001)
+        peak = grid[np.argmax([term(at) for at in grid])]
+        edges = [math.log(x), *(peak + np.array([-0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3])), math.log(25.0)]
+        edges = sorted(max(edge, math.log(x)) for edge in edges)
+        exact = sum(integrate.quad(term, *pair, epsabs=0, epsrel=1e-10)[0] for pair in itertools.pairwise(edges))
+        assert exact < 1e-15
+        found, off = (
+            kinetic.survivors(Gamma(n), stiffness, "soft", near, log_w, np.array([x]))[0][0] for near in (b, 1.01 * b)
+        )
+        assert found == pytest.approx(exact, rel=1e-7, abs=0)
+        assert off != pytest.approx(exact, rel=1e-3, abs=0)

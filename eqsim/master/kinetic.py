@@ -189,6 +189,10 @@ def survivors(
     if barrier is not None:
         layer = np.concatenate((layer, _threshold_at(law, x, b, barrier, stiffness, log_w)), axis=1)
     edges = panels_above(law, x, layer)
+    if strongest(log_w, barrier) > _COMMON:
+        stronger = law.exceeded_by(np.arange(_COMMON, strongest(log_w, barrier), _RARER)) / law.scale
+        layer = np.concatenate((layer, stronger + np.zeros((x.size, 1))), axis=1)
+        edges = np.concatenate((edges, np.sort(np.maximum(layer, edges[:, -1:]), axis=1)), axis=1)
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
     kappa = relative_stiffness(stiffness, xi, rms)
@@ -197,6 +201,14 @@ def survivors(
         terms *= survival(barrier, x[:, None, None], xi, b * kappa, log_w)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     return terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))
+
+
+_COMMON, _RARER = 45.0, 5.0  # -ln J_c up to which lives hardly differ enough to count, and of panels beyond
+
+
+def strongest(log_w: float, barrier: Barrier | None) -> float:
+    """-ln J_c up to which contacts count: where lives are as short as exp(-log_w), ones as rare as its square do."""
+    return _COMMON + (0.0 if barrier is None else min(max(2.0 * log_w, 0.0), 455.0))
 
 
 def weakest(law: ThresholdLaw) -> Array:
@@ -216,7 +228,7 @@ def _threshold_at(
     """
     x = x[:, None]
     low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
-    high = np.log1p(float(law.exceeded_by(100.0)) / law.scale / x) + np.zeros_like(low)
+    high = np.log1p(float(law.exceeded_by(500.0)) / law.scale / x) + np.zeros_like(low)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         xi = x * (1.0 + np.exp(middle))

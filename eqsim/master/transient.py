@@ -31,7 +31,7 @@ from eqsim.laws.aging import Pooled
 from eqsim.laws.octaves import Array
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, kinetic, published
-from eqsim.master.reference import Setting, reference, setting, survival
+from eqsim.master.reference import Setting, moments, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor
@@ -73,9 +73,13 @@ class Profile:
             values = self._solve(inner.ravel()).reshape(3, *inner.shape)
             self._sums = [(values * inner**power * half * weights).sum(axis=2).cumsum(axis=1) for power in range(3)]
             self.survive = self._solve(self.x)[0]
+            self._judge()
             return
-        top = math.log(float(s.law.exceeded_by(45.0)) / s.law.scale * max(1.0, s.final))
-        log_x = np.arange(top, math.log(1e-15), -_STEP)[::-1]
+        rarest = float(s.law.exceeded_by(kinetic.strongest(s.log_w, s.barrier)))
+        top = math.log(rarest / s.law.scale * max(1.0, s.final))
+        # from where hardly a contact has broken: no rate exceeds omega
+        first = -math.log(1e15) if s.barrier is None else -max(math.log(1e15), s.log_w + math.log(1e7))
+        log_x = np.arange(top, first, -_STEP)[::-1]
         values = self._solve(np.exp(log_x))
         for _ in range(_MOST_ROUNDS):
             sudden = np.abs(np.diff(values[0])) > _BROKEN
@@ -89,6 +93,13 @@ class Profile:
         start = self.x[0] ** np.arange(1, 4)[:, None, None] / np.arange(1, 4)[:, None, None] * values[:, :1]
         powers = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
         self._integrals = [lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)]
+        self._judge()
+
+    def _judge(self) -> None:
+        """C and work by another quadrature: what this one misses is part of the error."""
+        _, exact = moments(self.setting)
+        stretch, work = (float(self.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
+        self.error = max(self.error, abs(stretch / exact.stretch - 1.0), abs(work / exact.work - 1.0))
 
     def _solve(self, x: Array) -> Array:
         s = self.setting
