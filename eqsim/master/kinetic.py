@@ -188,11 +188,7 @@ def survivors(
     layer = weakest(law) + np.zeros((x.size, 1))
     if barrier is not None:
         layer = np.concatenate((layer, _threshold_at(law, x, b, barrier, stiffness, log_w)), axis=1)
-    edges = panels_above(law, x, layer)
-    if strongest(log_w, barrier) > _COMMON:
-        stronger = law.exceeded_by(np.arange(_COMMON, strongest(log_w, barrier), _RARER)) / law.scale
-        layer = np.concatenate((layer, stronger + np.zeros((x.size, 1))), axis=1)
-        edges = np.concatenate((edges, np.sort(np.maximum(layer, edges[:, -1:]), axis=1)), axis=1)
+    edges = births_above(law, x, layer, strongest(log_w, barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
     kappa = relative_stiffness(stiffness, xi, rms)
@@ -209,6 +205,17 @@ _COMMON, _RARER = 45.0, 5.0  # -ln J_c up to which lives hardly differ enough to
 def strongest(log_w: float, barrier: Barrier | None) -> float:
     """-ln J_c up to which contacts count: where lives are as short as exp(-log_w), ones as rare as its square do."""
     return _COMMON + (0.0 if barrier is None else min(max(2.0 * log_w, 0.0), 455.0))
+
+
+def births_above(law: ThresholdLaw, x: Array, layer: Array | None, rarest: float) -> Array:
+    """`panels_above` up to the threshold that a fraction exp(-rarest) of the contacts exceeds."""
+    edges = panels_above(law, x, layer)
+    if rarest <= _COMMON:
+        return edges
+    beyond = law.exceeded_by(np.arange(_COMMON, rarest, _RARER)) / law.scale + np.zeros((x.size, 1))
+    if layer is not None:
+        beyond = np.concatenate((layer, beyond), axis=1)
+    return np.concatenate((edges, np.sort(np.maximum(beyond, edges[:, -1:]), axis=1)), axis=1)
 
 
 def weakest(law: ThresholdLaw) -> Array:
