@@ -162,8 +162,21 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
         left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
         parts = np.append(parts[:, ~split], new_parts, axis=1)
         errors = np.append(errors[:, ~split], new_errors, axis=1)
-    error = errors.sum(axis=1) + _PANELS * total
+    rarest = beyond(law, stiffness)
+    error = errors.sum(axis=1) + _PANELS * total + rarest
+    total = total + rarest
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
+
+
+def beyond(law: ThresholdLaw, stiffness: StiffnessLaw) -> Array:
+    """C and work of the contacts beyond the last panel, shape (2,), not negligible where x^3 P_c is barely integrable:
+    at T = 0, and as of a power law (derived)."""
+    e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
+    xi = np.asarray(law.exceeded_by(e)) / law.scale
+    early, late = (np.array([xi, 0.5 * relative_stiffness(stiffness, xi, law.rms / law.scale) * xi**2]) * np.exp(-e)).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rest = late * np.diff(e) / np.log(early / late)
+    return np.where(late > 0, np.where(early > late, rest, np.inf), 0.0)
 
 
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)

@@ -99,7 +99,8 @@ class Profile:
         """C and work by another quadrature: what this one misses is part of the error."""
         _, exact = moments(self.setting)
         stretch, work = (float(self.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
-        self.error = max(self.error, abs(stretch / exact.stretch - 1.0), abs(work / exact.work - 1.0))
+        stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
+        self.error = max(self.error, stretch_error, (abs(work - exact.work) + exact.work_error) / exact.work)
 
     def _solve(self, x: Array) -> Array:
         s = self.setting
