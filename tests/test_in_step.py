@@ -91,8 +91,11 @@ def test_identical_contacts_are_in_step_for_ever(delay, distance):
     """T = 0: a saw-tooth of period x_* + v tau (exact) at every point, within the quoted error."""
     exact = transient(Ensemble(Delta(1.0), delay=Delay(delay), stiffness_law="uniform"), Drive(1.0, distance), 401)
     phase = np.mod(exact.X, 1.0 + delay)
-    assert np.all(np.abs(exact.force - np.where(phase < 1, phase, 0.0)) <= exact.force_error + 1e-9)
-    assert np.all(np.abs(exact.pinned - (phase < 1)) <= exact.pinned_error + 1e-9)
+    apart = (np.abs(phase - 1) > 1e-9) & (np.abs(phase - 0.5 - 0.5 * delay) < 0.5 + 0.5 * delay - 1e-9)  # from jumps
+    assert apart.mean() > 0.9
+    force, pinned = np.where(phase < 1, phase, 0.0), phase < 1
+    assert np.all((np.abs(exact.force - force) <= exact.force_error + 1e-9)[apart])
+    assert np.all((np.abs(exact.pinned - pinned) <= exact.pinned_error + 1e-9)[apart])
     if (delay, distance) == (3.3, 200.0):  # it says so where it knows
         assert np.median(exact.pinned_error) < 1e-9
         assert np.mean(exact.pinned_error > 0.1) < 0.3

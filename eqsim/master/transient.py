@@ -226,7 +226,8 @@ class Cells(NamedTuple):
 def grid_of(s: Setting, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
     discrete = s.law.steps.size > 0
-    finest = _MOST_CELLS if discrete else _FINEST  # every cell of a discrete law takes time
+    # every threshold of a discrete law takes time in every cell
+    finest = max(_MOST_CELLS, _FINEST // (4 * np.unique(s.law.steps).size)) if discrete else _FINEST
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
     profile = None if discrete else Profile(s, np.empty(0))
     while True:
