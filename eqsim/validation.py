@@ -70,7 +70,7 @@ from eqsim.laws.thermal import Thermal, log_hazard
 from eqsim.laws.threshold import Distribution, Gamma, Table, ThresholdLaw
 from eqsim.master.flow import Contact
 from eqsim.master.reference import Setting, reference, setting
-from eqsim.master.transient import Profile, Transient, cells_of, fluctuations, means_of, transient
+from eqsim.master.transient import Profile, Transient, fluctuations, grid_of, means_of, transient
 
 _EACH = 8  # displacements, each with an ensemble of its own
 _TRANSIENT = ("transient", "transient variance")
@@ -515,13 +515,9 @@ def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) ->
     not resolve it."""
     s = setting(ensemble, v)
     unit, points = s.law.scale, exact.X.size
-    in_step = s.delay > 0 and not s.exponential
-    life = known(reference(ensemble, v).break_stretch) / unit if in_step else math.inf
-    cells, resolved = cells_of(s, distance / unit, points, life)
-    if not resolved:
+    profile, fine, in_step, _ = grid_of(s, distance / unit, points)
+    if in_step.any():
         return None
-    fine = distance / unit / (2 * cells) * np.arange(2 * cells + 1)
-    profile = Profile(s, fine)
     solved = []
     for step in (2, 1):
         x = fine[::step]
@@ -530,10 +526,11 @@ def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) ->
         left = np.append(0.0, x[1:] ** 2 * profile.at(x[1:])[2])
         back = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
         solved.append((left + np.append(0.0, back) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
-    best, every = (4 * solved[1] - solved[0]) / 3, cells // (points - 1)
+    best, cells = (4 * solved[1] - solved[0]) / 3, in_step.size - 1
     error = ndimage.maximum_filter1d(np.abs(solved[1] - solved[0]), cells // 20) + profile.error * np.abs(best)
     if profile.steps:  # jumps, as in the transient itself
         error += ndimage.maximum_filter1d(solved[0], 5) - ndimage.minimum_filter1d(solved[0], 5)
+    every = cells // (points - 1)
     return np.stack((best, error))[:, ::every] * unit**2
 
 

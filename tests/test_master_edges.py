@@ -298,3 +298,23 @@ def test_survivors(law, barrier, stiffness):
             assert found[power][0] == pytest.approx(plain, abs=1e-10)
             worst = max(worst, abs(off[power][0] - plain))
     assert worst > 1e-8
+
+
+# ---------------------------------------------------------------------------------------------------- barely a moment
+
+
+@pytest.mark.parametrize("a", [3.02, 3.05, 3.5])
+@pytest.mark.parametrize("barrier", [None, "soft"])
+def test_moments_that_hardly_exist(a, barrier):
+    """Pareto's law, J_c = x^-a, sqrt law: work = <xi^3>/(2 xi_rms) at T = 0 (exact), of which 4 % are beyond any table
+    of thresholds if a = 3.02. Heat and annealing that hardly break a contact change less than 1e-9 of it."""
+    law = Distribution(scipy.stats.pareto(a))
+    exact = a / (a - 3) / (2 * law.rms) / law.scale**2
+    found = kinetic.stationary(law, "sqrt", barrier, 1.0, -30.0)
+    assert abs(found.work / exact - 1) < 1e-9
+    assert abs(found.stretch - 1) < 1e-9
+    assert (found.work_error > 0.02 * exact) == (a == 3.02)
+    if barrier is not None:
+        annealed = published.stationary(law, "sqrt", barrier, 1.0, -60.0)
+        assert abs(annealed.work / exact - 1) < 1e-9 + annealed.work_error / exact
+        assert annealed.work_error < 0.1 * exact

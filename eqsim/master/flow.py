@@ -28,8 +28,8 @@ from scipy.optimize import elementwise
 from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_rate
-from eqsim.laws.threshold import ThresholdLaw, panels_above
-from eqsim.master.kinetic import ClenshawCurtis, Moments, interpolated
+from eqsim.laws.threshold import ThresholdLaw
+from eqsim.master.kinetic import ClenshawCurtis, Moments, births_above, interpolated, strongest
 
 # the nodes of Clenshaw and Curtis hold both ends of a panel, where r is greatest, so that no peak of it can be missed
 _NODES, _WEIGHTS, _TAIL = ClenshawCurtis.nodes, ClenshawCurtis.weights, ClenshawCurtis.tail
@@ -249,7 +249,8 @@ def _surviving(c: Contact, law: ThresholdLaw, x: Array) -> Array:
     fixed shares of the stronger contacts and where the hazard passes fixed levels."""
     grown = c.aged(x)
     least = x / grown
-    edges = panels_above(law, least, None if c.barrier is None else _births_at(c, law, x, least))
+    layer = None if c.barrier is None else _births_at(c, law, x, least)
+    edges = births_above(law, least, layer, strongest(c.log_w, c.barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi0 = (edges[:, :-1, None] + half * (1 + _FEW_NODES)).reshape(x.size, -1)
     weight = (half * _FEW_WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
@@ -277,7 +278,8 @@ def _hazard(c: Contact, x: Array, xi0: Array) -> Array:
 
 def _births_at(c: Contact, law: ThresholdLaw, x: Array, least: Array) -> Array:
     """Roughly the birth whose hazard at x passes each level, shape (n, levels): only panels depend on it."""
-    beyond = np.maximum(float(law.exceeded_by(60.0)) / law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
+    rarest = max(60.0, strongest(c.log_w, c.barrier))
+    beyond = np.maximum(float(law.exceeded_by(rarest)) / law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
     with np.errstate(divide="ignore"):
         log_hazard = np.log(_hazard(c, x, least[:, None] + beyond))
         for _ in range(2):

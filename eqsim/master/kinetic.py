@@ -162,8 +162,21 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
         left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
         parts = np.append(parts[:, ~split], new_parts, axis=1)
         errors = np.append(errors[:, ~split], new_errors, axis=1)
-    error = errors.sum(axis=1) + _PANELS * total
+    rarest = beyond(law, stiffness)
+    error = errors.sum(axis=1) + _PANELS * total + rarest
+    total = total + rarest
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
+
+
+def beyond(law: ThresholdLaw, stiffness: StiffnessLaw) -> Array:
+    """C and work of the contacts beyond the last panel, shape (2,), not negligible where x^3 P_c is barely integrable:
+    at T = 0, and as of a power law (derived)."""
+    e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
+    xi = np.asarray(law.exceeded_by(e)) / law.scale
+    early, late = (np.array([xi, 0.5 * relative_stiffness(stiffness, xi, law.rms / law.scale) * xi**2]) * np.exp(-e)).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rest = late * np.diff(e) / np.log(early / late)
+    return np.where(late > 0, np.where(early > late, rest, np.inf), 0.0)
 
 
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
@@ -188,7 +201,7 @@ def survivors(
     layer = weakest(law) + np.zeros((x.size, 1))
     if barrier is not None:
         layer = np.concatenate((layer, _threshold_at(law, x, b, barrier, stiffness, log_w)), axis=1)
-    edges = panels_above(law, x, layer)
+    edges = births_above(law, x, layer, strongest(log_w, barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
     kappa = relative_stiffness(stiffness, xi, rms)
@@ -197,6 +210,25 @@ def survivors(
         terms *= survival(barrier, x[:, None, None], xi, b * kappa, log_w)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     return terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))
+
+
+_COMMON, _RARER = 45.0, 5.0  # -ln J_c up to which lives hardly differ enough to count, and of panels beyond
+
+
+def strongest(log_w: float, barrier: Barrier | None) -> float:
+    """-ln J_c up to which contacts count: where lives are as short as exp(-log_w), ones as rare as its square do."""
+    return _COMMON + (0.0 if barrier is None else min(max(2.0 * log_w, 0.0), 455.0))
+
+
+def births_above(law: ThresholdLaw, x: Array, layer: Array | None, rarest: float) -> Array:
+    """`panels_above` up to the threshold that a fraction exp(-rarest) of the contacts exceeds."""
+    edges = panels_above(law, x, layer)
+    if rarest <= _COMMON:
+        return edges
+    beyond = law.exceeded_by(np.arange(_COMMON, rarest, _RARER)) / law.scale + np.zeros((x.size, 1))
+    if layer is not None:
+        beyond = np.concatenate((layer, beyond), axis=1)
+    return np.concatenate((edges, np.sort(np.maximum(beyond, edges[:, -1:]), axis=1)), axis=1)
 
 
 def weakest(law: ThresholdLaw) -> Array:
@@ -216,7 +248,7 @@ def _threshold_at(
     """
     x = x[:, None]
     low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
-    high = np.log1p(float(law.exceeded_by(100.0)) / law.scale / x) + np.zeros_like(low)
+    high = np.log1p(float(law.exceeded_by(500.0)) / law.scale / x) + np.zeros_like(low)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         xi = x * (1.0 + np.exp(middle))

@@ -23,7 +23,7 @@ from eqsim.laws.octaves import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_hazard
 from eqsim.laws.threshold import ThresholdLaw, panels_above
-from eqsim.master.kinetic import ClenshawCurtis, Moments, interpolated, panels, weakest
+from eqsim.master.kinetic import ClenshawCurtis, Moments, beyond, interpolated, panels, weakest
 
 _MOST_STEPS, _SMOOTH = 1000, 1e-10
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -79,7 +79,9 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: 
     better = _hazard_rate(law, stiffness, barrier, b, log_w, 0.5 * (left + right)[seen], _ORDER + 4)
     missed = np.abs(2.0 * p.middle[seen] - better * (right - left)[seen])
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
-    error = errors.sum(axis=1) + _ROUNDING * total
+    rarest = alive[-1] * beyond(law, stiffness)
+    error = errors.sum(axis=1) + _ROUNDING * total + rarest
+    total = total + rarest
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
 
 

@@ -90,7 +90,7 @@ def _settled(s: Setting, ensemble: Ensemble, velocity: float) -> Setting:
 
     def excess(log_stretch: float) -> float:
         births = s._replace(law=ensemble.births(velocity, math.exp(log_stretch) * unit))
-        return math.log(_moments(births)[1].stretch) - log_stretch
+        return math.log(moments(births)[1].stretch) - log_stretch
 
     first = math.log(ensemble.thresholds.mean / unit)
     second = first + excess(first) + 1e-3  # in case births do not age at all
@@ -100,7 +100,7 @@ def _settled(s: Setting, ensemble: Ensemble, velocity: float) -> Setting:
     return s._replace(law=law, sensitivity=1.0 / max(slope, 1e-3))
 
 
-def _moments(s: Setting) -> tuple[str, Moments]:
+def moments(s: Setting) -> tuple[str, Moments]:
     """Which equation describes these contacts, and the moments of their lives."""
     if s.annealed and s.barrier is not None:
         return PUBLISHED, published.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
@@ -122,12 +122,12 @@ def survival(s: Setting) -> fokker_planck.Survival:
 def reference(ensemble: Ensemble, velocity: float) -> Reference:
     """The steady averages of an ensemble at constant velocity, by quadrature. Raises InputError."""
     s = setting(ensemble, velocity)
-    method, moments = _moments(s)
+    method, found = moments(s)
     if ensemble.disorder == "annealed" and ensemble.aging.active:
         method = PUBLISHED
     unit, delay, drag = s.law.scale, s.delay, s.drag
-    stretch, work = moments.stretch, moments.work
-    stretch_error, work_error = (s.sensitivity * error for error in (moments.stretch_error, moments.work_error))
+    stretch, work = found.stretch, found.work
+    stretch_error, work_error = (s.sensitivity * error for error in (found.stretch_error, found.work_error))
     relative = stretch_error / stretch + work_error / work
     pinned = stretch / (stretch + delay)
     pinned_error = pinned * (1.0 - pinned) * stretch_error / stretch

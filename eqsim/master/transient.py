@@ -11,6 +11,11 @@ evenly over each cell of a uniform grid and every integral over S and m is exact
 cell are no trouble; the scheme is of second order, of first where most lives are shorter than a cell. Two grids give
 the result, extrapolated as of second order, and their difference an error that covers either: with an error e of the
 coarser grid e/3 is left at first order, and the difference is e/2.
+
+But contacts that started together may stay in step for many cycles: identical ones always, and all whose lives are
+short beside a fixed delay. Harmonic k of their births keeps a share |phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)]
+(derived), of which births spread over cells h lose what has k h sqrt(m) > 1. The cells are made short enough for what
+is in step, and where they cannot be the share that may still be in step is part of the error.
 """
 
 import math
@@ -28,10 +33,13 @@ from eqsim.laws.aging import Pooled
 from eqsim.laws.octaves import Array
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, kinetic, published
-from eqsim.master.reference import Setting, reference, setting, survival
+from eqsim.master.reference import Setting, moments, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
+_FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor
+_BLURRED, _RESOLVED = 1.5, 0.3  # k h sqrt(m) that two grids still tell; the share in step beyond it that they may miss
 _STEP = 0.015  # in ln x, of the life's profile, whose splines are then good to 2e-8
+_BROKEN, _MOST_ROUNDS = 0.02, 8  # most that may break in such a step, reached by so many rounds of splits in four
 _SPLINE, _SMOOTH = 3e-8, 1e-9
 _KINKED_SPLINE = 1e-6  # of laws whose density may have kinks
 _COARSE_SPLINE = 3e-6  # of the steps that the Fokker-Planck equation takes
@@ -60,24 +68,41 @@ class Profile:
         self.steps = s.law.steps.size > 0
         if self.steps:
             self.x = np.unique(np.append(kinetic.panels(s.law, s.stiffness, s.b), grid[grid > 0]))
-        else:
-            top = math.log(float(s.law.exceeded_by(45.0)) / s.law.scale * max(1.0, s.final))
-            self.x = np.exp(np.arange(top, math.log(1e-15), -_STEP)[::-1])
-        if not self.steps:
-            log_x, values = np.log(self.x), self._solve(self.x)
-            self._values = CubicSpline(log_x, values, axis=1)
-            start = self.x[0] ** np.arange(1, 4)[:, None, None] / np.arange(1, 4)[:, None, None] * values[:, :1]
-            powers = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
-            self._integrals = [
-                lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)
-            ]
-        else:
             nodes, weights = np.polynomial.legendre.leggauss(6)
             edge = np.append(0.0, self.x)
             half = 0.5 * np.diff(edge)[:, None]
             inner = edge[:-1, None] + half * (1 + nodes)
             values = self._solve(inner.ravel()).reshape(3, *inner.shape)
             self._sums = [(values * inner**power * half * weights).sum(axis=2).cumsum(axis=1) for power in range(3)]
+            self.survive = self._solve(self.x)[0]
+            self._judge()
+            return
+        rarest = float(s.law.exceeded_by(kinetic.strongest(s.log_w, s.barrier)))
+        top = math.log(rarest / s.law.scale * max(1.0, s.final))
+        # from where hardly a contact has broken: no rate exceeds omega
+        first = -math.log(1e15) if s.barrier is None else -max(math.log(1e15), s.log_w + math.log(1e7))
+        log_x = np.arange(top, first, -_STEP)[::-1]
+        values = self._solve(np.exp(log_x))
+        for _ in range(_MOST_ROUNDS):
+            sudden = np.abs(np.diff(values[0])) > _BROKEN
+            if not sudden.any():
+                break
+            inner = log_x[:-1][sudden, None] + np.diff(log_x)[sudden, None] * np.array([0.25, 0.5, 0.75])
+            log_x = np.sort(np.append(log_x, inner))
+            values = self._solve(np.exp(log_x))
+        self.x, self.survive = np.exp(log_x), values[0]
+        self._values = CubicSpline(log_x, values, axis=1)
+        start = self.x[0] ** np.arange(1, 4)[:, None, None] / np.arange(1, 4)[:, None, None] * values[:, :1]
+        powers = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
+        self._integrals = [lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)]
+        self._judge()
+
+    def _judge(self) -> None:
+        """C and work by another quadrature: what this one misses is part of the error."""
+        _, exact = moments(self.setting)
+        stretch, work = (float(self.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
+        stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
+        self.error = max(self.error, stretch_error, (abs(work - exact.work) + exact.work_error) / exact.work)
 
     def _solve(self, x: Array) -> Array:
         s = self.setting
@@ -97,6 +122,11 @@ class Profile:
             return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
 
         return means(x) if self.steps else kinetic.interpolated(means, x, _SMOOTH)
+
+    @property
+    def strongest(self) -> float:
+        """The greatest m = x k1."""
+        return float((self.x * self.at(self.x)[1]).max())
 
     def at(self, x: Array) -> Array:
         """S, k1, k2 at x > 0, shape (3, n)."""
@@ -144,16 +174,14 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
     unit = s.law.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
-    # only a fixed delay asks how long lives are
-    in_step = s.delay > 0 and not s.exponential
-    life = known(reference(ensemble, drive.velocity).break_stretch) / unit if in_step else math.inf
-    cells, resolved = cells_of(s, distance, points, life)
-    fine = distance / (2 * cells) * np.arange(2 * cells + 1)
-    profile = Profile(s, fine)
+    profile, fine, in_step, around = grid_of(s, distance, points)
+    cells = in_step.size - 1
+    # what the mean may be while all are in step
+    loudest = max(profile.strongest, s.drag if s.delay else 0.0), 1.0 if s.delay else 0.0
     solved = [means_of(profile, fine[::step], s) for step in (2, 1)]
     X = np.linspace(0.0, distance, points)
     found, errors = {}, {}
-    for name in _Means._fields:
+    for name, loud in zip(_Means._fields, (*loudest, 0.0), strict=True):
         coarse, better = (np.asarray(getattr(means, name)) for means in solved)
         if name == "breaks":  # of cells; a pair of fine ones is a coarse one
             centres = fine[1::2]
@@ -163,9 +191,12 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
         # the difference may vanish by chance where the error does not
         error = ndimage.maximum_filter1d(np.abs(better[::2] - coarse), cells // 20) + profile.error * np.abs(best)
         if profile.steps:  # equal thresholds break together: near a jump the truth is somewhere between neighbours
-            error += ndimage.maximum_filter1d(coarse, 5) - ndimage.minimum_filter1d(coarse, 5)
-        if not resolved:
-            error += np.ptp(best)
+            near = ndimage.maximum_filter1d(coarse, 5) - ndimage.minimum_filter1d(coarse, 5)
+            # jumps that cells blur, in twice as many steps of half the length, differ by 0.083 of their height
+            error += np.maximum(near, 8 * ndimage.maximum_filter1d(np.abs(better[::2] - coarse), around))
+        error += max(float(np.ptp(best)), loud) * in_step
+        if points - 1 > cells:
+            error += _between(best)
         found[name] = np.interp(X, fine[::2], best)
         errors[name] = np.interp(X, fine[::2], error)
     return Transient(
@@ -178,14 +209,67 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
     )
 
 
-def cells_of(s: Setting, distance: float, points: int, life: float) -> tuple[int, bool]:
-    """How many cells the coarser grid has, and whether they resolve what has to be resolved: after a fixed delay much
-    longer than a life contacts stay in step for many cycles, and only cells shorter than a life keep them there."""
-    cell = min(_CELL, life / 8) if s.delay > 0 and not s.exponential else _CELL
-    cells = int(min(max(distance / cell, _LEAST_CELLS), _MOST_CELLS))
-    if points - 1 <= _MOST_CELLS:
-        cells = (points - 1) * max(1, round(cells / (points - 1)))
-    return cells, cell == _CELL or distance / cells < 2 * cell
+def _between(values: Array) -> Array:
+    """A bound of what straight lines between equidistant values miss: their curvature eightfold."""
+    return np.asarray(ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3))
+
+
+class Cells(NamedTuple):
+    """A life and the edges `x` of the finer grid, every second one of which is of the coarser; what share of the
+    contacts may be in step (cells + 1,) at edges of the coarser grid in a way that neither grid can tell; and over how
+    many of these edges it may blur the jumps of a discrete law."""
+
+    profile: Profile
+    x: Array
+    in_step: Array
+    around: int
+
+
+def grid_of(s: Setting, distance: float, points: int) -> Cells:
+    """Cells that resolve what has to be resolved on the way, as far as possible."""
+    discrete = s.law.steps.size > 0
+    # every threshold of a discrete law takes time in every cell
+    finest = max(_MOST_CELLS, _FINEST // (4 * np.unique(s.law.steps).size)) if discrete else _FINEST
+    least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
+    profile = None if discrete else Profile(s, np.empty(0))
+    while True:
+        cells = int(least)
+        if points - 1 <= finest:
+            cells = (points - 1) * max(1, round(cells / (points - 1)))
+        fine = distance / (2 * cells) * np.arange(2 * cells + 1)
+        lives = profile or Profile(s, fine)
+        in_step, around = _in_step(lives, s, fine[::2])
+        if in_step.max() <= _RESOLVED:
+            return Cells(lives, fine, np.zeros(cells + 1), around)
+        least *= _FINER
+        if least > finest:
+            return Cells(lives, fine, in_step, around)
+
+
+def _in_step(profile: Profile, s: Setting, x: Array) -> tuple[Array, int]:
+    """The share of contacts that may be in step at each edge `x` of a grid that blurs it, and `Cells.around`."""
+    h = x[1]
+    broken = -np.diff(profile.survive, prepend=1.0)
+    quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
+    cycle = s.delay + slow
+    k = np.geomspace(2 * math.pi / cycle, max(100.0 / quick, 200.0 / cycle), 400 if profile.steps else 50)
+    many = broken > 1e-8
+    broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
+    phase = np.outer(k, profile.x[many] - 0.5 * width)
+    # lives that last for many waves are out of step
+    seen = (np.outer(k, width) < 1.0) | profile.steps
+    together = np.abs(np.where(seen, np.exp(1j * phase), 0.0) @ broken)
+    if s.exponential:
+        together /= np.hypot(1.0, k * s.delay)
+    together = np.minimum(np.maximum.accumulate(together[::-1])[::-1], 1.0)
+    m = np.maximum(x / cycle, 1.0)
+    at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
+    share = together[np.minimum(at, k.size - 1)] ** m
+    share[0] = 0.0
+    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (s.delay + quick)))) if profile.steps else 0
+    if profile.steps and around * h < min(quick, s.delay or quick):
+        share[:] = 0.0  # what is in step is longer than the grid blurs it
+    return share, 2 * around + 1
 
 
 def means_of(profile: Profile, x: Array, s: Setting) -> _Means:
@@ -251,9 +335,7 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
     exact = reference(ensemble, velocity)
     cycle = known(exact.break_stretch) / unit + s.delay
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
-    cells, resolved = cells_of(s, distance / unit, points, cycle - s.delay)
-    fine = distance / unit / (2 * cells) * np.arange(2 * cells + 1)
-    profile = Profile(s, fine)
+    profile, fine, in_step, _ = grid_of(s, distance / unit, points)
     solved = []
     for step in (2, 1):
         x = fine[::step]
@@ -271,10 +353,14 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best = (4 * solved[1] - solved[0]) / 3
-    every = cells // (points - 1)
-    missed = ndimage.maximum_filter1d(np.abs(solved[1] - solved[0]), cells // 20)
-    error = missed + (profile.error if resolved else 1.0) * np.abs(best).max()
-    return Fluctuations(np.linspace(0.0, distance, points), best[::every] * unit**2, error[::every] * unit**2)
+    # kinks, which jumps of a discrete law make, are of lower order
+    missed = ndimage.maximum_filter1d(np.abs(solved[1] - solved[0]), in_step.size // 20)
+    error = missed * (3 if profile.steps else 1) + (profile.error + in_step) * np.abs(best).max()
+    if points - 1 > in_step.size - 1:
+        error += _between(best)
+    lag = np.linspace(0.0, distance, points)
+    found, errors = (np.interp(lag / unit, fine[::2], part) * unit**2 for part in (best, error))
+    return Fluctuations(lag, found, errors)
 
 
 def _reborn(fresh: Array, x: Array, s: Setting) -> tuple[Array, Array]:
