@@ -16,11 +16,12 @@ of 2 to 12 thresholds over up to four decades, samples of up to 500, lognormal, 
 and uniform laws, histograms with gaps, and gamma laws. Velocities are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to
 3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
 
-Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is below 1e-3: it does little to
-scores from 65 536 lives, most of which are good to 1e-3 to 5e-3, and counts where they are better, because thresholds
-hardly move. Their hazard is not known path by path; the whole law of x_b, S(x_b) uniform, stands in for it.
-Fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt law) have no reference. Births of
-annealed contacts that age are found once a point, with the steady averages, and then held.
+Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is below 1e-3, which is part of the
+quoted error: it does little to scores from 65 536 lives, most of which are good to 1e-3 to 5e-3 without it, and counts
+where they are better, because thresholds hardly move. Their hazard is not known path by path; the whole law of x_b,
+S(x_b) uniform, stands in for it. Fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
+law) have no reference. Births of annealed contacts that age are found once a point, with the steady averages, and then
+held.
 
 Some quoted errors are bounds: what all randomisations may miss of a few thresholds, tables of laws whose density jumps,
 grids where F jumps, because equal thresholds break together. With them |z| is too small to be normal. A score is even
@@ -86,7 +87,6 @@ _ENOUGH_SQUARES = 1600  # and for a mean of squares
 _ONE = 0.2  # of the sum of squares of so many normal numbers, the largest makes more once in fifty times
 _GROUPS = 64  # of contacts, whose scatter is the error of a variance
 _SHARE = 0.2  # of a quoted error that may be a bound: scatter then makes 98 % of it
-_STEPS = 1e-3  # what the steps of `langevin` thresholds may cost, relative (documented in `engine.paths`)
 _VAGUE = 0.1  # a bound, relative to what it bounds, that leaves nothing to compare
 _CELLS = 120_000  # of the grid of a transient, times thresholds of a table
 _BELOW = 1e-13  # a threshold of a table, relative: contacts that have it still live
@@ -429,10 +429,12 @@ def _averages(ensemble: Ensemble, shown: Ensemble, v: float, found: Steady) -> F
             scores.append(Unscored(name, ensemble, v, "unreliable"))
             continue
         response = known(ours) * (1.0 - known(ours) if name == "pinned" else 1.0)
-        steps = _STEPS * response if shown.fluctuates else 0.0
-        error = math.hypot(theirs.stderr, steps if ours.stderr < steps else 0.0)
-        bound = math.hypot(found.hidden * response, error)
-        scores.append(_score(name, ensemble, v, ours, known(theirs), error, bound))
+        hidden = found.hidden * response
+        scatter = math.sqrt(max(ours.stderr**2 - hidden**2, 0.0))
+        if shown.fluctuates and scatter > hidden:  # what steps may cost is a bound, mostly far from reached
+            ours, hidden = dataclasses.replace(ours, stderr=scatter), 0.0
+        bound = math.hypot(hidden, theirs.stderr)
+        scores.append(_score(name, ensemble, v, ours, known(theirs), theirs.stderr, bound))
     return scores
 
 
@@ -467,9 +469,10 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
         drive = Drive(v, distance * i / _EACH)
         run = trajectory(shown, drive, points=2, seed=_stream(seed, i), threads=threads)
         ours = Estimate(float(run.force[1]), float(run.force_stderr[1]), shown.count)
-        # quoted errors hold two contacts more than a sample shows, of typical force
-        two = 2.0 / shown.count * max(min(known(typical.f_k), drive.over(shown)), drag)
-        scores.append(_score("transient", ensemble, v, ours, level, off, math.hypot(off, two)))
+        if run.force_reliable:
+            scores.append(_score("transient", ensemble, v, ours, level, off, off))
+        else:
+            scores += _all(_TRANSIENT[:1], ensemble, v, "unreliable")
         group = dataclasses.replace(shown, count=shown.count // _GROUPS)
         # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts
         if few < _ENOUGH_SQUARES or not _many(_about(level, group, drive, _stream(seed, i, 1))):

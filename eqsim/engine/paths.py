@@ -12,7 +12,7 @@ where a break is unlikely. In a step
                (n < 1/2) dive and the bridge is that of a Bessel process (`touching`)
     heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
-Stiff barriers take half of STEP. The error in friction is second order in STEP; at the default it is below 1e-3
+Stiff barriers take half of STEP. The error in averages is second order in STEP; at the default it is below 1e-3
 (`analysis/aging_steps.py`).
 
 Each part of a step is a scalar function without library calls: `walk` puts them together for one path, `langevin_lives`
@@ -35,6 +35,7 @@ from eqsim.laws.stiffness import kappa
 from eqsim.laws.thermal import MECHANICAL, STIFF
 
 STEP = 0.35  # the default accuracy of steps
+STEP_ERROR = 1e-3  # what they may cost then, relative; falls as the square of STEP
 WALKERS = 64  # paths that advance side by side
 _UNSEEN = 7.0  # heat counts where the hazard of the way to the threshold is above exp(-7)
 _SCATTERS = 0.03  # hazard of a step from which on its scatter counts
