@@ -228,13 +228,13 @@ class Cells(NamedTuple):
 def grid_of(s: Setting, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
     discrete = s.law.steps.size > 0
-    # every threshold of a discrete law takes time in every cell
-    finest = max(_MOST_CELLS, _FINEST // (4 * np.unique(s.law.steps).size)) if discrete else _FINEST
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
+    # every threshold of a discrete law takes time in every cell
+    finest = _FINEST // (4 * np.unique(s.law.steps).size) if discrete else _FINEST
     profile = None if discrete else Profile(s, np.empty(0))
     while True:
         cells = int(least)
-        if points - 1 <= finest:
+        if points - 1 <= max(finest, _MOST_CELLS):
             cells = (points - 1) * max(1, round(cells / (points - 1)))
         fine = distance / (2 * cells) * np.arange(2 * cells + 1)
         lives = profile or Profile(s, fine)
