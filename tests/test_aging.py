@@ -148,6 +148,16 @@ def test_pooled_law_in_mpmath():
         assert law.sf(x) == pytest.approx(float(exact), rel=1e-9, abs=0)
 
 
+@pytest.mark.parametrize("n", [0.0, 1.0, 30.0])
+def test_pooled_quantiles_far_below(n):
+    """Where nobody is, too: a power of xi, as of the newborn law, without a warning."""
+    law = Pooled(Gamma(n), 12.0, 0.7)
+    with np.errstate(all="raise"):
+        x = law.exceeded_by(np.geomspace(1e-300, 511.0, 2000))
+    assert np.all(np.diff(x) > 0)
+    assert x[0] ** (2 * n + 2) == pytest.approx(x[1] ** (2 * n + 2) * (1e-300 / 511.0) ** (1 / 1999), rel=1e-9, abs=0)
+
+
 def test_pooled_limits():
     """No aging is the newborn law, infinite decay the final one; scale and rms stay those of newborn contacts; the
     mean is the integral of J_c."""

@@ -136,7 +136,7 @@ class Pooled:
         self._log_e = _spline(log_x, log_e)
         self._log_x = _spline(log_e, log_x)
         self._log_pdf = _spline(log_x, log_p - log_x)
-        self._range = log_x[0], log_x[-1]
+        self._range, self._ranks = (log_x[0], log_x[-1]), (log_e[0], log_e[-1])
         self.mean = float(newborn.mean * (share @ np.sqrt(square)))
 
     def __repr__(self) -> str:
@@ -175,7 +175,10 @@ class Pooled:
 
     def exceeded_by(self, e: Any) -> Array:
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
-        return np.asarray(self.scale * np.exp(self._log_x(np.log(np.asarray(e, float)))))
+        log_e = np.log(np.asarray(e, float))
+        inside = np.clip(log_e, *self._ranks)
+        below = np.minimum(log_e - inside, 0.0) / (2 * (self.newborn.n + 1))  # a power of xi
+        return np.asarray(self.scale * np.exp(self._log_x(inside) + below))
 
     def table(self) -> Array:
         """`exceeded_by` in units of `scale` for `threshold_draw`."""
