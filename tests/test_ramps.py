@@ -18,7 +18,7 @@ ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
 
 
 def scales(even):
-    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT]), 1.0, 1.0, 1.0, even)
+    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT]), 1.0, 1.0, even)
 
 
 def lives(even, delayed, early=0.0):
