@@ -411,15 +411,15 @@ def test_rare_clocks(kT, odds, monkeypatch):
     ensemble = Ensemble(Delta(1.0), thermal, stiffness_law="uniform")
     exact = known(reference(ensemble, velocity).friction)
 
-    def z(rel_error):
-        found = steady(ensemble, velocity, rel_error=rel_error, seed=3).friction
+    def z(rel_error, seed=3):
+        found = steady(ensemble, velocity, rel_error=rel_error, seed=seed).friction
         return (known(found) - exact) / found.stderr
 
     assert abs(z(1e-3)) < 4
     assert abs(z(1e-6)) < 4
     if (kT, odds) == (0.2, 1e-7):
-        monkeypatch.setattr(module, "_unseen", lambda *_: 0.0)  # negative control
-        assert abs(z(1e-3)) > 8
+        monkeypatch.setattr(module, "_unseen", lambda *_: 0.0)  # control: some two of 12 seeds have seen none
+        assert max(abs(z(1e-3, seed)) for seed in range(40)) > 8
 
 
 def test_early_clocks_show_in_every_error_bar(monkeypatch):
