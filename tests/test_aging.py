@@ -202,6 +202,17 @@ def test_pooled_draws(case):
         assert p_value(1.15 * decay) < 1e-5
 
 
+@pytest.mark.parametrize("x_star", [0.01, 1.0, 300.0])
+def test_pooled_table_in_any_unit(x_star):
+    """The kernel's table is the quantile in units of x_*i, between its nodes too: to the 5e-8 of a quantile and the
+    1e-8 of a cubic in a cell of relative width 1/64, of laws that are powers at both ends. A table whose slopes are of
+    another unit is off by 1e-3."""
+    law = Pooled(Gamma(1.0, x_star), 3.0 * x_star, 0.7)
+    table, e = law.table(), np.random.default_rng(6).permutation(np.geomspace(1e-8, 99.0, 2000))
+    drawn = np.array([threshold_draw(table, NO_STEPS, u) for u in np.exp(-e)])
+    np.testing.assert_allclose(drawn * x_star, law.exceeded_by(e), rtol=2e-7)
+
+
 # ----------------------------------------------------------------------------------------------------------- flow
 
 LAWS = [

@@ -71,6 +71,25 @@ def test_corrected_coefficients(b):
     assert pytest.approx(0.008254 + 0.016370 * b + 0.004587 * b**2, abs=6e-7 * (1 + b + b**2)) == C_2
 
 
+@pytest.mark.parametrize("b", [0.1, 3.0, 40.0])
+def test_printed_coefficients(b):
+    """As the paper prints them, for any b: nt16 with C_1 = 5 sqrt(pi)/8 - C_0 (.356) and C_2 = 16/(9 pi) - 1/3, star4
+    with a = 1, c = C_0 + C_1, C_12 = 1.324 and C~_12 = 1.789. Rounding: of sums of terms of 1e-4 and more, 1e-12."""
+    form, v = Published(0.5 / b), Published(0.5 / b).S_2(1.0) / 0.01
+    first, second = (form.high_velocity(v, printed=True, order=order) / form.f_k0 - 1 for order in (1, 2))
+    slope = -first / 0.01
+    assert slope == pytest.approx(5 * math.sqrt(math.pi) / 8 - C_0, rel=1e-12, abs=0)
+    assert slope == pytest.approx(0.356, abs=5e-4)
+    assert (second - first) / 1e-4 == pytest.approx(16 / (9 * math.pi) - 1 / 3, rel=1e-10, abs=0)
+    cold, hot = PublishedAging(0.1, 0.5, 1.0), PublishedAging(0.0, 0.5, 1.0, kT=0.125 / b)
+    for aging, thermal, S in ((0.0, 1.0, hot.S_2(v)), (1.0, 0.0, cold.S_3(v))):
+        which = cold if aging else hot
+        stretch = which.C(v, printed=True) / 0.5
+        assert (stretch - 1 / C_0) / S == pytest.approx(1.324 * aging - thermal, rel=1e-9, abs=0)
+        bracket = which.f_k(v, printed=True) * stretch / 0.5
+        assert (bracket - 1) / S == pytest.approx(1.789 * aging - (C_0 + slope) * thermal, rel=1e-9, abs=0)
+
+
 def test_low_velocity():
     """nt15 becomes exact as S_2 grows; its relative error falls at least as 1/S_2."""
     form = Published(1.0)

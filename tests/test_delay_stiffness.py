@@ -56,6 +56,13 @@ def ks(sample, cdf):
     return scipy.stats.kstest(sample, cdf).pvalue
 
 
+@pytest.mark.parametrize("draw", [delay_draw, residual_delay_draw])
+def test_a_uniform_is_the_share_of_longer_delays(draw):
+    """To rounding; no statistics would see a mean that is 1 % off."""
+    law = scipy.stats.expon(scale=MEAN)
+    np.testing.assert_allclose(draws(draw, "exponential"), law.isf(UNIFORMS), rtol=1e-13)
+
+
 def test_exponential_draws():
     """KS over 5e4 draws, p > 1e-5 (as everywhere in this file; six tests, false alarm 4e-5 together)."""
     assert ks(draws(delay_draw, "exponential"), Delay(MEAN, "exponential").cdf) > 1e-5

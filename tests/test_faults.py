@@ -141,6 +141,20 @@ def test_ctrl_c_does_not_reach_a_worker_that_starts():
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
+@pytest.mark.parametrize("hurry", [False, True])
+def test_one_thread_is_asked_of_workers_alone(monkeypatch, hurry):
+    """Libraries read these when they are loaded: what belongs to workers must not outlive them."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    before = dict(os.environ)
+    crew = Processes(1)
+    assert {os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL")} == {"1"}
+    assert crew.pool.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
+    crew.close(hurry)
+    assert dict(os.environ) == before
+
+
 def test_killed_workers_leave_no_thread_behind(monkeypatch):
     """Not even if there is more to send than a pipe holds and somebody tries to cancel it."""
     complaints, before = [], set(threading.enumerate())
@@ -293,6 +307,19 @@ def test_killed_at_every_step_of_writing(tmp_path):
         tables.publish(out, {"a": b"again", "b": b"again"})
         assert {(out / name).read_text() for name in "ab"} == {"again"}
     assert kills > 16
+
+
+def test_anyone_can_read_what_is_written(tmp_path):
+    """Temporary files are private until they have their names; others use the results."""
+    before = os.umask(0o022)
+    try:
+        tables.save(tmp_path / "one", b"1")
+        tables.publish(tmp_path / "new" / "folder", {"two": b"2", "three": b"3"})
+    finally:
+        os.umask(before)
+    for name in ("one", "new/folder/two", "new/folder/three"):
+        assert (tmp_path / name).stat().st_mode & 0o777 == 0o644
+    assert (tmp_path / "new" / "folder").stat().st_mode & 0o777 == 0o755
 
 
 def test_a_sweep_clears_what_a_killed_command_has_left(run_file, tmp_path):

@@ -1,10 +1,12 @@
 """The points of a sweep: axes, what a point's identity depends on, and what is refused."""
 
+import hashlib
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -42,6 +44,18 @@ def test_axes_and_their_product():
     assert [p["delay.time"] for p in grid('"delay.time" = { linear = [0, 1, 5] }')] == [0, 0.25, 0.5, 0.75, 1]
     assert [p["contacts.count"] for p in grid('"contacts.count" = { log = [10, 1000, 5] }')] == [10, 32, 100, 316, 1000]
     assert [p["disorder"] for p in grid('disorder = ["quenched", "annealed"]')] == ["quenched", "annealed"]
+
+
+def test_inner_values_of_an_axis_have_twelve_digits():
+    """Rounded to half a unit of the twelfth, that is by up to 5e-12 of themselves; ends are as they were written."""
+    log = [point["drive.velocity"] for point in grid("drive.velocity = { log = [0.0123456789012345, 1e2, 8] }")]
+    linear = [point["delay.time"] for point in grid('"delay.time" = { linear = [0.1, 1.23456789012345, 8] }')]
+    share = np.arange(8) / 7
+    exact = 0.0123456789012345 * (1e2 / 0.0123456789012345) ** share
+    np.testing.assert_allclose(log, exact, rtol=5.1e-12)
+    np.testing.assert_allclose(linear, 0.1 + share * 1.13456789012345, rtol=5.1e-12)
+    assert (log[0], linear[-1]) == (0.0123456789012345, 1.23456789012345)
+    assert all(value == float(f"{value:.12g}") for value in (*log[1:-1], *linear[1:-1]))
 
 
 def test_zipped_axes_advance_together():
@@ -112,6 +126,15 @@ def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
     monkeypatch.setattr(module, "results_version", lambda: "other")
     assert not set(ids_) & set(ids(swept))
     assert all(0 <= seed_of(i) < 2**63 for i in ("f" * 64, "0" * 64, *ids_))
+
+
+def test_seeds_of_points_differ():
+    """They have 63 bits: two of 3e5 points share one with probability 5e-9, and with 31 bits a score would."""
+    ids = [hashlib.sha256(str(number).encode()).hexdigest() for number in range(300_000)]
+    seeds = np.array([seed_of(point_id) for point_id in ids])
+    assert np.unique(seeds).size == seeds.size
+    assert np.unique(seeds % 2**31).size < seeds.size - 5  # the control: some 21 are expected to be the same
+    assert seed_of("f" * 64) == 2**63 - 1
 
 
 def test_a_table_of_thresholds_enters_with_its_values(tmp_path):

@@ -66,6 +66,12 @@ def test_tolerances_are_stated():
         assert [*unstated(wrong)] == [1], wrong
 
 
+@pytest.mark.long
+def test_deliberate_mistakes_can_be_made():
+    """Their texts are still there, once each."""
+    run(sys.executable, "tests/mutations.py", "--list")
+
+
 def test_readme_commands_are_what_ci_runs():
     readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci" / "run").read_text()
     for line in ("pip install -e . && eqsim run runs/quickstart.toml", 'pip install -e ".[test]" && pytest'):

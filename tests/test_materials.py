@@ -4,14 +4,17 @@ Printed numbers are compared at the digits the paper prints: they are rounded th
 """
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import gamma
+from typer.testing import CliRunner
 
 from eqsim import Aging, Delay, InputError, load, reference, steady
+from eqsim.cli import app
 from eqsim.estimate import z_score
 from eqsim.grid import Plan
 from eqsim.master.asymptotics import C_0, Published
@@ -27,6 +30,7 @@ from eqsim.materials import (
     LubricantIslands,
     RoughContacts,
     omcts_film,
+    parameters,
     run_file_text,
 )
 
@@ -235,6 +239,40 @@ def test_delay_makes_a_peak_of_annealed_friction_against_temperature():
     mean = film.ensemble().thresholds.mean
     tau = np.array([film.delay.value(t) for t in temperatures])
     np.testing.assert_allclose(quenched, C_0 * film.x_star * mean / (mean + v * tau), rtol=1e-4)
+
+
+# ---- as a table ----
+
+KNOWN = {  # the numbers of section 7 and what follows from them, by hand, to the digits given
+    "steel": {
+        "density": 1e4, "young_modulus": 2e11, "contact_radius": 1e-6, "kT": 4e-21, "k": 4.7124e5, "x_*": 2.1221e-9,
+        "omega": 7.8710e9, "1/a^2": 1e12, "b": 2.6526e8, "v_*": 2.7902e-8, "sigma_*": 1e9,
+    },
+    "octamethylcyclotetrasiloxane": {
+        "density": 956.0, "thickness": 3.5e-9, "spacing": 1e-6, "gamma_c": 0.5, "kT": 4e-21, "k": 0.4, "x_*": 5e-7,
+        "omega": 7.9523e8, "1/a^2": 1e12, "b": 1.25e7, "v_*": 1.4095e-5, "sigma_*": 2e5,
+    },
+}  # fmt: skip
+
+
+@BOTH
+def test_parameters(material):
+    """What `eqsim material` shows, to five digits; of units the dimension, and a factor 1000 is no unit."""
+    shown = CliRunner().invoke(app, ["material", material.name, "--json"])
+    assert shown.exit_code == 0, shown.output
+    found = {row.name: row for row in parameters(material)}
+    assert {name: row.value for name, row in found.items()} == json.loads(shown.stdout)
+    assert {name: float(f"{row.value:.5g}") for name, row in found.items()} == KNOWN[material.name]
+    lengths = {"contact_radius": "m", "thickness": "m", "spacing": "m", "x_*": "m"}
+    forces = {"young_modulus": "Pa", "sigma_*": "Pa", "k": "N/m", "kT": "J", "density": "kg/m^3"}
+    rest = {"omega": "1/s", "v_*": "m/s", "1/a^2": "1/m^2", "gamma_c": "", "b": ""}
+    units = lengths | forces | rest
+    assert {name: row.unit for name, row in found.items()} == {name: units[name] for name in found}
+    hot = {row.name: row.value for row in parameters(material, 2 * ROOM_TEMPERATURE)}
+    assert hot["kT"] == pytest.approx(8e-21, rel=1e-15, abs=0)
+    assert hot["b"] == pytest.approx(0.5 * found["b"].value, rel=1e-14, abs=0)
+    table = CliRunner().invoke(app, ["material", material.name, "--temperature", str(2 * ROOM_TEMPERATURE)]).stdout
+    assert all(f"{value:.5g}" in table for value in hot.values())
 
 
 # ---- Arrhenius ----

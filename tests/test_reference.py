@@ -26,7 +26,7 @@ from eqsim import (
 )
 from eqsim.estimate import OBSERVABLES
 from eqsim.master import kinetic, published
-from eqsim.master.transient import fluctuations, transient
+from eqsim.master.transient import expected, fluctuations, transient
 
 UNIFORM = {"stiffness_law": "uniform"}
 
@@ -79,6 +79,18 @@ def test_annealed_aging_in_closed_form():
     late = Ensemble(aging=Aging("langevin", 0.1, 1.0), disorder="annealed", delay=Delay(0.5), **AGED)
     for name, value in zip(OBSERVABLES, (0.176900, 0.509671, 0.519724), strict=True):
         assert getattr(reference(late, 1.0), name).value == pytest.approx(value, rel=4e-6, abs=0)
+
+
+def test_errors_of_self_consistent_births():
+    """An error of C moves births, and these C again: at T = 0, where C is the mean threshold at birth, errors grow by
+    1/(1 - d ln <xi>/d ln C), here 1.6 (a central difference over 2 %, good to 1e-3)."""
+    contacts = Ensemble(aging=Aging("flow", 0.1, 1.0), disorder="annealed", **AGED)
+    exact = reference(contacts, 1.0).break_stretch
+    low, high = (contacts.births(1.0, factor * exact.value).mean for factor in (0.99, 1.01))
+    grown = 1 / (1 - math.log(high / low) / math.log(1.01 / 0.99))
+    assert grown > 1.3
+    births = Ensemble(contacts.births(1.0, exact.value), **UNIFORM)
+    assert exact.stderr == pytest.approx(grown * reference(births, 1.0).break_stretch.stderr, rel=0.01, abs=0)
 
 
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
@@ -254,6 +266,24 @@ def test_transient_at_zero_temperature(delay, x, force, pinned):
     assert abs(result.force[i] - force) < digit + result.force_error[i]
     assert abs(result.pinned[i] - pinned) < 5e-7 + result.pinned_error[i]
     assert result.force_error.max() < 1e-4
+
+
+@pytest.mark.parametrize("law", ["fixed", "exponential"])
+def test_expected_of_a_stationary_start_is_level(law):
+    """At T = 0 with uniform stiffness: C = 3 sqrt(pi)/4, one break a cycle, that is 1/(C + v tau), pinned C/(C + v tau)
+    and friction C_0 of the pinned (units of x_* = 2)."""
+    contacts = Ensemble(Gamma(1.0, 2.0), delay=Delay(3.0, law), **UNIFORM)
+    cycle = 2.0 * 0.75 * math.sqrt(math.pi) + 0.5 * 3.0
+    pinned = 1.0 - 1.5 / cycle
+    found = expected(contacts, Drive(0.5, 7.0, "stationary"), points=3)
+    np.testing.assert_array_equal(found.X, [0.0, 3.5, 7.0])
+    np.testing.assert_allclose(found.breaks, 1.0 / cycle, rtol=1e-10)
+    np.testing.assert_allclose(found.pinned, pinned, rtol=1e-10)
+    np.testing.assert_allclose(found.force, 2.0 * 4.0 / (3.0 * math.sqrt(math.pi)) * pinned, rtol=1e-10)
+    assert np.all((found.force_error < 1e-9) & (found.pinned_error < 1e-9))
+    fresh = expected(contacts, Drive(0.5, 7.0), points=3)
+    np.testing.assert_array_equal(fresh.force, transient(contacts, Drive(0.5, 7.0), points=3).force)
+    assert abs(fresh.breaks[1] * cycle - 1.0) > 0.05
 
 
 CASES = [

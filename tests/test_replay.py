@@ -109,8 +109,10 @@ def test_compare():
     assert compare(left, left.assign(seconds=0.0)) == {}
     assert compare(left, left.assign(a=[1.5, np.nan])) == {"a": (1, 0.5)}
     assert compare(left, left.assign(a=[1.0, 2.0], b=["x", "z"])) == {"a": (1, None), "b": (1, None)}
-    assert set(compare(left, left.iloc[:1])) == {"a", "b"}
-    assert set(compare(left, left.drop(columns="b"))) == {"b"}
+    for longer, shorter in ((left, left.iloc[:1]), (pd.concat([left, left.iloc[:1]]), left)):
+        rows = {"a": (len(longer), None), "b": (len(longer), None)}
+        assert compare(longer, shorter) == compare(shorter, longer) == rows
+    assert set(compare(left, left.drop(columns="b"))) == set(compare(left.drop(columns="b"), left)) == {"b"}
 
 
 def test_bad_input_is_one_line(tmp_path):

@@ -1,10 +1,12 @@
 """Run files: defaults, bad input in one line that names the field, and threshold tables."""
 
 import math
+import re
 
 import pytest
 
-from eqsim import Delay, Delta, Drive, Gamma, InputError, Thermal, load
+from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Thermal, load, trajectory
+from eqsim.errors import require_integer, require_number
 from eqsim.runfile import check, read_thresholds
 
 
@@ -161,3 +163,35 @@ def test_changes(tmp_path):
     assert (file.drive.velocity, file.title, file.delay.time) == (2.0, "x", 3.0)
     with pytest.raises(InputError, match="velocity is not a section"):
         load(path, {"drive.velocity.x": 1})
+
+
+@pytest.mark.parametrize("value", [True, 1.0, "3", None, 0, 11])
+def test_integers_are_integers(value):
+    """Of Python's bool is one; of a number of contacts it is a mistake."""
+    with pytest.raises(InputError, match=rf"^field = {re.escape(repr(value))}: must be an integer from 1 to 10$"):
+        require_integer("field", value, 1, 10)
+    require_integer("field", 1, 1, 10)
+    require_integer("field", 10, 1, 10)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "good", "bad"),
+    [
+        ({"above": 0.0}, [5e-324, 1e300], [0.0, -1.0, math.inf, math.nan, "1", None]),
+        ({"least": 2.0, "most": 3.0}, [2.0, 3.0, 2], [math.nextafter(2.0, 0.0), math.nextafter(3.0, 4.0), math.nan]),
+        ({}, [-1e300, 0], [math.inf, -math.inf, math.nan, 10**400]),
+    ],
+)
+def test_bounds_of_numbers(bounds, good, bad):
+    """What is allowed ends where the message says it does."""
+    for value in good:
+        require_number("field", value, **bounds)
+    for value in bad:
+        with pytest.raises(InputError, match=r"^field = .*: must be a finite number"):
+            require_number("field", value, **bounds)
+
+
+def test_no_count_of_contacts_is_true():
+    for call in (lambda: Ensemble(count=True), lambda: trajectory(Ensemble(count=5), Drive(1.0, 1.0), replicas=True)):
+        with pytest.raises(InputError, match=r" = True: must be an integer from 1"):
+            call()

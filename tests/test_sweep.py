@@ -4,6 +4,7 @@ import concurrent.futures as futures
 import contextlib
 import dataclasses
 import json
+import math
 import os
 import random
 import re
@@ -19,6 +20,7 @@ import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scipy import stats
 from test_grid import BASE, file_of, plan_of
 from typer.testing import CliRunner
 from waiting import once
@@ -76,6 +78,14 @@ def test_rows_are_what_steady_and_reference_say(small):
         assert row["friction_stderr"] == found.friction.stderr
         assert row["lives"] == found.lives
         assert row["pinned_reference"] == exact.pinned.value
+        for name in OBSERVABLES:
+            ours, level = getattr(found, name), getattr(exact, name)
+            assert row[f"{name}_reference_error"] == level.stderr
+            assert (row[f"{name}_dof"], row[f"{name}_reliable"]) == (31, True)  # 32 randomisations
+            sigma = math.hypot(ours.stderr, level.stderr)
+            if sigma:  # Student's probability as that of a normal score, with the sign of ours - theirs
+                score = stats.norm.ppf(stats.t.cdf((ours.value - level.value) / sigma, 31))
+                assert row[f"{name}_z"] == pytest.approx(score, rel=1e-9, abs=0)
         assert row["drive.velocity"] == point.drive.velocity
         assert row["seed"] == seed_of(row["id"])
     z = table[["friction_z", "pinned_z", "break_stretch_z"]].stack().dropna()
@@ -123,6 +133,7 @@ def test_transient(tmp_path):
                 estimate.dof,
             )
         assert row["lives"] == found.lives > 500
+    assert (table[["friction_dof", "break_stretch_dof"]] == 63).all(axis=None)  # 64 batches
 
 
 def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
@@ -273,9 +284,11 @@ class Deadly(futures.Executor):
 
     def __init__(self, poison, chance):
         self.poison, self.rng, self.chance = poison, random.Random(5), chance
+        self.alone = 0  # how often the point went alone
 
     def submit(self, work, tasks):
         future = futures.Future()
+        self.alone += [task.seed for task in tasks] == [self.poison]
         if self.poison in {task.seed for task in tasks} or self.rng.random() < self.chance:
             future.set_exception(BrokenProcessPool("died"))
         else:
@@ -287,13 +300,13 @@ class Crew:
     lost = (futures.BrokenExecutor,)
 
     def __init__(self, *args):
-        self.pool = Deadly(*args)
+        self.pool, self.renewed = Deadly(*args), 0
 
     def slots(self):
         return 2
 
     def renew(self):
-        pass
+        self.renewed += 1
 
 
 @pytest.mark.parametrize("poisonous", [False, True])
@@ -308,7 +321,8 @@ def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous)
     found, exact = table_of(tmp_path).to_pandas(), table_of(small / "one").to_pandas()
     assert list(found["status"]) == ["failed" if poisonous and index == 4 else "ok" for index in range(12)]
     if poisonous:
-        assert "workers died at this point" in found["message"][4]
+        assert found["message"][4] == "3 workers died at this point (not enough memory?)"
+        assert crew.pool.alone == 3
         found, exact = found.drop(4), exact.drop(4)
     pd.testing.assert_frame_equal(found, exact, check_exact=True, check_dtype=False)
 
@@ -316,8 +330,31 @@ def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous)
 def test_workers_that_never_live_end_the_sweep(tmp_path):
     plan = plan_of(GRID)
     store = Store(tmp_path, plan, Asked(), GRID)
+    crew = Crew(-1, 1.0)
     with pytest.raises(InputError, match="as soon as they start"):
-        module._Loop(plan, store, Asked(), 1, Crew(-1, 1.0), None, lambda _: None).run(list(range(12)))
+        module._Loop(plan, store, Asked(), 1, crew, None, lambda _: None).run(list(range(12)))
+    assert crew.renewed == 12  # four times as many in a row as a point may cost
+    store.close()
+
+
+def test_workers_that_die_now_and_then_do_not_end_the_sweep(tmp_path):
+    """With any two points together, and with every second point the first two times it goes alone: more often than
+    would end the sweep in a row, and every point is computed."""
+    plan = plan_of(GRID.replace("1.0, 3]", "1.0, 6]"))
+    store, crew = Store(tmp_path, plan, Asked(), GRID), Crew(-1, 0.0)
+    left, submit = dict.fromkeys(map(seed_of, plan.ids[::2]), 2), crew.pool.submit
+
+    def frail(work, tasks):
+        dies = len(tasks) > 1 or left.get(tasks[0].seed, 0) > 0
+        if len(tasks) == 1 and dies:
+            left[tasks[0].seed] -= 1
+        crew.pool.chance = float(dies)
+        return submit(work, tasks)
+
+    crew.pool.submit = frail
+    module._Loop(plan, store, Asked(), 1, crew, None, lambda _: None).run(list(range(24)))
+    assert crew.renewed > 12
+    assert set(store.compact()["status"].to_pylist()) == {"ok"}
     store.close()
 
 

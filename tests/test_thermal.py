@@ -577,7 +577,8 @@ def test_pooled_stretch_at_its_ends():
         for target in (1e-200, 0.5 * pool.G[0], pool.G[0], 1.5 * pool.G[0]):
             assert pooled_stretch(*pool, target) == pytest.approx(start * target, rel=ERROR["smooth"], abs=0)
     pool = pooled_hazard(Gamma(1.0), "uniform", "soft", 1.0)
-    assert pooled_stretch(*pool, 1e-200) == pytest.approx(1e-200 * 4.0, rel=1e-8, abs=0)  # h(0) = 1/(1 + b)^2
+    for target in (1e-200, 1e-30, 0.3 * float(pool.G[0])):  # h(0) = 1/(1 + b)^2
+        assert pooled_stretch(*pool, target) == pytest.approx(4.0 * target, rel=1e-8, abs=0.0)
     assert pooled_stretch(*pool, float(pool.G[-1])) == math.inf
     assert pooled_stretch(*pool, 1e300) == math.inf
     assert pooled_stretch(*pool, math.inf) == math.inf
@@ -658,6 +659,27 @@ def test_lives_follow_the_survival(disorder, stiffness, barrier):
     assert p(sample, ensemble()) > 1e-5
     assert p(sample, ensemble(kT=2.0 / 1.5)) < 1e-5
     assert p(sample, ensemble(disorder="annealed" if disorder == "quenched" else "quenched")) < 1e-5
+
+
+@pytest.mark.parametrize(("disorder", "stiffness", "barrier"), DRAWN)
+def test_lives_spend_their_clocks(disorder, stiffness, barrier):
+    """A life that heat ends does so where its integrated hazard is its clock, and one that it does not has not spent
+    it: 400 lives, to what the errors of tables do to a hazard (1e-6 of the clock)."""
+    law = Gamma(1.0, 2.0)
+    contacts = Ensemble(law, Thermal(2.0, 1.5, barrier), stiffness=0.5, stiffness_law=stiffness, disorder=disorder)
+    u, v = np.random.default_rng(14).random((2, 400))
+    _, x = lives(lower(contacts, 1.0), key(0, TRAJECTORY), 0, u, v)
+    xi, b, w = law.exceeded_by(-np.log(u)) / law.scale, contacts.b, 1.5 * law.scale
+    if disorder == "annealed":
+        at, back = np.unique(x, return_inverse=True)
+        spent = w * integrated_rate(law, stiffness, barrier, b, at)[back]
+    else:
+        a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
+        spent = w * np.exp(log_hazard(barrier, np.minimum(x, xi), xi, a))
+    hot = x < xi * (1 - 1e-9)
+    assert 20 < hot.sum() < 380
+    np.testing.assert_allclose(spent[hot], -np.log(v[hot]), rtol=1e-6)
+    assert np.all(spent[~hot] <= -np.log(v[~hot]) * (1 + 1e-6))
 
 
 # ----------------------------------------------------------------------------------------------------- bad input

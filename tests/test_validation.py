@@ -87,7 +87,12 @@ def test_command(tmp_path):
     assert [v["kind"] for v in summary["verdicts"]] == list(KINDS)
     table = pq.read_table(tmp_path / "v" / "scores.parquet")
     assert table.num_rows == sum(v["count"] for v in summary["verdicts"]) > 150
-    z, even = (table[name].to_numpy() for name in ("z", "even"))
+    ours, exact, sigma, z, even = (table[name].to_numpy() for name in ("value", "reference", "sigma", "z", "even"))
+    # a score has the sign of engine less master, and its size but for what few batches make of it
+    compared = table["kind"].to_numpy() != "hazard law"
+    plain = ((ours - exact) / sigma)[compared]
+    assert np.all(z[compared] * plain >= 0)
+    np.testing.assert_allclose(z[compared], plain, rtol=0.2, atol=0)
     assert even.sum() == sum(v["even"] for v in summary["verdicts"]) > 100
     z = z[even]
     np.testing.assert_allclose(np.var(z), 1.0, rtol=0, atol=5 * math.sqrt(2 / z.size))
@@ -123,6 +128,31 @@ def test_verdict():
     assert not of(np.append(normal, 6.0)).passed
     with pytest.raises(InputError, match="suite"):
         validate("everything")
+    # p = 1e-4 decides, and that of the largest of 500 is that none is larger: 4.2 alone has 2.7e-5
+    alone, many = (float(stats.norm.isf(p / 2)) for p in (0.9e-4, 1.1e-4))
+    assert (of([alone]).passed, of([many]).passed) == (False, True)
+    far = of(np.append(normal[np.abs(normal) < 3.0], 4.2))
+    assert far.passed
+    assert far.p_largest == pytest.approx(1.0 - (1.0 - 2.0 * stats.norm.sf(4.2)) ** far.count, rel=1e-9, abs=0)
+    farther = of(np.append(normal[np.abs(normal) < 3.0], 5.4))
+    assert (farther.p_chi_square > 1e-2, farther.passed) == (True, False)
+
+
+@pytest.mark.parametrize("wrong", [0.98, 1.02])
+def test_signs_of_scores(wrong):
+    """Engine less master over the joint error, in the scores and in their table; the engine's barrier is 2 % off."""
+    contacts = Ensemble(thermal=Thermal(0.3), delay=Delay(2.0))
+    shown = dataclasses.replace(contacts, thermal=Thermal(0.3 * wrong))
+    found = steady(shown, 0.1, rel_error=1e-4)
+    table = columns(scores(_averages(contacts, shown, 0.1, found)))
+    assert table["kind"] == ["friction", "pinned", "break_stretch"]
+    ours, exact, sigma, z = (np.array(table[name]) for name in ("value", "reference", "sigma", "z"))
+    assert list(ours) == [found.friction.value, found.pinned.value, found.break_stretch.value]
+    assert np.all(z * (ours - exact) > 0)
+    assert np.all(z * np.sign(1.0 - wrong) > 4.5)  # a higher temperature, a lower value
+    np.testing.assert_allclose(
+        sigma, [found.friction.stderr, found.pinned.stderr, found.break_stretch.stderr], rtol=1e-3
+    )
 
 
 def test_sample(monkeypatch):

@@ -1,0 +1,571 @@
+"""Deliberate mistakes, one at a time: does a test notice?
+
+    python tests/mutations.py [--list] [--only PART ...] [--whole] [--json FILE]
+
+Each mistake of `MISTAKES` is made in a temporary copy of the repository, where the tests nearest to it are run, and
+with --whole the default suite if these pass. A table says which test caught it. Exit code 1 if one survives, 2 if a
+mistake cannot be made (its text is not there once) or its tests fail without it. Mistakes in compiled code take as long
+as kernels take to compile, a minute or so each; those in plain Python some seconds.
+"""
+
+import argparse
+import ast
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parent.parent
+LONGEST = 1800.0  # seconds that tests may take; a mistake without an end is caught
+KERNELS = ("laws/", "engine/", "compiled.py")  # sources of compiled code, and of the name of its cache
+COMPILED = {"kernel", "inlined", "routine"}  # decorators
+
+
+class Mistake(NamedTuple):
+    """A name, the file below eqsim/, the text that occurs there once and what takes its place, and the tests nearest to
+    it, below tests/ and separated by " & ". `same` says why the program does the same with it, if it does."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: str
+    same: str = ""
+
+
+class Fate(NamedTuple):
+    """What became of a mistake: "caught", "SURVIVED" or "equivalent"; by which test and what that said, or why; and the
+    seconds it took."""
+
+    name: str
+    fate: str
+    by: str
+    seconds: float
+
+
+M = Mistake
+# fmt: off
+MISTAKES = [
+    # laws
+    M("gamma: power of the density", "laws/threshold.py", "log_pdf = (1 + 2 * self.n)", "log_pdf = (2 * self.n)",
+      "test_threshold.py::test_gamma_is_nakagami"),
+    M("gamma: rms threshold", "laws/threshold.py", "self.x_star * math.sqrt(self.n + 1.0)",
+      "self.x_star * math.sqrt(self.n + 0.9)", "test_threshold.py::test_gamma_is_nakagami"),
+    M("gamma: slopes of the table", "laws/threshold.py", "slope = 0.5 * np.exp(u**2", "slope = 0.6 * np.exp(u**2",
+      "test_threshold.py::test_draw_is_the_quantile"),
+    M("discrete thresholds: ranks", "laws/threshold.py", "return self.steps[self.steps.size - 1 - np.minimum",
+      "return self.steps[np.minimum", "test_threshold.py::test_discrete_laws"),
+    M("discrete thresholds: drawn in reverse", "laws/threshold.py", "return steps[steps.size - 1 - np.int64(",
+      "return steps[np.int64(",
+      "test_threshold.py::test_ranks_are_equally_likely & test_threshold.py::test_table_draws"),
+    M("direct draws: 1 % low", "laws/threshold.py", "return math.sqrt(-log(p))", "return 0.99 * math.sqrt(-log(p))",
+      "test_lives.py::test_direct_draws_have_the_law_of_the_table"),
+    M("distributions: error of jumps without the cube", "laws/threshold.py", "for p in (1, 3))", "for p in (1, 1))",
+      "test_threshold.py::test_error_of_draws_across_a_gap"),
+    M("sqrt law: root of the threshold", "laws/stiffness.py", "return xi / xi_rms if", "return (xi / xi_rms) ** 0.5 if",
+      "test_delay_stiffness.py::test_sqrt_law_is_the_root_of_the_force"),
+    M("sqrt law: kernel", "laws/stiffness.py", "return constant + slope * xi", "return constant + slope * xi * xi",
+      "test_delay_stiffness.py::test_kernel_stiffness"),
+    M("delay: exponential 2 % long", "laws/delay.py", "return -mean * log(u) if", "return -1.02 * mean * log(u) if",
+      "test_delay_stiffness.py::test_a_uniform_is_the_share_of_longer_delays"),
+    M("delay: no residual of a fixed one", "laws/delay.py", "else mean * u", "else mean",
+      "test_delay_stiffness.py::test_residual_draws"),
+    M("tables: slopes limited too much", "laws/octaves.py", "limit = 3.0 * rise", "limit = 1.0 * rise",
+      "test_octaves.py"),
+    M("tables: no constant beyond the last cell", "laws/octaves.py", "t = 1.0", "t = 0.0",
+      "test_octaves.py::test_beyond_the_ends"),
+    M("log of 1 + t: what is lost", "laws/elementary.py", "f + (t - (u - 1.0))", "f + 0.0 * (t - (u - 1.0))",
+      "test_elementary.py::test_stated_error"),
+    M("sine: thirteenth digit", "laws/elementary.py", "-0.6459640975062232", "-0.6459640975064232",
+      "test_elementary.py::test_stated_error"),
+    M("stiff hazard: factor", "laws/thermal.py", "return math.log(2 / 3) - np.log", "return math.log(3 / 2) - np.log",
+      "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
+    M("stiff rate: root of the gap", "laws/thermal.py", "np.asarray(0.5 * np.log(gap)", "np.asarray(1.0 * np.log(gap)",
+      "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
+    M("soft inverse: a factor sqrt(a)", "laws/thermal.py", "_SOFT * clock * root *", "_SOFT * clock *",
+      "test_thermal.py::test_inverse_is_the_inverse_of_the_hazard"),
+    M("stiff inverse: 1 - q", "laws/thermal.py", "x = xi * spent * (2.0 - spent) /", "x = xi * spent * 2.0 /",
+      "test_thermal.py::test_inverse_is_the_inverse_of_the_hazard"),
+    M("pooled inverse: below the first node", "laws/thermal.py", "return x[0] * (target / G[0])", "return x[0]",
+      "test_thermal.py::test_pooled_stretch_at_its_ends"),
+    M("pooled rate: soft exponent", "laws/thermal.py", "-a * beyond * (beyond + 2 * y)", "-a * beyond * (beyond + y)",
+      "test_thermal.py::test_pooled_rate_is_nt08"),
+    M("pooled table: rate right of a node", "laws/thermal.py", "right[:k] += rate[:-1]", "right[:k] += 0.9 * rate[:-1]",
+      "test_thermal.py::test_documented_error_of_the_pool_of_a_table"),
+    M("aging: alpha by a half", "laws/aging.py", "alpha = 4.0 * self.rate", "alpha = 2.0 * self.rate",
+      "test_aging.py::test_alpha"),
+    M("pooled births: slopes of another unit", "laws/aging.py", "np.exp(-e) / self.pdf(xi) / self.scale)",
+      "np.exp(-e) / self.pdf(xi))", "test_aging.py::test_pooled_table_in_any_unit"),
+    M("pooled births: mean", "laws/aging.py", "(share @ np.sqrt(square))", "np.sqrt(share @ square)",
+      "test_aging.py::test_pooled_limits"),
+    M("flow: work", "laws/aging.py", "(excess(t) - 2.0 * mean) / t)", "(excess(t) - mean) / t)",
+      "test_aging.py::test_flow_work"),
+    M("flow: growth without its end", "laws/aging.py", "(final2 - 1.0) * math.expm1(-alpha * x))",
+      "(final2 - 1.0) * -alpha * x)", "test_aging.py::test_flow_without_attempts"),
+    M("flow: cells too wide", "laws/aging.py", "_DEEPEST = 4.0, 1.5", "_DEEPEST = 400.0, 1.5",
+      "test_aging.py::test_flow_stretch_in_an_ode & test_aging.py::test_flow_without_aging"),
+    M("flow: Jacobian of the hazard", "laws/aging.py", "* 2.0 * end * (1.0 - z)", "* 2.0 * end",
+      "test_aging.py::test_flow_without_aging"),
+    # streams
+    M("streams: nine rounds", "engine/streams.py", "for _ in range(10):", "for _ in range(9):",
+      "test_streams.py::test_known_answers"),
+    M("streams: 32-bit uniforms", "engine/streams.py", "np.int64((low | (high << _HALF)) >>",
+      "np.int64((high << _HALF) >>", "test_streams.py::test_tail_is_resolved_below_a_double_near_1"),
+    M("streams: contacts beyond 2^32 repeat", "engine/streams.py", "a, b, d, e = philox(c & _LOW, c >> _HALF, j",
+      "a, b, d, e = philox(c & _LOW, c & _LOW, j", "test_streams.py::test_layout_of_the_counter"),
+    M("streams: paths share counters with lives", "engine/streams.py", "| np.uint64(0x80000000)", "| np.uint64(0)",
+      "test_streams.py::test_words_have_counters_of_their_own"),
+    M("streams: small products stay coarse", "engine/streams.py", "    u, v = uniforms(key, contact, life, draw)\n",
+      "    u, v = 0.5, 0.5\n", "test_streams.py::test_small_products_are_refined_within_their_cells"),
+    M("streams: one key for all purposes", "engine/streams.py", "SeedSequence((seed, purpose))",
+      "SeedSequence((seed, 1))", "test_streams.py::test_key_is_what_numpy_makes_of_seed_and_purpose"),
+    # lives
+    M("lives: both rounds alike at T > 0", "engine/life.py", "else ROUNDS * turn[i] + r\n", "else ROUNDS * turn[i]\n",
+      "test_lives.py::test_lives_have_the_law_of_the_twin[uniform-0.3-soft-1.0]"),
+    M("lives: both rounds alike at T = 0", "engine/life.py", "half = r if mechanical else 0", "half = 0",
+      "test_lives.py::test_lives_have_the_law_of_the_twin[uniform-0.0-soft-1.0]"),
+    M("lives: clocks from the words of thresholds", "engine/life.py", "-log(uniform(words[2, i], words[3, i]))",
+      "-log(uniform(words[0, i], words[1, i]))",
+      "test_lives.py::test_lives_have_the_law_of_the_twin[uniform-0.3-soft-1.0]"),
+    M("lives: annealed clocks 1 % slow", "engine/life.py", "per_attempt = math.exp(-log_w)",
+      "per_attempt = 1.01 * math.exp(-log_w)", "test_thermal.py::test_lives_spend_their_clocks[annealed-sqrt-soft]"),
+    M("lives: work of a spring", "engine/life.py", "    return 0.5 * stiffness * x * x\n",
+      "    return 0.501 * stiffness * x * x\n", "test_steady.py::test_zero_temperature[1.0]"),
+    # paths
+    M("paths: no repulsion in a passage", "engine/paths.py", "* exp(swerve + pull)", "* exp(pull)",
+      "test_aging_engine.py::test_the_drift_in_a_passage"),
+    M("paths: no pull in a passage", "engine/paths.py", "* exp(swerve + pull)", "* exp(swerve)",
+      "test_aging_engine.py::test_the_drift_in_a_passage"),
+    M("paths: steps ignore the drift", "engine/paths.py",
+      "speed = 1.0 + max(0.0, variance * (xi / c.final2 - (c.shape + 0.5) / xi))", "speed = 1.0",
+      "test_aging_engine.py::test_steps_keep_their_distance"),
+    M("paths: no passage within a step", "engine/paths.py", "return passage * (1.0 - zero) <",
+      "return passage * (1.0 - zero) < 0.0 *", "test_aging_engine.py::test_the_drift_in_a_passage"),
+    M("paths: half-way spread", "engine/paths.py", "spread2 = 0.5 * c.final2 * lost / (1.0 + kept)",
+      "spread2 = 0.5 * c.final2 * lost", "test_aging_engine.py::test_halfway_of_a_step"),
+    M("paths: chi-square of small shapes", "engine/paths.py", "return 2.0 * third * cube * lift if taken",
+      "return 2.0 * third * cube if taken", "test_aging_engine.py::test_deviates_of_a_step[0.3]"),
+    M("paths: the fourth uniform left out", "engine/paths.py", "return product * e if count > 3 else product",
+      "return product", "test_aging_engine.py::test_deviates_of_a_step[6.0]"),
+    M("paths: spread of a step", "engine/paths.py", "s2 = 0.5 * c.final2 * lost * (2.0 - lost)",
+      "s2 = 0.5 * c.final2 * lost", "test_aging_engine.py::test_lives_of_fluctuating_thresholds[path3]"),
+    M("paths: time of a passage, other root", "engine/paths.py", "if d > mean / (mean + ratio):",
+      "if d < mean / (mean + ratio):", "test_aging_engine.py::test_when_a_passage_comes"),
+    M("paths: hazards of a step do not scatter", "engine/paths.py", "scatter = scatter if scatter < 1.0 else 0.0",
+      "scatter = 0.0", "test_aging_engine.py::test_clocks_that_stop_within_a_step"),
+    M("paths: work by the force at the ends", "engine/paths.py",
+      "return h * (k0 * x + 4.0 * k01 * (x + 0.5 * h) + k1 * (x + h)) / 6.0",
+      "return h * (k0 * x + k1 * (x + h)) / 2.0",
+      "test_aging_engine.py::test_work_of_a_stiffness_that_fluctuates[path0]"),
+    # ramps
+    M("ramps: leave, square of the slope", "engine/ramps.py", "fixed(stiffness * stiffness, scales[SLOPE2])",
+      "fixed(stiffness, scales[SLOPE2])", "test_ramps.py::test_single_deposits"),
+    M("ramps: leave, ramp of the square", "engine/ramps.py", "fixed(stiffness * ramp, scales[RAMP2])",
+      "fixed(ramp, scales[RAMP2])", "test_ramps.py::test_single_deposits"),
+    M("ramps: deposit starts a point early", "engine/ramps.py",
+      "start = max(0, math.ceil(born * per_step))\n    end = math.ceil",
+      "start = max(0, math.floor(born * per_step))\n    end = math.ceil", "test_ramps.py::test_single_deposits"),
+    M("ramps: deposits that no point sees", "engine/ramps.py", "if start < end:  # otherwise",
+      "if start <= end:  # otherwise", "", "what is left at a point is taken back at the same point"),
+    M("ramps: record, area", "engine/ramps.py", "(0.5 * (start + end) - born), scales[AREA]",
+      "(0.5 * (start + end)), scales[AREA]", "test_ramps.py::test_records_of_quarters"),
+    M("ramps: record, quarters overlap", "engine/ramps.py", "high = low + 0.25 * run.distance\n        start",
+      "high = low + 0.26 * run.distance\n        start", "test_ramps.py::test_records_of_quarters"),
+    M("ramps: leave_ramps, ramp of the square", "engine/ramps.py", "fixed(kappa * ramp, -scales[RAMP2])",
+      "fixed(ramp, -scales[RAMP2])", "test_ramps.py::test_deposits_side_by_side"),
+    M("ramps: leave_even_ramps, square", "engine/ramps.py", "fixed(born[i] * born[i], scales[SQUARE])",
+      "fixed(born[i], scales[SQUARE])", "test_ramps.py::test_deposits_side_by_side"),
+    M("ramps: join_even_ramps, square", "engine/ramps.py", "fixed(way * (born[i] + broke[i]), scales[SQUARE])",
+      "fixed(way * broke[i], scales[SQUARE])", "test_ramps.py::test_deposits_that_join"),
+    M("ramps: first point after", "engine/ramps.py", "return math.ceil(min(x * per_step, float(run.points)))",
+      "return math.floor(min(x * per_step, float(run.points)))", "test_ramps.py::test_deposits_side_by_side"),
+    M("ramps: flow_force, stiffness of birth", "engine/ramps.py", "stiffness * growth(c.final2, c.alpha, x) * x",
+      "stiffness * x", "test_ramps.py::test_forces_that_are_no_ramps"),
+    M("ramps: flow_force, work since birth", "engine/ramps.py",
+      "spring_work(c, stiffness, high) - spring_work(c, stiffness, low)", "spring_work(c, stiffness, high)",
+      "test_ramps.py::test_forces_that_are_no_ramps"),
+    M("ramps: leave_force, a square that stays", "engine/ramps.py",
+      "        deposits[j + 1, SQUARE] -= fixed(force * force, scales[SQUARE])\n", "",
+      "test_ramps.py::test_forces_that_are_no_ramps"),
+    M("ramps: langevin_force, the last quarter", "engine/ramps.py", "if 2 < window < 5:", "if 2 < window < 4:",
+      "test_aging_engine.py::test_stationary_start[langevin sqrt]"),
+    M("ramps: langevin_force, force at birth", "engine/ramps.py",
+      "kappa(paths.kappa_slope, paths.kappa_constant, xi) * x, scales)\n            j += 1",
+      "kappa(paths.kappa_slope, paths.kappa_constant, 1.0) * x, scales)\n            j += 1",
+      "test_aging_engine.py::test_fresh_start[langevin sqrt]"),
+    M("ramps: found_contact, cycles too short", "engine/ramps.py", "age = (standing.longest + c.delay) *",
+      "age = standing.longest *", "test_aging_engine.py::test_delays_longer_than_any_life_in_a_stationary_start"),
+    M("ramps: found_contact, rest of a delay", "engine/ramps.py", "else stretch + c.delay - age\n", "else c.delay\n",
+      "test_aging_engine.py::test_delays_longer_than_any_life_in_a_stationary_start"),
+    M("ramps: found_at_start, whole delays", "engine/ramps.py",
+      "reborn = residual_delay_draw(c.delay, c.exponential, u_residual)",
+      "reborn = delay_draw(c.delay, c.exponential, u_residual)",
+      "test_trajectory.py::test_a_stationary_start_stays_level"),
+    M("ramps: lives one by one, third quarter lost", "engine/ramps.py", "if broke + gap > 0.5 * run.distance:",
+      "if broke + gap > 0.75 * run.distance:", "test_lives.py::test_side_by_side_as_one_by_one[11-fresh-ensemble0]"),
+    M("ramps: edge of the third quarter", "engine/ramps.py",
+      "    if x <= 0.75 * run.distance:\n        return 0.75 * run.distance",
+      "    if x <= 0.7 * run.distance:\n        return 0.7 * run.distance", "test_ramps.py::test_edges"),
+    M("ramps: cross, quarters exchanged", "engine/ramps.py", "quarter = 0 if edge < run.distance else 1",
+      "quarter = 1 if edge < run.distance else 0", "test_ramps.py::test_crossing_an_edge"),
+    M("ramps: cross, delays count as stretch", "engine/ramps.py",
+      "batches[batch, quarter, STRETCH] += fixed(way, scales[STRETCH])\n    record",
+      "batches[batch, quarter, STRETCH] += fixed(elapsed, scales[STRETCH])\n    record",
+      "test_ramps.py::test_crossing_an_edge"),
+    M("ramps: simulate, a last life counts twice", "engine/ramps.py", "work[i] - 0.5 * spring * x * x,", "work[i],",
+      "test_lives.py::test_side_by_side_as_one_by_one[11-fresh-ensemble0]"),
+    M("ramps: simulate, pinned to rounding", "engine/ramps.py", "elapsed if c.delay == 0.0 else way[i] - x, elapsed,",
+      "way[i] - x, elapsed,", "test_trajectory.py::test_without_delay_the_pinned_fraction_is_exact"),
+    M("ramps: simulate, lives not counted", "engine/ramps.py", "status[0] += life + 1 - ROUNDS * oldest",
+      "status[0] += life - ROUNDS * oldest", "test_lives.py::test_side_by_side_as_one_by_one[11-fresh-ensemble0]"),
+    M("ramps: simulate, turns forgotten in a move", "engine/ramps.py",
+      "contact[i], turn[i], mark[i] = contact[active], turn[active], mark[active]",
+      "contact[i], turn[i], mark[i] = contact[active], turn[i], mark[active]",
+      "test_lives.py::test_side_by_side_as_one_by_one[11-fresh-ensemble3]"),
+    M("ramps: moments, drag has no variance", "engine/ramps.py", "square + drag**2 * detached - force**2",
+      "square - force**2 * (drag >= 0.0)", "test_trajectory.py::test_strong_drag_between_replicas & "
+      "test_trajectory.py::test_stationary_start_and_fluctuations[fixed]"),
+    M("ramps: moments, ramps of squares once", "engine/ramps.py", "2.0 * total[:, RAMP2]) * X", "total[:, RAMP2]) * X",
+      "test_trajectory.py::test_stationary_start_and_fluctuations[fixed]"),
+    M("ramps: sums may overflow", "engine/ramps.py", "_BITS = 62", "_BITS = 70",
+      "test_ramps.py::test_no_sum_can_overflow"),
+    # standing
+    M("stationary start: no longest stretches", "engine/standing.py", "plateau = 1.0 / (1.0 + math.log(top / m))",
+      "plateau = 1.02 / (1.0 + math.log(top / m))",
+      "test_trajectory.py::test_a_snapshot_of_the_stationary_state[ensemble0]"),
+    M("stationary start: envelope 20 % low", "engine/standing.py", "_MARGIN = 1.0 + 1e-4", "_MARGIN = 0.8",
+      "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
+    M("stationary start: thresholds of births", "engine/standing.py", "time = life * np.exp(grid", "time = np.exp(grid",
+      "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
+    M("stationary start: shares of births of a table", "engine/standing.py", "np.cumsum(life) / life.sum(), life)",
+      "np.arange(1, life.size + 1) / life.size, life)", "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
+    M("stationary start: lives that reach the threshold", "engine/standing.py",
+      "return total + (ends if c.aging == FLOW else xi) * np.exp(-np.exp(end))", "return total",
+      "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
+    M("stationary start: longest life too short", "engine/standing.py", "1e-5 * (weight @ stretch)",
+      "1e-2 * (weight @ stretch)", "test_aging_engine.py::test_the_longest_life_of_a_stationary_start"),
+    # steady
+    M("steady: the same draws for all parameter sets", "engine/steady.py", "proposal, identity, seed",
+      "proposal, 7, seed", "test_steady.py::test_parameter_sets_at_one_seed_are_independent"),
+    M("steady: few thresholds hide nothing", "engine/steady.py", "max(3.0 * float(np.ptp(part)",
+      "max(0.03 * float(np.ptp(part)", "test_steady.py::test_two_thresholds_without_heat"),
+    M("steady: rare clocks hide nothing", "engine/steady.py", "errors.append(float(change.sum(axis=0)[1:]",
+      "errors.append(0.0 * float(change.sum(axis=0)[1:]", "test_steady.py::test_rare_clocks"),
+    M("steady: scatter over R, not R - 1", "engine/steady.py", "np.std(residual, ddof=1)", "np.std(residual, ddof=0)",
+      "test_steady.py::test_averages_of_known_sums"),
+    M("steady: cycles without their delay", "engine/steady.py",
+      "(work + drag * delay - friction * cycle) / cycle.mean()",
+      "(work + drag * delay - friction * stretch) / cycle.mean()", "",
+      "what is left out is the same for all randomisations and changes no standard deviation"),
+    M("steady: pinned fraction without its cycle", "engine/steady.py", "(stretch - pinned * cycle) / cycle.mean()",
+      "stretch / cycle.mean()", "test_steady.py::test_averages_of_known_sums"),
+    M("steady: largest share of a life unheeded", "engine/steady.py", "covered and float(sums[:, 2].max()) < _DOMINANT",
+      "covered", "test_steady.py::test_heavy_tails_need_the_proposal"),
+    M("steady: rare thresholds unheeded", "engine/steady.py",
+      "covered = bool(density[-1] < _NEGLIGIBLE * density.max())", "covered = True",
+      "test_steady.py::test_a_law_without_an_end_is_unreliable"),
+    M("steady: error of C unseen", "engine/steady.py", "    rows[:, :2] += shift[:, None] * response[:2]\n", "",
+      "test_steady.py::test_every_randomisation_has_its_own_fixed_point"),
+    M("steady: weights of the clock left out", "engine/steady.py", "terms = weight * clock_weight *",
+      "terms = weight *", "test_steady.py::test_heavy_tails"),
+    # trajectory
+    M("trajectory: replicas over R, not R - 1", "engine/trajectory.py", "np.maximum(spread, 0.0) / (replicas - 1)",
+      "np.maximum(spread, 0.0) / replicas", "test_trajectory.py::test_standard_deviation_of_few_replicas"),
+    M("trajectory: drifts of 40 errors", "engine/trajectory.py", "sigmas=4.0)", "sigmas=40.0)",
+      "test_trajectory.py::test_a_drift_of_some_errors_is_seen"),
+    M("trajectory: lives longer than the run", "engine/trajectory.py", "np.minimum(stretch + c.delay, distance)",
+      "stretch + c.delay", "test_trajectory.py::test_predicted_lives_of_heavy_tails"),
+    M("trajectory: drag while pinned", "engine/trajectory.py", "over(area + drag * (elapsed - pinned), elapsed)",
+      "over(area + drag * elapsed, elapsed)", "test_trajectory.py::test_agrees_with_steady[fresh-ensemble1]"),
+    # estimate
+    M("estimate: error of a ratio without B/(B - 1)", "estimate.py", "variance = batches / (batches - 1) *",
+      "variance = 1.0 *", "test_steady.py::test_error_of_a_ratio"),
+    M("estimate: halves of a drift over B", "estimate.py", "np.var(residual, ddof=1)", "np.var(residual, ddof=0)",
+      "test_steady.py::test_halves_that_differ_drift"),
+    M("estimate: drifts upward only", "estimate.py", "bool(abs(ratios[1] - ratios[0])", "bool((ratios[1] - ratios[0])",
+      "test_steady.py::test_halves_that_differ_drift"),
+    M("estimate: scores without Student", "estimate.py", "stats.norm.ppf(stats.t.sf(abs(z), estimate.dof))",
+      "stats.norm.ppf(stats.norm.sf(abs(z)))", "test_steady.py::test_student_scores"),
+    M("estimate: sign of a difference", "estimate.py", "return (first.value - second.value) / sigma",
+      "return (second.value - first.value) / sigma", "test_steady.py::test_difference_of_estimates"),
+    # ensemble
+    M("ensemble: drag without the stiffness", "ensemble.py", "drag = self.eta / self.stiffness * velocity",
+      "drag = self.eta * velocity", "test_steady.py::test_viscosity_and_delay"),
+    M("ensemble: sqrt law by the mean threshold", "ensemble.py", "kappa_slope=unit / law.rms if sqrt",
+      "kappa_slope=unit / law.mean if sqrt", "test_steady.py::test_zero_temperature[1.0]"),
+    M("ensemble: final law by its root", "ensemble.py", "(ensemble.aging.x_star_final / unit) ** 2, ensemble",
+      "ensemble.aging.x_star_final / unit, ensemble", "test_aging.py::test_what_is_lowered"),
+    M("ensemble: b by a half", "ensemble.py", "energy = 0.5 * self.stiffness", "energy = 0.25 * self.stiffness",
+      "test_thermal.py::test_crossover_velocity_is_nt12"),
+    M("ensemble: distance of 100 thresholds", "ensemble.py", "return 200.0 * ensemble.thresholds.mean",
+      "return 100.0 * ensemble.thresholds.mean", "test_runfile.py::test_defaults"),
+    # master
+    M("master: drag of the pinned", "master/reference.py", "drag * (delay / (stretch + delay)), elastic",
+      "drag * (stretch / (stretch + delay)), elastic",
+      "test_reference.py::test_transients_end_in_the_steady_state[ensemble2-0.05]"),
+    M("master: error of C unheeded", "master/reference.py", "sensitivity=1.0 / max(slope, 1e-3)", "sensitivity=0.0",
+      "test_reference.py::test_errors_of_self_consistent_births"),
+    M("master: quenched, uniform work", "master/kinetic.py", "return np.array([zeroth, kappa * first])",
+      "return np.array([zeroth, first])", "test_reference.py::test_zero_temperature[1.0]"),
+    M("master: quenched, work at T = 0", "master/kinetic.py", "return xi, 0.5 * xi**2", "return xi, 0.6 * xi**2",
+      "test_reference.py::test_zero_temperature[1.0]"),
+    M("master: annealed, stiffness of survivors", "master/published.py", "stiff = x * J / rms + np.maximum(",
+      "stiff = x * J / rms + 0.0 * np.maximum(", "test_reference.py::test_table[public-024]"),
+    M("master: flow, stiffness of birth", "master/flow.py", "work = alive * c.kappa(xi) * x",
+      "work = alive * c.kappa(xi0) * x", "test_flow.py::test_single_contacts"),
+    M("master: Fokker-Planck, repulsion", "master/fokker_planck.py", "spread * ((2 * self.n + 1) / eta - 2.0 * eta)",
+      "spread * ((2 * self.n) / eta - 2.0 * eta)", "test_fokker_planck.py::test_table[public-028]"),
+    M("master: Fokker-Planck, rate without its threshold", "master/fokker_planck.py", "xi = x + s * grid.y\n",
+      "xi = x + grid.y\n", "test_fokker_planck.py::test_table[public-028]"),
+    M("master: transient, exponential delays", "master/transient.py", "* s.delay / h * np.exp(-h / s.delay * later)",
+      "* s.delay / h * np.exp(-h / s.delay * (later + 1))", "test_reference.py::test_transient_at_zero_temperature"),
+    M("master: breaks of a stationary start", "master/transient.py",
+      "breaks = known(exact.pinned) / known(exact.break_stretch)", "breaks = 1.0 / known(exact.break_stretch)",
+      "test_reference.py::test_expected_of_a_stationary_start_is_level"),
+    M("master: fluctuations about 0", "master/transient.py", "back + waiting - mean**2)", "back + waiting)",
+      "test_reference.py::test_fluctuations"),
+    M("master: fluctuations, residual of a fixed delay", "master/transient.py", "(total(x) - late) / s.delay",
+      "late / s.delay", "test_reference.py::test_fluctuations[fixed]"),
+    M("master: closure, births of a cell", "master/closure.py", "moment = np.where(small, 0.5 - z / 3",
+      "moment = np.where(small, 0.6 - z / 3", "test_closure.py::test_without_aging[1.0-thermal0-1.0]"),
+    M("master: densities, thermal rate", "master/densities.py", "np.exp(s.log_w) / s.law.scale)", "np.exp(s.log_w))",
+      "test_densities.py::test_closed_forms"),
+    M("published: S_1", "master/asymptotics.py", "return C_0 / 2 * (1 + self.b)", "return C_0 * (1 + self.b)",
+      "test_asymptotics.py::test_closed_forms"),
+    M("published: C_12 as printed", "master/asymptotics.py", "1.324 if printed", "1.342 if printed",
+      "test_asymptotics.py::test_printed_coefficients"),
+    M("published: C~_12 as printed", "master/asymptotics.py", "1.789 if printed", "1.798 if printed",
+      "test_asymptotics.py::test_printed_coefficients"),
+    M("published: C_2 as printed", "master/asymptotics.py", "16 / (9 * math.pi) - 1 / 3) if printed",
+      "16 / (9 * math.pi) - 1 / 2) if printed", "test_asymptotics.py::test_printed_coefficients"),
+    M("published: C_12 corrected", "master/asymptotics.py", "else 3 * math.sqrt(math.pi) / 8",
+      "else 3.01 * math.sqrt(math.pi) / 8", "test_asymptotics.py::test_aging_coefficients"),
+    M("published: star3a", "master/asymptotics.py", "power = u if printed else u**3", "power = u if printed else u**2",
+      "test_asymptotics.py::test_aging_changes_the_law"),
+    # materials
+    M("materials: k in N/mm", "materials.py", 'Parameter("k", material.stiffness,',
+      'Parameter("k", 1e-3 * material.stiffness,', "test_materials.py::test_parameters"),
+    M("materials: a unit", "materials.py", 'material.crossover_velocity(temperature), "m/s"',
+      'material.crossover_velocity(temperature), "um/s"', "test_materials.py::test_parameters"),
+    M("materials: attempt frequency", "materials.py", "return 1.76 * math.sqrt", "return 1.67 * math.sqrt",
+      "test_materials.py::test_printed_numbers"),
+    M("materials: rates that cold makes fast", "materials.py", "math.exp(-self._log_factor(temperature))",
+      "math.exp(-0.5 * self._log_factor(temperature))", "test_materials.py::test_arrhenius"),
+    # validation
+    M("validation: largest score alone", "validation.py", "-math.expm1(z.size * math.log1p(", "-math.expm1(math.log1p(",
+      "test_validation.py::test_verdict"),
+    M("validation: alarm at 1e-6", "validation.py", "ALARM = 1e-4", "ALARM = 1e-6", "test_validation.py::test_verdict"),
+    M("validation: too good is passed", "validation.py",
+      "2 * min(stats.chi2.cdf(total, even.size), stats.chi2.sf(total, even.size))",
+      "2 * stats.chi2.sf(total, even.size)", "test_validation.py::test_verdict"),
+    M("validation: sign of a score", "validation.py", "exact, sigma, math.inf if z is None else z, even)",
+      "exact, sigma, math.inf if z is None else -z, even)", "test_validation.py::test_signs_of_scores"),
+    M("validation: sign in the table", "validation.py", '"z": score.z,', '"z": -score.z,',
+      "test_validation.py::test_signs_of_scores"),
+    # sweep
+    M("sweep: sign of a score", "sweep.py", "z_score(getattr(found, name), level.value, level.stderr)",
+      "(lambda z: z and -z)(z_score(getattr(found, name), level.value, level.stderr))",
+      "test_sweep.py::test_rows_are_what_steady_and_reference_say"),
+    M("sweep: number of lives as degrees of freedom", "sweep.py", 'f"{name}_dof": e.dof', 'f"{name}_dof": e.n',
+      "test_sweep.py::test_rows_are_what_steady_and_reference_say"),
+    M("sweep: two deaths end a point", "sweep.py", "_LOSSES = 3", "_LOSSES = 2",
+      "test_sweep.py::test_a_point_that_kills_its_workers_is_found_out"),
+    M("sweep: deaths in company count", "sweep.py", "self.losses[index] += alone", "self.losses[index] += 1",
+      "test_sweep.py::test_a_point_that_kills_its_workers_is_found_out & "
+      "test_sweep.py::test_workers_that_die_now_and_then_do_not_end_the_sweep"),
+    M("sweep: deaths are never forgotten", "sweep.py", "            self.deaths = 0\n", "",
+      "test_sweep.py::test_workers_that_die_now_and_then_do_not_end_the_sweep"),
+    M("sweep: deaths without end", "sweep.py", "if self.deaths > 4 * _LOSSES", "if self.deaths > 40 * _LOSSES",
+      "test_sweep.py::test_workers_that_never_live_end_the_sweep"),
+    M("sweep: unreliable is ok", "sweep.py", 'status = "unreliable" if problems else "ok"\n    try',
+      'status = "ok"\n    try', "test_sweep.py::test_what_cannot_be_trusted_is_unreliable"),
+    M("sweep: damaged parts are taken", "sweep.py", 'path.stem == f"part-{_digest(content)}"', "True",
+      "test_sweep.py::test_damaged_parts_are_named_and_computed_again"),
+    # grid
+    M("grid: seeds of 31 bits", "grid.py", "return int(point_id[:16], 16) >> 1", "return int(point_id[:8], 16) >> 1",
+      "test_grid.py::test_seeds_of_points_differ"),
+    M("grid: axes of five digits", "grid.py", "{x:.12g}", "{x:.5g}",
+      "test_grid.py::test_inner_values_of_an_axis_have_twelve_digits"),
+    M("grid: seeds are no part of a point", "grid.py", "json.dumps([values, seed, results_version()]",
+      "json.dumps([values, results_version()]", "test_grid.py::test_identity_depends_on_what_a_value_depends_on"),
+    M("grid: tables by their name", "grid.py", 'values["thresholds.file"] = hashlib',
+      'values["thresholds.sha"] = hashlib', "test_grid.py::test_a_table_of_thresholds_enters_with_its_values"),
+    # tables
+    M("tables: private files", "tables.py", 'open(place, "wb") as',
+      'open(os.open(place, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600), "wb") as',
+      "test_faults.py::test_anyone_can_read_what_is_written"),
+    M("tables: NaN in JSON", "tables.py", "not math.isfinite(value):\n            return None",
+      "not math.isfinite(value):\n            return 0.0", "test_properties.py::test_json_is_never_nan"),
+    M("tables: pages unchecked", "tables.py", "page_checksum_verification=True", "page_checksum_verification=False",
+      "test_sweep.py::test_page_checksums_see_every_byte_of_the_data"),
+    M("tables: written in place", "tables.py", "_write(staging / name, content)", "_write(folder / name, content)",
+      "test_faults.py::test_killed_at_every_step_of_writing"),
+    # replay, workers, errors
+    M("replay: longer tables are the same", "replay.py", "or len(table) != len(again)", "or len(table) < len(again)",
+      "test_replay.py::test_compare"),
+    M("replay: NaN differs from NaN", "replay.py", "| (then.isna() & now.isna())", "", "test_replay.py::test_compare"),
+    M("replay: columns that came later", "replay.py",
+      "for name in [*table, *(name for name in again if name not in table)]", "for name in [*table]",
+      "test_replay.py::test_compare"),
+    M("workers: one thread for ever", "workers.py", "                os.environ[name] = value\n",
+      '                os.environ[name] = "1"\n', "test_faults.py::test_one_thread_is_asked_of_workers_alone"),
+    M("workers: threads as they like", "workers.py", 'os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))',
+      "os.environ.update()", "test_faults.py::test_one_thread_is_asked_of_workers_alone"),
+    M("errors: True is 1", "errors.py", "isinstance(value, bool) or not isinstance(value, int)",
+      "not isinstance(value, int)", "test_runfile.py::test_integers_are_integers"),
+    M("errors: bounds that are not above", "errors.py", "(above is None or value > above)",
+      "(above is None or value >= above)", "test_runfile.py::test_bounds_of_numbers"),
+]
+# fmt: on
+
+
+class WrongTable(Exception):
+    """A mistake that cannot be made, or tests that fail without it."""
+
+
+def changed(mistake: Mistake, root: Path = ROOT) -> str:
+    """The source with the mistake. Raises WrongTable."""
+    source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
+    if (count := source.count(mistake.old)) != 1:
+        raise WrongTable(f"{mistake.name}: its text occurs {count} times in {mistake.file}, must be once")
+    found = source.replace(mistake.old, mistake.new)
+    try:
+        ast.parse(found)
+    except SyntaxError as error:
+        raise WrongTable(f"{mistake.name}: is no Python ({error})") from None
+    return found
+
+
+def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
+    """Whether compiled code changes: unless the mistake is in a function of plain Python."""
+    source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
+    before = source[: source.index(mistake.old)] + mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
+    line = before.count("\n") + 1
+    functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    around = [node for node in functions if node.lineno <= line <= (node.end_lineno or 0)]
+    return not around or any(ast.unparse(name) in COMPILED for node in around for name in node.decorator_list)
+
+
+class Copy:
+    """A copy of the repository in which one mistake at a time is made."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "eqsim"
+        shutil.copytree(ROOT, self.root, ignore=shutil.ignore_patterns(".git", "__pycache__", "out", ".*_cache"))
+        self.environment = os.environ | {"PYTHONPATH": str(self.root), "PYTHONDONTWRITEBYTECODE": "1"}
+        self.known = self.kernels()
+
+    def kernels(self) -> Path:
+        """Where the kernels of the code as it stands are kept."""
+        command = [sys.executable, "-c", "import eqsim.compiled as c; print(c._CACHE)"]
+        done = subprocess.run(command, cwd=self.root, env=self.environment, capture_output=True, text=True, check=True)
+        return Path(done.stdout.strip())
+
+    def pytest(self, *arguments: str) -> tuple[int, str]:
+        """Exit code and output; -1 if it had to be ended."""
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *arguments]
+        process = subprocess.Popen(
+            command, cwd=self.root, env=self.environment, text=True, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        try:
+            output, _ = process.communicate(timeout=LONGEST)
+            return process.returncode, output
+        except subprocess.TimeoutExpired:
+            return -1, ""
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.communicate()
+
+    def judge(self, mistake: Mistake, whole: bool) -> tuple[str, str]:
+        """The fate of a mistake, and by what."""
+        path, kept = self.root / "eqsim" / mistake.file, None
+        source, times = path.read_bytes(), path.stat()
+        compiled = needs_kernels(mistake, self.root)
+        path.write_text(changed(mistake, self.root), encoding="utf-8")
+        try:
+            if mistake.file.startswith(KERNELS):
+                kept = self.kernels()
+                if not compiled:
+                    shutil.copytree(self.known, kept, dirs_exist_ok=True)
+            for arguments in (["-n", "0", *ids([mistake])], *([[]] if whole else [])):
+                code, output = self.pytest(*arguments)
+                if code == -1:
+                    return "caught", f"no end within {LONGEST:g} s"
+                if code in (4, 5):
+                    raise WrongTable(f"{mistake.name}: pytest finds no such tests\n{output[-2000:]}")
+                if code:
+                    test = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", output, re.MULTILINE)
+                    said = re.search(r"^E  +(.+)$", output, re.MULTILINE)
+                    return "caught", f"{test[1] if test else 'pytest'} ({said[1][:100] if said else code})"
+            return "SURVIVED", ""
+        finally:
+            path.write_bytes(source)
+            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # kernels of this file are still known
+            if kept:
+                shutil.rmtree(kept, ignore_errors=True)
+
+
+def ids(mistakes: list[Mistake]) -> list[str]:
+    """The tests nearest to some mistakes, as pytest wants them."""
+    return list(dict.fromkeys(f"tests/{test}" for mistake in mistakes for test in mistake.tests.split(" & ") if test))
+
+
+def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
+    """Make one mistake after the other. Raises WrongTable."""
+    fates = [Fate(mistake.name, "equivalent", mistake.same, 0.0) for mistake in mistakes if mistake.same]
+    left = [mistake for mistake in mistakes if not mistake.same]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Copy(Path(folder))
+        print(f"{len(ids(left))} tests without a mistake", flush=True)
+        code, output = copy.pytest("-n", "0", *ids(left))
+        if code:
+            raise WrongTable(f"without a mistake:\n{output[-3000:]}")
+        for number, mistake in enumerate(left, 1):
+            begin = time.monotonic()
+            fate, by = copy.judge(mistake, whole)
+            fates.append(Fate(mistake.name, fate, by, time.monotonic() - begin))
+            print(f"{number} of {len(left)}: {mistake.name}: {fate} {by} [{fates[-1].seconds:.0f} s]", flush=True)
+    return fates
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Deliberate mistakes, one at a time: does a test notice?")
+    parser.add_argument("--list", action="store_true", help="only check that every mistake can be made, and name it")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="PART", help="those whose names hold one of these")
+    parser.add_argument("--whole", action="store_true", help="run the default suite where the nearest tests pass")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result there, too")
+    given = parser.parse_args()
+    chosen = [mistake for mistake in MISTAKES if any(part in mistake.name for part in given.only)]
+    try:
+        if len({mistake.name for mistake in MISTAKES}) < len(MISTAKES):
+            raise WrongTable("two mistakes have the same name")
+        for mistake in MISTAKES:
+            changed(mistake)
+        if given.list:
+            print("\n".join(f"{mistake.name} ({mistake.file})" for mistake in chosen))
+            return 0
+        fates = run(chosen, given.whole)
+    except WrongTable as error:
+        print(f"mutations.py: {error}", file=sys.stderr)
+        return 2
+    if given.json:
+        given.json.write_text(json.dumps([fate._asdict() for fate in fates], indent=1) + "\n", encoding="utf-8")
+    print("\n| mistake | fate | by |\n|---|---|---|")
+    for fate in fates:
+        print(f"| {fate.name} | {fate.fate} | {fate.by} |")
+    survivors = sum(fate.fate == "SURVIVED" for fate in fates)
+    print(f"\n{len(fates)} mistakes, {survivors} survived")
+    return 1 if survivors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
