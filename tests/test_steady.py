@@ -5,6 +5,7 @@ Seeds are fixed, so a pass today is a pass tomorrow; the stated false-alarm rate
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -382,7 +383,7 @@ def test_every_randomisation_has_its_own_fixed_point(monkeypatch):
     monkeypatch.setattr(
         module, "_randomise", lambda job, C, size: np.column_stack((a + r * C, b + s * C, np.zeros(32)))
     )
-    job = module._Job(Ensemble(Gamma(1.0, unit)), 1.0, None, 0, 1, 1, None)
+    job = SimpleNamespace(ensemble=Ensemble(Gamma(1.0, unit)), velocity=1.0)
     rows, stretch, response, used = module._self_consistent(job, 1.0, None, 100)
     own = b / (1 - s)
     np.testing.assert_allclose(rows[:, 0], a + r * own, rtol=1e-12)
