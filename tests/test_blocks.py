@@ -77,6 +77,7 @@ def test_same_bits_on_dask(expected, command):
     assert here[1] == there[1]
 
 
+@pytest.mark.long
 def test_a_lost_worker_of_a_cluster_changes_no_bit():
     """Others repeat its share."""
     ensemble, drive, killed = Ensemble(thermal=Thermal(0.1), count=3_000_000), Drive(0.1, 4.0), []

@@ -264,7 +264,7 @@ def order_of_a_table_is_nothing(steps, e, v, chance):
 
 
 @everywhere(
-    15,
+    8,
     300,
     e=ensembles(),
     velocity=VELOCITIES,
