@@ -409,7 +409,7 @@ RUNS = {
         **UNIT, delay=Delay(0.1), aging=Aging("langevin", 0.1, 1.0), stiffness_law="sqrt", count=2_000
     ),
     "langevin sqrt exponential": Ensemble(
-        **UNIT, delay=Delay(0.3, "exponential"), aging=Aging("langevin", 0.02, 1.0), count=2_000, eta=0.2
+        **UNIT, delay=Delay(0.3, "exponential"), aging=Aging("langevin", 0.02, 1.0), count=4_000, eta=0.2
     ),
     "langevin uniform": Ensemble(
         Gamma(1.0), Thermal(0.1, 3.0), Delay(0.5), Aging("langevin", 0.2, 0.7), stiffness_law="uniform", count=2_000
