@@ -63,11 +63,16 @@ def scores(found):
         (
             9,
             changed(disorder="quenched"),
-            lambda e: e.thermal.kT > 0 and not e.thresholds.steps.size,
+            lambda e, v: e.thermal.kT > 0 and not e.thresholds.steps.size,
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
         ),
-        (3, aged(rule="flow"), lambda e: e.fluctuates, {"friction", "break_stretch"}),
-        (9, aged(rule="none"), lambda e: True, {"friction", "break_stretch"}),
+        (
+            3,
+            aged(rule="flow"),
+            lambda e, v: e.fluctuates and v > 0.1 * e.thresholds.scale,
+            {"friction", "break_stretch"},
+        ),
+        (9, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}),
     ],
     ids=[
         "quenched instead of annealed",
@@ -81,7 +86,7 @@ def test_negative_controls(points, wrong, of, kinds, monkeypatch):
     drawn = validation.sample
 
     def knowing(count, seed, part):
-        known = ((e, v) for _, e, v in drawn(48 * count, seed) if of(e) and wrong(e) != e)
+        known = ((e, v) for _, e, v in drawn(48 * count, seed) if of(e, v) and wrong(e) != e)
         return ((index, e, v) for index, (e, v) in enumerate(itertools.islice(known, count)))
 
     monkeypatch.setattr(validation, "sample", knowing)
