@@ -499,6 +499,7 @@ def test_delays_longer_than_any_life_in_a_stationary_start():
     assert scores(found, exact.friction.value, exact.pinned.value, STEPS).max() < LIMIT
 
 
+@pytest.mark.verification
 def test_stationary_averages_over_seeds():
     """6 seeds of N = 640, flow and sqrt law: mean (|z| < 4.5) and scatter (chi-square, p > 1e-4) of their scores are
     those of normal deviates, for each of three averages."""
@@ -546,6 +547,7 @@ def test_same_bits_for_any_threads(name):
         assert runs[0].lives == runs[1].lives
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("name", ["flow sqrt", "flow uniform exponential", "langevin uniform", "annealed sqrt"])
 def test_a_finer_grid_sees_the_same(name):
     """Where steps do not end at grid points, every tenth point of a fine grid is the coarse one, to rounding."""

@@ -62,6 +62,7 @@ def compiled_signatures():
     return len(eqsim.engine.ramps.simulate.signatures)
 
 
+@pytest.mark.long
 def test_same_bits_on_dask(expected, command):
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None

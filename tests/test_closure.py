@@ -75,7 +75,7 @@ def marched(cells, x_f, rate, thermal):
 
 
 @pytest.mark.parametrize("thermal", [Thermal(), Thermal(0.2), Thermal(0.1, 1.0, "stiff")])
-@pytest.mark.parametrize("x_f", [3.0, 0.4])
+@pytest.mark.parametrize("x_f", [pytest.param(3.0, marks=pytest.mark.verification), 0.4])
 def test_second_order(x_f, thermal):
     """The error against a fine grid falls as the square of the cell (2 within 0.1), for all three quantities, so that
     what two grids give is of higher order. Left out are the first two of 50 points: at X = 0 the breaks, a one-sided
@@ -90,9 +90,10 @@ def test_second_order(x_f, thermal):
 @pytest.mark.parametrize(
     ("n", "x_i", "x_f", "D", "kT", "v"),
     [
-        (1.0, 0.1, 1.0, 1.0, 0.1, 1.0),
-        (0.3, 0.1, 1.0, 20.0, 0.01, 1.0),  # contacts age within a few cells
-        (1.0, 0.1, 1.0, 0.1, 1.0, 1e-4),  # lives of 1e-4
+        pytest.param(1.0, 0.1, 1.0, 1.0, 0.1, 1.0, marks=pytest.mark.verification),
+        # contacts age within a few cells
+        pytest.param(0.3, 0.1, 1.0, 20.0, 0.01, 1.0, marks=pytest.mark.verification),
+        pytest.param(1.0, 0.1, 1.0, 0.1, 1.0, 1e-4, marks=pytest.mark.verification),  # lives of 1e-4
         (4.0, 1.0, 0.2, 0.1, 0.0, 0.1),
     ],
 )

@@ -107,7 +107,10 @@ def snapshot(c, table, words, x, stiffness):
 
 @pytest.mark.parametrize(
     ("law", "thermal", "v"),
-    [(Gamma(1.0, 2.0), Thermal(0.4), 0.02), (Gamma(0.5), Thermal(0.3, 1.0, "stiff"), 0.1)],
+    [
+        (Gamma(1.0, 2.0), Thermal(0.4), 0.02),
+        pytest.param(Gamma(0.5), Thermal(0.3, 1.0, "stiff"), 0.1, marks=pytest.mark.verification),
+    ],
 )
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
 def test_particles_of_a_stationary_start(law, thermal, v, disorder):

@@ -174,6 +174,7 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
     crew.close(hurry=True)
 
 
+@pytest.mark.long
 def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_file, tmp_path):
     grid, out = tmp_path / "grid.toml", tmp_path / "o"
     process = start("sweep", grid, "--out", out, *WORKERS, code=EAGER)
@@ -191,6 +192,7 @@ def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_
 SLOW = "import time; import eqsim.tables as t; w = t.sealed; t.sealed = lambda x: (time.sleep(0.2), w(x))[1]; " + EAGER
 
 
+@pytest.mark.long
 def test_a_sweep_interrupted_again_and_again_counts_what_is_on_disk(run_file, tmp_path):
     """Impatience, or `timeout`, which sends its signal to the leader and to the group; writing takes its time."""
     out = tmp_path / "o"

@@ -409,6 +409,7 @@ def larger(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_a_killed_sweep_continues(larger):
     delays = [random.uniform(0, 0.3) for _ in range(2)]
     assert killed_and_continued(larger / "a.toml", larger / "twice", delays, larger / "exact") > 0
@@ -421,6 +422,7 @@ def test_a_sweep_killed_twenty_times_continues(larger):
     killed_and_continued(larger / "a.toml", larger / "often", delays, larger / "exact")
 
 
+@pytest.mark.long
 def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
     process = start(larger / "a.toml", larger / "stopped")
     rows = once(lambda: on_disk(larger / "stopped"), process)

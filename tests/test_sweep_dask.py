@@ -32,6 +32,7 @@ def exact(tmp_path_factory):
     return table_of(folder)
 
 
+@pytest.mark.long
 def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_path):
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"

@@ -206,7 +206,7 @@ def test_heavy_tailed_stationary_start():
         assert abs(result.force[i] - 1.323188) < 4.5 * result.force_stderr[i]
 
 
-@pytest.mark.parametrize("count", [50, 1000])
+@pytest.mark.parametrize("count", [pytest.param(50, marks=pytest.mark.verification), 1000])
 def test_quoted_error_is_the_scatter(count):
     """500 seeds: the scatter of force and pinned fraction at five X, independent at this distance, and of the averages
     is the quoted error (chi-square of 2500 and 500 scores, p > 1e-4, ten in all: false alarm 1e-3). At N = 1000 errors

@@ -61,18 +61,19 @@ def scores(found):
     ("points", "wrong", "of", "kinds"),
     [
         (
-            9,
+            6,
             changed(disorder="quenched"),
             lambda e, v: e.thermal.kT > 0 and not e.thresholds.steps.size,
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
         ),
-        (
+        pytest.param(
             3,
             aged(rule="flow"),
             lambda e, v: e.fluctuates and v > 0.1 * e.thresholds.scale,
             {"friction", "break_stretch"},
+            marks=pytest.mark.verification,
         ),
-        (9, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}),
+        (6, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}),
     ],
     ids=[
         "quenched instead of annealed",
@@ -257,6 +258,7 @@ def test_points_can_be_made_again():
         assert again == ensemble
 
 
+@pytest.mark.verification
 def test_no_fluctuations_where_the_stationary_start_is_refused():
     """Most contacts break at once, a few with high thresholds live long: the suite goes on, and counts them."""
     aging, rare = Aging("langevin", 1.4e-4, 7.8), Delay(1500.0)
