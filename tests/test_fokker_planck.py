@@ -221,7 +221,11 @@ def drawn(rng):
 RNG = np.random.default_rng(2011)
 
 
-@pytest.mark.parametrize("case", [drawn(RNG) for _ in range(20)], ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(drawn(RNG), marks=[pytest.mark.verification] if index >= 8 else []) for index in range(20)],
+    ids=str,
+)
 def test_error_estimate(case, monkeypatch):
     """Halving cells and steps changes nothing by more than the quoted errors, at any stretch."""
     fine = survival(*case)

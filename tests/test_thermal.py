@@ -387,7 +387,7 @@ def integrated_rate(law, stiffness, barrier, b, x):
 
 
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("b", [0.1, 30.0, 1e6])
+@pytest.mark.parametrize("b", [0.1, pytest.param(30.0, marks=pytest.mark.verification), 1e6])
 @pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
 @pytest.mark.parametrize("barrier", BARRIERS)
 def test_pooled_inverse_of_smooth_laws(name, stiffness, barrier, b):
