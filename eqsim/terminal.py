@@ -48,6 +48,7 @@ def many(number: float) -> str:
 
 
 def duration(seconds: float) -> str:
+    """Seconds in the largest unit of which there are two, to two digits or one decimal."""
     for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {unit}"

@@ -126,7 +126,7 @@ def test_when_a_passage_comes(gap, ahead, way):
     c = path_law(lower(Ensemble(aging=Aging("langevin", 0.5, 2.0)), 1.0))
     stream, begin = key(5, 99), 1.0 + gap
     drawn = np.array([meeting(c, stream, i, 0, 0, begin, 1.0, way, 1.0 + way + ahead)[:2] for i in range(5000)])
-    np.testing.assert_allclose(drawn[:, 1], 1.0 + drawn[:, 0], rtol=1e-15)
+    np.testing.assert_allclose(drawn[:, 1], 1.0 + drawn[:, 0], rtol=1e-15)  # one sum, rounded
     u = np.linspace(-30.0, 30.0, 4001)  # logarithm of t/(way - t)
     t, rest = way / (1 + np.exp(-u)), way / (1 + np.exp(u))
 
