@@ -474,7 +474,9 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
         else:
             scores += _all(_TRANSIENT[:1], ensemble, v, "unreliable")
         group = dataclasses.replace(shown, count=shown.count // _GROUPS)
-        # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts
+        # A pilot tells how many contacts make the variance: its relative error is as if so many had equal parts. If few
+        # have broken and all others have the same force, it may meet none of them.
+        few = min(few, shown.count * variance / level**2)
         if few < _ENOUGH_SQUARES or not _many(_about(level, group, drive, _stream(seed, i, 1))):
             scores += _all(_TRANSIENT[1:], ensemble, v, "few contacts")
             continue

@@ -124,12 +124,12 @@ def steady(
         size = needed
 
 
-def settled(ensemble: Ensemble, velocity: float, seed: int, threads: int = 1) -> Contacts:
-    """The ensemble as plain numbers; births of annealed contacts that age are settled by a steady estimate."""
+def settled(ensemble: Ensemble, velocity: float, seed: int, threads: int = 1) -> float | None:
+    """The mean stretch at breaking that births of annealed contacts that age depend on, by a steady estimate; None for
+    all others."""
     if not ensemble.self_consistent:
-        return lower(ensemble, velocity)
-    stretch = steady(ensemble, velocity, rel_error=_SETTLED, seed=seed, threads=threads).break_stretch
-    return lower(ensemble, velocity, known(stretch))
+        return None
+    return known(steady(ensemble, velocity, rel_error=_SETTLED, seed=seed, threads=threads).break_stretch)
 
 
 class _Job(NamedTuple):

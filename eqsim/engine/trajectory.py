@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from eqsim.engine.life import rough_stretch, typical_lives
 from eqsim.engine.paths import path_law
 from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments, simulate
-from eqsim.engine.scatter import ENOUGH, births, independent, known_variance, scatter
+from eqsim.engine.scatter import ENOUGH, Scatter, births, independent, known_variance, scatter
 from eqsim.engine.standing import FRESH, Standing, standing
 from eqsim.engine.steady import settled
 from eqsim.engine.streams import TRAJECTORY, Key, key
@@ -107,7 +108,8 @@ def trajectory(
     makes the executor raise is passed on.
     """
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    c = settled(ensemble, drive.velocity, seed, threads)
+    mean_stretch = settled(ensemble, drive.velocity, seed, threads)
+    c = lower(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
     contacts = ensemble.count * replicas
     run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", contacts < BATCHES)
@@ -127,9 +129,8 @@ def trajectory(
     pinned_variance = pinned * (1 - pinned) / contacts + ((2.0 / contacts) ** 2 if c.delay > 0 else 0.0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         pinned_variance[0] = 0.0
-    born = births(c)
-    level = scatter(c, born, None, drag)
-    law = level if run.stationary else scatter(c, born, run.distance, drag)
+    one = replace(ensemble, count=1)
+    law, level, alike = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
     force_variance, rare = known_variance(law.at(grid / unit), level, variance, contacts)
     _, always_rare = known_variance(level, level, level.variance, contacts)
     rounding = 1e-15 * run.distance  # of the cumulative sums
@@ -140,7 +141,7 @@ def trajectory(
     friction, pinned_fraction, stretch = _second_half(total.batches / scales.batches, total.lives, contacts, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
     gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
-    enough = [lives >= ENOUGH for lives in independent(c, born, 0.5 * run.distance * contacts, drag)]
+    enough = [lives * 0.5 * run.distance * contacts >= ENOUGH for lives in alike]
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
@@ -158,6 +159,19 @@ def trajectory(
         engine_seconds=time.perf_counter() - begin,
         threads=threads,
     )
+
+
+@lru_cache(maxsize=32)
+def _expected(
+    ensemble: Ensemble, velocity: float, mean_stretch: float | None, distance: float | None
+) -> tuple[Scatter, Scatter, tuple[float, float, float]]:
+    """What the law says of the scatter of forces over a distance and in the stationary state, and how many `independent`
+    lives there are for each threshold that is slid. Remembered: it takes 20 ms, and seeds share it."""
+    c, drag = lower(ensemble, velocity, mean_stretch), ensemble.drag(velocity)
+    born = births(c)
+    level = scatter(c, born, None, drag)
+    law = level if distance is None else scatter(c, born, distance, drag)
+    return law, level, independent(c, born, 1.0, drag)
 
 
 class Totals:
