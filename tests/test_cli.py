@@ -283,7 +283,7 @@ def test_full_disk_leaves_nothing(run_file, tmp_path):
     assert not out.exists() or tree(out) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_interrupt_leaves_nothing(run_file, tmp_path, number):
     """Ctrl-C, or a batch system's SIGTERM, in mid-run: 128 + its number, one line, no file."""
     out = tmp_path / "out"

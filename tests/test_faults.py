@@ -391,6 +391,7 @@ def small_files():
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
 
+@pytest.mark.long
 def test_no_home_and_no_temporary_folder(run_file, tmp_path):
     home = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "TMPDIR": "/nowhere", "MPLCONFIGDIR": str(tmp_path)}
     process = start("run", run_file, "--out", tmp_path / "o", "--quiet", env=os.environ | home)
@@ -410,7 +411,7 @@ def test_a_sweep_on_a_full_disk_names_the_file(run_file, tmp_path):
     assert not [name for name in names(out) if ".eqsim-" in name]
 
 
-@pytest.mark.parametrize("command", [("info", "a.toml"), ("--help",)])
+@pytest.mark.parametrize("command", [("info", "a.toml"), pytest.param(("--help",), marks=pytest.mark.long)])
 def test_output_that_cannot_be_written(run_file, tmp_path, command):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
@@ -419,7 +420,9 @@ def test_output_that_cannot_be_written(run_file, tmp_path, command):
     assert (done.returncode, done.stderr) == (2, "eqsim: file system: No space left on device\n")
 
 
-@pytest.mark.parametrize("command", [("steady", "a.toml"), ("info", "a.toml", "--json"), ("--help",)])
+@pytest.mark.parametrize(
+    "command", [("steady", "a.toml"), pytest.param(("info", "a.toml", "--json"), marks=pytest.mark.long), ("--help",)]
+)
 def test_reader_that_has_left(run_file, tmp_path, command):
     """As with `eqsim ... | head`: nothing is wrong, and nobody listens."""
     unread, output = os.pipe()

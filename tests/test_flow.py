@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from cases import thinned
 from rows import aging
 from scipy import integrate, optimize
 from scipy.interpolate import CubicSpline
@@ -158,11 +159,11 @@ def test_errors_cover_a_refined_result(monkeypatch):
         assert abs(m.work - fine.work) < m.work_error + 2e-14 * m.work
 
 
-@pytest.mark.parametrize("final", [0.5, 10.0])
-@pytest.mark.parametrize(("barrier", "stiffness"), LAWS)
-def test_survivors(barrier, stiffness, final):
+@pytest.mark.parametrize(("final", "law"), thinned(3, (0.5, 10.0), LAWS))
+def test_survivors(final, law):
     """Splined in ln x they integrate to the stationary moments: two methods that share the rate alone. Without aging
     they are those of a contact whose hazard has a closed form."""
+    barrier, stiffness = law
     x = np.exp(np.arange(math.log(7.5 * max(1.0, final)), math.log(1e-15), -0.015)[::-1])
     for b, log_w, alpha in [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]:
         values = flow.survivors(LAW, stiffness, barrier, b, log_w, final, alpha, x)

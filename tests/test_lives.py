@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import scipy.stats
+from cases import thinned
 from scipy import optimize, special
 
 from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, steady
@@ -104,9 +105,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("ensemble", CASES)
-@pytest.mark.parametrize("start", ["fresh", "stationary"])
-@pytest.mark.parametrize("points", [2, 11, 501])
+@pytest.mark.parametrize(("start", "points", "ensemble"), thinned(5, ("fresh", "stationary"), (2, 11, 501), CASES))
 def test_side_by_side_as_one_by_one(ensemble, start, points):
     """The same contacts with every life deposited and recorded by itself: force, pinned fraction, variance and sums
     over the second half agree to rounding, of which sums of 300 contacts and some 1e4 lives have 1e-11."""

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import scipy.stats
+from cases import thinned
 from rows import REFERENCE, ensemble_of
 from scipy import integrate, special
 
@@ -93,8 +94,7 @@ def test_errors_of_self_consistent_births():
     assert exact.stderr == pytest.approx(grown * reference(births, 1.0).break_stretch.stderr, rel=0.01, abs=0)
 
 
-@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
-@pytest.mark.parametrize("stiffness_law", ["sqrt", "uniform"])
+@pytest.mark.parametrize(("disorder", "stiffness_law"), thinned(3, ("quenched", "annealed"), ("sqrt", "uniform")))
 def test_limits_of_aging(disorder, stiffness_law):
     """D -> 0 is no aging; D -> inf is the final law at once, k_i referring to newborns; langevin contacts let go."""
     given = {"thresholds": Gamma(0.5, 0.5), "thermal": Thermal(0.1), "stiffness_law": stiffness_law}

@@ -66,8 +66,7 @@ def made(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize("kind", ["run", "table", "sweep"])
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(("kind", "threads"), [("run", 1), ("table", 2), ("sweep", 2)])
 def test_same_bits(made, kind, threads):
     done = call("replay", made[kind], "--threads", threads, "--json")
     found = json.loads(done.stdout)

@@ -9,6 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
+from cases import thinned
 from scipy import integrate, interpolate, special
 
 from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal
@@ -63,8 +64,7 @@ def test_log_erfi(z):
     assert float(log_erfi(z)) == pytest.approx(exact, rel=8 * EPS, abs=8 * EPS)
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
-@pytest.mark.parametrize("a", [1e-6, 0.3, 1.0, 40.0, 1e4, 1e8])
+@pytest.mark.parametrize(("barrier", "a"), thinned(5, BARRIERS, (1e-6, 0.3, 1.0, 40.0, 1e4, 1e8)))
 def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
     """Against quadrature of exp(log_rate), in 40 digits and on intervals that shrink towards x, where it is largest.
     Rounding: a few eps of the exponent a xi^2."""
@@ -297,9 +297,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize(("barrier", "stiffness", "name"), thinned(3, BARRIERS, ("sqrt", "uniform"), LAWS))
 def test_pooled_rate_by_quadrature(name, stiffness, barrier):
     law, density, low, high = LAWS[name]
     y = np.array([0.02, 0.3, 1.2])
@@ -386,10 +384,9 @@ def integrated_rate(law, stiffness, barrier, b, x):
     return G[np.searchsorted(edges, x)]
 
 
-@pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("b", [0.1, pytest.param(30.0, marks=pytest.mark.verification), 1e6])
-@pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize(
+    ("b", "barrier", "stiffness", "name"), thinned(5, (0.1, 30.0, 1e6), BARRIERS, ("sqrt", "uniform"), LAWS)
+)
 def test_pooled_inverse_of_smooth_laws(name, stiffness, barrier, b):
     """The integral of the rate up to the inverse is the target, within the documented error of the inverse times h."""
     law, low = LAWS[name][0], LAWS[name][2]
@@ -474,10 +471,7 @@ def test_pools_of_infinite_density_at_zero(shape, barrier):
 @pytest.mark.parametrize(
     ("low", "high", "b"),
     [
-        (0.9, 1.1, 1.0),
         (0.9, 1.1, 1e3),
-        (0.9, 1.1, 1e5),
-        (0.1, 1.9, 1e3),
         (0.1, 1.9, 1e4),
     ],
 )
@@ -637,7 +631,9 @@ def break_stretches(ensemble, velocity, count=40_000):
     return stretch * ensemble.thresholds.scale
 
 
-@pytest.mark.parametrize(("disorder", "stiffness", "barrier"), DRAWN)
+@pytest.mark.parametrize(
+    ("disorder", "stiffness", "barrier"), thinned(3, ("quenched", "annealed"), ("sqrt", "uniform"), BARRIERS)
+)
 def test_lives_follow_the_survival(disorder, stiffness, barrier):
     """KS of 4e4 lives against S(x) by quadrature, p > 1e-5 (eight tests: false alarm 8e-5); at two thirds of the
     temperature, and with the other disorder, it must fail."""

@@ -165,8 +165,8 @@ def trajectory(
 def _expected(
     ensemble: Ensemble, velocity: float, mean_stretch: float | None, distance: float | None
 ) -> tuple[Scatter, Scatter, tuple[float, float, float]]:
-    """What the law says of the scatter of forces over a distance and in the stationary state, and how many `independent`
-    lives there are for each threshold that is slid. Remembered: it takes 20 ms, and seeds share it."""
+    """What the law says of the scatter of forces over a distance and in the stationary state, and of how many
+    `independent` lives there are to a unit of displacement. Remembered: it takes 20 ms, and seeds share it."""
     c, drag = lower(ensemble, velocity, mean_stretch), ensemble.drag(velocity)
     born = births(c)
     level = scatter(c, born, None, drag)
