@@ -117,10 +117,11 @@ def mixture(n, final, decay, x):
     return np.array(out).T
 
 
-@pytest.mark.parametrize(("n", "final", "decay"), POOLS)
-def test_pooled_law(n, final, decay):
+@pytest.mark.parametrize("pool", thinned(3, POOLS))
+def test_pooled_law(pool):
     """-ln J_c, J_c from below and P_c from e = 1e-12 to e = 500, to the documented 2e-9 for e < 100, 3e-2 in J_c
     beyond, 1e-16 absolute in cdf. The mixture's own error is 1e-12."""
+    n, final, decay = pool
     law = Pooled(Gamma(n, 2.0), 2.0 * final, decay)
     e = np.concatenate((np.geomspace(1e-12, 0.5, 12), np.geomspace(0.7, 500.0, 15)))
     x = law.exceeded_by(e)
@@ -186,7 +187,7 @@ def draws(table, u):
     return found
 
 
-@pytest.mark.parametrize("case", [(0.0, 10.0, 0.3), (1.0, 0.1, 5.0), (6.0, 100.0, 1e4), (30.0, 3.0, 1.0)])
+@pytest.mark.parametrize("case", [(0.0, 10.0, 0.3), (1.0, 0.1, 5.0)])
 def test_pooled_draws(case):
     """100 000 draws from the kernel's table follow the mixture, and not one whose decay is 5 % off."""
     n, final, decay = case

@@ -115,6 +115,7 @@ def command(tmp_path):
     return call
 
 
+@pytest.mark.long
 def test_command_on_processes(command):
     here, there = command("--threads", "1"), command("--workers", "2")
     assert here[0].exit_code == there[0].exit_code == 0

@@ -266,6 +266,7 @@ def test_unwritable_folder(run_file, tmp_path):
     assert "cannot be written" in result.stderr
 
 
+@pytest.mark.long
 def test_full_disk_leaves_nothing(run_file, tmp_path):
     """A process that may write no file above 4 KB: the table does not fit."""
     out = tmp_path / "deep" / "out"

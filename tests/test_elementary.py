@@ -1,5 +1,6 @@
 """Vectorised elementary functions in units of the last place of 60 digits, and loops with them that do vectorise."""
 
+import functools
 import math
 from fractions import Fraction
 
@@ -56,14 +57,19 @@ def loop(name):
     return apply
 
 
+@functools.cache
+def exact_values(name):
+    with mpmath.workdps(60):
+        return [EXACT[name](mpmath.mpf(float(value))) for value in np.concatenate(ARGUMENTS[name])]
+
+
 def worst(name, change=lambda y: y):
     """The greatest error in ulp of the exact value."""
     x = np.concatenate(ARGUMENTS[name])
     y = np.empty_like(x)
     loop(name)(x, y)
-    y = change(y)
+    y, exact = change(y), exact_values(name)
     with mpmath.workdps(60):
-        exact = [EXACT[name](mpmath.mpf(float(value))) for value in x]
         errors = [
             abs(mpmath.mpf(float(a)) - b) / float(np.spacing(abs(float(b)))) for a, b in zip(y, exact, strict=True)
         ]

@@ -8,7 +8,8 @@ from analysis.limits import measure
 from eqsim import Drive, Ensemble, InputError, Thermal, trajectory
 
 
-@pytest.mark.parametrize("contacts", [2 * 10**6, pytest.param(10**8, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("contacts", [2 * 10**6, 10**8])
 def test_memory_does_not_grow_with_contacts(contacts):
     """Peak memory of a run with many contacts is that with a thousand, but for what the allocator rounds up to; a
     single number per contact would take 16 MB."""

@@ -168,7 +168,8 @@ def elsewhere(processor, what, names):
 @pytest.mark.parametrize(
     ("processor", "what", "names"),
     [
-        ("plain", "result", [*CASES]),
+        ("plain", "result", [*SOME, "langevin, warm, sqrt", "soft, stationary"]),
+        pytest.param("plain", "result", [*CASES], marks=pytest.mark.long),
         ("old", "averages", SOME),
         pytest.param("old", "result", [*CASES], marks=pytest.mark.long),
         pytest.param("AVX2", "result", [*CASES], marks=[pytest.mark.long, pytest.mark.skipif(not X86, reason="x86")]),

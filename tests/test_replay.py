@@ -66,7 +66,9 @@ def made(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize(("kind", "threads"), [("run", 1), ("table", 2), ("sweep", 2)])
+@pytest.mark.parametrize(
+    ("kind", "threads"), [("run", 2), ("sweep", 1), pytest.param("table", 2, marks=pytest.mark.long)]
+)
 def test_same_bits(made, kind, threads):
     done = call("replay", made[kind], "--threads", threads, "--json")
     found = json.loads(done.stdout)

@@ -106,7 +106,7 @@ def test_workers_and_threads_do_not_change_a_bit(small):
 
 def test_order_and_company_do_not_change_a_bit(small, tmp_path):
     other = GRID.replace("[0.1, 1.0]", "[3.0, 1.0]").replace("[0.0, 1.0]", "[1.0, 0.0]")
-    sweep(file_of(other), tmp_path, tmp_path / "o", workers=2)
+    sweep(file_of(other), tmp_path, tmp_path / "o")
     one, two = (table_of(folder).to_pandas().set_index("id") for folder in (small / "one", tmp_path / "o"))
     both = one.index.intersection(two.index)
     assert len(both) == 6
@@ -444,7 +444,9 @@ def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
     assert table_of(larger / "stopped").equals(table_of(larger / "exact"))
 
 
-@pytest.mark.parametrize("moment", ["_finish", "flush", "compact", "close"])
+@pytest.mark.parametrize(
+    "moment", ["_finish", "flush", *(pytest.param(name, marks=pytest.mark.long) for name in ("compact", "close"))]
+)
 def test_interrupts_at_any_moment_lose_no_row(small, tmp_path, monkeypatch, moment):
     """The first one in a method once three points are finished, another one as the rows at hand are written."""
     monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
@@ -545,10 +547,11 @@ def test_files_can_be_read_by_those_the_umask_allows(small, tmp_path):
 
 
 def test_quiet_and_progress(small):
-    result = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(small / "one"), "--quiet"])
+    command = ["sweep", str(small / "small.toml"), "--workers", "1", "--out"]
+    result = CliRunner().invoke(app, [*command, str(small / "one"), "--quiet"])
     assert result.exit_code == 0, result.output
     assert result.output == ""
-    result = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(small / "new")])
+    result = CliRunner().invoke(app, [*command, str(small / "new")])
     assert "12 points (3 x 2 x 2)" in result.stdout
     assert "ms a point" in result.stdout
     result = CliRunner().invoke(

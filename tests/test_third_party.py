@@ -60,7 +60,8 @@ def friction(b, cells):
     return X, X * equation.E_PT(X) + q @ grid.axes_coords[0] * TOP / cells
 
 
-@pytest.mark.parametrize("kT", [pytest.param(1.0, marks=pytest.mark.verification), 0.1])
+@pytest.mark.verification
+@pytest.mark.parametrize("kT", [0.1, 1.0])
 def test_published_master_equation(kT):
     """F(X) from a fresh start into the steady state. Central differences are of second order, which three grids show;
     two extrapolations to cells of no width differ by more than the better one is in error, so that this difference

@@ -11,9 +11,23 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
-from eqsim import Aging, Delay, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference, steady, validation
+from eqsim import (
+    Aging,
+    Delay,
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    InputError,
+    Table,
+    Thermal,
+    reference,
+    steady,
+    validation,
+)
 from eqsim.cli import app
 from eqsim.estimate import OBSERVABLES
+from eqsim.master.transient import transient
 from eqsim.validation import (
     DECLINED,
     KINDS,
@@ -30,6 +44,7 @@ from eqsim.validation import (
     _hazard,
     _many,
     _Point,
+    _squares,
     _transient,
     columns,
     law_text,
@@ -61,7 +76,7 @@ def scores(found):
     ("points", "wrong", "of", "kinds"),
     [
         (
-            6,
+            4,
             changed(disorder="quenched"),
             lambda e, v: e.thermal.kT > 0 and not e.thresholds.steps.size,
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
@@ -73,7 +88,7 @@ def scores(found):
             {"friction", "break_stretch"},
             marks=pytest.mark.verification,
         ),
-        (6, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}),
+        (4, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}),
     ],
     ids=[
         "quenched instead of annealed",
@@ -97,7 +112,7 @@ def test_negative_controls(points, wrong, of, kinds, monkeypatch):
     assert kinds <= {verdict.kind for verdict in result.verdicts if not verdict.passed}
 
 
-@pytest.mark.parametrize("suite", [Suite(8, 2), pytest.param(SUITES["quick"], marks=pytest.mark.verification)])
+@pytest.mark.parametrize("suite", [Suite(6, 1), pytest.param(SUITES["quick"], marks=pytest.mark.verification)])
 def test_command(suite, tmp_path, monkeypatch):
     """A small suite, and with -m verification the quick one, passes (false alarm 1/500 for a fresh seed) and leaves a
     table and a picture."""
@@ -129,7 +144,7 @@ def test_hazard(was, wrong):
     """One barrier instead of the other: the number of thermal breaks and the law of hazards both fail; the right one
     passes (false alarm 4e-4 for a fresh seed)."""
     passed, failed = [], []
-    for index, ensemble, v in sample(96, 1, (1, 3)):
+    for index, ensemble, v in sample(60, 1, (1, 3)):
         if ensemble.thermal.barrier == was and not ensemble.aging.active:
             other = dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, barrier=wrong))
             passed += scores(_hazard(ensemble, ensemble, v, index))
@@ -325,6 +340,25 @@ def test_an_engine_that_refuses_everything_does_not_pass(monkeypatch):
     assert not result.passed
     assert set(result.declined) >= set(OBSERVABLES)
     assert {one.message for one in result.unscored if one.kind == "friction"} == {"velocity: never"}
+
+
+def test_squares_of_laws_that_begin_with_a_jump():
+    """E[f^2] at T = 0 of Pareto thresholds, by hand: 200 000 contacts from break to break (|z| < 4.5 in eight scores,
+    false alarm 6e-5, beyond the stated error)."""
+    ensemble, drive = Ensemble(Distribution(stats.pareto(6.9)), stiffness_law="uniform"), Drive(1.0, 2.4)
+    exact = transient(ensemble, drive, points=9)
+    squares, error = _squares(ensemble, drive.velocity, drive.distance, exact)
+    rng = np.random.default_rng(1)
+    for i in range(1, 9):
+        born, force = np.zeros(200_000), np.zeros(200_000)
+        lasting = np.full(born.size, True)
+        while lasting.any():
+            broken = born[lasting] + stats.pareto(6.9).rvs(lasting.sum(), random_state=rng)
+            force[lasting] = exact.X[i] - born[lasting]
+            born[lasting] = broken
+            lasting = born <= exact.X[i]
+        sigma = np.std(force**2) / math.sqrt(born.size)
+        assert abs(np.mean(force**2) - squares[i]) < 4.5 * sigma + error[i]
 
 
 def test_variances_of_a_few_broken_contacts_are_not_scored():

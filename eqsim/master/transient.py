@@ -185,7 +185,7 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient
         coarse, better = (np.asarray(getattr(means, name)) for means in solved)
         if name == "breaks":  # of cells; a pair of fine ones is a coarse one
             centres = fine[1::2]
-            found[name] = np.interp(X, centres, (better[0::2] + better[1::2]) / 2)
+            found[name] = np.interp(X, centres, np.maximum((better[0::2] + better[1::2]) / 2, 0.0))
             continue
         best = (4 * better[::2] - coarse) / 3
         # the difference may vanish by chance where the error does not
@@ -297,7 +297,7 @@ def means_of(profile: Profile, x: Array, s: Setting) -> _Means:
     breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
     force = x * stiff + np.append(0.0, back(reborn * breaks * work))
-    return _Means(force + s.drag * detached, 1.0 - detached, np.maximum(back(breaks) / h, 0.0))
+    return _Means(force + s.drag * detached, 1.0 - detached, back(breaks) / h)
 
 
 def _waiting(s: Setting, h: float, cells: int) -> Array:
