@@ -331,8 +331,8 @@ def fuzz(folder, seeds, solved):
 
 
 def test_run_files(tmp_path):
-    outcomes = fuzz(tmp_path, range(300), solved=8)
-    assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 8  # neither all is refused nor all taken
+    outcomes = fuzz(tmp_path, range(200), solved=6)
+    assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 6  # neither all is refused nor all taken
 
 
 @pytest.mark.long
@@ -725,6 +725,7 @@ def fuzz_processes(folder, seeds):
     return codes
 
 
+@pytest.mark.long
 def test_processes(tmp_path):
     """A run that succeeds, and a reference of a file that is refused."""
     assert fuzz_processes(tmp_path, (109, 3)) == [0, 2]

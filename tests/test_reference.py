@@ -32,7 +32,16 @@ from eqsim.master.transient import expected, fluctuations, transient
 UNIFORM = {"stiffness_law": "uniform"}
 
 
-@pytest.mark.parametrize("row", list(REFERENCE.itertuples()), ids=lambda row: row.id)
+def some(rows):
+    """Those that take a while, of contacts whose births are self-consistent or whose thresholds fluctuate, by default
+    only one in three."""
+    slow = [row for row in rows if row.rule != "none" and (row.rule, row.disorder) != ("flow", "quenched")]
+    return [
+        pytest.param(row, marks=[pytest.mark.verification] if row in slow[1::3] + slow[2::3] else []) for row in rows
+    ]
+
+
+@pytest.mark.parametrize("row", some(list(REFERENCE.itertuples())), ids=lambda row: row.id)
 def test_table(row):
     """Every row to 1e-8: its own accuracy is 1e-7, its figures are printed to 9 digits (5e-9). The Fokker-Planck
     equation: to the accuracy of the row and its own."""

@@ -297,7 +297,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize(("barrier", "stiffness", "name"), thinned(3, BARRIERS, ("sqrt", "uniform"), LAWS))
+@pytest.mark.parametrize(("barrier", "stiffness", "name"), thinned(5, BARRIERS, ("sqrt", "uniform"), LAWS))
 def test_pooled_rate_by_quadrature(name, stiffness, barrier):
     law, density, low, high = LAWS[name]
     y = np.array([0.02, 0.3, 1.2])
@@ -446,8 +446,7 @@ def rate_of_weak(shape, barrier, b, y):
     return weight @ (np.sqrt(beyond / xi) * np.exp(-b * xi**2 * (beyond / xi) ** 1.5))
 
 
-@pytest.mark.parametrize("shape", [0.2, 0.5])
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize(("barrier", "shape"), thinned(3, BARRIERS, (0.2, 0.5)))
 def test_pools_of_infinite_density_at_zero(shape, barrier):
     """So many weak contacts that the rate still varies where stretches are 1e-25: rate and inverse. Control:
     a shape 1e-4 off."""
@@ -610,14 +609,6 @@ def survival(ensemble, velocity):
     return lambda at: np.where(at < x[-1], spline(np.minimum(at, x[-1])), 0.0)
 
 
-DRAWN = [
-    (disorder, stiffness, barrier)
-    for disorder in ("quenched", "annealed")
-    for stiffness in ("sqrt", "uniform")
-    for barrier in BARRIERS
-]
-
-
 def break_stretches(ensemble, velocity, count=40_000):
     stream = key(21, TRAJECTORY)
     u, v = np.array([uniforms(stream, i, 0, 0) for i in range(count)]).T.copy()
@@ -657,7 +648,9 @@ def test_lives_follow_the_survival(disorder, stiffness, barrier):
     assert p(sample, ensemble(disorder="annealed" if disorder == "quenched" else "quenched")) < 1e-5
 
 
-@pytest.mark.parametrize(("disorder", "stiffness", "barrier"), DRAWN)
+@pytest.mark.parametrize(
+    ("disorder", "stiffness", "barrier"), thinned(3, ("quenched", "annealed"), ("sqrt", "uniform"), BARRIERS)
+)
 def test_lives_spend_their_clocks(disorder, stiffness, barrier):
     """A life that heat ends does so where its integrated hazard is its clock, and one that it does not has not spent
     it: 400 lives, to what the errors of tables do to a hazard (1e-6 of the clock)."""
