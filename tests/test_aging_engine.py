@@ -53,7 +53,7 @@ def _deviates(stream, shape, count):
     return found
 
 
-@pytest.mark.parametrize("n", thinned(2, (0.0, 0.3, 0.5, 1.0, 2.5, 6.0, 10.7)))
+@pytest.mark.parametrize("n", thinned(2, (0.3, 0.5, 6.0, 1.0, 0.0, 2.5, 10.7)))
 def test_deviates_of_a_step(n):
     """A normal, a chi-square of 2n+1 and a uniform deviate, not correlated: 60 000 each."""
     found = _deviates(key(1, 99), n, 60_000)
@@ -403,11 +403,11 @@ RUNS = {
         **UNIT, delay=Delay(0.1, "exponential"), aging=Aging("flow", 0.1, 1.0), stiffness_law="uniform", eta=0.3,
         count=20_000,
     ),
-    "flow weaker": Ensemble(
-        Gamma(0.5), Thermal(0.2, 2.0, "stiff"), Delay(0.4), Aging("flow", 0.5, 0.2), stiffness_law="sqrt", count=20_000
-    ),
     "langevin sqrt": Ensemble(
         **UNIT, delay=Delay(0.1), aging=Aging("langevin", 0.1, 1.0), stiffness_law="sqrt", count=2_000
+    ),
+    "flow weaker": Ensemble(
+        Gamma(0.5), Thermal(0.2, 2.0, "stiff"), Delay(0.4), Aging("flow", 0.5, 0.2), stiffness_law="sqrt", count=20_000
     ),
     "langevin sqrt exponential": Ensemble(
         **UNIT, delay=Delay(0.3, "exponential"), aging=Aging("langevin", 0.02, 1.0), count=4_000, eta=0.2
