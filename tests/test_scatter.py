@@ -125,6 +125,19 @@ def test_rare_contacts_among_many():
         assert abs(z).max() < 5
 
 
+def test_rare_breaks_of_fluctuating_thresholds():
+    """One contact in 2500 has broken, which hardly any of the law's own paths has: ten seeds of some 12 such contacts
+    (sum of squared scores, p > 1e-4). With the law's variance alone errors are ten times too small."""
+    aging = Aging("langevin", 0.00122, 0.808)
+    cold = Ensemble(Gamma(9.57, 0.5825), Thermal(0.0041), aging=aging, stiffness_law="uniform", count=30_000)
+    drive = Drive(0.00121, 1.17)
+    exact = transient(cold, drive, points=2).force[1]
+    runs = [trajectory(cold, drive, points=2, seed=seed) for seed in range(10)]
+    z = np.array([(run.force[1] - exact) / run.force_stderr[1] for run in runs])
+    assert 0.3 < np.sum(z**2) < scipy.stats.chi2.isf(1e-4, len(z))
+    assert np.ptp([run.force[1] for run in runs]) > 0
+
+
 @pytest.mark.parametrize(("count", "distance", "reliable"), [(1, 60.0, False), (2, 60.0, False), (100, 60.0, True)])
 def test_few_long_lives(count, distance, reliable):
     """kT = 1, v = 1e-3: averages over too few of the lives that matter say so; those over enough are normal: chi-square
