@@ -404,7 +404,8 @@ def test_student_scores():
     assert z_score(Estimate(1.0, 0.5, 100), 0.0) == 2.0
 
 
-@pytest.mark.parametrize(("kT", "odds"), thinned(5, (0.2, 0.02), (1e-7, 1e-8, 1e-6, 1e-5)))
+@pytest.mark.parametrize("kT", [0.02, 0.2])
+@pytest.mark.parametrize("odds", [1e-8, 1e-7, 1e-6, 1e-5])
 def test_rare_clocks(kT, odds, monkeypatch):
     """Identical contacts, of which so few break before their threshold that none may be seen: two lives in a million
     or fewer leave no scatter, and the error bar knows. |z| < 4 in 16 cases: false alarm 1e-3."""
