@@ -80,9 +80,10 @@ def _spread(n: int) -> Array:
 
 
 class Scatter(NamedTuple):
-    """Moments of the force of a contact at the nodes `X` (infinite: the stationary state), in the units of `Contacts`:
-    mean, pinned fraction, variance, fourth and sixth central moment, and `one`, the mean square force of a pinned
-    contact, or of a detached one if its drag is larger; and how many lives drawn at random they are as good as."""
+    """Moments of the force of a contact at the nodes `X`, in the units of `Contacts`: mean, pinned fraction, variance,
+    fourth and sixth central moment; `one`, the mean square force of a pinned contact, or of a detached one if its
+    drag is larger, and `most`, what it can be at most with k_i = k; and how many `lives` drawn at random these are as
+    good as."""
 
     X: Array
     mean: Array
@@ -91,18 +92,19 @@ class Scatter(NamedTuple):
     fourth: Array
     sixth: Array
     one: Array
+    most: Array
     lives: float
 
     def at(self, X: Array) -> "Scatter":
         """The same at other displacements."""
         values = {name: np.interp(X, self.X, getattr(self, name)) for name in self._fields[1:-1]}
-        return self._replace(X=X if self.X[0] == 0 else np.full_like(X, math.inf), **values)
+        return self._replace(X=X, **values)
 
 
 def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> Scatter:
     """From a fresh start over a distance, or (None) in the stationary state."""
     if distance is None:
-        X, moments = np.array([math.inf]), _stationary(c, born)[:, None]
+        X, moments = np.zeros(1), _stationary(c, born)[:, None]
     else:
         size = float(np.sum(born.share * born.stretch**2) / np.sum(born.share * born.stretch))
         X, moments = _fresh(c, born, min(size / _FINE, distance / _NODES))
@@ -123,7 +125,8 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
             for p in (2, 4, 6)
         )
     lives = 1.0 / float(np.sum(born.share**2)) if c.aging == LANGEVIN else math.inf  # by quadrature
-    return Scatter(X, mean, pinned, variance, fourth, sixth, one, lives)
+    most = np.full(1, math.inf) if distance is None else np.maximum(X, drag) ** 2
+    return Scatter(X, mean, pinned, variance, fourth, sixth, one, most, lives)
 
 
 def _stationary(c: Contacts, born: Births) -> Array:
@@ -196,14 +199,15 @@ def known_variance(law: Scatter, level: Scatter, sample: Array, contacts: int) -
     (derived), and so has the law's, N being its `lives`, besides 5 %; they are weighted accordingly. N/K contacts of
     size s, s^2 = K Var, would have the same moments. Where fewer than one is expected, one stands for those that are
     not met (as pseudo-counts do in Agresti and Coull, 1998), s being at most twice the stationary root mean square
-    force of a pinned contact, and 2 X, and just that where the law's lives, too, may have met none of them. The bound
-    is Markov's for sixth powers, of the large deviations that single contacts make: N E(f - Ef)^6/(5 N error)^6.
+    force of a pinned contact, and just that where the law's lives, too, may have met none of them; it is never more
+    than twice what there can be. The bound is Markov's for sixth powers, of the large deviations that single contacts
+    make: N E(f - Ef)^6/(5 N error)^6.
     """
     with np.errstate(all="ignore"):
         doubt = law.fourth / law.variance / contacts
         share = np.nan_to_num(1.0 / (1.0 + _TOLERANCE**2 * law.variance / doubt + contacts / law.lives))
         size = np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf) if law.lives == math.inf else math.inf
-        one = np.minimum(size, 4.0 * np.minimum(level.one, law.X**2))
+        one = np.minimum(size, 4.0 * np.minimum(level.one, law.most))
         unmet = np.nan_to_num(one / (1.0 + contacts * law.variance / one))
         own = sample * contacts / (contacts - 1) if contacts > 1 else np.zeros_like(sample)
         variance = (share * law.variance + (1.0 - share) * own + unmet / contacts) / contacts
