@@ -246,7 +246,7 @@ def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, 
         assert time.monotonic() - begin < 10
         assert code == 128 + number
         assert re.fullmatch(r"eqsim: interrupted; .*\n", errors), errors
-        assert command == "sweep" or output == ""
+        assert command == "sweep" or output == "" or (command == "steady" and output.startswith("about "))  # to go
         if command == "sweep":
             assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "_parts"}
         elif command == "figures":  # each is whole as soon as its points are there
