@@ -465,7 +465,7 @@ def _transient(ensemble: Ensemble, shown: Ensemble, v: float, seed: int, threads
         few = shown.count * _carrying(level, variance, float(exact.pinned[i * every]), drag)
         # few that have broken make the variance if all others have the same force; the law of `langevin` contacts is
         # not known well enough to say how large it is
-        broken = shown.count * variance / level**2
+        broken = shown.count * variance / max(level**2, 1e-300)
         if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH:
             scores += _all(_TRANSIENT, ensemble, v, "few contacts")
             continue

@@ -6,8 +6,8 @@ import pytest
 
 
 def thinned(every, *axes):
-    """All combinations of the values of `axes`, for `parametrize`: by default one in `every`, which has no factor in
-    common with how many values an axis has, so that each value is met."""
+    """All combinations of the values of `axes`, for `parametrize`: by default one in `every`. Where there are
+    several axes it has no factor in common with how many values they have, so that each value is met."""
     return [
         pytest.param(*case, marks=[pytest.mark.verification] if index % every else [])
         for index, case in enumerate(itertools.product(*axes))

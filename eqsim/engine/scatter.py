@@ -169,8 +169,8 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     return np.append(0.0, edges[:-1] + 0.5 * step), moments
 
 
-def independent(c: Contacts, born: Births, slid: float, drag: float) -> tuple[float, float, float]:
-    """How many lives like those that make the scatter there are while contacts slide `slid` in all, for their averages:
+def independent(c: Contacts, born: Births, drag: float) -> tuple[float, float, float]:
+    """How many lives like those that make the scatter there are to a unit of displacement, for their averages:
     friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
     these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
     half of it how far Student's t is off in the mean (derived)."""
@@ -186,7 +186,7 @@ def independent(c: Contacts, born: Births, slid: float, drag: float) -> tuple[fl
             residual *= np.abs(residual) > 1e-12 * np.abs(reward)  # rounding
             cubes = share * residual**3
             square, cube = np.sum(share * residual**2), max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0]))
-            return float(slid / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
+            return float(1.0 / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
 
     return alike(work + drag * wait, cycle), alike(stretch, cycle), alike(stretch, np.ones(stretch.size))
 

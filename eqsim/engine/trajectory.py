@@ -171,7 +171,7 @@ def _expected(
     born = births(c)
     level = scatter(c, born, None, drag)
     law = level if distance is None else scatter(c, born, distance, drag)
-    return law, level, independent(c, born, 1.0, drag)
+    return law, level, independent(c, born, drag)
 
 
 class Totals:
