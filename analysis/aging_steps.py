@@ -1,4 +1,4 @@
-"""How the error of `langevin` lives goes with the accuracy of their steps (`step` of `eqsim.engine.paths`).
+"""How the error of `langevin` lives goes with the accuracy of their steps (`step` of `eqsim.engine.langevin`).
 
 Lives drawn with step = 0.2, 0.35 (the default), 0.5 and 0.7 against the Fokker-Planck equation, from thresholds that
 hardly fluctuate to ones that fluctuate a hundred times faster than the slider moves: relative errors of friction and of
@@ -20,10 +20,10 @@ from rich.progress import track
 from scipy.stats import qmc
 
 from eqsim import Aging, Ensemble, Gamma, Thermal, reference
-from eqsim.engine.life import lives
-from eqsim.engine.paths import STEP
-from eqsim.engine.streams import key
-from eqsim.ensemble import lower
+from eqsim.engine.lanes import lives
+from eqsim.engine.langevin import STEP
+from eqsim.numerics.streams import key
+from eqsim.model.ensemble import lower
 
 STEPS = (0.2, STEP, 0.5, 0.7)
 RANDOMISATIONS = 32

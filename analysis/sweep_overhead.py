@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from eqsim.runfile import check
-from eqsim.sweep import sweep
+from eqsim.io.runfile import check
+from eqsim.sweep.scheduler import sweep
 
 
 def main(points: Annotated[int, typer.Option(help="About so many points.")] = 10_000) -> None:

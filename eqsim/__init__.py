@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "Ensemble": "eqsim.ensemble",
-    "Drive": "eqsim.ensemble",
+    "Ensemble": "eqsim.model.ensemble",
+    "Drive": "eqsim.model.drive",
     "Gamma": "eqsim.laws.threshold",
     "Delta": "eqsim.laws.threshold",
     "Table": "eqsim.laws.threshold",
@@ -16,13 +16,13 @@ _HOMES = {
     "Estimate": "eqsim.estimate",
     "Steady": "eqsim.engine.steady",
     "steady": "eqsim.engine.steady",
-    "Reference": "eqsim.master.reference",
-    "reference": "eqsim.master.reference",
-    "validate": "eqsim.validation",
+    "Reference": "eqsim.master.steady",
+    "reference": "eqsim.master.steady",
+    "validate": "eqsim.validation.suite",
     "Trajectory": "eqsim.engine.trajectory",
     "trajectory": "eqsim.engine.trajectory",
     "InputError": "eqsim.errors",
-    "load": "eqsim.runfile",
+    "load": "eqsim.io.runfile",
 }
 __all__ = sorted(_HOMES)
 

@@ -2,20 +2,20 @@
 
 import sys
 
-from eqsim import interrupts
+from eqsim.io import signals
 
 
 def main() -> None:
     """Entry point of the `eqsim` command."""
     try:
-        interrupts.listen()
-        from eqsim import cli
+        signals.listen()
+        from eqsim.cli import app as cli
 
         cli.main()
     except BaseException:
-        if interrupts.unheard():
-            print(f"eqsim: {interrupts.WHOLE}", file=sys.stderr)
-            interrupts.leave(None)
+        if signals.unheard():
+            print(f"eqsim: {signals.WHOLE}", file=sys.stderr)
+            signals.leave(None)
         raise
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from eqsim.laws.octaves import Array
+from eqsim.numerics.tables import Array
 
 
 @dataclass(frozen=True)

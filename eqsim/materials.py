@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 from scipy import constants
 
-from eqsim.ensemble import Disorder, Drive, Ensemble
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Disorder, Ensemble
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_integer, require_number, under
 from eqsim.laws.aging import Aging, AgingRule
 from eqsim.laws.delay import Delay

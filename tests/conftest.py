@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from eqsim import compiled
+from eqsim.numerics import compiled
 
 SET_UP = "from eqsim import Aging, Drive, Ensemble, Thermal, steady, trajectory\n"
 COMPILES = [

@@ -16,7 +16,7 @@ from cases import thinned
 from scipy import integrate, special
 
 from eqsim import Delta, Ensemble, Gamma, InputError, Table, Thermal
-from eqsim.ensemble import lower
+from eqsim.model.ensemble import lower
 from eqsim.laws.aging import Aging, Pooled, barrier_of, flow_end, flow_stretch, flow_work, flow_work_table, growth
 from eqsim.laws.thermal import MECHANICAL, SOFT, STIFF, erfi_inverse_table, soft_stretch, stiff_stretch
 from eqsim.laws.threshold import NO_STEPS, threshold_draw

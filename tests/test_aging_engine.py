@@ -18,8 +18,8 @@ from cases import thinned
 from scipy.interpolate import CubicSpline
 
 from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
-from eqsim.engine.life import lives
-from eqsim.engine.paths import (
+from eqsim.engine.lanes import lives
+from eqsim.engine.langevin import (
     STEP,
     WALKERS,
     halfway,
@@ -32,9 +32,9 @@ from eqsim.engine.paths import (
     random_step,
     touching,
 )
-from eqsim.engine.standing import flow_ends, standing, stretches
-from eqsim.engine.streams import key
-from eqsim.ensemble import lower
+from eqsim.engine.stationary import flow_ends, standing, stretches
+from eqsim.numerics.streams import key
+from eqsim.model.ensemble import lower
 from eqsim.laws.aging import Aging
 from eqsim.master.fokker_planck import survival
 from eqsim.master.transient import transient

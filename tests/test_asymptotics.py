@@ -9,7 +9,7 @@ from scipy import integrate, optimize, special
 from eqsim import Ensemble, InputError, Thermal, reference
 from eqsim.laws.thermal import pooled_rate
 from eqsim.laws.threshold import Gamma
-from eqsim.master.asymptotics import C_0, Published, PublishedAging, beta, minimum_velocity
+from eqsim.master.closed_forms import C_0, Published, PublishedAging, beta, minimum_velocity
 
 
 def solved(kT, v):

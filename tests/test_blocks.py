@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from eqsim import Aging, Delay, Drive, Ensemble, Thermal, trajectory
-from eqsim.cli import app
+from eqsim.cli.app import app
 from eqsim.engine.trajectory import Totals
 
 ARRAYS = ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std")
@@ -57,9 +57,9 @@ def test_same_bits_on_processes(expected, processes, workers):
 
 def compiled_signatures():
     """How often this process has compiled or loaded the kernel."""
-    import eqsim.engine.ramps
+    import eqsim.engine.recorder
 
-    return len(eqsim.engine.ramps.simulate.signatures)
+    return len(eqsim.engine.recorder.simulate.signatures)
 
 
 @pytest.mark.long

@@ -17,10 +17,10 @@ import rich.progress
 from typer.testing import CliRunner
 from waiting import once
 
-from eqsim import terminal
-from eqsim.cli import app
+from eqsim.io import terminal
+from eqsim.cli.app import app
 from eqsim.estimate import Estimate
-from eqsim.terminal import bar, show, table, value_and_error
+from eqsim.io.terminal import bar, show, table, value_and_error
 
 RUN = """
 title = "small"
@@ -37,7 +37,7 @@ distance = 10.0
 points = 51
 seed = 7
 """
-EQSIM = [sys.executable, "-c", "from eqsim.cli import main; main()"]
+EQSIM = [sys.executable, "-c", "from eqsim.cli.app import main; main()"]
 
 
 @pytest.fixture
@@ -309,7 +309,7 @@ def simulating(pid):
 
 def test_help_needs_no_numba():
     """--help answers without the heavy imports."""
-    code = "import sys, eqsim.cli; print(sorted({'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)))"
+    code = "import sys, eqsim.cli.app; print(sorted({'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr
     for args in (["--help"], ["run", "--help"], ["steady", "--help"], ["info", "--help"]):

@@ -9,13 +9,13 @@ from cases import thinned
 from scipy import integrate, interpolate, stats
 
 from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference
-from eqsim.compiled import kernel
-from eqsim.engine.standing import standing, standing_contact
-from eqsim.engine.streams import TRAJECTORY, key, uniforms
-from eqsim.ensemble import lower
+from eqsim.numerics.compiled import kernel
+from eqsim.engine.stationary import standing, standing_contact
+from eqsim.numerics.streams import TRAJECTORY, key, uniforms
+from eqsim.model.ensemble import lower
 from eqsim.laws.aging import Aging
-from eqsim.master.asymptotics import Published
-from eqsim.master.densities import StationaryState
+from eqsim.master.closed_forms import Published
+from eqsim.master.curves import StationaryState
 
 ANNEALED, UNIFORM = {"disorder": "annealed"}, {"stiffness_law": "uniform"}
 SMOOTH = [

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from eqsim.compiled import add_row, fma, four_of, take_row
+from eqsim.numerics.compiled import add_row, fma, four_of, take_row
 from eqsim.laws import elementary
 
 RNG = np.random.default_rng(5)

@@ -26,12 +26,12 @@ from typer.testing import CliRunner
 from waiting import once
 
 import eqsim
-from eqsim import tables
-from eqsim.cli import app
-from eqsim.workers import Processes
+from eqsim.io import storage
+from eqsim.cli.app import app
+from eqsim.sweep.workers import Processes
 
-EQSIM = "from eqsim.cli import main; main()"
-EAGER = "import eqsim.sweep as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM  # rows reach the disk at once
+EQSIM = "from eqsim.cli.app import main; main()"
+EAGER = "import eqsim.sweep.scheduler as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM  # rows reach the disk at once
 RUN = (
     '[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n'
 )
@@ -91,7 +91,7 @@ def names(folder):
 
 SWALLOWED = """
 import os, signal, sys, time
-import eqsim.cli as cli
+import eqsim.cli.app as cli
 
 class Finaliser:
     def __del__(self):
@@ -189,7 +189,7 @@ def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_
     assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
 
 
-SLOW = "import time; import eqsim.tables as t; w = t.sealed; t.sealed = lambda x: (time.sleep(0.2), w(x))[1]; " + EAGER
+SLOW = "import time; import eqsim.io.storage as t; w = t.sealed; t.sealed = lambda x: (time.sleep(0.2), w(x))[1]; " + EAGER
 
 
 @pytest.mark.long
@@ -259,7 +259,7 @@ def long_table(folder):
     """A table that says it was made by a run of minutes."""
     file = eqsim.load(folder.parent / "a.toml", {"contacts.count": 300_000_000})
     folder.mkdir()
-    content = tables.parquet({"X": [0.0]}, tables.provenance("run", file.model_dump(), RUN, 1, folder))
+    content = storage.parquet({"X": [0.0]}, storage.provenance("run", file.model_dump(), RUN, 1, folder))
     (folder / "trajectory.parquet").write_bytes(content)
 
 
@@ -268,7 +268,7 @@ def long_table(folder):
 DIES = """
 import os, signal, sys
 from pathlib import Path
-from eqsim import tables
+from eqsim.io import storage
 
 out, turn = Path(sys.argv[1]), int(sys.argv[2])
 left = [turn]
@@ -283,8 +283,8 @@ def deadly(call):
 
 for name in ("fsync", "replace", "mkdir", "rmdir", "unlink", "open", "close"):
     setattr(os, name, deadly(getattr(os, name)))
-tables.publish(out, {"a": b"new a", "b": b"new b"})
-tables.save(out / "c", b"new c")
+storage.publish(out, {"a": b"new a", "b": b"new b"})
+storage.save(out / "c", b"new c")
 """
 
 
@@ -306,7 +306,7 @@ def test_killed_at_every_step_of_writing(tmp_path):
             break
         assert code == -signal.SIGKILL
         kills += 1
-        tables.publish(out, {"a": b"again", "b": b"again"})
+        storage.publish(out, {"a": b"again", "b": b"again"})
         assert {(out / name).read_text() for name in "ab"} == {"again"}
     assert kills > 16
 
@@ -315,8 +315,8 @@ def test_anyone_can_read_what_is_written(tmp_path):
     """Temporary files are private until they have their names; others use the results."""
     before = os.umask(0o022)
     try:
-        tables.save(tmp_path / "one", b"1")
-        tables.publish(tmp_path / "new" / "folder", {"two": b"2", "three": b"3"})
+        storage.save(tmp_path / "one", b"1")
+        storage.publish(tmp_path / "new" / "folder", {"two": b"2", "three": b"3"})
     finally:
         os.umask(before)
     for name in ("one", "new/folder/two", "new/folder/three"):
@@ -459,7 +459,7 @@ def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
         folder.chmod(0o500)
     home = {"HOME": str(package), "XDG_CACHE_HOME": str(package), "PYTHONPATH": str(package)}
     home |= {"MPLCONFIGDIR": str(tmp_path)}
-    code = "import eqsim.compiled as c; assert c._CACHE is None, c._CACHE; " + EQSIM
+    code = "import eqsim.numerics.compiled as c; assert c._CACHE is None, c._CACHE; " + EQSIM
     process = start("steady", run_file, code=code, limit=powerless, env=os.environ | home, cwd=tmp_path)
     try:
         code, output, errors = ended(process, timeout=300)

@@ -14,7 +14,7 @@ from eqsim_figures import NAMES, a01, a02, a02ab, a04, a05, check, compute, make
 from eqsim_figures.common import Curve
 from typer.testing import CliRunner
 
-from eqsim.cli import app
+from eqsim.cli.app import app
 from eqsim.estimate import Estimate
 
 
@@ -136,8 +136,8 @@ def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
             yield SimpleNamespace(pool=pool)
 
     monkeypatch.setattr("eqsim_figures._compute", stub)
-    monkeypatch.setattr("eqsim.workers.unbroken", here)
-    monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
+    monkeypatch.setattr("eqsim.sweep.workers.unbroken", here)
+    monkeypatch.setattr("eqsim.io.signals.heard", lambda: 130)
     out = tmp_path / "o"
     for names, said in ((["A05"], "nothing is half-written"), (["A05", "A01"], f"finished in {out}/: A01")):
         result = CliRunner().invoke(app, ["figures", *names, "--quick", "--out", str(out)])

@@ -23,17 +23,17 @@ import pytest
 from typer.testing import CliRunner
 
 from eqsim import InputError, load, reference, steady
-from eqsim.cli import app
+from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
-from eqsim.ensemble import groups
+from eqsim.model.reduced import groups
 from eqsim.estimate import OBSERVABLES
-from eqsim.grid import Plan
-from eqsim.runfile import keys, read_thresholds
+from eqsim.sweep.plan import Plan
+from eqsim.io.runfile import keys, read_thresholds
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
 LONGEST = 600  # characters of a message beyond those of the path
 WORDS = {word for key in keys() for word in key.split(".")} | {"sweep", "max_lives", "--max-lives", "title"}
-EQSIM = [sys.executable, "-c", "from eqsim.cli import main; main()"]
+EQSIM = [sys.executable, "-c", "from eqsim.cli.app import main; main()"]
 FASTEST = 100.0  # alpha of `langevin` aging: a life takes as many steps, and a kernel cannot be interrupted
 CHEAP = 65_536  # lives of the first attempt of `steady`
 

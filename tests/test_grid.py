@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from eqsim import grid as module
+from eqsim.sweep import plan as module
 from eqsim.errors import InputError
-from eqsim.grid import Plan, seed_of
-from eqsim.runfile import check
+from eqsim.sweep.plan import Plan, seed_of
+from eqsim.io.runfile import check
 
 BASE = 'title = "small"\n[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5.0\n'
 
@@ -152,7 +152,7 @@ def test_results_version_is_that_of_the_sources(tmp_path):
     """It changes with any byte of a source that numbers depend on (negative control: not with the plots)."""
     code = (
         "import shutil, sys, pathlib; import eqsim; root = pathlib.Path(eqsim.__file__).parent\n"
-        "import eqsim.grid as s\n"
+        "import eqsim.sweep.plan as s\n"
         "copy = pathlib.Path(sys.argv[1]) / 'eqsim'\n"
         "shutil.copytree(root, copy, ignore=shutil.ignore_patterns('__pycache__'))\n"
         "s._PACKAGE = copy; first = s.results_version()\n"

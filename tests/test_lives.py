@@ -10,13 +10,13 @@ from cases import thinned
 from scipy import optimize, special
 
 from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, steady
-from eqsim.engine.life import LANES, ROUNDS, lives, plain_sums
-from eqsim.engine.paths import path_law
-from eqsim.engine.ramps import Run, Scales, moments, simulate
-from eqsim.engine.standing import standing
-from eqsim.engine.streams import STEADY, TRAJECTORY, key
+from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums
+from eqsim.engine.langevin import path_law
+from eqsim.engine.recorder import Run, Scales, moments, simulate
+from eqsim.engine.stationary import standing
+from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments
-from eqsim.ensemble import lower
+from eqsim.model.ensemble import lower
 from eqsim.estimate import difference
 from eqsim.laws.aging import Aging
 

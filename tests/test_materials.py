@@ -14,10 +14,10 @@ from scipy.special import gamma
 from typer.testing import CliRunner
 
 from eqsim import Aging, Delay, InputError, load, reference, steady
-from eqsim.cli import app
+from eqsim.cli.app import app
 from eqsim.estimate import z_score
-from eqsim.grid import Plan
-from eqsim.master.asymptotics import C_0, Published
+from eqsim.sweep.plan import Plan
+from eqsim.master.closed_forms import C_0, Published
 from eqsim.materials import (
     BOLTZMANN,
     MATERIALS,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eqsim.laws.octaves import CELLS, look_up, octave_edges, octave_table
+from eqsim.numerics.tables import CELLS, look_up, octave_edges, octave_table
 
 EPS = np.finfo(float).eps
 

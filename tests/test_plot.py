@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from eqsim.cli import app
-from eqsim.plots import read_points, sweep_png
+from eqsim.cli.app import app
+from eqsim.io.plots import read_points, sweep_png
 
 VELOCITIES, TEMPERATURES = np.geomspace(1e-3, 10.0, 9), [0.01, 0.1, 1.0]
 
@@ -50,7 +50,7 @@ def call(*args):
 def drawn(monkeypatch, *args, **kwargs):
     """The figure instead of its pixels."""
     figures = []
-    monkeypatch.setattr("eqsim.plots._png", lambda figure: figures.append(figure) or b"")
+    monkeypatch.setattr("eqsim.io.plots._png", lambda figure: figures.append(figure) or b"")
     _, notes = sweep_png(*args, **kwargs)
     return figures[0], notes
 

@@ -23,8 +23,8 @@ import pytest
 from numpy._core import _multiarray_umath as built
 
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
-from eqsim.ensemble import pooled_hazard_of, threshold_table_of
-from eqsim.grid import Plan
+from eqsim.model.ensemble import pooled_hazard_of, threshold_table_of
+from eqsim.sweep.plan import Plan
 from eqsim.laws import aging, octaves, thermal, threshold
 from eqsim.laws.thermal import erfi_inverse_table
 

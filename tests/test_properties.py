@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, reference, steady, trajectory
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
 from eqsim.materials import MATERIALS, run_file_text
-from eqsim.runfile import check, parameters
-from eqsim.tables import to_json
+from eqsim.io.runfile import check, parameters
+from eqsim.io.storage import to_json
 
 
 def everywhere(few, many, **strategies):

@@ -7,9 +7,9 @@ import pytest
 
 from eqsim import Aging, Ensemble, Thermal
 from eqsim.engine import ramps
-from eqsim.engine.ramps import AREA, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments
-from eqsim.engine.standing import extremes
-from eqsim.ensemble import lower
+from eqsim.engine.recorder import AREA, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments
+from eqsim.engine.stationary import extremes
+from eqsim.model.ensemble import lower
 from eqsim.laws.aging import growth
 from eqsim.laws.stiffness import kappa
 

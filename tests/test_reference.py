@@ -394,11 +394,11 @@ def test_particles_fluctuate_as_stated(ensemble, velocity):
 
 def trajectory_sample(ensemble, drive, runs):
     """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
-    from eqsim.engine.ramps import Run, Scales, moments, simulate
-    from eqsim.engine.standing import standing
-    from eqsim.engine.streams import TRAJECTORY, key
+    from eqsim.engine.recorder import Run, Scales, moments, simulate
+    from eqsim.engine.stationary import standing
+    from eqsim.numerics.streams import TRAJECTORY, key
     from eqsim.engine.trajectory import Totals, arguments
-    from eqsim.ensemble import lower
+    from eqsim.model.ensemble import lower
 
     c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.distance / unit, 5, True, False)

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from eqsim.cli import app
-from eqsim.replay import compare
+from eqsim.cli.app import app
+from eqsim.workflows.replay import compare
 
 RUN = """
 disorder = "annealed"

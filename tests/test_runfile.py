@@ -7,7 +7,7 @@ import pytest
 
 from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Thermal, load, trajectory
 from eqsim.errors import require_integer, require_number
-from eqsim.runfile import check, read_thresholds
+from eqsim.io.runfile import check, read_thresholds
 
 
 def test_defaults(tmp_path):

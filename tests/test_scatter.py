@@ -10,16 +10,16 @@ import pytest
 import scipy.stats
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, trajectory
-from eqsim.engine.ramps import Run, Scales, moments, simulate
+from eqsim.engine.recorder import Run, Scales, moments, simulate
 from eqsim.engine.scatter import births, independent, known_variance, scatter
-from eqsim.engine.standing import FRESH
-from eqsim.engine.streams import TRAJECTORY, key
+from eqsim.engine.stationary import FRESH
+from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments
-from eqsim.ensemble import lower
+from eqsim.model.ensemble import lower
 from eqsim.estimate import z_score
-from eqsim.master.reference import reference
+from eqsim.master.steady import reference
 from eqsim.master.transient import fluctuations, transient
-from eqsim.validation import _squares
+from eqsim.validation.suite import _squares
 
 UNIFORM = {"stiffness_law": "uniform"}
 LATE = Ensemble(thermal=Thermal(0.1), delay=Delay(5.0))  # at v = 1 hardly a contact is pinned before X = 5

@@ -18,7 +18,7 @@ import eqsim.engine.steady as module
 from eqsim import Aging, Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
 from eqsim.estimate import difference, drifts, known, ratio, z_score
 from eqsim.laws.thermal import log_hazard
-from eqsim.master.reference import reference
+from eqsim.master.steady import reference
 
 OBSERVABLES = ("friction", "pinned", "break_stretch")
 

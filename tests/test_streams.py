@@ -7,7 +7,7 @@ import pytest
 import scipy.stats
 
 from eqsim.engine import streams
-from eqsim.engine.streams import (
+from eqsim.numerics.streams import (
     ROUGH,
     STEADY,
     TRAJECTORY,

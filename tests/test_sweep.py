@@ -25,25 +25,25 @@ from test_grid import BASE, file_of, plan_of
 from typer.testing import CliRunner
 from waiting import once
 
-from eqsim import sweep as module
-from eqsim.cli import app
+from eqsim.sweep import scheduler as module
+from eqsim.cli.app import app
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
-from eqsim.ensemble import Ensemble
+from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
-from eqsim.grid import Plan, results_version, seed_of, swept
-from eqsim.master.reference import reference
-from eqsim.runfile import keys, load
-from eqsim.sweep import Asked, Store, schema, sweep
-from eqsim.tables import publish
+from eqsim.sweep.plan import Plan, results_version, seed_of, swept
+from eqsim.master.steady import reference
+from eqsim.io.runfile import keys, load
+from eqsim.sweep.scheduler import Asked, Store, schema, sweep
+from eqsim.io.storage import publish
 
 GRID = (
     BASE
     + '[sweep]\n"drive.velocity" = { log = [0.01, 1.0, 3] }\n"thermal.kT" = [0.1, 1.0]\n"delay.time" = [0.0, 1.0]\n'
 )
 # Rows reach the disk at once, and workers are told to stop nowhere in particular.
-EAGER = "import eqsim.sweep as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; from eqsim.cli import main; main()"
+EAGER = "import eqsim.sweep.scheduler as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; from eqsim.cli.app import main; main()"
 
 
 def table_of(folder):
@@ -246,11 +246,11 @@ def test_damaged_parts_are_named_and_computed_again(small, tmp_path):
 
 def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
     """Of the finished table, which has no digest in its name: 40 flipped bits anywhere in its pages are all seen."""
-    from eqsim import tables
+    from eqsim.io import storage
 
     path = small / "one" / "sweep.parquet"
     content, table = path.read_bytes(), pq.read_table(path)
-    assert tables.unsealed(content, table.schema).equals(table)
+    assert storage.unsealed(content, table.schema).equals(table)
     chunks = pq.ParquetFile(path).metadata.row_group(0)
     column = chunks.column(table.column_names.index("friction"))
     begin, end = column.dictionary_page_offset or column.data_page_offset, column.total_compressed_size
@@ -258,7 +258,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
     for _ in range(40):
         bad = bytearray(content)
         bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
-        found = tables.unsealed(bytes(bad), table.schema)
+        found = storage.unsealed(bytes(bad), table.schema)
         assert found is None or found.equals(table)  # some bits of a page's header mean nothing
 
 
@@ -449,7 +449,7 @@ def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
 )
 def test_interrupts_at_any_moment_lose_no_row(small, tmp_path, monkeypatch, moment):
     """The first one in a method once three points are finished, another one as the rows at hand are written."""
-    monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
+    monkeypatch.setattr("eqsim.io.signals.heard", lambda: 130)
     monkeypatch.setattr(module, "_FLUSH_ROWS", 2)
     owner = module._Loop if moment == "_finish" else Store
     real, flush, begun = getattr(owner, moment), Store.flush, []
@@ -485,7 +485,7 @@ def test_an_interrupt_before_there_is_a_folder(small, tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("eqsim.interrupts.heard", lambda: 130)
+    monkeypatch.setattr("eqsim.io.signals.heard", lambda: 130)
     monkeypatch.setattr(module, "Plan", stop)
     done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o")])
     said = "eqsim: interrupted; this call has computed nothing; the same command continues\n"

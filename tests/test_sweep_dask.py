@@ -8,8 +8,8 @@ import pytest
 from distributed import LocalCluster
 
 from eqsim.errors import InputError
-from eqsim.runfile import check
-from eqsim.sweep import sweep
+from eqsim.io.runfile import check
+from eqsim.sweep.scheduler import sweep
 
 RUN = {
     "contacts": {"stiffness_law": "uniform"},

@@ -13,11 +13,11 @@ from cases import thinned
 from scipy import integrate, interpolate, special
 
 from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal
-from eqsim.engine.life import lives
+from eqsim.engine.lanes import lives
 from eqsim.engine.steady import _POOLED_STEPS
-from eqsim.engine.streams import TRAJECTORY, key, uniforms
-from eqsim.ensemble import lower
-from eqsim.laws.octaves import look_up
+from eqsim.numerics.streams import TRAJECTORY, key, uniforms
+from eqsim.model.ensemble import lower
+from eqsim.numerics.tables import look_up
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.thermal import (
     MOST_POOLED_STEPS,

@@ -8,14 +8,14 @@ import pytest
 import scipy.stats
 
 from eqsim import Delta, Distribution, Gamma, InputError, Table
-from eqsim.engine.streams import TRAJECTORY, key, uniforms
-from eqsim.laws.octaves import CELLS
+from eqsim.numerics.streams import TRAJECTORY, key, uniforms
+from eqsim.numerics.tables import CELLS
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, threshold_draw
 
 EPS = np.finfo(float).eps
 SMALLEST, LARGEST = 2.0**-64, 1.0 - 2.0**-53  # of the uniforms a kernel sees
 SHAPES = [0.0, 0.5, 1.0, 2.7, 30.0]
-# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (eqsim.laws.octaves). The quantile
+# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (eqsim.numerics.tables). The quantile
 # behaves as e^(1/(2n+2)) at small e and as sqrt(e) at large e; no p in (0, 1/2] gives more than p = 0.38 does.
 TABLE_ERROR = 1.001 / (384 * CELLS**4)
 KERNEL_UNIFORMS = np.array([uniforms(key(11, TRAJECTORY), i, 0, 0)[0] for i in range(100_000)])

@@ -26,11 +26,11 @@ from eqsim import (
     steady,
     trajectory,
 )
-from eqsim.engine.ramps import Run, Scales, moments, simulate
-from eqsim.engine.standing import standing
-from eqsim.engine.streams import TRAJECTORY, key
+from eqsim.engine.recorder import Run, Scales, moments, simulate
+from eqsim.engine.stationary import standing
+from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments, predicted_lives
-from eqsim.ensemble import lower
+from eqsim.model.ensemble import lower
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
 

@@ -25,10 +25,10 @@ from eqsim import (
     steady,
     validation,
 )
-from eqsim.cli import app
+from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
 from eqsim.master.transient import transient
-from eqsim.validation import (
+from eqsim.validation.suite import (
     DECLINED,
     KINDS,
     LAWS,

@@ -11,11 +11,12 @@ from typing import Any
 
 from analysis.benchmarks.cases import CASES, VELOCITY, Case, Sizes
 from analysis.benchmarks.jobs import Outcome, plain, ratios, speed, take_turns
-from eqsim.ensemble import Drive, Ensemble
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
 from eqsim.laws.aging import Aging
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma
-from eqsim.master.reference import reference
+from eqsim.master.steady import reference
 from eqsim.master.transient import transient
 
 ROOT = Path(__file__).parents[2]
@@ -73,7 +74,7 @@ def time_start(sizes: Sizes) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
 
         def eqsim(*arguments: str, cache: str) -> Outcome:
-            command = [sys.executable, "-c", "from eqsim.cli import main; main()", *arguments]
+            command = [sys.executable, "-c", "from eqsim.cli.app import main; main()", *arguments]
             path = os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", "")))
             environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/{cache}", "PYTHONPATH": path}
             subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True)

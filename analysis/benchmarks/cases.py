@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from eqsim.ensemble import Ensemble
+from eqsim.model.ensemble import Ensemble
 from eqsim.laws.delay import Delay
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Barrier, Thermal

@@ -12,12 +12,12 @@ import numpy as np
 
 from analysis.benchmarks import scalar, stepped, tuned
 from analysis.benchmarks.cases import VELOCITY, Case, Sizes
-from eqsim.engine.life import LANES, ROUNDS, plain_sums
-from eqsim.engine.paths import path_law
+from eqsim.engine.lanes import LANES, ROUNDS, plain_sums
+from eqsim.engine.langevin import path_law
 from eqsim.engine.steady import Steady, steady
-from eqsim.engine.streams import STEADY, key
+from eqsim.numerics.streams import STEADY, key
 from eqsim.engine.trajectory import Trajectory, trajectory
-from eqsim.ensemble import Drive, Ensemble, lower
+from eqsim.model.ensemble import Drive, Ensemble, lower
 
 BATCHES = 64  # of a plain average
 

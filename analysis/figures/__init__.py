@@ -18,7 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from eqsim import reference, steady, tables
+from eqsim import reference, steady
+from eqsim.io import storage
 from eqsim.errors import require_choice
 from eqsim.estimate import Estimate, z_score
 
@@ -64,8 +65,8 @@ def make(
         with matplotlib.rc_context(STYLE):
             figure = _module(name).plot(table)
             files = {f"{name}.{form}": _saved(figure, form) for form in ("pdf", "png")}
-        origin = tables.provenance("figures", {"figure": name, "quick": quick}, "", 1)
-        tables.publish(out, {**files, f"{name}.parquet": tables.parquet(table, origin)})
+        origin = storage.provenance("figures", {"figure": name, "quick": quick}, "", 1)
+        storage.publish(out, {**files, f"{name}.parquet": storage.parquet(table, origin)})
         z = table.z.dropna()
         p = float(stats.chi2.sf((z**2).sum(), len(z)))
         yield Made(name, table.curve.nunique(), len(z), float(z.abs().max()), p)

@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from eqsim import Ensemble, Thermal
-from eqsim.master.asymptotics import Published
+from eqsim.master.closed_forms import Published
 
 from .common import ANNEALED, BLUE, QUENCHED, SCORES_LABEL, WIDTH, Curve, draw, formula, log_grid, scores, solved
 

@@ -10,7 +10,7 @@ import math
 import pandas as pd
 from matplotlib.figure import Figure
 
-from eqsim.master.asymptotics import C_0
+from eqsim.master.closed_forms import C_0
 
 from .common import (
     MODEL_TITLES,

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from eqsim.master.asymptotics import PublishedAging
+from eqsim.master.closed_forms import PublishedAging
 
 from . import a02
 from .common import (

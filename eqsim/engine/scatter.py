@@ -22,12 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal, special
 
-from eqsim.engine.life import lives
-from eqsim.engine.streams import key
-from eqsim.ensemble import Contacts
-from eqsim.laws.aging import LANGEVIN, UNAGED
-from eqsim.laws.octaves import Array
-from eqsim.laws.thermal import MECHANICAL
+from eqsim.engine.lanes import lives
+from eqsim.numerics.streams import key
+from eqsim.engine.contacts import Contacts
+from eqsim.numerics.tables import Array
 
 _NODES = 1024  # of a lattice
 _FINE = 32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
@@ -50,19 +48,20 @@ def births(c: Contacts) -> Births:
     """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal rule in s: of even relative
     spacing where they are small, even where they are large, up to 45: beyond, nobody matters. The clocks of different
     thresholds lie between each other."""
-    if c.aging == LANGEVIN:  # a path for each threshold
+    if c.aging.fluctuates:  # a path for each threshold
         u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
         v = _spread(_PATHS)
     else:
-        rows, clocks = (500, 70) if c.aging == UNAGED else (150, 30)  # lives that age take long
+        rows, clocks = (500, 70) if c.aging.closed else (150, 30)  # lives that age take long
         u, share = _uniforms(np.linspace(*_RANGE, rows))
-        if 0 < c.steps.size <= rows:
-            rows = c.steps.size * math.ceil(rows / c.steps.size)
+        steps = c.thresholds.steps.size
+        if 0 < steps <= rows:
+            rows = steps * math.ceil(rows / steps)
             u, share = (np.arange(rows) + 0.5) / rows, np.full(rows, 1.0 / rows)
         v = np.ones(rows)
-        if c.breaking != MECHANICAL:
-            s, gap = np.linspace(*_RANGE, clocks, retstep=True)
-            v, clock_share = _uniforms(s + gap * (_spread(rows)[:, None] - 0.5))
+        if c.barrier.thermal:
+            s, spacing = np.linspace(*_RANGE, clocks, retstep=True)
+            v, clock_share = _uniforms(s + spacing * (_spread(rows)[:, None] - 0.5))
             u, v, share = np.repeat(u, clocks), v.ravel(), (share[:, None] * clock_share).ravel()
     work, stretch = lives(c, key(0, 0), 0, u, v)
     return Births(share, 2.0 * work / stretch**2, stretch)
@@ -115,7 +114,7 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
     pinned = np.minimum(moments[0], 1.0)
     with np.errstate(all="ignore"):  # of laws so broad that their moments overflow
         one = np.where(pinned > 0, moments[2] / pinned, 0.0)
-        if c.delay > 0:
+        if c.delay.mean > 0:
             one = np.maximum(one, drag**2)
             moments = moments + (1.0 - pinned) * drag ** np.arange(len(moments))[:, None]
         moments[0] = 1.0
@@ -124,14 +123,14 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
             np.maximum(sum(math.comb(p, j) * (-mean) ** (p - j) * moments[j] for j in range(p + 1)), 0.0)
             for p in (2, 4, 6)
         )
-    lives = 1.0 / float(np.sum(born.share**2)) if c.aging == LANGEVIN else math.inf  # by quadrature
+    lives = 1.0 / float(np.sum(born.share**2)) if c.aging.fluctuates else math.inf  # by quadrature
     most = np.full(1, math.inf) if distance is None else np.maximum(X, drag) ** 2
     return Scatter(X, mean, pinned, variance, fourth, sixth, one, most, lives)
 
 
 def _stationary(c: Contacts, born: Births) -> Array:
     """E f^p of pinned contacts, p = 0, 1, ..., times the pinned fraction."""
-    cycle = np.sum(born.share * born.stretch) + c.delay
+    cycle = np.sum(born.share * born.stretch) + c.delay.mean
     carried, moments = born.share * born.stretch, []
     with np.errstate(over="ignore"):
         for p in range(_POWERS):
@@ -148,7 +147,7 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     ends = np.bincount(cell, born.share * (1.0 - at + cell), _NODES + 2)
     ends[1:] += np.bincount(cell, born.share * (at - cell), _NODES + 1)
     # a delay T is shared likewise: second differences of E[(T - x)+]
-    rest = c.delay * np.exp(-edges / c.delay) if c.exponential and c.delay else np.maximum(c.delay - edges, 0.0)
+    rest = c.delay.rest(edges)
     waits = np.append(1.0 + (rest[1] - rest[0]) / step, np.diff(rest, 2) / step)
     renewals = np.convolve(ends, waits)[:_NODES]
     first = np.zeros(_NODES)
@@ -174,7 +173,7 @@ def independent(c: Contacts, born: Births, drag: float) -> tuple[float, float, f
     friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
     these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
     half of it how far Student's t is off in the mean (derived)."""
-    waits = c.delay * (-np.log((np.arange(16) + 0.5) / 16) if c.exponential else np.ones(1))
+    waits = c.delay.sample()
     share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
     stretch = np.repeat(born.stretch, waits.size)
     work = 0.5 * np.repeat(born.stiffness, waits.size) * stretch**2

@@ -28,17 +28,19 @@ import numpy as np
 from scipy import integrate, interpolate
 from scipy.stats import qmc
 
-from eqsim.compiled import kernel
-from eqsim.engine.life import LANES, ROUNDS, lives, plain_sums, rough_stretch
-from eqsim.engine.paths import STEP, STEP_ERROR, path_law
-from eqsim.engine.streams import STEADY, Key, key, name_of
-from eqsim.ensemble import Contacts, Ensemble, lower
+from eqsim.numerics.compiled import kernel
+from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
+from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.langevin import STEP, STEP_ERROR
+from eqsim.numerics.streams import STEADY, Key, key, name_of
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
-from eqsim.laws.aging import LANGEVIN, UNAGED
-from eqsim.laws.elementary import exp
-from eqsim.laws.octaves import Array
-from eqsim.laws.thermal import MECHANICAL, POOLED
+from eqsim.numerics.vector_math import exp
+from eqsim.numerics.tables import Array
+from eqsim.laws.barrier.pooled import Pooled
 from eqsim.laws.threshold import Distribution
 
 RANDOMISATIONS = 32
@@ -67,7 +69,7 @@ class Steady(Averages):
 
 def steady(
     ensemble: Ensemble,
-    velocity: float,
+    drive: Drive,
     *,
     rel_error: float = 1e-3,
     seed: int = 1,
@@ -83,21 +85,23 @@ def steady(
     the lives of an attempt, each of which begins with done = 0. Raises InputError for arguments out of range and,
     before the work starts, if more than `max_lives` lives would be needed.
     """
-    require_number("velocity", velocity, **POSITIVE)
+    velocity = drive.velocity
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
     rough = rough_stretch(ensemble, velocity)
-    contacts = lower(ensemble, velocity, rough)
-    proposal = None if plain else Proposal.of(contacts)
+    c = contacts(ensemble, velocity, rough)
+    proposal = None if plain else Proposal.of(c)
     # parameters enter the streams, so that the errors of many parameter sets at one seed are independent; as they were
     # declared, because a table's last bits are the processor's
     identity = name_of(*ensemble.declared(velocity))
     step = STEP * min(1.0, math.sqrt(rel_error / (3.0 * STEP_ERROR))) if proposal else STEP
     job = _Job(ensemble, velocity, proposal, identity, seed, threads, progress, step)
     begin = time.perf_counter()
-    drag, unit = ensemble.drag(velocity), ensemble.thresholds.scale
-    tables = 1e-9 if contacts.breaking != POOLED else _POOLED_SMOOTH if not contacts.steps.size else _POOLED_STEPS
-    if contacts.aging == LANGEVIN:
+    drag, unit = drag_of(ensemble, velocity), ensemble.thresholds.scale
+    tables = 1e-9
+    if isinstance(c.barrier, Pooled):
+        tables = _POOLED_STEPS if c.thresholds.steps.size else _POOLED_SMOOTH
+    if c.aging.fluctuates:
         tables = STEP_ERROR * (step / STEP) ** 2
     if isinstance(ensemble.thresholds, Distribution):
         tables = max(tables, ensemble.thresholds.drawn_to)
@@ -107,29 +111,29 @@ def steady(
         if RANDOMISATIONS * size > max_lives:
             raise InputError(f"this needs {RANDOMISATIONS * size:.3g} lives, more than max_lives = {max_lives:.3g}")
         if rough is None:
-            sums, lives_used = _randomise(job, contacts, size), RANDOMISATIONS * size
+            sums, lives_used = _randomise(job, c, size), RANDOMISATIONS * size
         else:
             sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
         count = RANDOMISATIONS * size
-        hidden = math.hypot(tables, _unseen(contacts, proposal, count), _uneven(contacts, count))
-        result = _averages(sums, contacts.delay, drag, unit, size, proposal is None or proposal.covered, hidden)
+        hidden = math.hypot(tables, _unseen(c, proposal, count), _uneven(c, count))
+        result = _averages(sums, c.delay.mean, drag, unit, size, proposal is None or proposal.covered, hidden)
         error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
         # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
-        aim, decay = (1.3, 0.5) if plain or contacts.aging == LANGEVIN else (2.0, _DECAY)
+        aim, decay = (1.3, 0.5) if plain or c.aging.fluctuates else (2.0, _DECAY)
         needed = 2 ** math.ceil(math.log2(max(size * (aim * excess) ** (1 / decay), 2.0 * size)))
         if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
             return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error, hidden)
         size = needed
 
 
-def settled(ensemble: Ensemble, velocity: float, seed: int, threads: int = 1) -> float | None:
+def settled(ensemble: Ensemble, drive: Drive, seed: int, threads: int = 1) -> float | None:
     """The mean stretch at breaking that births of annealed contacts that age depend on, by a steady estimate; None for
     all others."""
     if not ensemble.self_consistent:
         return None
-    return known(steady(ensemble, velocity, rel_error=_SETTLED, seed=seed, threads=threads).break_stretch)
+    return known(steady(ensemble, drive, rel_error=_SETTLED, seed=seed, threads=threads).break_stretch)
 
 
 class _Job(NamedTuple):
@@ -153,7 +157,7 @@ def _self_consistent(job: _Job, stretch: float, response: Array | None, size: in
     def sums(stretch: float) -> Array:
         nonlocal used
         used += RANDOMISATIONS * size
-        return _randomise(job, lower(job.ensemble, job.velocity, stretch), size)
+        return _randomise(job, contacts(job.ensemble, job.velocity, stretch), size)
 
     if response is None:
         near, far = (sums(stretch * factor).mean(axis=0) for factor in (1.0, 1.0 + _NUDGE))
@@ -223,17 +227,17 @@ class Proposal(NamedTuple):
     covered: bool
 
     @classmethod
-    def of(cls, contacts: Contacts) -> "Proposal":
+    def of(cls, c: Contacts) -> "Proposal":
         """Births times the root mean square of what a life contributes to friction and to break_stretch, plus a tenth
         of plain births so that no weight can grow large; all on a fixed grid. This tenth, of clocks, is the root of
         births: the few clocks so early that they change a whole life contribute little, but errors have to show them.
         """
-        fine = (1000, 100) if contacts.aging == UNAGED else (200, 40)  # lives that age take long
+        fine = (1000, 100) if c.aging.closed else (200, 40)  # lives that age take long
         log_e = np.linspace(-53 * math.log(2), math.log(500), fine[0])
         log_clock = np.linspace(-12, math.log(40), fine[1])
         births, clock_births = np.exp(log_e - np.exp(log_e)), np.exp(log_clock - np.exp(log_clock))
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
-        work, stretch = lives(contacts, key(0, STEADY), 0, u, v)
+        work, stretch = lives(c, key(0, STEADY), 0, u, v)
         squares, sizes = [], []
         for part in (stretch, work):
             part = part.reshape(log_e.size, log_clock.size)
@@ -247,7 +251,7 @@ class Proposal(NamedTuple):
         roots = [size * np.sqrt(square @ clock_births) for square, size in zip(squares, sizes, strict=True)]
         density = mixed(log_e, births, *roots)
         clock_density = clock_births
-        if contacts.breaking != MECHANICAL:
+        if c.barrier.thermal:
             over = np.maximum(density, 1e-300)
             means = [(size**2 / over) @ square for square, size in zip(squares, sizes, strict=True)]
             clock_density = mixed(log_clock, np.sqrt(clock_births), *(clock_births * np.sqrt(mean) for mean in means))
@@ -258,14 +262,14 @@ class Proposal(NamedTuple):
         return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
 
 
-def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
+def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, mean stretch at breaking, largest single share of either."""
     stream: Key = key(job.seed, STEADY + job.identity)
 
     def one(index: int) -> tuple[float, float, float]:
         if job.proposal is None:
-            turns = size // (ROUNDS * LANES)  # an attempt of another size takes other turns
-            work, stretch, *most = plain_sums(contacts, path_law(contacts), stream, index * LANES, turns, 2 * turns)
+            rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
+            work, stretch, *most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
             return work / size, stretch / size, max(most[0] / work, most[1] / stretch)
         sobol = qmc.Sobol(2, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
         sums, largest = np.zeros(2), np.zeros(2)
@@ -273,7 +277,7 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
             points = sobol.random(min(size, _BLOCK)) + 2.0**-31  # 30 bits, centred in their cells, away from 0
             u, weight = job.proposal.threshold.draw(points[:, 0])
             v, clock_weight = job.proposal.clock.draw(points[:, 1])
-            work, stretch = lives(contacts, stream, index * size + first, u, v, job.step)
+            work, stretch = lives(c, stream, index * size + first, u, v, job.step)
             terms = weight * clock_weight * np.stack((work, stretch))
             sums += terms.sum(axis=1)
             largest = np.maximum(largest, terms.max(axis=1))
@@ -292,29 +296,30 @@ def _randomise(job: _Job, contacts: Contacts, size: int) -> Array:
     return np.array(rows)
 
 
-def _unseen(contacts: Contacts, proposal: Proposal | None, count: int) -> float:
+def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:
     """The relative error that clocks may hide of which `count` lives meet fewer than four, early or late."""
-    if contacts.breaking == MECHANICAL or contacts.aging == LANGEVIN:  # no clocks; errors of another size
+    if not c.barrier.thermal or c.aging.fluctuates:  # no clocks; errors of another size
         return 0.0
     share, rare = (np.arange(16) + 0.5) / 16, 4.0 * 0.5 ** np.arange(37) / count  # of thresholds; of clocks
     p = np.append(rare, 1.0 - rare)
     clock, weight = proposal.clock.draw(p) if proposal else (p, np.ones(p.size))
     u, v = (grid.ravel() for grid in np.meshgrid(share, clock, indexing="ij"))
     errors = []
-    for part in lives(contacts, key(0, STEADY), 0, u, v):
+    for part in lives(c, key(0, STEADY), 0, u, v):
         part = part.reshape(share.size, 2, rare.size)
         change = np.abs(part - part[:, :, :1]).mean(axis=0) * weight.reshape(2, rare.size)  # grows with rarity
         errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / part[:, :, 0].mean()))
     return max(errors)
 
 
-def _uneven(contacts: Contacts, count: int) -> float:
+def _uneven(c: Contacts, count: int) -> float:
     """The relative error that a few different thresholds may hide: each randomisation has one life more or less of each
     than its share, and if one of these is rare all may have the same. Then the error exceeds z of these with e^-3z."""
-    jumps = np.unique(contacts.steps).size - 1
-    if contacts.breaking == POOLED or jumps < 1:
+    steps = c.thresholds.steps
+    jumps = np.unique(steps).size - 1
+    if isinstance(c.barrier, Pooled) or jumps < 1:
         return 0.0
-    parts = (contacts.steps, contacts.steps ** (3 if contacts.kappa_slope else 2))
+    parts = (steps, steps ** (3 if c.springs.slope else 2))
     return max(3.0 * float(np.ptp(part) / part.mean()) / jumps / count for part in parts)
 
 

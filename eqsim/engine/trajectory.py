@@ -15,17 +15,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.engine.life import rough_stretch, typical_lives
-from eqsim.engine.paths import path_law
-from eqsim.engine.ramps import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments, simulate
+from eqsim.engine.lanes import rough_stretch, typical_lives
+from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.recorder import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Recorder, Run, Scales, moments
 from eqsim.engine.scatter import ENOUGH, Scatter, births, independent, known_variance, scatter
-from eqsim.engine.standing import FRESH, Standing, standing
+from eqsim.engine.simulate import simulate
+from eqsim.engine.stationary import FRESH, Stationary, stationary
 from eqsim.engine.steady import settled
-from eqsim.engine.streams import TRAJECTORY, Key, key
-from eqsim.ensemble import Contacts, Drive, Ensemble, check_output, lower
+from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.model.drive import Drive, check_output
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, known, ratio
-from eqsim.laws.octaves import Array
+from eqsim.numerics.tables import Array
 
 Progress = Callable[[int], None]
 _RARE = 1e-4  # probability of more than five standard errors of the force
@@ -70,10 +73,10 @@ class Trajectory:
 def predicted_lives(ensemble: Ensemble, drive: Drive, replicas: int = 1) -> float:
     """How many lives a run will take, within a few per cent or somewhat too many: by Wald's identity a contact that
     uses up min(life and delay, distance) each time fills the distance."""
-    c = lower(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
+    c = contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
     distance = drive.over(ensemble) / ensemble.thresholds.scale
     _, stretch = typical_lives(c)
-    mean = float(np.mean(np.minimum(stretch + c.delay, distance)))
+    mean = float(np.mean(np.minimum(stretch + c.delay.mean, distance)))
     return ensemble.count * replicas * (1.0 + distance / mean) if mean > 0 else math.inf
 
 
@@ -108,40 +111,40 @@ def trajectory(
     makes the executor raise is passed on.
     """
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    mean_stretch = settled(ensemble, drive.velocity, seed, threads)
-    c = lower(ensemble, drive.velocity, mean_stretch)
+    mean_stretch = settled(ensemble, drive, seed, threads)
+    c = contacts(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
-    contacts = ensemble.count * replicas
-    run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", contacts < BATCHES)
-    table = standing(c) if run.stationary else FRESH
-    drag = ensemble.drag(drive.velocity)
-    scales = Scales.of(c, run, contacts, replicas, drag)
+    count = ensemble.count * replicas
+    run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", count < BATCHES)
+    table = stationary(c) if run.stationary else FRESH
+    drag = drag_of(ensemble, drive.velocity)
+    scales = Scales.of(c, run, count, replicas, drag)
     job = (c, table, run, scales, key(seed, TRAJECTORY))
     nothing = Totals(2, 1)
     simulate(*arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress, executor)
 
-    force, pinned, variance = moments(total.deposits, scales, run, contacts, drag)
+    force, pinned, variance = moments(total.deposits, scales, run, count, drag)
     grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
     # A sample of N contacts does not tell what fewer than about two of them do (Agresti and Coull, 1998): without these
     # two an error bar would vanish wherever no contact happens to be pinned or detached.
-    pinned_variance = pinned * (1 - pinned) / contacts + ((2.0 / contacts) ** 2 if c.delay > 0 else 0.0)
+    pinned_variance = pinned * (1 - pinned) / count + ((2.0 / count) ** 2 if c.delay.mean > 0 else 0.0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         pinned_variance[0] = 0.0
     one = replace(ensemble, count=1)
     law, level, alike = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
-    force_variance, rare = known_variance(law.at(grid / unit), level, variance, contacts)
-    _, always_rare = known_variance(level, level, level.variance, contacts)
+    force_variance, rare = known_variance(law.at(grid / unit), level, variance, count)
+    _, always_rare = known_variance(level, level, level.variance, count)
     rounding = 1e-15 * run.distance  # of the cumulative sums
     std = None
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
-    friction, pinned_fraction, stretch = _second_half(total.batches / scales.batches, total.lives, contacts, drag)
+    friction, pinned_fraction, stretch = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
     gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
-    enough = [lives * 0.5 * run.distance * contacts >= ENOUGH for lives in alike]
+    enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
@@ -167,7 +170,7 @@ def _expected(
 ) -> tuple[Scatter, Scatter, tuple[float, float, float]]:
     """What the law says of the scatter of forces over a distance and in the stationary state, and of how many
     `independent` lives there are to a unit of displacement. Remembered: it takes 20 ms, and seeds share it."""
-    c, drag = lower(ensemble, velocity, mean_stretch), ensemble.drag(velocity)
+    c, drag = contacts(ensemble, velocity, mean_stretch), drag_of(ensemble, velocity)
     born = births(c)
     level = scatter(c, born, None, drag)
     law = level if distance is None else scatter(c, born, distance, drag)
@@ -210,14 +213,14 @@ class Totals:
         return {name: getattr(self, name) for name in self.sums}
 
 
-_Job = tuple[Contacts, Standing, Run, Scales, Key]
+_Job = tuple[Contacts, Stationary, Run, Scales, Key]
 
 
 def arguments(job: _Job, total: Totals) -> tuple[Any, ...]:
     """What `simulate` needs besides the range of contacts."""
     c, table, run, scales, stream = job
     sums = (total.scratch, total.batches, total.status)
-    return c, path_law(c), table, run, scales.deposits, scales.batches, stream, *sums
+    return c, table, Recorder(run, scales.deposits, scales.batches, *sums), stream
 
 
 class _Blocks(NamedTuple):

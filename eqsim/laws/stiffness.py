@@ -1,11 +1,11 @@
 """Stiffness of a contact from its threshold."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from eqsim.compiled import inlined
-from eqsim.laws.octaves import Array
+from eqsim.numerics.compiled import inlined
+from eqsim.numerics.tables import Array
 
 StiffnessLaw = Literal["sqrt", "uniform"]
 
@@ -19,7 +19,14 @@ def relative_stiffness(law: StiffnessLaw, xi: Array, xi_rms: float) -> Array:
     return xi / xi_rms if law == "sqrt" else np.ones_like(xi)
 
 
+class Springs(NamedTuple):
+    """k_i/k = constant + slope xi for kernels: (0, 1/xi_rms) is the sqrt law, (1, 0) the uniform one."""
+
+    constant: float
+    slope: float
+
+
 @inlined
-def kappa(slope: float, constant: float, xi: float) -> float:
-    """k_i/k for the kernels: (1/xi_rms, 0) is the sqrt law, (0, 1) the uniform one."""
-    return constant + slope * xi
+def kappa(springs: Springs, xi: float) -> float:
+    """k_i/k of a contact of threshold `xi`."""
+    return springs.constant + springs.slope * xi

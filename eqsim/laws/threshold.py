@@ -9,20 +9,19 @@ import functools
 import math
 import warnings
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy import special
 
-from eqsim.compiled import inlined
+from eqsim.numerics.compiled import inlined
 from eqsim.errors import POSITIVE, InputError, require_number
-from eqsim.laws.elementary import log
-from eqsim.laws.octaves import Array, look_up, octave_edges, octave_table
+from eqsim.numerics.vector_math import log
+from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
 FIRST_OCTAVE, LAST_OCTAVE = -54, 9
 NO_STEPS: Array = np.empty(0)
-NO_TABLE: Array = np.empty((0, 4))
 
 
 class ThresholdLaw(Protocol):
@@ -334,9 +333,20 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     return np.concatenate((left, edges), axis=1)
 
 
-def exponentials_of(law: ThresholdLaw) -> int:
-    """1 or 2 if xi^2/x_*^2 is the sum of so many exponential variables (gamma with n = 0 or 1), 0 for other laws."""
-    return int(law.n) + 1 if isinstance(law, Gamma) and law.n in (0.0, 1.0) else 0
+class Thresholds(NamedTuple):
+    """A law of thresholds for kernels, lengths in units of its scale: a quantile `table`, or equally likely `steps`, or
+    if `exponentials` is 1 or 2 xi^2/x_*^2 is the sum of so many exponential variables (gamma with n = 0 or 1)."""
+
+    table: Array
+    steps: Array
+    exponentials: int
+
+
+@functools.lru_cache(maxsize=32)
+def for_kernels(law: ThresholdLaw) -> Thresholds:
+    """The law for kernels, remembered: sweeps over velocity and temperature share it."""
+    exponentials = int(law.n) + 1 if isinstance(law, Gamma) and law.n in (0.0, 1.0) else 0
+    return Thresholds(law.table(), law.steps / law.scale, exponentials)
 
 
 @inlined
@@ -347,8 +357,8 @@ def exponential_threshold(p: float) -> float:
 
 
 @inlined
-def threshold_draw(table: Array, steps: Array, u: float) -> float:
+def threshold_draw(law: Thresholds, u: float) -> float:
     """A threshold from a uniform u in (0, 1), the fraction of contacts that exceed it."""
-    if steps.size > 0:
-        return steps[steps.size - 1 - np.int64(u * steps.size)]
-    return look_up(table, -log(u))
+    if law.steps.size > 0:
+        return law.steps[law.steps.size - 1 - np.int64(u * law.steps.size)]
+    return look_up(law.table, -log(u))

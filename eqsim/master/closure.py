@@ -31,13 +31,14 @@ from numpy.polynomial import chebyshev
 from scipy import integrate, ndimage, special
 from scipy.interpolate import CubicSpline
 
-from eqsim.ensemble import Drive, Ensemble
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.laws.aging import Aging
-from eqsim.laws.octaves import Array
+from eqsim.numerics.tables import Array
 from eqsim.laws.thermal import Thermal, pooled_rate
 from eqsim.laws.threshold import Gamma
-from eqsim.master.reference import setting
+from eqsim.master.steady import setting
 
 _LEAST_CELLS, _MOST_CELLS = 500, 2000  # of the coarser grid
 _CELL, _AGING = 0.015, 0.1  # a cell in units of the shortest mean life, and of the displacement in which contacts age

@@ -25,11 +25,11 @@ import numpy as np
 from scipy import special
 from scipy.optimize import elementwise
 
-from eqsim.laws.octaves import Array
+from eqsim.numerics.tables import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_rate
 from eqsim.laws.threshold import ThresholdLaw
-from eqsim.master.kinetic import ClenshawCurtis, Moments, births_above, interpolated, strongest
+from eqsim.master.quenched import ClenshawCurtis, Moments, births_above, interpolated, strongest
 
 # the nodes of Clenshaw and Curtis hold both ends of a panel, where r is greatest, so that no peak of it can be missed
 _NODES, _WEIGHTS, _TAIL = ClenshawCurtis.nodes, ClenshawCurtis.weights, ClenshawCurtis.tail

@@ -28,7 +28,7 @@ import numpy as np
 from scipy import linalg, ndimage, optimize, special
 
 from eqsim.errors import require_choice, require_number
-from eqsim.laws.octaves import Array
+from eqsim.numerics.tables import Array
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.thermal import Barrier, log_rate
 from eqsim.laws.threshold import Gamma

@@ -26,14 +26,15 @@ import numpy as np
 from scipy import fft, ndimage, signal
 from scipy.interpolate import CubicSpline
 
-from eqsim.ensemble import Drive, Ensemble
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
 from eqsim.laws.aging import Pooled
-from eqsim.laws.octaves import Array
+from eqsim.numerics.tables import Array
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, kinetic, published
-from eqsim.master.reference import Setting, moments, reference, setting, survival
+from eqsim.master.steady import Setting, moments, reference, setting, survival
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor

@@ -17,8 +17,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from eqsim import plots, tables
-from eqsim.validation import ALARM, KINDS, REASONS, SUITES, Score, overall, verdict
+from eqsim.io import plots, storage
+from eqsim.validation.suite import ALARM, KINDS, REASONS, SUITES, Score, overall, verdict
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"
@@ -51,10 +51,10 @@ def alone():
 def leave(name, begin, table=None, **found):
     """Save a part: its scores, columns by name, and whatever else it `found`, with the seconds since `begin`."""
     record = {"digest": DIGEST, "seconds": time.perf_counter() - begin, **found}
-    files = {f"{name}.json": tables.to_json(record).encode()}
+    files = {f"{name}.json": storage.to_json(record).encode()}
     if table is not None:
-        files[f"{name}.parquet"] = tables.parquet(table, {"digest": DIGEST})
-    tables.publish(FOLDER / "parts", files)
+        files[f"{name}.parquet"] = storage.parquet(table, {"digest": DIGEST})
+    storage.publish(FOLDER / "parts", files)
 
 
 def parts(kind):
@@ -114,8 +114,8 @@ def publish():
         found = gather()
         files = {"report.md": text(found).encode(), "verification.png": picture(found)}
         if not found.scores.empty:
-            files["scores.parquet"] = tables.parquet(found.scores, {"suite": "verification", "seed": SEED})
-        tables.publish(FOLDER, files)
+            files["scores.parquet"] = storage.parquet(found.scores, {"suite": "verification", "seed": SEED})
+        storage.publish(FOLDER, files)
     return found
 
 
@@ -198,7 +198,7 @@ def by_law(scores):
 
 
 def versions():
-    return tables.versions().items()
+    return storage.versions().items()
 
 
 def picture(found):

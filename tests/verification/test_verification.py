@@ -20,11 +20,12 @@ import pytest
 from report import PARTS, SEED, SEEDS, leave, publish
 from scipy import stats
 
-from eqsim import Distribution, InputError, Table, validation
-from eqsim.engine.standing import standing
-from eqsim.laws.octaves import octave_edges, octave_table
+from eqsim import Distribution, InputError, Table
+from eqsim.validation import suite as validation
+from eqsim.engine.stationary import standing
+from eqsim.numerics.tables import octave_edges, octave_table
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, Gamma
-from eqsim.validation import ALARM, KINDS, Suite, columns, declined, left_out, validate
+from eqsim.validation.suite import ALARM, KINDS, Suite, columns, declined, left_out, validate
 
 pytestmark = pytest.mark.verification
 

@@ -1,0 +1,51 @@
+"""Contacts as kernels see them: the laws of `eqsim.laws` and their tables."""
+
+from typing import Any, NamedTuple
+
+from eqsim.laws.barrier.pooled import Pooled, pooled_hazard_of
+from eqsim.laws.stiffness import Springs
+from eqsim.laws.threshold import Thresholds, for_kernels
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Reduced, reduced
+from eqsim.numerics.tables import Array
+
+
+class Contacts(NamedTuple):
+    """The laws of a contact, each a NamedTuple by whose type kernels are compiled; lengths in units of the threshold
+    law's scale, time as displacement.
+
+    Attributes
+    ----------
+    thresholds : Thresholds
+    springs : Springs
+    barrier : a `Barrier`, or `Pooled` if attempts draw fresh thresholds
+    barrier_table : ndarray
+        What `laws.barrier.base.stretch` looks up.
+    aging : AgingLaw
+    aging_table : ndarray
+        What `laws.aging.base.work` looks up.
+    delay : Fixed | Exponential
+    """
+
+    thresholds: Thresholds
+    springs: Springs
+    barrier: Any
+    barrier_table: Array
+    aging: Any
+    aging_table: Array
+    delay: Any
+
+
+def lower(s: Reduced) -> Contacts:
+    """Dimensionless numbers as kernel arguments. Raises InputError where there is no table for them."""
+    barrier: Any = s.barrier
+    if s.annealed:
+        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)
+        barrier = Pooled(s.barrier.log_w, *pool)
+    table = s.barrier.table()
+    return Contacts(for_kernels(s.law), s.springs, barrier, table, s.aging, s.aging.table(s.springs), s.delay)
+
+
+def contacts(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Contacts:
+    """An ensemble at `velocity` for kernels; `mean_stretch` as in `reduced`. Raises InputError."""
+    return lower(reduced(ensemble, velocity, mean_stretch))

@@ -1,0 +1,197 @@
+"""The stationary population: what a snapshot of the steady state finds, as tables to draw from.
+
+A snapshot sees contacts in proportion to their time, not to their births (length bias, derived): pinned contacts have
+thresholds of density P_c(xi) m(xi)/C, where m(xi) = E[x_b|xi] and C = E[x_b], and given xi a stretch of density
+S(x|xi)/m(xi) with S(x|xi) = P(x_b > x|xi).
+
+S decreases, so x S(x) <= int_0^x S dy <= m and S is below the envelope g(x) = min(1, m/x). A stretch x proposed from
+g is kept with probability S(x)/g(x): that is, if a life whose clock shows -ln(U g(x)), U uniform, breaks beyond x.
+Given that, this clock is Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
+"""
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import integrate, interpolate
+
+from eqsim.engine.contacts import Contacts
+from eqsim.engine.lanes import lives
+from eqsim.engine.steady import Proposal
+from eqsim.errors import InputError
+from eqsim.laws.aging.base import end, life, whole_hazard
+from eqsim.laws.stiffness import kappa
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, threshold_draw
+from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.streams import Key, uniforms
+from eqsim.numerics.streams import key as key_of
+from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+
+_LEAST_LOG_E, _MOST_LOG_E = -53 * math.log(2), math.log(500)
+_EXTREME_RANK, _EXTREME_CLOCK = 45.0, 110.0  # -ln of no 63-bit uniform, no clock of a contact found, exceeds these
+_EXTREME_PRODUCT = 129.0  # rank of the sum of -ln of two uniforms of 2^-96
+_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
+
+
+class Stationary(NamedTuple):
+    """Tables of the stationary state, in the units of `Contacts`.
+
+    `pinned` is the pinned fraction. A smooth law has `biased`, e of a threshold found against -ln of a uniform, and
+    `life`, m against e; a discrete one has `share`, the cumulative share of its thresholds, and `step_life`, m of each.
+    `langevin` contacts, whose lives are found by trying, only have `longest`: no life is longer.
+    """
+
+    pinned: float
+    longest: float
+    biased: Array
+    life: Array
+    share: Array
+    step_life: Array
+
+
+FRESH = Stationary(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)  # of a fresh start, which needs none of it
+
+
+def stationary(c: Contacts) -> Stationary:
+    """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where `langevin` contacts
+    that live 1000 times longer than the mean still matter, too rare to be found by trying."""
+    if c.aging.fluctuates:
+        return Stationary(1.0, _longest(c), NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
+    if c.thresholds.steps.size:
+        means = mean_lives(c, c.thresholds.steps)
+        mean = float(means.mean())
+        share = np.cumsum(means) / means.sum()
+        return Stationary(mean / (mean + c.delay.mean), math.inf, NO_TABLE, NO_TABLE, share, means)
+    grid = np.linspace(_LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging.closed else 600)  # lives that age take long
+    xi = np.empty(grid.size)
+    thresholds(c, np.exp(-np.exp(grid)), xi)
+    means = mean_lives(c, xi)
+    time = means * np.exp(grid - np.exp(grid))  # density of contacts found in ln e, times C
+    below = integrate.cumulative_simpson(time, dx=grid[1] - grid[0], initial=0)
+    above = integrate.cumulative_simpson(time[::-1], dx=grid[1] - grid[0], initial=0)[::-1]
+    mean = float(below[-1])
+    use = (below > 0) & (above > 1e-200 * mean)  # beyond, nothing to draw
+    below, above, log_e = below[use] / mean, above[use] / mean, grid[use]
+    rank = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
+    log_rank = np.log(rank)
+    rising = np.append(True, log_rank[1:] > np.maximum.accumulate(log_rank)[:-1])
+    log_rank, log_e = log_rank[rising], log_e[rising]
+    edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+    to_e = interpolate.PchipInterpolator(log_rank, log_e)
+    at = np.clip(np.log(edges), log_rank[0], log_rank[-1])
+    e = np.exp(to_e(at))
+    inside = at == np.log(edges)
+    biased = octave_table(FIRST_OCTAVE, e, np.where(inside, e * to_e(at, 1) / edges, 0.0))
+    to_life = interpolate.CubicSpline(grid, np.log(means))
+    at = np.clip(np.log(edges), grid[0], grid[-1])
+    m = np.exp(to_life(at))
+    table = octave_table(FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0))
+    return Stationary(mean / (mean + c.delay.mean), math.inf, biased, table, NO_STEPS, NO_STEPS)
+
+
+def _longest(c: Contacts) -> float:
+    """A life so long that a share of 1e-5 of all time lies in what others have beyond it."""
+    proposal = Proposal.of(c)
+    p, q = np.random.default_rng(0).random((2, 2**15))
+    (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
+    _, stretch = lives(c, key_of(0, 0), 0, u, v)
+    order = np.argsort(-stretch)
+    stretch, weight = stretch[order], (weight * clock_weight)[order]
+    beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(weight)  # time spent beyond each of these lives
+    longest = float(stretch[np.searchsorted(beyond, 1e-5 * (weight @ stretch))])
+    mean = float(weight @ stretch / weight.sum())
+    if not longest < 1000.0 * mean:
+        raise InputError(
+            'drive.start = "stationary": contacts that live 1000 times longer than the mean still matter, and are too '
+            'rare to be found where thresholds fluctuate; start "fresh"'
+        )
+    return min(1.1 * longest, extremes(c)[1])
+
+
+def mean_lives(c: Contacts, xi: Array) -> Array:
+    """m(xi) = E[x_b|xi] = int_0^inf x_b(xi, E) exp(-E) dE by Gauss-Legendre panels in ln E, shape of `xi`.
+
+    The integrand has a kink where x_b reaches xi, at the integrated hazard of xi; panels shrink towards it.
+    """
+    if not c.aging.closed:
+        ends, kink = np.empty(xi.size), np.empty(xi.size)
+        whole_lives(c, xi, ends, kink)
+    elif c.barrier.thermal:
+        ends, kink = xi, c.barrier.whole_hazard(xi, c.springs.constant + c.springs.slope * xi)
+    if not c.barrier.thermal:
+        return xi.copy() if c.aging.closed else ends
+    low, top = -46.0, math.log(50.0)
+    last = np.clip(np.log(np.maximum(kink, 1e-300)), low, top)
+    panels = np.concatenate((np.linspace(1.0, 0.05, 28), 0.025 * 2.0 ** -np.arange(0.0, 20.0, 2.0), [0.0]))
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    total = np.zeros(xi.size)
+    stretch = np.empty(xi.size)
+    for far, near in itertools.pairwise(panels):
+        a, b = last - far * (last - low), last - near * (last - low)
+        for node, weight in zip(nodes, weights, strict=True):
+            log_clock = 0.5 * (a + b) + 0.5 * (b - a) * node
+            stretches(c, xi, np.exp(log_clock), stretch)
+            total += 0.5 * (b - a) * weight * stretch * np.exp(log_clock - np.exp(log_clock))
+    return total + ends * np.exp(-np.exp(last))
+
+
+def extremes(c: Contacts) -> tuple[float, float]:
+    """A threshold and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
+    ranks = np.linspace(0.01, _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK, 2000)
+    xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
+    thresholds(c, np.exp(-ranks), xi)
+    strongest = 1.1 * float(xi.max()) * max(1.0, c.aging.final)
+    if c.aging.fluctuates:
+        return strongest, strongest
+    stretches(c, xi, np.full(ranks.size, _EXTREME_CLOCK), stretch)
+    return strongest, 1.1 * float(stretch.max())
+
+
+@kernel
+def whole_lives(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
+    """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically, `hazard` with their integrated
+    hazards until then."""
+    for i in range(xi.size):
+        ends[i], hazard[i] = whole_hazard(c.aging, c.barrier, c.springs, xi[i])
+
+
+@kernel
+def thresholds(c: Contacts, u: Array, xi: Array) -> None:
+    """Fill `xi` with the thresholds that fractions `u` of the contacts exceed."""
+    for i in range(u.size):
+        xi[i] = threshold_draw(c.thresholds, u[i])
+
+
+@kernel
+def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
+    """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show `clock`."""
+    for i in range(xi.size):
+        stretch[i] = life(c.aging, c.barrier, c.barrier_table, c.springs, xi[i], clock[i])
+
+
+@inlined
+def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -> tuple[Any, Any, Any]:
+    """Stiffness k_i/k, stretch now, and stretch at breaking of a pinned contact of the stationary state."""
+    steps = c.thresholds.steps
+    if steps.size > 0:
+        rank = min(int(np.searchsorted(s.share, u, side="right")), steps.size - 1)
+        xi, m = steps[rank], s.step_life[rank]
+    else:
+        e = look_up(s.biased, -math.log(u))
+        xi, m = threshold_draw(c.thresholds, math.exp(-e)), look_up(s.life, e)
+    top = end(c.aging, xi)
+    m = min(m * _MARGIN, top)
+    plateau = 1.0 / (1.0 + math.log(top / m))  # share of the envelope's area where it is 1
+    draw = 1
+    while True:
+        u_stretch, u_clock = uniforms(key, contact, 0, draw)
+        if u_stretch < plateau:
+            x, log_envelope = m * (u_stretch / plateau), 0.0
+        else:
+            log_envelope = -(u_stretch / plateau - 1.0)
+            x = m * math.exp(-log_envelope)
+        ends = life(c.aging, c.barrier, c.barrier_table, c.springs, xi, -math.log(u_clock) - log_envelope)
+        if ends > x:
+            return kappa(c.springs, xi), x, ends
+        draw += 1

@@ -1,0 +1,154 @@
+"""Results on disk: Parquet with provenance, JSON without NaN, and folders that are never half-written."""
+
+import io
+import json
+import math
+import os
+import platform
+import secrets
+import shutil
+import tempfile
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from eqsim.errors import InputError
+
+
+def versions() -> dict[str, str]:
+    """Of everything that numbers depend on."""
+    packages = ("eqsim", "numpy", "numba", "scipy")
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in packages}}
+
+
+def provenance(
+    command: str, settings: dict[str, Any], run_file: str, seed: int, folder: Path | None = None
+) -> dict[str, Any]:
+    """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run file as it stood and the folder its paths
+    are relative to, every setting in force (an infinite one as "Infinity"), versions."""
+    settings = json.loads(json.dumps(settings), parse_constant=str)
+    known = {"command": command, "run_file": run_file, "settings": settings, "seed": seed, "versions": versions()}
+    return known if folder is None else {**known, "folder": str(folder.absolute())}
+
+
+def to_json(data: Any) -> str:
+    """JSON with null where a number is not finite."""
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: clean(part) for key, part in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [clean(part) for part in value]
+        if isinstance(value, float) and not math.isfinite(value):
+            return None
+        return value
+
+    return json.dumps(clean(data), indent=2, allow_nan=False)
+
+
+def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
+    """A Parquet file of a DataFrame or of arrays by name, with `origin` as JSON under the metadata key `eqsim`."""
+    import numpy as np
+    import pyarrow
+    from pyarrow import parquet as pq
+
+    def whole(column: Any) -> Any:
+        """Numbers as they lie in memory; left to itself pyarrow imports pandas for them, a third of a second."""
+        if not isinstance(column, np.ndarray) or column.dtype.kind not in "if":
+            return column
+        memory = pyarrow.py_buffer(np.ascontiguousarray(column))
+        return pyarrow.Array.from_buffers(pyarrow.from_numpy_dtype(column.dtype), column.size, [None, memory])
+
+    if isinstance(columns, dict):
+        columns = {name: whole(column) for name, column in columns.items()}
+    table = pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)})
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer)
+    return buffer.getvalue()
+
+
+def sealed(table: Any) -> bytes:
+    """A pyarrow table as a Parquet file whose pages carry checksums."""
+    from pyarrow import parquet as pq
+
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, write_page_checksum=True)
+    return buffer.getvalue()
+
+
+def unsealed(content: bytes, schema: Any) -> Any:
+    """The pyarrow table of a Parquet file from `sealed`; None if it is damaged or its columns are not those of
+    `schema`."""
+    import pyarrow
+    from pyarrow import parquet as pq
+
+    try:
+        table = pq.read_table(pyarrow.BufferReader(content), page_checksum_verification=True)
+    except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
+        return None
+    return table if table.schema.equals(schema) else None
+
+
+def save(path: Path, content: bytes) -> None:
+    """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
+    try:
+        _save(path, content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _save(path: Path, content: bytes) -> None:
+    name = path.parent / f".eqsim-{secrets.token_hex(8)}"  # tempfile's would be private
+    try:
+        _write(name, content)
+        os.replace(name, path)
+    except BaseException:
+        name.unlink(missing_ok=True)
+        raise
+    if os.name == "posix":  # the name itself must reach the disk too
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _write(place: Path, content: bytes) -> None:
+    with open(place, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def check_folder(folder: Path) -> None:
+    """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
+    present = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if not present.is_dir():
+        raise InputError(f"--out {folder}: {present} is not a folder")
+    try:
+        tempfile.TemporaryFile(dir=present).close()
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
+
+
+def publish(folder: Path, files: dict[str, bytes]) -> None:
+    """Write files, and only when all are on disk give them their names. Raises InputError."""
+    for name in files:
+        if (folder / name).is_dir():
+            raise InputError(f"--out {folder}: {name} is a folder there")
+    made = not folder.exists()
+    staging: Path | None = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
+        for name, content in files.items():
+            _write(staging / name, content)
+        for name in files:
+            os.replace(staging / name, folder / name)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
+    finally:
+        if staging:
+            shutil.rmtree(staging, ignore_errors=True)
+        if made and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()

@@ -1,0 +1,130 @@
+"""Aging of pinned contacts: thresholds that move from the newborn law P_ci (scale x_*i) to the final law P_cf (x_*f).
+
+The Smoluchowski equation of Braun and Peyrard (2011, section IV) with thresholds xi^2/x_*^2 ~ Gamma(n+1) is solved by
+the norm of a (2n+2)-dimensional Ornstein-Uhlenbeck process of rate 2D/x_*f^2 and variance x_*f^2/2 per component
+(derived). So, for contacts of age t that have not broken,
+
+    transition    xi'^2 = (xi e + s Z)^2 + s^2 chi^2(2n+1),   e = exp(-2Dt/x_*f^2),   s^2 = x_*f^2 (1 - e^2)/2
+    one-time law  Gamma(n, x_*(t)),   x_*(t)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4Dt/x_*f^2)
+
+with Z normal. There are two rules for quenched contacts: the thresholds of `langevin` follow that process; those of
+`flow` follow xi(t) = xi(0) x_*(t)/x_*i, which has the same one-time laws and no fluctuations. The annealed (published)
+ensemble draws frozen thresholds from the law of `pooled` under either rule.
+
+Lengths are in units of x_*i and ages are displacements: `final2` is (x_*f/x_*i)^2 and `alpha` is 4 D x_*i/(v x_*f^2).
+A law is a NamedTuple of these numbers with a body of each kernel routine below.
+"""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from eqsim.laws.barrier.base import stretch, stretches
+from eqsim.laws.stiffness import Springs, kappa
+from eqsim.numerics.compiled import by_law, inlined
+from eqsim.numerics.tables import NO_TABLE, Array
+
+
+def change2(final2: float, age: Any) -> Array:
+    """x_*^2/x_*i^2 - 1 of the unbroken law at `age` = alpha x (any shape)."""
+    return np.asarray((1.0 - final2) * np.expm1(-age))
+
+
+def scale2(final2: float, age: Any) -> Array:
+    """x_*^2/x_*i^2 of the unbroken law, a sum of positive terms; `age` may be infinite."""
+    return np.asarray(final2 + (1.0 - final2) * np.exp(-age)) if final2 < 1 else 1.0 + change2(final2, age)
+
+
+@inlined
+def growth(final2: float, alpha: float, x: float) -> float:
+    """x_*(x)/x_*i in kernels."""
+    return math.sqrt(1.0 - (final2 - 1.0) * math.expm1(-alpha * x))
+
+
+class AgingLaw:
+    """What every law of aging has: `fluctuates` if lives are paths of a random process, and `closed` if they are known
+    in closed form, without integrating a hazard or following a path."""
+
+    __slots__ = ()
+    fluctuates: ClassVar[bool] = False
+    closed: ClassVar[bool] = False
+    final2: float
+    alpha: float
+
+    @property
+    def final(self) -> float:
+        """x_*f/x_*i."""
+        return math.sqrt(self.final2)
+
+    def table(self, springs: Springs) -> Array:
+        """What `work` looks up, if anything."""
+        return NO_TABLE
+
+
+class _NoNumbers(NamedTuple):
+    final2: float = 1.0
+    alpha: float = 0.0
+
+
+class Unaged(_NoNumbers, AgingLaw):
+    """Thresholds stay as they are."""
+
+    __slots__ = ()
+    closed: ClassVar[bool] = True
+
+
+# --------------------------------------------------------------------------------------------------------- kernels
+
+
+@by_law
+def end(law: Any, xi: float) -> float:
+    """Where a contact born with threshold `xi` breaks if heat does not break it before."""
+    return xi
+
+
+@by_law
+def whole_hazard(law: Any, barrier: Any, springs: Springs, xi: float) -> tuple[float, float]:
+    """Where a contact born with threshold `xi` breaks mechanically, and its integrated hazard until then; of laws whose
+    lives have no closed form."""
+    raise TypeError("lives of this law of aging are closed, or paths")
+
+
+@by_law
+def life(law: Any, barrier: Any, table: Array, springs: Springs, xi: float, clock: float) -> float:
+    """Where a contact born with threshold `xi` breaks whose exponential clock shows `clock`."""
+    raise TypeError("lives of this law of aging are paths")
+
+
+@by_law
+def lives(law: Any, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int) -> None:
+    """`life` of `count` contacts in the place of their thresholds `lanes.stretch[r]`, and their stiffness at birth.
+    Clocks are overwritten, `row` is scratch."""
+    raise TypeError("lives of this law of aging are paths")
+
+
+@by_law
+def stiffness_varies(law: Any, springs: Springs) -> bool:
+    """Whether a contact's stiffness changes while it is pinned."""
+    return False
+
+
+@by_law
+def work(law: Any, table: Array, springs: Springs, stiffness: float, x: float) -> float:
+    """int_0^x (k_i/k) y dy of a contact of relative stiffness `stiffness` at birth."""
+    return 0.5 * stiffness * x * x
+
+
+@life.register(Unaged)
+def _life(law: Unaged, barrier: Any, table: Array, springs: Springs, xi: float, clock: float) -> float:
+    return stretch(barrier, table, xi, kappa(springs, xi), clock)
+
+
+@lives.register(Unaged)
+def _lives(
+    law: Unaged, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int
+) -> None:
+    threshold, stiffness = lanes.stretch, lanes.stiffness
+    for i in range(count):
+        stiffness[r, i] = kappa(springs, threshold[r, i])
+    stretches(barrier, table, springs, r, lanes, row, count)

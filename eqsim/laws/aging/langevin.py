@@ -1,0 +1,36 @@
+"""Thresholds that fluctuate: the process of the Smoluchowski equation itself (`laws.aging.base`). The engine follows its
+paths in `engine.langevin`, the reference solves its Fokker-Planck equation."""
+
+from typing import Any, ClassVar, NamedTuple
+
+from eqsim.errors import require_number
+from eqsim.laws.aging.base import AgingLaw, stiffness_varies
+from eqsim.laws.stiffness import Springs
+
+
+_MOST_ALPHA = 1e6  # relaxations while the contact slides x_*: steps, and time, grow with it
+
+
+class _Numbers(NamedTuple):
+    final2: float
+    alpha: float
+    shape: float
+
+
+class Langevin(_Numbers, AgingLaw):
+    """The norm of an Ornstein-Uhlenbeck process of 2 shape + 2 components, shape = n. The stiffness of the sqrt law
+    follows it."""
+
+    __slots__ = ()
+    fluctuates: ClassVar[bool] = True
+
+    @classmethod
+    def reduced(cls, final2: float, alpha: float, n: float) -> "Langevin":
+        """The law from its numbers. Raises InputError for rates that would take too many steps."""
+        require_number("4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=_MOST_ALPHA)
+        return cls(final2, alpha, n)
+
+
+@stiffness_varies.register(Langevin)
+def _varies(law: Any, springs: Springs) -> bool:
+    return springs.slope > 0.0

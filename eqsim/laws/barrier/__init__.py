@@ -1,0 +1,10 @@
+"""Thermally activated breaking of a pinned contact: one file for each barrier. This is where they are listed."""
+
+from eqsim.laws.barrier.base import Barrier
+from eqsim.laws.barrier.mechanical import Mechanical
+from eqsim.laws.barrier.soft import Soft
+from eqsim.laws.barrier.stiff import Stiff
+
+BARRIERS: dict[str, type[Soft] | type[Stiff]] = {"soft": Soft, "stiff": Stiff}
+
+__all__ = ["BARRIERS", "Barrier", "Mechanical"]

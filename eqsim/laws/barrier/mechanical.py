@@ -1,0 +1,39 @@
+"""No heat, or none that matters: a contact breaks at its threshold."""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from eqsim.laws.barrier.base import Barrier, stretches, thermal
+from eqsim.numerics.tables import Array
+
+
+class _Numbers(NamedTuple):
+    b: float = math.inf
+    log_w: float = 0.0
+
+
+class Mechanical(_Numbers, Barrier):
+    """T = 0: E is infinite whatever b and log_w are."""
+
+    __slots__ = ()
+    thermal: ClassVar[bool] = False
+
+    @classmethod
+    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
+        return np.full(np.broadcast(gap, total, xi).shape, math.inf)
+
+    @classmethod
+    def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
+        return np.full(np.broadcast(x, xi).shape, -math.inf)
+
+
+@thermal.register(Mechanical)
+def _no_heat(law: Any) -> bool:
+    return False
+
+
+@stretches.register(Mechanical)
+def _at_thresholds(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+    pass

@@ -1,0 +1,152 @@
+"""Soft barrier: the energy that a parabolic well is short of at the threshold,
+
+    r = exp(-a (xi^2 - x^2)),    H = exp(-a xi^2) sqrt(pi)/(2 sqrt(a)) erfi(sqrt(a) x)
+
+(behind temper11 of Braun and Peyrard, 2011; H derived).
+"""
+
+import functools
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from scipy import special
+
+from eqsim.laws.barrier.base import Barrier, height, height_slope, stretch, stretches
+from eqsim.numerics.compiled import inlined
+from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
+from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
+
+
+class _Numbers(NamedTuple):
+    b: float
+    log_w: float
+
+
+class Soft(_Numbers, Barrier):
+    """E = a (xi^2 - x^2), p = 1."""
+
+    __slots__ = ()
+    flat_out: ClassVar[float] = 1e16
+
+    @classmethod
+    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
+        return np.asarray(a * gap * total)
+
+    @classmethod
+    def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
+        root = np.sqrt(a)
+        with np.errstate(divide="ignore"):  # x = 0
+            return cls.log_rate(x, xi, a) + np.log(special.dawsn(root * x) / root)
+
+    @classmethod
+    def width(cls, exponent: Any, y: Any, a: Any) -> Array:
+        return np.asarray((exponent / a) / (y + np.sqrt(y**2 + exponent / a)))
+
+    @classmethod
+    def layer(cls, x: float, a: float) -> float:
+        return 0.5 / (a * x**2)
+
+    def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
+        c = (a * xi**2)[:, None]
+        log_erfi = levels - self.log_w + c + np.log(2.0 * np.sqrt(a / math.pi))[:, None]
+        z2 = np.maximum(log_erfi, 1.0)
+        for _ in range(3):  # erfi(z) ~ exp(z^2)/(sqrt(pi) z)
+            z2 = np.maximum(log_erfi + 0.5 * np.log(math.pi * z2), 1.0)
+        small = 0.5 * math.sqrt(math.pi) * np.exp(np.minimum(log_erfi, 1.0))
+        return np.asarray(np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0)) / np.sqrt(a)[:, None])
+
+    @classmethod
+    def table(cls) -> Array:
+        return erfi_inverse_table()
+
+
+def log_erfi(z: Any) -> Array:
+    """ln erfi(z) for z > 0 of any size, through Dawson's function."""
+    z = np.asarray(z, float)
+    return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
+
+
+@functools.cache
+def erfi_inverse_table() -> Array:
+    """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up to s = 2^60.
+
+    The relative error is below 5e-10.
+    """
+    first, last = -30, 60
+    s = octave_edges(first, last)
+    target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
+    z = np.where(s < 1, s * math.sqrt(math.pi) / 2, np.sqrt(s + 1))
+    for _ in range(60):  # Newton for ln erfi, whose derivative is 1/dawsn
+        z = np.maximum(z - (log_erfi(z) - target) * special.dawsn(z), z / 4)
+    return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
+
+
+# The inverse of (omega/v) H in steps, each of which is a loop of its own where many contacts break: a look-up between
+# the others would keep them from being vectorised, and in one long loop every result would wait for many before it.
+
+_SOFT = 2.0 / math.sqrt(math.pi)
+
+
+@inlined
+def _excess(xi: float, root: float, log_w: float) -> float:
+    """a xi^2 - ln(omega/v), root = sqrt(a)."""
+    top = root * xi
+    return top * top - log_w
+
+
+@inlined
+def _odds(xi: float, root: float, log_w: float, clock: float) -> float:
+    """erfi(root x) of the x where (omega/v) H(x) = clock, but for what of the barrier is beyond FLAT."""
+    return _SOFT * clock * root * bounded_exp(min(_excess(xi, root, log_w), FLAT))
+
+
+@inlined
+def _rank(xi: float, root: float, log_w: float, odds: float) -> float:
+    """ln(1 + erfi(root x)) of the same x."""
+    return log_one_plus(odds) + max(_excess(xi, root, log_w) - FLAT, 0.0)
+
+
+@inlined
+def _end(xi: float, per_root: float, z: float) -> float:
+    """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is xi, to double precision."""
+    return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
+
+
+@height.register(Soft)
+def _height(law: Soft, xi: float, x: float, a: float) -> float:
+    return a * max(xi - x, 0.0) * (xi + x)
+
+
+@height_slope.register(Soft)
+def _height_slope(law: Soft, xi: float, x: float, a: float) -> float:
+    return 2.0 * a * xi
+
+
+@stretch.register(Soft)
+def _stretch(law: Soft, table: Array, xi: float, stiffness: float, clock: float) -> float:
+    root = math.sqrt(law.b * stiffness)
+    rank = _rank(xi, root, law.log_w, _odds(xi, root, law.log_w, clock))
+    return _end(xi, 1.0 / root, look_up(table, rank))
+
+
+@stretches.register(Soft)
+def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+    x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
+    if springs.slope == 0.0:  # roots and divisions are the same for all
+        root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
+        for i in range(lanes):
+            clock[r, i] = _odds(x[r, i], root, log_w, clock[r, i])
+        for i in range(lanes):
+            clock[r, i] = _rank(x[r, i], root, log_w, clock[r, i])
+        look_up_all(table, r, clock, row, lanes)
+        for i in range(lanes):
+            x[r, i] = _end(x[r, i], per_root, clock[r, i])
+    else:
+        for i in range(lanes):
+            clock[r, i] = _odds(x[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
+        for i in range(lanes):
+            clock[r, i] = _rank(x[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
+        look_up_all(table, r, clock, row, lanes)
+        for i in range(lanes):
+            x[r, i] = _end(x[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])

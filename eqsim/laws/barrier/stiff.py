@@ -1,0 +1,121 @@
+"""Stiff barrier: the energy that is left near the top of a well that tilts,
+
+    r = sqrt(1 - x/xi) exp(-a xi^2 (1 - x/xi)^(3/2)),
+    H = 2/(3 a xi) (exp(-a xi^2 (1 - x/xi)^(3/2)) - exp(-a xi^2))
+
+(behind temper12 of Braun and Peyrard, 2011; H derived).
+"""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from eqsim.laws.barrier.base import Barrier, height, height_slope, path_step, prefactor, stretch, stretches
+from eqsim.numerics.compiled import inlined
+from eqsim.numerics.tables import Array
+from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus, two_thirds_power
+
+
+class _Numbers(NamedTuple):
+    b: float
+    log_w: float
+
+
+class Stiff(_Numbers, Barrier):
+    """E = a xi^2 (1 - x/xi)^(3/2), p = sqrt(1 - x/xi)."""
+
+    __slots__ = ()
+    flat_out: ClassVar[float] = 1e18
+
+    @classmethod
+    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
+        return np.asarray(a * xi**2 * (gap / xi) ** 1.5)
+
+    @classmethod
+    def log_prefactor(cls, gap: Any, xi: Any) -> Any:
+        return 0.5 * np.log(gap / xi)
+
+    @classmethod
+    def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
+        c = np.asarray(a * xi**2, float)
+        # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
+        with np.errstate(divide="ignore"):  # x = xi
+            gap15 = -np.expm1(1.5 * np.log1p(-x / xi))  # 1 - (1 - x/xi)^1.5 without cancellation
+            return math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15) + np.log(-np.expm1(-c * gap15))
+
+    @classmethod
+    def width(cls, exponent: Any, y: Any, a: Any) -> Array:
+        return np.asarray(y * np.minimum((exponent / (a * y**2)) ** (2.0 / 3.0), 1e6))
+
+    @classmethod
+    def layer(cls, x: float, a: float) -> float:
+        return float((a * x**2) ** (-2 / 3))
+
+    def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
+        c = (a * xi**2)[:, None]
+        spent = np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w) / c  # 1 - (1 - x/xi)^1.5
+        spent = np.minimum(spent, 1.0)
+        q = (1.0 - spent) ** (2.0 / 3.0)
+        return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))  # 1 - q without cancellation
+
+
+@inlined
+def _odds(xi: float, a: float, log_w: float, clock: float) -> float:
+    """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where (omega/v) H(x) = clock, but for what of the barrier is
+    beyond FLAT."""
+    return 1.5 * a * xi * clock * bounded_exp(min(a * xi * xi - log_w, FLAT))
+
+
+@inlined
+def _spent(xi: float, a: float, log_w: float, odds: float) -> float:
+    """1 - (1 - x/xi)^(3/2) of the same x, or more than 1."""
+    barrier = a * xi * xi
+    return (log_one_plus(odds) + max(barrier - log_w - FLAT, 0.0)) / barrier
+
+
+@inlined
+def _end(xi: float, spent: float) -> float:
+    """Where a stiff contact breaks."""
+    q = two_thirds_power(max(1.0 - spent, 1e-17))
+    x = xi * spent * (2.0 - spent) / (1.0 + q + q * q)  # 1 - q without cancellation
+    return min(x, xi) if spent < 1.0 else xi
+
+
+@height.register(Stiff)
+def _height(law: Stiff, xi: float, x: float, a: float) -> float:
+    gap = max(xi - x, 0.0)
+    return a * gap * math.sqrt(gap * xi)
+
+
+@height_slope.register(Stiff)
+def _height_slope(law: Stiff, xi: float, x: float, a: float) -> float:
+    part = math.sqrt(max(xi - x, 1e-16 * xi) / xi)
+    return a * xi * part * (1.5 + 0.5 * part * part)
+
+
+@prefactor.register(Stiff)
+def _prefactor(law: Stiff, xi: float, x: float) -> float:
+    return math.sqrt((xi - x) / xi)
+
+
+@path_step.register(Stiff)
+def _path_step(law: Stiff) -> float:
+    return 0.5  # the rate falls to 0 at the stretch, like a root
+
+
+@stretch.register(Stiff)
+def _stretch(law: Stiff, table: Array, xi: float, stiffness: float, clock: float) -> float:
+    a = law.b * stiffness
+    return _end(xi, _spent(xi, a, law.log_w, _odds(xi, a, law.log_w, clock)))
+
+
+@stretches.register(Stiff)
+def _stretches(law: Stiff, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+    x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
+    for i in range(lanes):  # in steps, as in `soft`
+        clock[r, i] = _odds(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
+    for i in range(lanes):
+        clock[r, i] = _spent(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
+    for i in range(lanes):
+        x[r, i] = _end(x[r, i], clock[r, i])

@@ -1,0 +1,267 @@
+"""Annealed contacts: the published master equation (Braun and Peyrard, 2011), stationary.
+
+With J_c(x) = P(xi > x), U = -ln J_c and Delta U(x) = (omega/v) G(x), G the integral of the pooled rate h (temper11,
+temper12 are H = (omega/v) h), the stationary density of stretches is Q(x) = E_P(x)/C with E_P = J_c exp(-Delta U)
+(Q11a, nt13) and
+
+    C = int_0^inf E_P dx,        friction * C = int_0^inf x exp(-Delta U) E[k_i/k; xi > x] dx        (no delay),
+
+where k_i = k gives nt13 and the sqrt law, beyond the paper, uses the threshold drawn at birth (derived).
+
+Panels in x end where the density of thresholds jumps, and are split towards their ends until the highest Chebyshev
+coefficients of the hazard, times the life that is left, and of the integrands are negligible.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from eqsim.errors import InputError
+from eqsim.numerics.tables import Array
+from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
+from eqsim.laws.thermal import Barrier, log_hazard
+from eqsim.laws.threshold import ThresholdLaw, panels_above
+from eqsim.master.quenched import ClenshawCurtis, Moments, beyond, interpolated, panels, weakest
+
+_MOST_STEPS, _SMOOTH = 1000, 1e-10
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+# panels in x: the first rise by this factor and end where this is -ln J_c; where splits fall; the errors that end
+# refinement; the narrowest, relative to their right end, and the most; the least error quoted
+_RISE, _LAW = 5.0, np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
+_PIECES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])  # crowded, as the trouble is mostly at one end
+_RESOLVED, _STEP, _MOST_PANELS, _ROUNDING = 2e-12, 1e-14, 1500, 1e-11
+
+# the rate: exponents of barriers where its panels end, distances from the ends of the support, nodes; hazards (in
+# logarithms) and survivals out of sight, nodes at once
+_EXPONENTS = np.array([1e-3, 0.05, 0.5, 2.0, 5.0, 10.0, 18.0, 28.0, 45.0, 80.0, 140.0])
+_NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
+_ORDER = 10
+_UNSEEN, _DEAD, _AT_ONCE = -45.0, 1e-20, 1000
+_rule = functools.cache(np.polynomial.legendre.leggauss)
+
+
+def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Moments:
+    """C and work of annealed contacts at kT > 0; lengths, b and log_w = ln(omega x_*/v) in units of `law.scale`.
+
+    Raises InputError for a discrete law of more than 1000 thresholds.
+    """
+    if law.steps.size:
+        return _discrete(law, stiffness, barrier, b, log_w)
+    edges = _first_edges(law, stiffness, barrier, b, log_w)
+    left, right = edges[:-1], edges[1:]
+    p = _panels(law, stiffness, barrier, b, log_w, left, right)
+    while True:
+        alive = np.exp(-np.append(0.0, p.hazard[:-1].cumsum()))
+        heavier = np.append(p.heavier[:0:-1].cumsum()[::-1], 0.0)
+        carried = alive * p.carried
+        parts = np.array([alive * p.stretch, alive * p.work + heavier * carried])
+        total = parts.sum(axis=1)
+        onward = parts[:, ::-1].cumsum(axis=1)[:, ::-1]
+        errors = p.hazard_tail * onward
+        errors[0] += alive * p.stretch_tail
+        errors[1] += alive * (p.work_tail + heavier * p.carried_tail) + p.heavier_tail * carried.cumsum()
+        split = (errors > _RESOLVED * total[:, None]).any(axis=0) & (right - left > _STEP * right)
+        if not split.any() or left.size > _MOST_PANELS:
+            break
+        pieces = left[split, None] + (right - left)[split, None] * _PIECES
+        pieces[:, -1] = right[split]
+        new_left, new_right = pieces[:, :-1].ravel(), pieces[:, 1:].ravel()
+        new = _panels(law, stiffness, barrier, b, log_w, new_left, new_right)
+        left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
+        order = np.argsort(left)
+        left, right = left[order], right[order]
+        p = _Panels(*(np.append(old[~split], found)[order] for old, found in zip(p, new, strict=True)))
+    # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
+    seen = alive > _DEAD
+    better = _hazard_rate(law, stiffness, barrier, b, log_w, 0.5 * (left + right)[seen], _ORDER + 4)
+    missed = np.abs(2.0 * p.middle[seen] - better * (right - left)[seen])
+    errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
+    rarest = alive[-1] * beyond(law, stiffness)
+    error = errors.sum(axis=1) + _ROUNDING * total + rarest
+    total = total + rarest
+    return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
+
+
+class _Panels(NamedTuple):
+    """Pieces of 0 < x < inf, ascending, each array of shape (panels,): Delta U gained inside; with exp(-Delta U) = 1 at
+    the left end, the integrals of E_P and of x exp(-Delta U) E[k_i/k; xi > x] but for thresholds beyond the panel, for
+    which the latter is `carried`, the integral of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms
+    (0 if stiffness is uniform); the highest Chebyshev coefficients of each integrand; and the rate in the middle times
+    half the width."""
+
+    hazard: Array
+    stretch: Array
+    work: Array
+    carried: Array
+    heavier: Array
+    hazard_tail: Array
+    stretch_tail: Array
+    work_tail: Array
+    carried_tail: Array
+    heavier_tail: Array
+    middle: Array
+
+
+def _panels(
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float, left: Array, right: Array
+) -> _Panels:
+    half = 0.5 * (right - left)[:, None]
+    x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
+    hazard = half * _hazard_rate(law, stiffness, barrier, b, log_w, x.ravel()).reshape(x.shape)
+    # where the panel is too wide for its polynomial, that may be negative
+    alive = half * np.exp(-np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0))
+    J = law.sf(x * law.scale)
+    stiff, heavier = J, np.zeros_like(J)
+    if stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
+        rms = law.rms / law.scale
+        heavier = half * J / rms
+        inside = heavier @ ClenshawCurtis.weights
+        stiff = x * J / rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
+    integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
+    values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
+    tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
+    return _Panels(*np.vstack((values, tails, hazard[:, hazard.shape[1] // 2])))
+
+
+def _first_edges(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Array:
+    """Ends of the first panels: from lives of newborn contacts to where no threshold is left."""
+    marks = np.append(law.exceeded_by(_LAW), law.breakpoints) / law.scale
+    marks = marks[(marks > 0) & np.isfinite(marks)]
+    top = marks.max()
+    least, greatest = (edge / law.scale for edge in law.support)
+    newborn = _hazard_rate(law, stiffness, barrier, b, log_w, np.zeros(1))[0]
+    first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(b))
+    rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
+    edges = np.unique(np.concatenate(([0.0, least, min(greatest, top)], marks, rising)))
+    return edges[edges <= min(greatest, top)]
+
+
+def _hazard_rate(
+    law: ThresholdLaw,
+    stiffness: StiffnessLaw,
+    barrier: Barrier,
+    b: float,
+    log_w: float,
+    y: Array,
+    order: int = _ORDER,
+) -> Array:
+    """(omega/v) h(y) of a smooth law, h that of `laws.thermal.pooled_rate` (temper11, temper12), to about 1e-13 for
+    gamma laws and 1e-10 for most others.
+
+    In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds, and with panels next to the
+    ends of the support besides those next to y.
+    """
+    rms, least, greatest = law.rms / law.scale, law.support[0] / law.scale, law.support[1] / law.scale
+    upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
+    ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
+    far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
+    nodes, weights = _rule(order)
+    found = np.empty(y.size)
+    for start in range(0, y.size, _AT_ONCE):
+        at = y[start : start + _AT_ONCE, None]
+        origin = np.maximum(at, least)
+        a = np.maximum(b * relative_stiffness(stiffness, origin, rms), 1e-300)
+        with np.errstate(divide="ignore", over="ignore"):
+            if barrier == "soft":
+                near = _EXPONENTS / a / (origin + np.sqrt(origin**2 + _EXPONENTS / a))
+            else:
+                near = origin * np.minimum((_EXPONENTS / (a * origin**2)) ** (2.0 / 3.0), 1e6)
+        layer = np.concatenate((origin + np.minimum(near, far), np.broadcast_to(ends, (at.size, ends.size))), axis=1)
+        edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
+        seen = (np.diff(edges, axis=1) > 0) & (
+            log_w - _exponent(stiffness, barrier, b, rms, at, edges[:, :-1]) > _UNSEEN
+        )
+        row, column = np.nonzero(seen)
+        half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
+        root, x = edges[row, column, None] + half * (1.0 + nodes), at[row]
+        xi = x + root**2
+        log_rate = log_w - _exponent(stiffness, barrier, b, rms, x, root)
+        terms = half * weights * 2.0 * root * law.pdf(xi * law.scale) * law.scale * np.exp(log_rate)
+        if barrier == "stiff":
+            terms *= root / np.sqrt(xi)
+        terms[~np.isfinite(terms)] = 0.0  # a density that diverges at an end of the support
+        found[start : start + at.size] = np.bincount(row, terms.sum(axis=1), at.size)
+    return found
+
+
+def _exponent(stiffness: StiffnessLaw, barrier: Barrier, b: float, rms: float, x: Array, root: Array) -> Array:
+    """Barrier over kT of contacts at stretch x with threshold xi = x + root^2."""
+    xi = x + root**2
+    a = b * relative_stiffness(stiffness, xi, rms)
+    return a * root**2 * (root**2 + 2.0 * x) if barrier == "soft" else a * np.sqrt(xi) * root**3
+
+
+def survivors(
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float, x: Array
+) -> tuple[Array, Array, Array]:
+    """E_P(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0 in units of `law.scale`; for
+    a smooth law x has to begin near 0 and to rise by small factors, up to where nothing survives."""
+    rms = law.rms / law.scale
+    if law.steps.size:
+        xi, share, kappa = _shares(law, stiffness)
+        with np.errstate(divide="ignore"):
+            dU = np.exp(np.minimum(np.log(_discrete_pool(barrier, xi, share, b * kappa, x)) + log_w, 7.0))
+        above = np.searchsorted(xi, x, side="right")
+        means = [np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above] for power in range(3)]
+    else:
+        inner, weights = _between(x)
+        at = np.append(x[0], inner)
+
+        def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
+            return np.log1p(y * _hazard_rate(law, stiffness, barrier, b, log_w, y))
+
+        rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
+        dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
+        J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
+        means = [J, J, J]
+        if stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
+            for p in (1, 2):
+                cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
+                means[p] = (x**p * J + np.append(np.cumsum(cells[::-1])[::-1], 0.0)) / rms**p
+    thermal = np.exp(-dU)
+    return thermal * means[0], thermal * means[1], thermal * means[2]
+
+
+def _between(x: Array) -> tuple[Array, Array]:
+    """Gauss-Legendre nodes in ln x between neighbours, and their weights for integrals over x, shape (n - 1, 3)."""
+    log_x = np.log(x)
+    half = 0.5 * np.diff(log_x)[:, None]
+    inner = np.exp(log_x[:-1, None] + half * (1.0 + _NODES))
+    return inner, half * _WEIGHTS * inner
+
+
+def _shares(law: ThresholdLaw, stiffness: StiffnessLaw) -> tuple[Array, Array, Array]:
+    """The different thresholds of a discrete law, their shares and stiffnesses k_i/k."""
+    xi, counts = np.unique(law.steps / law.scale, return_counts=True)
+    if xi.size > _MOST_STEPS:
+        raise InputError(f"thresholds: {xi.size} different values; the annealed reference takes at most {_MOST_STEPS}")
+    return xi, counts / counts.sum(), relative_stiffness(stiffness, xi, law.rms / law.scale)
+
+
+def _discrete_pool(barrier: Barrier, xi: Array, share: Array, a: Array, x: Array) -> Array:
+    """G of equally likely thresholds, a mean of closed forms."""
+    G = np.zeros(x.size)
+    for j in range(xi.size):
+        k = np.searchsorted(x, xi[j])
+        G[:k] += share[j] * np.exp(log_hazard(barrier, x[:k], xi[j], a[j]))
+        G[k:] += share[j] * np.exp(log_hazard(barrier, xi[j], xi[j], a[j]))
+    return G
+
+
+def _discrete(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Moments:
+    """Discrete thresholds: E_P drops at each of them, after a layer in which attempts on it succeed."""
+    edge = panels(law, stiffness, b)
+
+    def integrate(order: int) -> Array:
+        nodes, weights = np.polynomial.legendre.leggauss(order)
+        half = 0.5 * np.diff(edge)[:, None]
+        x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
+        survive, stiff, _ = survivors(law, stiffness, barrier, b, log_w, x)
+        return (half * weights).ravel() @ np.stack((survive, stiff * x), axis=1)
+
+    fine, coarse = integrate(8), integrate(5)
+    error = np.abs(fine - coarse) + 1e-11 * fine
+    return Moments(fine[0], fine[1], error[0], error[1])

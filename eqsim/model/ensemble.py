@@ -1,0 +1,83 @@
+"""An interface of N contacts."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number
+from eqsim.laws.aging import RULES, Aging
+from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.barrier.pooled import pooled_hazard_of
+from eqsim.laws.delay import Delay
+from eqsim.laws.stiffness import StiffnessLaw
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Gamma, ThresholdLaw
+
+Disorder = Literal["quenched", "annealed"]
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """N contacts of one kind (section 1 of Braun and Peyrard, 2011).
+
+    `count` N; `stiffness` k (force/length), the mean of the ensemble's k_i at the mean threshold force, with
+    `stiffness_law` "sqrt" (k_i ~ sqrt(f_si)) or "uniform"; `eta`, viscous coefficient of a detached contact
+    (force eta v); `disorder` "quenched" (a contact keeps its threshold for life, or its threshold ages: the literal
+    model) or "annealed" (every thermal attempt draws a fresh threshold: the published master equation). Raises
+    InputError.
+    """
+
+    thresholds: ThresholdLaw = field(default_factory=Gamma)
+    thermal: Thermal = field(default_factory=Thermal)
+    delay: Delay = field(default_factory=Delay)
+    aging: Aging = field(default_factory=Aging)
+    count: int = 100_000
+    stiffness: float = 1.0
+    stiffness_law: StiffnessLaw = "sqrt"
+    disorder: Disorder = "quenched"
+    eta: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_integer("count", self.count, 1, 10**12)
+        require_number("stiffness", self.stiffness, **POSITIVE)
+        require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
+        require_choice("disorder", self.disorder, ("quenched", "annealed"))
+        require_number("eta", self.eta, **NOT_NEGATIVE)
+        self.aging.check(self.thresholds, self.disorder)
+
+    def declared(self, velocity: float) -> tuple[Any, ...]:
+        """What a life depends on, as it was declared, for the names of random streams: texts and dimensionless numbers,
+        which are products and ratios and so the same in other units and on other machines."""
+        thermal, delay, aging = self.thermal, self.delay, self.aging
+        unit, *law = self.thresholds.declared
+        heat = thermal.barrier, thermal.kT / (self.stiffness * unit * unit), thermal.attempt_frequency * unit / velocity
+        rule = "pooled" if self.disorder == "annealed" else aging.rule
+        ages = (rule, aging.rate / (unit * velocity), aging.x_star_final / unit) if aging.active else ()
+        return (self.disorder, self.stiffness_law, *law, *heat, delay.law, delay.time * velocity / unit, *ages)
+
+    @property
+    def self_consistent(self) -> bool:
+        """Whether births depend on the mean pinned time: annealed contacts that age at a finite rate."""
+        return self.disorder == "annealed" and self.aging.active and self.aging.rate < math.inf
+
+    @property
+    def fluctuates(self) -> bool:
+        """Whether thresholds fluctuate while pinned: quenched contacts that age by `langevin`."""
+        return self.disorder == "quenched" and self.aging.active and RULES[self.aging.rule].fluctuates
+
+    @property
+    def b(self) -> float:
+        """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at kT = 0."""
+        energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
+        return energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
+
+    @property
+    def crossover_velocity(self) -> float:
+        """v_* of the annealed ensemble, where Delta U(inf) = 1: nt12 (S_0 = 1) for n = 1, soft, uniform; the same
+        definition for every other law (derived), of newborn thresholds. 0 at kT = 0."""
+        thermal = self.thermal
+        if math.isinf(self.b) or thermal.attempt_frequency == 0:
+            return 0.0
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, BARRIERS[thermal.barrier], self.b)
+        total = pool.G[-1] if pool.G.size else 0.0  # no attempt succeeds at very low temperature
+        return float(thermal.attempt_frequency * self.thresholds.scale * total)

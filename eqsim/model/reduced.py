@@ -1,0 +1,180 @@
+"""Where ensemble and drive become dimensionless numbers: the only place, for the engine and the reference alike.
+
+Lengths are in units of the threshold law's scale (x_* of a gamma law, else the mean threshold), time is displacement,
+stiffness is in units of k and energy in units of kT.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number
+from eqsim.laws.aging import AgingLaw, PooledThresholds, Unaged
+from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
+from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
+from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.stiffness import Springs, StiffnessLaw
+from eqsim.laws.threshold import Gamma, ThresholdLaw
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+
+_LEAST_B = 1e-100  # b below which the barrier is 0
+_LARGEST_POOLED_B = 1e15  # above it a pooled hazard would be made of differences between neighbouring numbers
+
+
+class Reduced(NamedTuple):
+    """An ensemble at constant velocity in dimensionless numbers.
+
+    Attributes
+    ----------
+    law : ThresholdLaw
+        Thresholds at birth, in the user's unit; lengths elsewhere are in units of `law.scale`.
+    stiffness : str
+        "sqrt" or "uniform".
+    annealed : bool
+        Whether attempts draw fresh thresholds, and it makes a difference.
+    barrier : Barrier
+        With b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v); `Mechanical` where heat breaks no contact.
+    aging : AgingLaw
+        Of quenched contacts, with final2 = (x_*f/x_*i)^2 and alpha = 4 D x_*i/(v x_*f^2).
+    delay : Fixed | Exponential
+        With mean v<tau>/x_*.
+    drag : float
+        eta v/(k x_*), force of a detached contact.
+    """
+
+    law: ThresholdLaw
+    stiffness: StiffnessLaw
+    annealed: bool
+    barrier: Barrier
+    aging: AgingLaw
+    delay: Fixed | Exponential
+    drag: float
+
+    @property
+    def rms(self) -> float:
+        """sqrt(<xi^2>), where k_i = k under the sqrt law."""
+        return self.law.rms / self.law.scale
+
+    @property
+    def springs(self) -> Springs:
+        """k_i/k for kernels."""
+        return Springs(0.0, self.law.scale / self.law.rms) if self.stiffness == "sqrt" else Springs(1.0, 0.0)
+
+
+@functools.lru_cache(maxsize=64)
+def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Reduced:
+    """The dimensionless numbers of an ensemble at `velocity`; births of annealed contacts that age at a finite rate
+    need their `mean_stretch` C at breaking (length).
+
+    Raises
+    ------
+    InputError
+        If a dimensionless number is out of range: the one set of limits.
+    """
+    require_number("velocity", velocity, **POSITIVE)
+    law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
+    unit, moves = law.scale, aging.active and law is ensemble.thresholds and isinstance(law, Gamma)
+    delay = ensemble.delay.reduced(velocity, unit)
+    require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
+    barrier = _barrier(ensemble, velocity, unit)
+    return Reduced(
+        law=law,
+        stiffness=ensemble.stiffness_law,
+        # identical contacts cannot tell a fresh threshold from their own
+        annealed=ensemble.disorder == "annealed" and law.steps.size != 1 and barrier.thermal,
+        barrier=barrier,
+        aging=aging.law(unit, law.n, velocity) if moves and isinstance(law, Gamma) else Unaged(),
+        delay=delay,
+        drag=drag_of(ensemble, velocity),
+    )
+
+
+def births(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> ThresholdLaw:
+    """Law of thresholds at birth: newborn ones, final ones if they age at once, or those of star1 for annealed contacts
+    of mean stretch C at breaking (length). Raises InputError."""
+    law, aging = ensemble.thresholds, ensemble.aging
+    if not aging.active or not isinstance(law, Gamma):
+        return law
+    if aging.rate == math.inf:
+        return PooledThresholds(law, aging.x_star_final, math.inf)
+    if ensemble.disorder == "quenched":
+        return law
+    if mean_stretch is None:
+        raise ValueError("annealed contacts that age need their mean stretch at breaking")
+    decay = aging.alpha(law.x_star, velocity) * mean_stretch / law.x_star
+    return PooledThresholds(law, aging.x_star_final, decay)
+
+
+def drag_of(ensemble: Ensemble, velocity: float) -> float:
+    """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond 1e100."""
+    drag = ensemble.eta / ensemble.stiffness * velocity / ensemble.thresholds.scale
+    require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
+    return drag
+
+
+def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
+    """The barrier, or none where heat breaks contacts too rarely to change any average by 1e-10. Raises InputError for
+    annealed contacts if it does and b is beyond 1e15."""
+    thermal, b = ensemble.thermal, ensemble.b
+    law = BARRIERS[thermal.barrier]
+    if thermal.attempt_frequency == 0 or math.isinf(b):
+        return Mechanical()
+    if ensemble.disorder == "quenched":
+        if b >= law.flat_out:
+            return Mechanical()
+    elif b > _LARGEST_POOLED_B:
+        if thermal.attempt_frequency / velocity * unit < 1e-11 * b:  # a life's hazard is below attempts/b
+            return Mechanical()
+        raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: must be <= {_LARGEST_POOLED_B:g} for annealed contacts")
+    log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
+    require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
+    return law(max(b, _LEAST_B), log_w)
+
+
+class Group(NamedTuple):
+    """A dimensionless group, or a scale, of a run: its usual name, value and meaning."""
+
+    name: str
+    value: float | str
+    meaning: str
+
+
+def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
+    """What decides the regime of a run."""
+    law, thermal = ensemble.thresholds, ensemble.thermal
+    unit, b, v = law.scale, ensemble.b, drive.velocity
+    found = [
+        Group("disorder", ensemble.disorder, "quenched: literal contacts; annealed: the published master equation"),
+        Group("x_star", unit, "unit of length: x_* of the threshold law, or its mean"),
+        Group("b", b, "k x_*^2 / (2 kT), barrier over temperature (nt08a)"),
+        Group("T/T_*", 0.0 if math.isinf(b) else 1.0 / b, "temperature over its crossover (nt09a)"),
+    ]
+    if thermal.attempt_frequency > 0:
+        reduced = v / (thermal.attempt_frequency * unit)
+        found.append(Group("v/(omega x_*)", reduced, "velocity in x_* per attempt"))
+    star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
+    if star > 0:
+        not_here = "" if ensemble.disorder == "annealed" else ", not of these quenched contacts"
+        found += [
+            Group(
+                "v_*", star, f"crossover velocity of the annealed ensemble{not_here}, Delta U(inf) = 1 (nt12, derived)"
+            ),
+            Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
+        ]
+    aging = ensemble.aging
+    if aging.active:
+        found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
+        found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "D_v, aging over sliding"))
+    if ensemble.delay.time > 0:
+        found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
+    if ensemble.eta > 0:
+        found.append(Group("eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"))
+    found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+    if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
+        if ensemble.stiffness_law == "sqrt":
+            text = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"
+        else:
+            text = "b >= 1/2: rare strong contacts dominate time" if b >= 0.5 else "no: b < 1/2, linear creep at low v"
+        found.append(Group("heavy tails", "yes" if b >= 0.5 or ensemble.stiffness_law == "sqrt" else "no", text))
+    return found

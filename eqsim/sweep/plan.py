@@ -1,0 +1,197 @@
+"""The points of a sweep: from a run file's [sweep] table to checked run files, each with an identity and a seed."""
+
+import functools
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eqsim.io import storage
+from eqsim.model.drive import Drive, check_output
+from eqsim.model.ensemble import Ensemble
+from eqsim.errors import InputError, require_integer, require_number, shown, under
+from eqsim.laws.threshold import Table
+from eqsim.io.runfile import RunFile, at, keys, parameters
+
+MOST_POINTS = 1_000_000
+_PACKAGE = Path(__file__).parent.parent
+
+
+class Task(NamedTuple):
+    """A point as a worker needs it; `output` its points and replicas."""
+
+    seed: int
+    ensemble: Ensemble
+    drive: Drive
+    output: tuple[int, int]
+
+
+class Plan:
+    """All points of a sweep, checked; `ids` in the order of the grid, the last axis fastest. Raises InputError."""
+
+    def __init__(self, file: RunFile, folder: Path) -> None:
+        self.file, self.folder = file, folder
+        self.axes = _axes(file.sweep, folder)
+        self.size = math.prod(len(axis) for axis in self.axes)
+        if self.size > MOST_POINTS:
+            raise InputError(f"sweep: has {self.size} points; at most {MOST_POINTS}")
+        self.ids: list[str] = []
+        seen: dict[str, int] = {}
+        for index in range(self.size):
+            try:
+                point = self.at(index)
+                ensemble, _ = point.ensemble(folder), point.driven()
+                with under("output"):
+                    check_output(point.output.points, point.output.seed, point.output.replicas)
+            except InputError as error:
+                raise InputError(f"sweep, point {index + 1} of {self.size}: {error}") from None
+            self.ids.append(identity(point, ensemble))
+            if seen.setdefault(self.ids[-1], index) != index:
+                first = seen[self.ids[-1]] + 1
+                raise InputError(f"sweep: points {first} and {index + 1} are the same ({_text(self.changes(index))})")
+
+    def changes(self, index: int) -> dict[str, Any]:
+        """What distinguishes a point from the run file."""
+        found: list[dict[str, Any]] = []
+        for axis in reversed(self.axes):
+            index, place = divmod(index, len(axis))
+            found.append(axis[place])
+        return {key: value for part in reversed(found) for key, value in part.items()}
+
+    def at(self, index: int) -> RunFile:
+        """The run file of a point."""
+        return at(self.file, self.changes(index))
+
+    def task(self, index: int) -> Task:
+        """The point for a worker."""
+        point = self.at(index)
+        output = (point.output.points, point.output.replicas)
+        return Task(seed_of(self.ids[index]), point.ensemble(self.folder), point.driven(), output)
+
+
+def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
+    """The axes of a [sweep] table: lists of what to change. Raises InputError."""
+    axes = []
+    for key, spec in entries(sweep):
+        if key == "file":
+            axes.append(_points_file(folder, spec))
+        elif key == "zip":
+            for group in spec if isinstance(spec, list) else [spec]:
+                if not isinstance(group, dict) or not group:
+                    raise InputError(
+                        'sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]'
+                    )
+                values = {name: _axis(name, part) for name, part in entries(group)}
+                if len({len(part) for part in values.values()}) > 1:
+                    lengths = ", ".join(f"{name} {len(part)}" for name, part in values.items())
+                    raise InputError(f"sweep.zip: its axes must have equal lengths; found {lengths}")
+                axes.append([dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)])
+        else:
+            axes.append([{key: value} for value in _axis(key, spec)])
+    if not axes:
+        raise InputError('sweep: the run file needs a [sweep] table, for example "drive.velocity" = [0.1, 1.0]')
+    for one, other in itertools.combinations(axes, 2):
+        both = {key for row in one for key in row} & {key for row in other for key in row}
+        if both:
+            raise InputError(f"sweep.{min(both)}: is in two axes; must be in one")
+    return axes
+
+
+def swept(file: RunFile, folder: Path) -> set[str]:
+    """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
+    return {key for axis in _axes(file.sweep, folder) for key in set.intersection(*map(set, axis))}
+
+
+def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """TOML reads the unquoted key drive.velocity as a table; take it as it was meant."""
+    sections = {key.split(".")[0] for key in keys() if "." in key}
+    for key, value in table.items():
+        if key in sections and isinstance(value, dict):
+            yield from ((f"{key}.{name}", part) for name, part in value.items())
+        else:
+            yield key, value
+
+
+def _axis(key: str, spec: Any) -> list[Any]:
+    """The values of one key: a list, { log = [first, last, count] } or { linear = [first, last, count] }."""
+    with under("sweep"):
+        at(RunFile(), {} if key in keys() else {key: 0})  # an unknown key is refused with the nearest
+    if isinstance(spec, list) and spec:
+        return spec
+    form = next(iter(spec), "") if isinstance(spec, dict) and len(spec) == 1 else ""
+    if form not in ("log", "linear"):
+        forms = "a list of values, { log = [first, last, count] } or { linear = [first, last, count] }"
+        raise InputError(f"sweep.{key} = {shown(spec)}: must be {forms}")
+    name, ends = f"sweep.{key}.{form}", spec[form]
+    if not isinstance(ends, list) or len(ends) != 3:
+        raise InputError(f"{name} = {shown(ends)}: must be [first, last, count]")
+    if keys()[key] is str:
+        raise InputError(f"{name}: this key holds text; must be a list of values")
+    first, last, count = ends
+    for value in (first, last):
+        require_number(name, value, **({"above": 0.0} if form == "log" else {"least": -1e100}), most=1e100)
+    whole = int(count) if isinstance(count, float) and count.is_integer() else count
+    require_integer(f"{name}, count", whole, 2, MOST_POINTS)
+    inner = (np.geomspace if form == "log" else np.linspace)(float(first), float(last), whole)[1:-1]
+    values = [first, *(float(f"{x:.12g}") for x in inner), last]  # 0.1 is 0.1, on any grid and any machine
+    return [round(x) for x in values] if keys()[key] is int else values
+
+
+def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
+    """Explicit points, one per row of a Parquet file; null: as in the run file. Raises InputError."""
+    import pyarrow
+    from pyarrow import parquet as pq
+
+    if not isinstance(name, str):
+        raise InputError(f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys")
+    if not (folder / name).is_file():
+        raise InputError(f"sweep.file = {folder / name}: is not a file; must be a Parquet file whose columns are keys")
+    try:
+        rows = pq.read_table(folder / name).to_pylist()
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
+        raise InputError(f"sweep.file = {folder / name}: cannot be read as Parquet ({str(error)[:100]})") from None
+    if not rows:
+        raise InputError(f"sweep.file = {folder / name}: has no rows; must have one a point")
+    for key in rows[0]:
+        with under(f"sweep.file = {name}, column"):
+            at(RunFile(), {} if key in keys() else {key: 0})
+    return [{key: value for key, value in row.items() if value is not None} for row in rows]
+
+
+def _text(changes: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {shown(value)}" for key, value in changes.items())
+
+
+@functools.cache
+def results_version() -> str:
+    """A digest of everything that numbers depend on besides a point's parameters and seed."""
+    digest = hashlib.sha256()
+    folders = ("numerics", "laws", "model", "engine", "master", "sweep")
+    files = [path for folder in folders for path in (_PACKAGE / folder).rglob("*.py")]
+    for path in sorted([*files, _PACKAGE / "estimate.py", _PACKAGE / "io" / "runfile.py"]):
+        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    known = storage.versions()
+    digest.update(" ".join(known[name] for name in ("numpy", "numba", "scipy")).encode())
+    return digest.hexdigest()[:16]
+
+
+def identity(point: RunFile, ensemble: Ensemble) -> str:
+    """SHA-256 of the sorted parameters of a point, its seed and the results version, hexadecimal. A table of
+    thresholds enters with its values, wherever its file is."""
+    values = parameters(point)
+    seed = values.pop("output.seed")
+    law = ensemble.thresholds
+    if isinstance(law, Table):
+        values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
+    text = json.dumps([values, seed, results_version()], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def seed_of(point_id: str) -> int:
+    """The random seed of a point, below 2^63."""
+    return int(point_id[:16], 16) >> 1

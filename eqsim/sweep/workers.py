@@ -1,0 +1,171 @@
+"""Who computes: worker processes of this machine, or those of a dask.distributed cluster.
+
+Both kinds of crew have a `pool` (an Executor), `slots()` (how many can work at once), `lost` (what a worker that died
+makes the pool raise), `renew()` (replace the dead) and `close(hurry)`.
+"""
+
+import json
+import logging
+import math
+import multiprocessing
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from eqsim.errors import InputError
+from eqsim.io.signals import undisturbed
+
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
+_ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
+
+
+class _Pool(ProcessPoolExecutor):
+    """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all processes of a terminal, and
+    one that is still starting would answer with a traceback. What is submitted cannot be cancelled: when workers are
+    killed, the thread that manages them stumbles over what is, and the process may never end."""
+
+    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+        with undisturbed():
+            future = super().submit(*args, **kwargs)
+        future.cancel = lambda: False  # type: ignore[method-assign]
+        return future
+
+
+class Processes:
+    """Worker processes of this machine."""
+
+    lost: tuple[type[Exception], ...] = (BrokenExecutor, MemoryError)
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self.others = set(multiprocessing.active_children())
+        self.environment = {name: os.environ.get(name) for name in _ONE_THREAD}
+        os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # read by the libraries of workers when they start
+        self.renew()
+
+    def renew(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        with undisturbed():
+            self.pool: Executor = _Pool(self.workers, context, initializer=_enlist)
+
+    def slots(self) -> int:
+        return self.workers
+
+    def close(self, hurry: bool) -> None:
+        if hurry:
+            for child in set(multiprocessing.active_children()) - self.others:
+                child.kill()
+        self.pool.shutdown(wait=not hurry, cancel_futures=True)
+        for name, value in self.environment.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _enlist() -> None:
+    """A worker leaves Ctrl-C to its parent, and does not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+class Cluster:
+    """The workers of a dask.distributed cluster; `address` of its scheduler, or of a scheduler file."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            distributed = import_module("distributed")
+        except ImportError:
+            raise InputError('--dask: needs the package "distributed" (pip install "eqsim[dask]")') from None
+        self.address = address
+        self.lost = (distributed.KilledWorker, MemoryError)
+        where = address
+        if Path(address).is_file():
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+                where = str(json.loads(Path(address).read_bytes())["address"])
+        if not re.fullmatch(_ADDRESS, where):
+            raise InputError(
+                f"--dask {address}: must be HOST:PORT of a scheduler or a file in which one wrote its address"
+            )
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost cluster is told in one line
+        try:
+            self.client = distributed.Client(address=where, timeout=15, set_as_default=False)
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise InputError(f"--dask {address}: no scheduler answers ({error})") from None
+        self.pool: Executor = self.client.get_executor(pure=False)
+        self.asked, self.known = -math.inf, 0
+
+    def renew(self) -> None:
+        """Clusters replace their own workers."""
+
+    def slots(self) -> int:
+        now = time.monotonic()
+        if now - self.asked > 1.0:
+            self.asked, self.known = now, sum(self.client.nthreads().values())
+        return max(1, self.known)
+
+    def check(self) -> None:
+        """Raise InputError unless workers are there now, all with this version of eqsim."""
+        try:
+            self.client.wait_for_workers(1, timeout=10)
+            found = {str(number) for number in self.client.run(version, "eqsim").values()}
+        except PackageNotFoundError:
+            raise InputError(f"--dask {self.address}: eqsim is not installed on its workers") from None
+        except OSError:
+            raise InputError(f"--dask {self.address}: it has no workers") from None
+        if found != {version("eqsim")}:
+            listed = ", ".join(sorted(found))
+            raise InputError(f"--dask {self.address}: its workers have eqsim {listed}, not {version('eqsim')}")
+
+    def close(self, hurry: bool) -> None:
+        self.pool.shutdown(wait=not hurry)
+        self.client.close(timeout=5)
+
+
+@contextmanager
+def crew(workers: int, dask: str | None) -> Iterator[Any]:
+    """A cluster if `dask` is given, else processes; closed at the end, at once if the work inside is broken off."""
+    found = Cluster(dask) if dask is not None else Processes(workers)
+    try:
+        yield found
+    except BaseException:
+        found.close(hurry=True)
+        raise
+    found.close(hurry=False)
+
+
+@contextmanager
+def unbroken(workers: int, dask: str | None) -> Iterator[Any]:
+    """A `crew` for work that cannot go on without one of its workers: InputError if one is lost."""
+    where = "--workers" if dask is None else f"--dask {dask}"
+    with crew(workers, dask) as found:
+        if isinstance(found, Cluster):
+            found.check()
+        try:
+            yield found
+        except (*found.lost, OSError, CancelledError) as error:
+            if isinstance(error, OSError) and dask is None:
+                raise
+            raise InputError(f"{where}: a worker was lost, perhaps for want of memory ({_said(error)})") from None
+
+
+def _said(error: BaseException) -> str:
+    return ": ".join(filter(None, (type(error).__name__, str(error))))
