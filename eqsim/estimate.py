@@ -1,8 +1,8 @@
 """Numbers with error bars, and how far they are from an exact value."""
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -31,6 +31,13 @@ class Estimate:
         return asdict(self)
 
 
+class Observable(NamedTuple):
+    """How an observable is shown."""
+
+    label: str
+    unit: str
+
+
 def known(estimate: Estimate) -> float:
     """The value of an estimate that has one."""
     if estimate.value is None:
@@ -38,16 +45,26 @@ def known(estimate: Estimate) -> float:
     return estimate.value
 
 
-OBSERVABLES = ("friction", "pinned", "break_stretch")
+def _observable(label: str, unit: str) -> Any:
+    """An observable: its name is that of the field, `label` for axes and tables, `unit` "length" or "" (a number)."""
+    return field(metadata={"label": label, "unit": unit})
 
 
 @dataclass(frozen=True)
 class Averages:
-    """Steady averages of an ensemble: friction = <F>/(N k) (length), pinned = <N_c>/N, break_stretch (length)."""
+    """Steady averages of an ensemble. Every observable is declared here, and here only: what is printed, stored and
+    plotted goes through `OBSERVABLES`."""
 
-    friction: Estimate
-    pinned: Estimate
-    break_stretch: Estimate
+    friction: Estimate = _observable("friction  <F> / (N k)", "length")
+    pinned: Estimate = _observable("pinned fraction  N_c / N", "")
+    break_stretch: Estimate = _observable("mean stretch at breaking", "length")
+
+    def averages(self) -> dict[str, Estimate]:
+        """The estimates by name."""
+        return {name: getattr(self, name) for name in OBSERVABLES}
+
+
+OBSERVABLES: dict[str, Observable] = {part.name: Observable(**part.metadata) for part in fields(Averages)}
 
 
 def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:

@@ -27,7 +27,7 @@ from eqsim.model.drive import Drive, check_output
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import Estimate, drifts, known, ratio
+from eqsim.estimate import Averages, Estimate, drifts, known, ratio
 from eqsim.numerics.tables import Array
 
 Progress = Callable[[int], None]
@@ -56,9 +56,7 @@ class Trajectory:
     pinned: Array
     pinned_stderr: Array
     force_replica_std: Array | None
-    friction: Estimate
-    pinned_fraction: Estimate
-    break_stretch: Estimate
+    averages: Averages
     lives: int
     seed: int
     engine_seconds: float
@@ -141,9 +139,10 @@ def trajectory(
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
-    friction, pinned_fraction, stretch = _second_half(total.batches / scales.batches, total.lives, count, drag)
+    late_averages = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
+    friction, pinned_now, _ = late_averages
+    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_now, late.pinned, level.pinned[0])
     enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
     return Trajectory(
         X=grid,
@@ -154,9 +153,9 @@ def trajectory(
         pinned=pinned,
         pinned_stderr=np.sqrt(pinned_variance),
         force_replica_std=std,
-        friction=_in(friction, unit, gone and enough[0]),
-        pinned_fraction=_in(pinned_fraction, 1.0, gone and enough[1]),
-        break_stretch=_in(stretch, unit, gone and enough[2]),
+        averages=Averages(
+            *(_in(one, size, gone and seen) for one, size, seen in zip(late_averages, (unit, 1.0, unit), enough, strict=True))
+        ),
         lives=total.lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
