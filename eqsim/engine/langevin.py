@@ -488,7 +488,7 @@ def lives(
 
     Paths advance side by side, one loop for each part of a step, and where one has ended the next begins.
     """
-    at, contact, life = np.full(WALKERS, -1), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
+    at, contact, life = np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
     draw, special = np.empty(WALKERS, np.int64), np.arange(WALKERS)
     room = np.zeros((16, WALKERS))
     xi, x, left, work = room[0], room[1], room[2], room[3]  # where paths are
@@ -497,7 +497,7 @@ def lives(
     passage, broke, spent, u = room[12], room[13], room[14], room[15]
     walkers = Walkers(at, contact, life, draw, along, end, passage, u)
     begun, lanes = 0, min(WALKERS, stretches.size)
-    count, broke[:] = lanes, 1.0  # idle lanes count as broken
+    count, at[:], broke[:] = lanes, -1, 1.0  # idle lanes count as broken
     while True:
         for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
             i = special[j]

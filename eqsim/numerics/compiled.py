@@ -9,7 +9,6 @@ machine code of every kernel that calls it in use. Here the cache folder carries
 
 import functools
 import hashlib
-import inspect
 import os
 import tempfile
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from typing import Any
 import numba
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic, overload, register_jitable
 
 _PACKAGE = Path(__file__).parent.parent
 
@@ -57,24 +56,24 @@ def kernel(function: Callable[..., Any]) -> Any:
         numba.config.CACHE_DIR = previous
 
 
-# Of routines that only kernels call: without what Python would need to call them, which takes long to compile, and
-# without counting references, which takes long in loops. Those that make arrays have to count.
+# Of routines that only kernels call; Python, if it calls them, interprets them. Without counting references, which takes
+# long in loops; those that make arrays have to count.
 _INNER = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a routine into its callers, so that loops over lanes of contacts can vectorise. It makes no arrays."""
-    return numba.njit(function, forceinline=True, _nrt=False, **_INNER)
+    return register_jitable(forceinline=True, _nrt=False, **_INNER)(function)
 
 
 def routine(function: Callable[..., Any]) -> Any:
     """Compile a longer routine that kernels call. It makes no arrays."""
-    return numba.njit(function, _nrt=False, **_INNER)
+    return register_jitable(_nrt=False, **_INNER)(function)
 
 
 def maker(function: Callable[..., Any]) -> Any:
     """Compile a routine that kernels call and that makes arrays."""
-    return numba.njit(function, **_INNER)
+    return register_jitable(_nrt=True, **_INNER)(function)
 
 
 def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> Any:
@@ -89,22 +88,17 @@ def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> Any:
     def call(law: Any, *arguments: Any) -> Any:
         return bodies.get(type(law), default)(law, *arguments)
 
+    @overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER}, strict=False)
     def choose(law: Any, *arguments: Any) -> Any:
-        return bodies.get(getattr(law, "instance_class", None), default)  # type: ignore[arg-type]
+        return bodies.get(getattr(law, "instance_class", type(None)), default)
 
     def register(law: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def keep(function: Callable[..., Any]) -> Callable[..., Any]:
-            bodies[law] = _bare(function)
+            bodies[law] = function
             return function
 
         return keep
 
-    def _bare(function: Callable[..., Any]) -> Callable[..., Any]:
-        function.__annotations__ = {}  # numba wants signatures to be the same
-        return function
-
-    choose.__signature__ = inspect.signature(_bare(default))  # type: ignore[attr-defined]
-    overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER})(choose)
     call.register = register  # type: ignore[attr-defined]
     return call
 
