@@ -41,7 +41,7 @@ class Workers(NamedTuple):
     the `get_executor()` of a dask client), which the caller shuts down, and how many workers it has, about."""
 
     executor: Executor
-    count: int
+    size: int
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def trajectory(
     """
     require_drive(drive)
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    workers = threads.count if isinstance(threads, Workers) else max(1, threads)
+    workers = threads.size if isinstance(threads, Workers) else max(1, threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
