@@ -242,7 +242,7 @@ class Totals:
         return int(self.status[0])
 
     def close_replica(self, scales: Scales, run: Run, contacts: int, drag: float) -> None:
-        """Note the force of the ensemble just simulated and make room for the next one."""
+        """Note the force of the ensemble just simulated and clear the sums for the next one."""
         if self.scratch is self.deposits:
             return
         force, _, _ = moments(self.scratch, scales, run, contacts, drag)
