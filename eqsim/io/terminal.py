@@ -127,7 +127,7 @@ def announcing(progress: Callable[[int, int], None], note: Callable[[str], None]
 
 
 @contextmanager
-def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, int], None]]:
+def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], None]]:
     """A progress bar on the terminal's standard error, for `progress(done, total)`; it tells when kernels are
     compiled."""
     from rich.console import Console
@@ -153,14 +153,14 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, int], No
         def on_end(self, _: Any) -> None:
             shown.update(task, description=title)
 
-    def progress(done: int, total: int) -> None:
+    def progress(done: int, total: float) -> None:
         now = time.perf_counter()
         if done == 0:
             begin.clear()
         elif not begin:
             begin.append(now)
         speed = done / (now - begin[0]) if begin and now > begin[0] else 0.0
-        description = title if unit == "lives" else f"{title} {done}/{total}"
+        description = title if unit == "lives" else f"{title} {done}/{total:.0f}"
         shown.update(task, completed=done, total=total, description=description, rate=count(speed))
 
     with shown, event.install_listener("numba:compile", Compiling()):
