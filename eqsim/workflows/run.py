@@ -123,7 +123,7 @@ def simulate(
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     return trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
-        threads=pool.slots() if pool else threads, executor=pool.executor if pool else None,
+        threads=(pool.executor, pool.slots()) if pool else threads,
         progress=lambda lives: progress(lives, expected),
     )  # fmt: skip
 
