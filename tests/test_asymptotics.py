@@ -14,7 +14,7 @@ from eqsim.master.closed_forms import C_0, Published, PublishedAging, beta, mini
 
 def solved(kT, v):
     ensemble = Ensemble(thermal=Thermal(kT), disorder="annealed", stiffness_law="uniform")
-    return reference(ensemble, v)
+    return reference(ensemble, Drive(v))
 
 
 @pytest.mark.parametrize("kT", [0.05, 0.5, 5.0])
@@ -38,7 +38,7 @@ def test_closed_forms(kT):
     assert form.dU(60.0, form.v_star) == pytest.approx(1.0, rel=1e-15, abs=0)
     C = integrate.quad(form.E_P, 0, 14.0, args=(0.7,), epsabs=1e-12)[0]
     ensemble = Ensemble(law, Thermal(kT, 5.0), stiffness=3.0, disorder="annealed", stiffness_law="uniform")
-    exact = reference(ensemble, 0.7)
+    exact = reference(ensemble, Drive(0.7))
     assert exact.break_stretch.value == pytest.approx(C, rel=1e-9, abs=0)
     assert ensemble.crossover_velocity == pytest.approx(form.v_star, rel=1e-8, abs=0)
     assert form.kT_star / kT == pytest.approx(form.b, rel=1e-15, abs=0)

@@ -8,7 +8,7 @@ import pytest
 from cases import thinned
 from scipy import integrate, interpolate, stats
 
-from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference
+from eqsim import Drive, Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference
 from eqsim.numerics.compiled import kernel
 from eqsim.engine.stationary import standing, standing_contact
 from eqsim.numerics.streams import TRAJECTORY, key, uniforms
@@ -69,7 +69,7 @@ def test_normalised(ensemble, v):
     assert x[0] * Q[0] + np.trapezoid(x * Q, np.log(x)) == pytest.approx(1.0, rel=1e-8, abs=0)
     if ensemble.stiffness_law == "uniform":
         force = np.trapezoid(x**2 * Q, np.log(x))
-        assert force == pytest.approx(reference(ensemble, v).f_k.value, rel=1e-8, abs=0)
+        assert force == pytest.approx(reference(ensemble, Drive(v)).f_k.value, rel=1e-8, abs=0)
     assert state.density(0.0) == pytest.approx(1 / state.C, rel=1e-8, abs=0)
     assert np.all(np.diff(Q) <= 1e-9 * Q[0])
 

@@ -13,7 +13,7 @@ from rows import aging
 from scipy.interpolate import CubicSpline
 
 from eqsim import Gamma, InputError
-from eqsim.master import fokker_planck, kinetic
+from eqsim.master import fokker_planck, quenched
 from eqsim.master.fokker_planck import survival
 
 ROWS = list(aging("langevin").itertuples())
@@ -88,12 +88,12 @@ def test_without_mobility(mobility, case):
     """The joint kinetic equation by quadrature, without aging. At 1e-10 the thresholds drift by 2e-10 xi/rho^2 per
     stretch, and fluctuations change rates in proportion to b: `slack` is several times the sum."""
     n, final, law = case
-    life, exact = survival(n, final, mobility, *law), kinetic.stationary(Gamma(n), *law)
+    life, exact = survival(n, final, mobility, *law), quenched.stationary(contacts(Gamma(n), *law))
     slack = 10 * mobility * max(law[2], math.sqrt(n + 1.0) / final**2, 1.0)
     assert abs(life.stretch / exact.stretch - 1) < life.stretch_error / life.stretch + 1e-11 + slack
     assert abs(life.work / exact.work - 1) < life.work_error / life.work + 1e-11 + slack
     inside = np.flatnonzero(life.x > 1e-6)[:-1]
-    profile = np.array(kinetic.survivors(Gamma(n), *law, life.x[inside]))
+    profile = np.array(quenched.survivors(contacts(Gamma(n), *law), life.x[inside]))
     assert np.all(np.abs(life.values[:, inside] - profile) < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack)
 
 
