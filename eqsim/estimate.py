@@ -32,7 +32,7 @@ class Estimate:
 
 
 class Observable(NamedTuple):
-    """How an observable is shown."""
+    """How an observable is shown: `label` on axes and in tables; `unit`, "length" or "" for a number."""
 
     label: str
     unit: str
@@ -45,19 +45,14 @@ def known(estimate: Estimate) -> float:
     return estimate.value
 
 
-def _observable(label: str, unit: str) -> Any:
-    """An observable: its name is that of the field, `label` for axes and tables, `unit` "length" or "" (a number)."""
-    return field(metadata={"label": label, "unit": unit})
-
-
 @dataclass(frozen=True)
 class Averages:
     """Steady averages of an ensemble. Every observable is declared here, and here only: what is printed, stored and
     plotted goes through `OBSERVABLES`."""
 
-    friction: Estimate = _observable("friction  <F> / (N k)", "length")
-    pinned: Estimate = _observable("pinned fraction  N_c / N", "")
-    break_stretch: Estimate = _observable("mean stretch at breaking", "length")
+    friction: Estimate = field(metadata={"label": "friction  <F> / (N k)", "unit": "length"})
+    pinned: Estimate = field(metadata={"label": "pinned fraction  N_c / N", "unit": ""})
+    break_stretch: Estimate = field(metadata={"label": "mean stretch at breaking", "unit": "length"})
 
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""

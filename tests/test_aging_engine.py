@@ -34,7 +34,7 @@ from eqsim.engine.langevin import (
 )
 from eqsim.engine.stationary import flow_ends, standing, stretches
 from eqsim.numerics.streams import key
-from eqsim.model.ensemble import lower
+from eqsim.engine.contacts import contacts as lower
 from eqsim.laws.aging import Aging
 from eqsim.master.fokker_planck import survival
 from eqsim.master.transient import transient
@@ -467,7 +467,7 @@ def test_fresh_start(name):
 @pytest.mark.parametrize("name", thinned(2, RUNS))
 def test_stationary_start(name):
     """Level from X = 0 on, at 21 points (42 scores), and in the averages over the second half (3 scores)."""
-    exact, known = reference(RUNS[name], 1.0), KNOWN[name.split()[0]]
+    exact, known = reference(RUNS[name], Drive(1.0)), KNOWN[name.split()[0]]
     result = run(name, "stationary")
     assert scores(result, exact.friction.value, exact.pinned.value, known).max() < LIMIT
     for particles, value in (
@@ -495,7 +495,7 @@ def test_delays_longer_than_any_life_in_a_stationary_start():
     ensemble = Ensemble(
         Gamma(1.0, 0.1), delay=Delay(20.0), aging=Aging("langevin", 0.1, 1.0), stiffness_law="uniform", count=4000
     )
-    found, exact = trajectory(ensemble, Drive(1.0, 4.0, "stationary"), points=9, threads=2), reference(ensemble, 1.0)
+    found, exact = trajectory(ensemble, Drive(1.0, 4.0, "stationary"), points=9, threads=2), reference(ensemble, Drive(1.0))
     assert exact.break_stretch.value < 0.5
     assert scores(found, exact.friction.value, exact.pinned.value, STEPS).max() < LIMIT
 
@@ -505,7 +505,7 @@ def test_stationary_averages_over_seeds():
     """6 seeds of N = 640, flow and sqrt law: mean (|z| < 4.5) and scatter (chi-square, p > 1e-4) of their scores are
     those of normal deviates, for each of three averages."""
     ensemble = Ensemble(**UNIT, delay=Delay(0.1), aging=Aging("flow", 0.1, 1.0), count=640)
-    exact = reference(ensemble, 1.0)
+    exact = reference(ensemble, Drive(1.0))
     runs = [trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=3, seed=seed) for seed in range(6)]
     for name, level in (
         ("friction", exact.friction), ("pinned_fraction", exact.pinned), ("break_stretch", exact.break_stretch)
@@ -527,7 +527,7 @@ def test_negative_controls(name):
     exact = fresh(name)
     result = trajectory(wrong, Drive(1.0, 2.0), points=21, threads=2)
     assert scores(result, exact.force, exact.pinned, 1e-3).max() > LIMIT
-    level = reference(ensemble, 1.0)
+    level = reference(ensemble, Drive(1.0))
     assert scores(result, level.friction.value, level.pinned.value, 1e-3).max() > 10.0
 
 
@@ -561,7 +561,7 @@ def test_a_finer_grid_sees_the_same(name):
 
 def test_grids_of_steps():
     """The sqrt law under `langevin` ends its steps at grid points: 2 and 401 points both agree with the reference."""
-    exact = reference(RUNS["langevin sqrt"], 1.0)
+    exact = reference(RUNS["langevin sqrt"], Drive(1.0))
     for points in (2, 401):
         result = run("langevin sqrt", "stationary", points)
         assert scores(result, exact.friction.value, exact.pinned.value, STEPS).max() < LIMIT + 0.5  # 802 scores
@@ -590,9 +590,9 @@ def test_conservation(name):
 def test_steady(name):
     """Steady averages to 1e-2 (paths) or 2e-4 against the reference: |z| < 4.5 in three averages. So few paths need not
     call their error bars reliable."""
-    exact, known = reference(RUNS[name], 1.0), KNOWN[name.split()[0]]
+    exact, known = reference(RUNS[name], Drive(1.0)), KNOWN[name.split()[0]]
     langevin = RUNS[name].aging.rule == "langevin" and RUNS[name].disorder == "quenched"
-    found = steady(RUNS[name], 1.0, rel_error=1e-2 if langevin else 2e-4)
+    found = steady(RUNS[name], Drive(1.0), rel_error=1e-2 if langevin else 2e-4)
     for one, level in zip((found.friction, found.pinned, found.break_stretch), (exact.friction, exact.pinned,
                           exact.break_stretch), strict=True):  # fmt: skip
         assert one.reliable or langevin
@@ -604,19 +604,19 @@ def test_limits(stiffness):
     """No aging at D -> 0; the final law at infinite rate, with the newborn rms; weaker contacts; and fluctuations that
     lower friction at large D_v."""
     base = {"thresholds": Gamma(1.0, 0.5), "thermal": Thermal(0.05), "stiffness_law": stiffness}
-    plain = steady(Ensemble(**base), 1.0, rel_error=1e-4).friction
+    plain = steady(Ensemble(**base), Drive(1.0), rel_error=1e-4).friction
     for rule, disorder in (("flow", "quenched"), ("langevin", "quenched"), ("flow", "annealed")):
         slow = Ensemble(**base, aging=Aging(rule, 1e-12, 1.0), disorder=disorder)
-        like = plain if disorder == "quenched" else steady(Ensemble(**base, disorder=disorder), 1.0).friction
-        found = steady(slow, 1.0, rel_error=2e-3).friction
+        like = plain if disorder == "quenched" else steady(Ensemble(**base, disorder=disorder), Drive(1.0)).friction
+        found = steady(slow, Drive(1.0), rel_error=2e-3).friction
         assert abs(found.value - like.value) < LIMIT * math.hypot(found.stderr, like.stderr)
     for final in (1.0, 0.2):
-        aged = steady(Ensemble(Gamma(1.0, final), Thermal(0.05), stiffness_law="uniform"), 1.0, rel_error=1e-4)
+        aged = steady(Ensemble(Gamma(1.0, final), Thermal(0.05), stiffness_law="uniform"), Drive(1.0), rel_error=1e-4)
         for disorder in ("quenched", "annealed"):
             at_once = Ensemble(
                 **(base | {"thermal": Thermal(0.0)}), aging=Aging("flow", math.inf, final), disorder=disorder
             )
-            found = steady(at_once, 1.0, rel_error=1e-4).friction
+            found = steady(at_once, Drive(1.0), rel_error=1e-4).friction
             # T = 0: <x^2>/2<x> of the final law, times <x^3>/<x> over the newborn rms for the sqrt law
             if stiffness == "uniform":
                 exact = final * 4.0 / (3.0 * math.sqrt(math.pi))
@@ -624,10 +624,10 @@ def test_limits(stiffness):
                 exact = 0.5 * 2.5 * final**2 / (0.5 * math.sqrt(2.0))
             assert abs(found.value - exact) < LIMIT * found.stderr + 1e-8
         if stiffness == "uniform":
-            found = steady(Ensemble(**base, aging=Aging("flow", math.inf, final)), 1.0, rel_error=1e-4).friction
+            found = steady(Ensemble(**base, aging=Aging("flow", math.inf, final)), Drive(1.0), rel_error=1e-4).friction
             assert abs(found.value - aged.friction.value) < LIMIT * math.hypot(found.stderr, aged.friction.stderr)
     few = [
-        steady(Ensemble(**base, aging=Aging("langevin", rate, 0.5)), 1.0, rel_error=1e-2).friction.value
+        steady(Ensemble(**base, aging=Aging("langevin", rate, 0.5)), Drive(1.0), rel_error=1e-2).friction.value
         for rate in (1e-6, 0.1, 1.0, 10.0)
     ]
     assert np.all(np.diff(few) < -0.05 * np.array(few[:-1]))
@@ -644,7 +644,7 @@ def test_flow_of_strong_cold_contacts():
     stretches(c, xi, np.ones(2000), stretch)
     assert time.thread_time() - begin < 1.0  # of some 0.01
     np.testing.assert_allclose(stretch, ends, rtol=1e-14)
-    found, exact = steady(ensemble, 1.0, rel_error=1e-2).friction, reference(ensemble, 1.0).friction
+    found, exact = steady(ensemble, Drive(1.0), rel_error=1e-2).friction, reference(ensemble, Drive(1.0)).friction
     assert abs(found.value - exact.value) < LIMIT * math.hypot(found.stderr, exact.stderr)
 
 
@@ -653,9 +653,9 @@ def test_flow_with_the_shortest_lives(v):
     """Hot contacts with the sqrt law break after 1/omega, before they have slid 1e-17 x_* or far less, while their
     thresholds grow: friction within 4.5 errors of some 3e-5. Without growth it is more than 50 errors away."""
     ensemble = Ensemble(thermal=Thermal(1000.0), aging=Aging("flow", 0.5, 3.0))
-    found = steady(ensemble, v, rel_error=1e-2).friction
-    assert abs(found.value - reference(ensemble, v).friction.value) < LIMIT * found.stderr
-    still = steady(replace(ensemble, aging=Aging()), v, rel_error=1e-2).friction
+    found = steady(ensemble, Drive(v), rel_error=1e-2).friction
+    assert abs(found.value - reference(ensemble, Drive(v)).friction.value) < LIMIT * found.stderr
+    still = steady(replace(ensemble, aging=Aging()), Drive(v), rel_error=1e-2).friction
     assert abs(still.value / found.value - 1) > 50 * found.stderr / found.value
 
 
@@ -668,5 +668,5 @@ def test_given_friction(v, annealed, flow, langevin):
         ("flow", "annealed", annealed), ("flow", "quenched", flow), ("langevin", "quenched", langevin)
     ):  # fmt: skip
         ensemble = Ensemble(Gamma(1.0, 0.1), aging=Aging(rule, 0.1, 1.0), stiffness_law="uniform", disorder=disorder)
-        found = steady(ensemble, v, rel_error=1e-2 if exact == langevin else 1e-4).friction
+        found = steady(ensemble, Drive(v), rel_error=1e-2 if exact == langevin else 1e-4).friction
         assert abs(found.value - exact) < LIMIT * found.stderr + (STEPS if exact == langevin else 1e-6) * exact

@@ -5,9 +5,13 @@ import pytest
 import scipy.stats
 from scipy import integrate
 
+from kernels import compiled
+
 from eqsim import Delay, Gamma, InputError
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.stiffness import kappa, relative_stiffness
+
+delay_draw, residual_delay_draw, kappa = (compiled(routine) for routine in (delay_draw, residual_delay_draw, kappa))
 
 MEAN = 2.5
 LAWS = ["fixed", "exponential"]

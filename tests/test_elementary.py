@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eqsim.numerics.compiled import add_row, fma, four_of, take_row
-from eqsim.laws import elementary
+from eqsim.numerics import vector_math as elementary
 
 RNG = np.random.default_rng(5)
 UNIT = RNG.random(4000)  # of (0, 1)

@@ -9,14 +9,14 @@ import scipy.stats
 from cases import thinned
 from scipy import optimize, special
 
-from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, steady
+from eqsim import Drive, Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, steady
 from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums
-from eqsim.engine.langevin import path_law
-from eqsim.engine.recorder import Run, Scales, moments, simulate
-from eqsim.engine.stationary import standing
+from eqsim.engine.recorder import Run, Scales, moments
+from eqsim.engine.simulate import simulate
+from eqsim.engine.stationary import stationary
 from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments
-from eqsim.model.ensemble import lower
+from eqsim.engine.contacts import contacts as lower
 from eqsim.estimate import difference
 from eqsim.laws.aging import Aging
 
@@ -45,7 +45,7 @@ def twin(rng, n, kT, barrier, law):
 def side_by_side(ensemble, seed, turns=8):
     """Sums of stretch and work over the lives of a kernel's lanes, turn by turn, shape (2, sums)."""
     c = lower(ensemble, V)
-    rows = [plain_sums(c, path_law(c), key(seed, STEADY), 0, turn, turn + 1)[:2] for turn in range(turns)]
+    rows = [plain_sums(c, key(seed, STEADY), 0, turn, turn + 1)[:2] for turn in range(turns)]
     return np.array(rows).T[::-1]
 
 
@@ -82,8 +82,8 @@ def test_direct_draws_have_the_law_of_the_table():
     2e5 stretches at T = 0 from sums of 512 lives, means and variances."""
     for n in (0.0, 1.0):
         named = Distribution(scipy.stats.nakagami(n + 1, scale=math.sqrt(n + 1)))
-        assert lower(Ensemble(Gamma(n)), V).exponentials == n + 1
-        assert lower(Ensemble(named), V).exponentials == 0
+        assert lower(Ensemble(Gamma(n)), V).thresholds.exponentials == n + 1
+        assert lower(Ensemble(named), V).thresholds.exponentials == 0
         direct = side_by_side(Ensemble(Gamma(n), **UNIFORM), 5, turns=400)
         table = side_by_side(Ensemble(named, **UNIFORM), 6, turns=400) * np.array([[named.scale], [named.scale**2]])
         for mine, other in zip(direct, table, strict=True):
@@ -114,7 +114,7 @@ def test_side_by_side_as_one_by_one(ensemble, start, points):
     for by_life in (False, True):
         run = Run(20.0, points, start == "stationary", by_life)
         scales, total = Scales.of(c, run, contacts, 1, 0.0), Totals(points, 1)
-        simulate(*arguments((c, standing(c), run, scales, key(2, TRAJECTORY)), total), 0, contacts)
+        simulate(*arguments((c, stationary(c), run, scales, key(2, TRAJECTORY)), total), 0, contacts)
         sums = total.batches.sum(axis=0) / scales.batches
         found.append((*moments(total.deposits, scales, run, contacts, 0.0), sums, np.array(total.lives)))
     for mine, other in zip(*found, strict=True):
@@ -134,7 +134,7 @@ PLAIN = [
 @pytest.mark.parametrize("ensemble", PLAIN)
 def test_plain_steady_agrees_with_the_default(ensemble):
     """Three scores a case, |z| < 4.5: false alarm 1e-4."""
-    plain, clever = (steady(ensemble, V, rel_error=2e-3, plain=how, seed=31) for how in (True, False))
+    plain, clever = (steady(ensemble, Drive(V), rel_error=2e-3, plain=how, seed=31) for how in (True, False))
     assert plain.reached
     for name in ("friction", "pinned", "break_stretch"):
         z = difference(getattr(plain, name), getattr(clever, name))
@@ -143,7 +143,7 @@ def test_plain_steady_agrees_with_the_default(ensemble):
 
 def test_plain_langevin():
     ensemble = Ensemble(aging=Aging("langevin", 0.1, 1.0), **UNIFORM)
-    plain, clever = (steady(ensemble, 1.0, rel_error=1e-2, plain=how, seed=3) for how in (True, False))
+    plain, clever = (steady(ensemble, Drive(1.0), rel_error=1e-2, plain=how, seed=3) for how in (True, False))
     assert abs(difference(plain.friction, clever.friction)) < 4.5
 
 
@@ -151,19 +151,19 @@ def test_plain_error_bars_and_threads():
     """200 seeds against the exact T = 0 value: unit variance of the scores (p > 1e-4); threads do not change bits, and
     seeds share no lives."""
     exact = 4 / (3 * math.sqrt(math.pi))
-    runs = [steady(Ensemble(**UNIFORM), V, rel_error=1.0, seed=seed, plain=True).friction for seed in range(200)]
+    runs = [steady(Ensemble(**UNIFORM), Drive(V), rel_error=1.0, seed=seed, plain=True).friction for seed in range(200)]
     z = np.array([(run.value - exact) / run.stderr for run in runs])
     spread = np.sum(scipy.stats.norm.ppf(scipy.stats.t.cdf(z, 31)) ** 2)
     assert 1e-4 < scipy.stats.chi2.cdf(spread, 200) < 1 - 1e-4
     assert len({run.value for run in runs}) == 200
-    one, two = (steady(Ensemble(**UNIFORM), V, plain=True, threads=threads).friction for threads in (1, 2))
+    one, two = (steady(Ensemble(**UNIFORM), Drive(V), plain=True, threads=threads).friction for threads in (1, 2))
     assert one == two
 
 
 def test_plain_refuses_and_warns():
     with pytest.raises(InputError, match="lives"):
-        steady(Ensemble(), 1.0, plain=True, max_lives=1000)
-    heavy = steady(Ensemble(thermal=Thermal(1.0)), 1e-6, rel_error=0.5, plain=True).friction
+        steady(Ensemble(), Drive(1.0), plain=True, max_lives=1000)
+    heavy = steady(Ensemble(thermal=Thermal(1.0)), Drive(1e-6), rel_error=0.5, plain=True).friction
     assert not heavy.reliable
 
 

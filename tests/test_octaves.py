@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
+from kernels import compiled
+
 from eqsim.numerics.tables import CELLS, look_up, octave_edges, octave_table
+
+look_up = compiled(look_up)
 
 EPS = np.finfo(float).eps
 

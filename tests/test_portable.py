@@ -60,7 +60,7 @@ COLUMNS = ("force", "pinned", "force_stderr", "pinned_stderr", "force_replica_st
 def averages(name, threads=1, seed=3):
     """Steady averages: the number of lives, and values and errors."""
     ensemble, drive, _ = CASES[name]
-    found = steady(ensemble, drive.velocity, rel_error=0.1, seed=seed, threads=threads)
+    found = steady(ensemble, drive, rel_error=0.1, seed=seed, threads=threads)
     level = [found.friction, found.pinned, found.break_stretch]
     return {"steady lives": found.lives, "steady": [x for e in level for x in (e.value, e.stderr)]}
 

@@ -104,14 +104,14 @@ SCALES = logarithmic(1e-12, 1e12)
 def units_scale_out_of_the_reference(e, velocity, length, time, force):
     """Rounding of the groups, some 1e-15, grows by b <= 25 times a few in the exponents: far below 1e-10. At T = 0 and
     T > 0, delay, drag and aging alike."""
-    ours, theirs = reference(e, velocity), reference(*in_units(e, velocity, length, time, force))
+    ours, theirs = reference(e, Drive(velocity)), reference(*in_units(e, velocity, length, time, force))
     np.testing.assert_allclose(values(theirs), values(ours) * [length, 1.0, length], rtol=1e-10)
 
 
 def test_units_of_the_aging_rate_matter():
     """Negative control: the property above fails where D is not scaled."""
     e = Ensemble(aging=Aging("flow", 0.3, 2.0))
-    ours, theirs = reference(e, 1.0), reference(*in_units(e, 1.0, 2.0, 1.0, 1.0, aging_too=False))
+    ours, theirs = reference(e, Drive(1.0)), reference(*in_units(e, 1.0, 2.0, 1.0, 1.0, aging_too=False))
     assert abs(theirs.friction.value / ours.friction.value / 2.0 - 1.0) > 1e-3
 
 
@@ -134,7 +134,7 @@ def powers_of_two_change_no_bit_of_the_engine(e, velocity, length, time, force):
     if e.thermal.kT > 0:
         length = time = 1.0
     other, faster = in_units(e, velocity, length, time, force)
-    ours, theirs = (steady(x, v, rel_error=0.05) for x, v in ((e, velocity), (other, faster)))
+    ours, theirs = (steady(x, Drive(v), rel_error=0.05) for x, v in ((e, velocity), (other, faster)))
     assert [*values(theirs)] == [*(values(ours) * [length, 1.0, length])]
     assert [*errors(theirs)] == [*(errors(ours) * [length, 1.0, length])]
     drive = Drive(velocity, 5.0)
@@ -160,14 +160,14 @@ WARM = logarithmic(0.02, 2.0)
 def annealed_friction_rises_with_velocity(e, velocity, factor):
     """f_k of the published master equation without aging and with k_i = k: f_k' > 0, up to the errors of both."""
     e = dataclasses.replace(e, stiffness_law="uniform")
-    slow, fast = (reference(e, v).f_k for v in (velocity, velocity * factor))
+    slow, fast = (reference(e, Drive(v)).f_k for v in (velocity, velocity * factor))
     assert fast.value >= slow.value - slow.stderr - fast.stderr
 
 
 def test_literal_friction_may_fall_with_velocity():
     """Negative control: quenched contacts with the sqrt law, given as 1.031 and .886."""
     e = Ensemble(thermal=Thermal(1.0))
-    slow, fast = (reference(e, v).f_k.value for v in (1e-4, 1e-3))
+    slow, fast = (reference(e, Drive(v)).f_k.value for v in (1e-4, 1e-3))
     assert fast < slow - 0.1
 
 
@@ -176,7 +176,7 @@ def pinned_falls_with_delay(e, velocity, tau, factor):
     """And is C/(C + v tau) (eq:ncnf) with the C of no delay, to rounding; friction without drag likewise."""
     e = dataclasses.replace(e, eta=0.0)
     none, short, long = (
-        reference(dataclasses.replace(e, delay=Delay(time, e.delay.law)), velocity) for time in (0.0, tau, factor * tau)
+        reference(dataclasses.replace(e, delay=Delay(time, e.delay.law)), Drive(velocity)) for time in (0.0, tau, factor * tau)
     )
     assert long.pinned.value < short.pinned.value < none.pinned.value == 1.0
     C = none.break_stretch.value
@@ -188,10 +188,10 @@ def pinned_falls_with_delay(e, velocity, tau, factor):
 @everywhere(10, 100, e=ensembles(temperatures=st.just(0.0), agings=FRESH), velocity=VELOCITIES, other=VELOCITIES)
 def velocity_is_nothing_to_cold_friction(e, velocity, other):
     """f_k at T = 0 without aging, whatever the delay; both ensembles are the same there."""
-    one, two = reference(e, velocity), reference(e, other)
+    one, two = reference(e, Drive(velocity)), reference(e, Drive(other))
     flipped = dataclasses.replace(e, disorder="annealed" if e.disorder == "quenched" else "quenched")
     assert one.f_k.value == pytest.approx(two.f_k.value, rel=1e-12, abs=0)
-    assert one.f_k.value == pytest.approx(reference(flipped, velocity).f_k.value, rel=1e-12, abs=0)
+    assert one.f_k.value == pytest.approx(reference(flipped, Drive(velocity)).f_k.value, rel=1e-12, abs=0)
 
 
 # ---- limits ----
@@ -206,7 +206,7 @@ def no_temperature(e, v):
     cold = dataclasses.replace(e, thermal=Thermal(0.0, 1.0, e.thermal.barrier))
     cool = dataclasses.replace(e, thermal=Thermal(1e-9, 1.0, e.thermal.barrier))
     way = (5.0 + math.log(b) + abs(math.log(w)) + w) / b
-    close(reference(cool, v), reference(cold, v), 10.0 * way ** (1.0 if e.thermal.barrier == "soft" else 2.0 / 3.0))
+    close(reference(cool, Drive(v)), reference(cold, Drive(v)), 10.0 * way ** (1.0 if e.thermal.barrier == "soft" else 2.0 / 3.0))
 
 
 @everywhere(12, 150, e=ensembles(temperatures=WARM, agings=FRESH), rarely=logarithmic(1e-9, 1e-5))
@@ -216,12 +216,12 @@ def no_attempts(e, rarely):
     cold = dataclasses.replace(e, thermal=Thermal(0.0, 1.0, e.thermal.barrier))
     never = dataclasses.replace(e, thermal=Thermal(e.thermal.kT, 0.0, e.thermal.barrier))
     seldom = dataclasses.replace(e, thermal=Thermal(e.thermal.kT, rarely, e.thermal.barrier))
-    assert reference(never, 1.0) == reference(cold, 1.0)
-    close(reference(seldom, 1.0), reference(cold, 1.0), 8.0 * rarely)
+    assert reference(never, Drive(1.0)) == reference(cold, Drive(1.0))
+    close(reference(seldom, Drive(1.0)), reference(cold, Drive(1.0)), 8.0 * rarely)
     still = dataclasses.replace(e, delay=Delay(), eta=0.0)
     close(
-        reference(still, 1.0 / rarely),
-        reference(dataclasses.replace(cold, delay=Delay(), eta=0.0), 1.0 / rarely),
+        reference(still, Drive(1.0 / rarely)),
+        reference(dataclasses.replace(cold, delay=Delay(), eta=0.0), Drive(1.0 / rarely)),
         8.0 * rarely,
     )
 
@@ -236,14 +236,14 @@ def no_attempts(e, rarely):
 def aging_to_the_same_law_is_none(e, velocity, rate):
     """x_*f = x_*i, along the flow and for annealed contacts, whose pooled law is a spline good to 2e-8 in P_c."""
     aged = dataclasses.replace(e, aging=Aging("flow", rate, 1.0))
-    close(reference(aged, velocity), reference(e, velocity), 2e-7 if e.disorder == "annealed" else 1e-8)
+    close(reference(aged, Drive(velocity)), reference(e, Drive(velocity)), 2e-7 if e.disorder == "annealed" else 1e-8)
 
 
 @everywhere(8, 60, velocity=VELOCITIES, rate=logarithmic(0.05, 1.0), final=st.floats(1.1, 2.0))
 def aging_to_another_law_is_some(velocity, rate, final):
     """Negative control of the above: stronger contacts carry more."""
     aged = Ensemble(Gamma(), aging=Aging("flow", rate, final))
-    assert reference(aged, velocity).friction.value > reference(Ensemble(Gamma()), velocity).friction.value + 1e-5
+    assert reference(aged, Drive(velocity)).friction.value > reference(Ensemble(Gamma()), Drive(velocity)).friction.value + 1e-5
 
 
 # ---- order and number ----
@@ -258,9 +258,9 @@ def order_of_a_table_is_nothing(steps, e, v, chance):
     shuffled = steps.copy()
     chance.shuffle(shuffled)
     one, other, twice = (dataclasses.replace(e, thresholds=Table(x)) for x in (steps, shuffled, steps + shuffled))
-    assert reference(one, v) == reference(other, v)
-    assert values(steady(one, v, rel_error=0.1)).tolist() == values(steady(other, v, rel_error=0.1)).tolist()
-    np.testing.assert_allclose(values(reference(twice, v)), values(reference(one, v)), rtol=1e-12)
+    assert reference(one, Drive(v)) == reference(other, Drive(v))
+    assert values(steady(one, Drive(v), rel_error=0.1)).tolist() == values(steady(other, Drive(v), rel_error=0.1)).tolist()
+    np.testing.assert_allclose(values(reference(twice, Drive(v))), values(reference(one, Drive(v))), rtol=1e-12)
 
 
 @everywhere(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from eqsim import Aging, Ensemble, Thermal
-from eqsim.engine import ramps
+from eqsim.engine import recorder as ramps
 from eqsim.engine.recorder import AREA, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments
 from eqsim.engine.stationary import extremes
-from eqsim.model.ensemble import lower
+from eqsim.engine.contacts import contacts as lower
 from eqsim.laws.aging import growth
 from eqsim.laws.stiffness import kappa
 

@@ -10,12 +10,13 @@ import pytest
 import scipy.stats
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, trajectory
-from eqsim.engine.recorder import Run, Scales, moments, simulate
+from eqsim.engine.recorder import Run, Scales, moments
+from eqsim.engine.simulate import simulate
 from eqsim.engine.scatter import births, independent, known_variance, scatter
 from eqsim.engine.stationary import FRESH
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments
-from eqsim.model.ensemble import lower
+from eqsim.engine.contacts import contacts as lower
 from eqsim.estimate import z_score
 from eqsim.master.steady import reference
 from eqsim.master.transient import fluctuations, transient
@@ -55,8 +56,8 @@ def test_moments_of_the_law(name):
     exact = transient(ensemble, Drive(v, distance * 0.987), points=38)
     force = np.interp(exact.X, X, mean)
     np.testing.assert_allclose(force, exact.force, rtol=0.05, atol=1e-7 * exact.force.max())
-    assert level[0] == pytest.approx(reference(ensemble, v).friction.value, rel=1e-3, abs=0)
-    assert spread[0] == pytest.approx(fluctuations(ensemble, v, 1.0, points=2).covariance[0], rel=1e-2, abs=0)
+    assert level[0] == pytest.approx(reference(ensemble, Drive(v)).friction.value, rel=1e-3, abs=0)
+    assert spread[0] == pytest.approx(fluctuations(ensemble, Drive(v, 1.0), points=2).covariance[0], rel=1e-2, abs=0)
     if (squares := _squares(ensemble, v, distance * 0.987, exact)) is not None:
         known, late = squares[0] - exact.force**2, exact.X > 0.3
         np.testing.assert_allclose(np.interp(exact.X, X, variance)[late], known[late], rtol=0.05, atol=0)
@@ -129,9 +130,9 @@ def test_one_contact_of_a_stationary_start():
     """Its error bar is what the law says of the stationary state, at every X."""
     ensemble = Ensemble(thermal=Thermal(0.3), count=1)
     run = trajectory(ensemble, Drive(0.1, 5.0, "stationary"), points=11)
-    spread = fluctuations(ensemble, 0.1, 1.0, points=2).covariance[0]
+    spread = fluctuations(ensemble, Drive(0.1, 1.0), points=2).covariance[0]
     np.testing.assert_allclose(run.force_stderr, run.force_stderr[0], rtol=1e-9)
-    square = spread + reference(ensemble, 0.1).friction.value ** 2
+    square = spread + reference(ensemble, Drive(0.1)).friction.value ** 2
     assert spread < run.force_stderr[0] ** 2 < spread + 4 * square  # one that was not met is added
 
 
@@ -157,7 +158,7 @@ def test_few_long_lives(count, distance, reliable):
     """kT = 1, v = 1e-3: averages over too few of the lives that matter say so; those over enough are normal: chi-square
     of 40 scores, p > 1e-4."""
     ensemble, drive = Ensemble(thermal=Thermal(1.0), count=count), Drive(1e-3, distance)
-    level = reference(ensemble, 1e-3).friction.value
+    level = reference(ensemble, Drive(1e-3)).friction.value
     runs = [trajectory(ensemble, drive, points=2, seed=seed) for seed in range(40)]
     assert {run.friction.reliable for run in runs} == {reliable}
     if reliable:
@@ -169,7 +170,7 @@ def test_few_long_lives(count, distance, reliable):
 def test_averages_of_few_lives_would_be_wrong():
     """Negative control of the count of lives: N = 1 over 4 x_*, whose errors 64 batches do not know."""
     ensemble = Ensemble(thermal=Thermal(1.0), count=1)
-    level = reference(ensemble, 1e-3).friction.value
+    level = reference(ensemble, Drive(1e-3)).friction.value
     runs = [trajectory(ensemble, Drive(1e-3, 4.0), points=2, seed=seed) for seed in range(40)]
     assert not any(run.friction.reliable for run in runs)
     assert np.mean([z_score(run.friction, level) ** 2 for run in runs]) > 3
@@ -189,7 +190,7 @@ def test_a_transient_that_is_not_over():
     """Delays of 5: after 10 the average over the second half is still far from the steady one, which its halves alone
     do not show."""
     run = trajectory(Ensemble(thermal=Thermal(0.1), delay=Delay(5.0), count=2000), Drive(1.0, 20.0), points=2)
-    assert abs(z_score(run.friction, reference(LATE, 1.0).friction.value)) > 3
+    assert abs(z_score(run.friction, reference(LATE, Drive(1.0)).friction.value)) > 3
     assert not any(found.reliable for found in (run.friction, run.pinned_fraction, run.break_stretch))
 
 

@@ -46,7 +46,7 @@ def test_reference_table(rows):
     table = []
     for row in REFERENCE[rows].itertuples():
         path = row.rule == "langevin" and row.disorder == "quenched"
-        result = steady(ensemble_of(row), row.velocity, rel_error=2e-3 if path else 1e-3, seed=11, threads=2)
+        result = steady(ensemble_of(row), Drive(row.velocity), rel_error=2e-3 if path else 1e-3, seed=11, threads=2)
         table.append(scores(row, result))
     found = [z for row in table for z in row if z is not None]
     assert len(found) > 2 * len(REFERENCE[rows])
@@ -60,7 +60,7 @@ def test_error_bars_over_seeds(name):
     """50 seeds: scores have unit variance (two-sided p > 1e-4 per observable; five rows with -m verification, false
     alarm 1e-3)."""
     row = REFERENCE[REFERENCE.id == name].iloc[0]
-    table = [scores(row, steady(ensemble_of(row), row.velocity, seed=seed)) for seed in range(50)]
+    table = [scores(row, steady(ensemble_of(row), Drive(row.velocity), seed=seed)) for seed in range(50)]
     for column in (0, 2):
         assert chi_square_tail([line[column] for line in table]) > 1e-4
 
@@ -71,13 +71,13 @@ def test_parameter_sets_at_one_seed_are_independent(changed, plain):
     """Twelve sets that differ by a millionth have the same value, and errors of their own: sums of squares about their
     mean are chi-square (p > 1e-6 below, eight tests: false alarm 1e-5). The same random draws for all would leave
     scores that differ by 1e-4 or less."""
-    exact = known(reference(Ensemble(thermal=Thermal(0.3), delay=Delay(2.0)), 0.1).friction)
+    exact = known(reference(Ensemble(thermal=Thermal(0.3), delay=Delay(2.0)), Drive(0.1)).friction)
     z = []
     for number in range(12):
         given = {"velocity": 0.1, "kT": 0.3, "n": 1.0, "delay": 2.0}
         given[changed] *= 1.0 + 1e-6 * number
         contacts = Ensemble(Gamma(given["n"]), Thermal(given["kT"]), Delay(given["delay"]))
-        found = steady(contacts, given["velocity"], rel_error=1e-2, seed=5, plain=plain).friction
+        found = steady(contacts, Drive(given["velocity"]), rel_error=1e-2, seed=5, plain=plain).friction
         z.append(z_score(found, exact))
     assert scipy.stats.chi2.cdf(np.sum((z - np.mean(z)) ** 2), 11) > 1e-6
 
@@ -100,7 +100,7 @@ def test_negative_controls(name, wrong):
     """One thing wrong, some by 2 %: the same score must cry out."""
     row = REFERENCE[REFERENCE.id == name].iloc[0]
     rel_error = 1e-4 if row.rule == "flow" and row.disorder == "quenched" else 1e-5  # lives along a flow take long
-    found = scores(row, steady(ensemble_of(row, **wrong), row.velocity, rel_error=rel_error, seed=11))
+    found = scores(row, steady(ensemble_of(row, **wrong), Drive(row.velocity), rel_error=rel_error, seed=11))
     assert max(abs(z) for z in found if z is not None) > 10
 
 
@@ -112,7 +112,7 @@ def test_zero_temperature(n):
     assert math.isclose(sqrt, (n + 1.5) / (2 * math.sqrt(n + 1)), rel_tol=1e-14)
     assert n != 1.0 or math.isclose(uniform, 4 / (3 * math.sqrt(math.pi)), rel_tol=1e-14)
     for law, exact in (("sqrt", sqrt), ("uniform", uniform)):
-        friction = steady(Ensemble(Gamma(n), stiffness_law=law), 1.0, rel_error=1e-4).friction
+        friction = steady(Ensemble(Gamma(n), stiffness_law=law), Drive(1.0), rel_error=1e-4).friction
         assert abs(z_score(friction, exact)) < 4.5
         assert math.isclose(friction.value, exact, rel_tol=1e-4)
 
@@ -120,7 +120,7 @@ def test_zero_temperature(n):
 @pytest.mark.parametrize(("velocity", "exact"), [(0.1, 0.797629), (0.01, 0.785876), (1e-6, 1.323188)])
 def test_heavy_tails(velocity, exact):
     """The default contacts at kT = 1: lifetimes are heavy-tailed, the error bar holds all the same."""
-    result = steady(Ensemble(thermal=Thermal(1.0)), velocity, rel_error=1e-4, seed=3)
+    result = steady(Ensemble(thermal=Thermal(1.0)), Drive(velocity), rel_error=1e-4, seed=3)
     assert result.reached
     assert result.friction.reliable
     assert abs(z_score(result.friction, exact, 5e-7)) < 4.5
@@ -136,7 +136,7 @@ def test_heavy_tails_need_the_proposal(monkeypatch):
         return honest(contacts)._replace(threshold=plain, clock=plain)
 
     monkeypatch.setattr(module.Proposal, "of", births)
-    friction = steady(Ensemble(thermal=Thermal(1.0)), 1e-6, rel_error=0.5).friction
+    friction = steady(Ensemble(thermal=Thermal(1.0)), Drive(1e-6), rel_error=0.5).friction
     assert not friction.reliable
     assert abs(friction.value / 1.323188 - 1) > 0.01
 
@@ -144,8 +144,8 @@ def test_heavy_tails_need_the_proposal(monkeypatch):
 def test_a_law_without_an_end_is_unreliable():
     """With a tail index just above the third moment, thresholds beyond any table still matter."""
     heavy = Distribution(scipy.stats.pareto(3.02))
-    assert not steady(Ensemble(heavy), 1.0).friction.reliable
-    assert steady(Ensemble(Distribution(scipy.stats.pareto(5.0))), 1.0).friction.reliable
+    assert not steady(Ensemble(heavy), Drive(1.0)).friction.reliable
+    assert steady(Ensemble(Distribution(scipy.stats.pareto(5.0))), Drive(1.0)).friction.reliable
 
 
 def random_tables(rng, disorder):
@@ -164,12 +164,12 @@ def test_tables(disorder):
     rng = np.random.default_rng(71 if disorder == "quenched" else 72)
     right, wrong = [], []
     for number, (contacts, v) in enumerate(random_tables(rng, disorder)):
-        found = steady(contacts, v, seed=number)
+        found = steady(contacts, Drive(v), seed=number)
         warmer = dataclasses.replace(
             contacts, thermal=dataclasses.replace(contacts.thermal, kT=1.1 * contacts.thermal.kT)
         )
         for law, scored in ((contacts, right), (warmer, wrong)):
-            exact = reference(law, v)
+            exact = reference(law, Drive(v))
             for name in ("friction", "break_stretch"):
                 value = getattr(exact, name)
                 scored.append(z_score(getattr(found, name), value.value, value.stderr))
@@ -186,7 +186,7 @@ def test_two_thresholds_without_heat(t, monkeypatch):
     exact = {"break_stretch": (weak + strong) / 2, "friction": (weak**2 + strong**2) / (2 * (weak + strong))}
 
     def largest():
-        found = [steady(contacts, 0.1, seed=seed) for seed in range(60)]
+        found = [steady(contacts, Drive(0.1), seed=seed) for seed in range(60)]
         return max(abs(z_score(getattr(one, name), value)) for one in found for name, value in exact.items())
 
     assert largest() < 5
@@ -200,12 +200,12 @@ def test_jumps_of_the_density_count_in_error_bars(law):
     than the scatter of lives (by more than 5 of its standard errors, the negative control). Quoted is a bound."""
     gap = Distribution(scipy.stats.rv_histogram(([3, 0, 1], [0.5, 1.0, 1.5, 2.0]), density=True))
     contacts = Ensemble(gap, stiffness_law=law)
-    found, exact = steady(contacts, 0.1, rel_error=1e-4), reference(contacts, 0.1)
+    found, exact = steady(contacts, Drive(0.1), rel_error=1e-4), reference(contacts, Drive(0.1))
     assert not found.reached
     for name in ("friction", "break_stretch"):  # a tenth more for the scatter, which is a hundredth of the bound
         assert abs(z_score(getattr(found, name), known(getattr(exact, name)))) < 1.1
     gap.drawn_to = 0.0
-    assert abs(z_score(steady(contacts, 0.1, rel_error=1e-4).friction, known(exact.friction))) > 5
+    assert abs(z_score(steady(contacts, Drive(0.1), rel_error=1e-4).friction, known(exact.friction))) > 5
     for smooth in (scipy.stats.uniform(0.5, 1), scipy.stats.lognorm(0.5), scipy.stats.gamma(0.3)):
         assert Distribution(smooth).drawn_to < 1e-9
 
@@ -218,7 +218,7 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier, b, velocity):
     """24 decades of velocity, 12 of b: the reference (96 scores, |z| < 4.5: false alarm 7e-4), and the T = 0 value at
     high velocity."""
     ensemble = Ensemble(thermal=Thermal(0.5 / b, 1.0, barrier), stiffness_law=stiffness_law, disorder=disorder)
-    result, solved = steady(ensemble, velocity), reference(ensemble, velocity)
+    result, solved = steady(ensemble, Drive(velocity)), reference(ensemble, Drive(velocity))
     assert result.reached
     assert result.pinned.value == 1.0
     for name in ("friction", "break_stretch"):
@@ -232,11 +232,11 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier, b, velocity):
 def test_low_velocity_limits():
     """Linear creep: annealed v (1+b)^2/omega (nt15); quenched, b < 1/2: (v/omega) ((1-b)/(1-2b))^(n+1) (derived)."""
     v = 1e-9
-    annealed = steady(Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed"), v, rel_error=1e-5)
+    annealed = steady(Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed"), Drive(v), rel_error=1e-5)
     assert abs(z_score(annealed.friction, v * 4.0)) < 4.5
     for barrier in ("soft", "stiff"):
         quenched = steady(
-            Ensemble(thermal=Thermal(2.5, 1.0, barrier), stiffness_law="uniform"), v, rel_error=1e-5
+            Ensemble(thermal=Thermal(2.5, 1.0, barrier), stiffness_law="uniform"), Drive(v), rel_error=1e-5
         )  # b = 0.2
         assert abs(z_score(quenched.friction, v * (0.8 / 0.6) ** 2)) < 4.5
 
@@ -245,14 +245,14 @@ def test_discrete_laws():
     """A table of thresholds: T = 0 sums; at T > 0 each quenched row behaves as identical contacts do, and annealed
     attempts follow dU, integrated here without any closed form."""
     xi = np.array([0.4, 0.7, 0.7, 1.9])
-    cold = steady(Ensemble(Table(xi), stiffness_law="uniform"), 1.0, rel_error=1e-5)
+    cold = steady(Ensemble(Table(xi), stiffness_law="uniform"), Drive(1.0), rel_error=1e-5)
     assert abs(z_score(cold.friction, (xi**2).sum() / 2 / xi.sum())) < 4.5
     thermal = Thermal(0.1)
-    rows = [steady(Ensemble(Delta(x), thermal, stiffness_law="uniform"), 0.1, rel_error=1e-5) for x in xi]
+    rows = [steady(Ensemble(Delta(x), thermal, stiffness_law="uniform"), Drive(0.1), rel_error=1e-5) for x in xi]
     lives = np.array([row.break_stretch.value for row in rows])
     work = np.array([row.friction.value for row in rows]) * lives
     # four rows, each known to 1e-5 in two observables: at most 1.5e-5 in the ratio
-    quenched = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform"), 0.1, rel_error=1e-5)
+    quenched = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform"), Drive(0.1), rel_error=1e-5)
     assert abs(z_score(quenched.friction, work.sum() / lives.sum(), 1e-5 * 1.5)) < 4.5
 
     def survival(x):
@@ -267,7 +267,7 @@ def test_discrete_laws():
     pieces = [(g, np.array([survival(x) for x in np.clip(g, g[0] + 1e-12, g[-1] - 1e-12)])) for g in grid]
     mean = sum(integrate.simpson(s, x=g) for g, s in pieces)
     first = sum(integrate.simpson(g * s, x=g) for g, s in pieces)
-    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), 0.1, rel_error=1e-4)
+    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), Drive(0.1), rel_error=1e-4)
     assert abs(z_score(annealed.break_stretch, mean, 1e-6)) < 4.5
     assert abs(z_score(annealed.friction, first / mean, 1e-6)) < 4.5
 
@@ -276,8 +276,8 @@ def test_scipy_laws():
     """Weibull thresholds with shape 2 are the gamma family with n = 0."""
     for disorder in ("quenched", "annealed"):
         given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
-        ours = steady(Ensemble(Gamma(0.0), **given), 0.1, rel_error=1e-5)
-        theirs = steady(Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given), 0.1, rel_error=1e-5)
+        ours = steady(Ensemble(Gamma(0.0), **given), Drive(0.1), rel_error=1e-5)
+        theirs = steady(Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given), Drive(0.1), rel_error=1e-5)
         for name in OBSERVABLES:
             assert abs(difference(getattr(ours, name), getattr(theirs, name))) < 4.5
 
@@ -285,18 +285,18 @@ def test_scipy_laws():
 def test_viscosity_and_delay():
     """friction = elastic part + (eta v/k)(1 - pinned), whatever the law of the delay."""
     base = Ensemble(thermal=Thermal(0.1), delay=Delay(3.0), stiffness=2.0)
-    dry = steady(base, 0.5, rel_error=1e-5)
-    wet = steady(Ensemble(thermal=Thermal(0.1), delay=Delay(3.0), stiffness=2.0, eta=4.0), 0.5, rel_error=1e-5)
+    dry = steady(base, Drive(0.5), rel_error=1e-5)
+    wet = steady(Ensemble(thermal=Thermal(0.1), delay=Delay(3.0), stiffness=2.0, eta=4.0), Drive(0.5), rel_error=1e-5)
     drag = 4.0 * 0.5 / 2.0 * (1 - dry.pinned.value)
     assert math.isclose(wet.friction.value, dry.friction.value + drag, rel_tol=1e-12)
     exponential = Ensemble(thermal=Thermal(0.1), delay=Delay(3.0, "exponential"), stiffness=2.0)
-    assert abs(difference(steady(exponential, 0.5, rel_error=1e-5).friction, dry.friction)) < 4.5
+    assert abs(difference(steady(exponential, Drive(0.5), rel_error=1e-5).friction, dry.friction)) < 4.5
 
 
 def test_asked_for_precision_and_threads():
-    loose = steady(Ensemble(thermal=Thermal(1.0)), 0.01, rel_error=1e-2, threads=1)
-    tight = steady(Ensemble(thermal=Thermal(1.0)), 0.01, rel_error=3e-6, threads=2)
-    again = steady(Ensemble(thermal=Thermal(1.0)), 0.01, rel_error=3e-6, threads=1)
+    loose = steady(Ensemble(thermal=Thermal(1.0)), Drive(0.01), rel_error=1e-2, threads=1)
+    tight = steady(Ensemble(thermal=Thermal(1.0)), Drive(0.01), rel_error=3e-6, threads=2)
+    again = steady(Ensemble(thermal=Thermal(1.0)), Drive(0.01), rel_error=3e-6, threads=1)
     assert tight.lives > loose.lives
     for name in OBSERVABLES:
         assert getattr(tight, name).stderr <= 3e-6 * getattr(tight, name).value
@@ -305,13 +305,13 @@ def test_asked_for_precision_and_threads():
 
 def test_refusals():
     with pytest.raises(InputError, match="lives"):
-        steady(Ensemble(thermal=Thermal(1.0)), 0.01, max_lives=1000)
+        steady(Ensemble(thermal=Thermal(1.0)), Drive(0.01), max_lives=1000)
     with pytest.raises(InputError, match="velocity"):
-        steady(Ensemble(), 0.0)
+        steady(Ensemble(), Drive(0.0))
     with pytest.raises(InputError, match="rel_error"):
-        steady(Ensemble(), 1.0, rel_error=-1.0)
+        steady(Ensemble(), Drive(1.0), rel_error=-1.0)
     with pytest.raises(InputError, match="velocity"):
-        steady(Ensemble(thermal=Thermal(1.0)), 1e-200)
+        steady(Ensemble(thermal=Thermal(1.0)), Drive(1e-200))
 
 
 def test_error_of_a_ratio():
@@ -412,10 +412,10 @@ def test_rare_clocks(kT, odds, monkeypatch):
     thermal = Thermal(kT=kT)
     velocity = math.exp(float(log_hazard("soft", 1.0, 1.0, 0.5 / kT))) / odds
     ensemble = Ensemble(Delta(1.0), thermal, stiffness_law="uniform")
-    exact = known(reference(ensemble, velocity).friction)
+    exact = known(reference(ensemble, Drive(velocity)).friction)
 
     def z(rel_error, seed=3):
-        found = steady(ensemble, velocity, rel_error=rel_error, seed=seed).friction
+        found = steady(ensemble, Drive(velocity), rel_error=rel_error, seed=seed).friction
         return (known(found) - exact) / found.stderr
 
     assert abs(z(1e-3)) < 4
@@ -432,7 +432,7 @@ def test_early_clocks_show_in_every_error_bar(monkeypatch):
     ensemble = Ensemble(Gamma(0.0), Thermal(0.0012, barrier="stiff"), disorder="annealed")
 
     def spread():
-        errors = [steady(ensemble, 45.0, rel_error=1e-2, seed=seed).friction.stderr for seed in range(50)]
+        errors = [steady(ensemble, Drive(45.0), rel_error=1e-2, seed=seed).friction.stderr for seed in range(50)]
         return max(errors) / min(errors)
 
     assert spread() < 3.0

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from eqsim.engine import streams
+from kernels import compiled
+
+from eqsim.numerics import streams
 from eqsim.numerics.streams import (
     ROUGH,
     STEADY,
@@ -19,6 +21,8 @@ from eqsim.numerics.streams import (
     uniform,
     uniforms,
 )
+
+uniforms, uniform = (compiled(routine) for routine in (uniforms, uniform))
 
 MASK = 0xFFFFFFFF
 # Random123, kat_vectors, philox4x32 of 10 rounds: counter, key, result

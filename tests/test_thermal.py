@@ -9,6 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
+from kernels import compiled
 from cases import thinned
 from scipy import integrate, interpolate, special
 
@@ -16,7 +17,7 @@ from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Therm
 from eqsim.engine.lanes import lives
 from eqsim.engine.steady import _POOLED_STEPS
 from eqsim.numerics.streams import TRAJECTORY, key, uniforms
-from eqsim.model.ensemble import lower
+from eqsim.engine.contacts import contacts as lower
 from eqsim.numerics.tables import look_up
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.thermal import (
@@ -33,6 +34,8 @@ from eqsim.laws.thermal import (
     soft_stretch,
     stiff_stretch,
 )
+
+look_up, uniforms = (compiled(routine) for routine in (look_up, uniforms))
 
 EPS = np.finfo(float).eps
 BARRIERS = ["soft", "stiff"]

@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from kernels import compiled
+
 from eqsim import Delta, Distribution, Gamma, InputError, Table
 from eqsim.numerics.streams import TRAJECTORY, key, uniforms
 from eqsim.numerics.tables import CELLS
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, threshold_draw
+
+uniforms, threshold_draw = (compiled(routine) for routine in (uniforms, threshold_draw))
 
 EPS = np.finfo(float).eps
 SMALLEST, LARGEST = 2.0**-64, 1.0 - 2.0**-53  # of the uniforms a kernel sees

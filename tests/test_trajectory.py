@@ -26,11 +26,12 @@ from eqsim import (
     steady,
     trajectory,
 )
-from eqsim.engine.recorder import Run, Scales, moments, simulate
-from eqsim.engine.stationary import standing
+from eqsim.engine.recorder import Run, Scales, moments
+from eqsim.engine.simulate import simulate
+from eqsim.engine.stationary import stationary
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments, predicted_lives
-from eqsim.model.ensemble import lower
+from eqsim.engine.contacts import contacts as lower
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
 
@@ -104,7 +105,7 @@ def test_strong_drag_between_replicas():
     """Drag far above every elastic force: Var(F) N = drag^2 pinned (1 - pinned) to 1 %, whatever the springs do."""
     ensemble = Ensemble(delay=Delay(1.0), count=200, eta=1000.0, **UNIFORM)
     result = trajectory(ensemble, Drive(1.0, 40.0, "stationary"), points=5, replicas=400)
-    pinned = steady(ensemble, 1.0).pinned.value
+    pinned = steady(ensemble, Drive(1.0)).pinned.value
     expected = 1000.0 * math.sqrt(pinned * (1 - pinned) / 200)
     assert np.mean(result.force_replica_std) == pytest.approx(expected, rel=0.01 + 4.5 / math.sqrt(2 * 400 * 5), abs=0)
 
@@ -138,7 +139,7 @@ def test_agrees_with_steady(ensemble, start):
     """Second-half averages against the steady estimate (three scores a case, |z| < 4.5: false alarm 3e-4 in all); a
     stationary start is level from the first point on (chi-square over distant points, p > 1e-4)."""
     mean = ensemble.thresholds.mean
-    level = steady(ensemble, 0.1, rel_error=1e-4)
+    level = steady(ensemble, Drive(0.1), rel_error=1e-4)
     result = trajectory(ensemble, Drive(0.1, 40 * mean, start), points=11, seed=8, threads=2)
     pairs = [
         (result.friction, level.friction),
@@ -174,9 +175,9 @@ def test_a_snapshot_of_the_stationary_state(ensemble):
     errors low."""
     count = 40_000 if ensemble.aging.active else 400_000
     found = trajectory(dataclasses.replace(ensemble, count=count), Drive(0.1, 1e-6, "stationary"), points=2, seed=3)
-    exact = reference(ensemble, 0.1).friction.value
+    exact = reference(ensemble, Drive(0.1)).friction.value
     assert abs(found.force[0] - exact) < 4.5 * found.force_stderr[0]
-    variance = fluctuations(ensemble, 0.1, 1.0, points=2).covariance[0]
+    variance = fluctuations(ensemble, Drive(0.1, 1.0), points=2).covariance[0]
     assert found.force_stderr[0] ** 2 * count == pytest.approx(variance, rel=4.5 * math.sqrt(3.0 / count) + 1e-5, abs=0)
 
 
@@ -185,7 +186,7 @@ def test_a_stationary_start_stays_level(law):
     """Also while contacts that were found detached wait for the rest of their delay, and not for a whole one: force and
     pinned fraction at 21 points over two delays, |z| < 4.5 in 84 scores (false alarm 6e-4)."""
     ensemble = Ensemble(count=200_000, delay=Delay(1.0, law), eta=0.5, **UNIFORM)
-    found, exact = trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=21, seed=4), reference(ensemble, 1.0)
+    found, exact = trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=21, seed=4), reference(ensemble, Drive(1.0))
     assert np.abs((found.force - exact.friction.value) / found.force_stderr).max() < 4.5
     assert np.abs((found.pinned - exact.pinned.value) / found.pinned_stderr).max() < 4.5
 
@@ -193,7 +194,7 @@ def test_a_stationary_start_stays_level(law):
 def test_wrong_start_fails():
     """Negative control: births instead of survivors at X = 0 are far from the steady value at small X."""
     ensemble = Ensemble(thermal=Thermal(0.1))
-    level = steady(ensemble, 0.1).friction.value
+    level = steady(ensemble, Drive(0.1)).friction.value
     result = trajectory(ensemble, Drive(0.1, 4.0), points=11)
     assert abs(result.force[1] - level) > 20 * result.force_stderr[1]
 
@@ -213,7 +214,7 @@ def test_quoted_error_is_the_scatter(count):
     20 % smaller or larger fail: what two contacts more add to an error bar is 2 % of a variance there, less than the
     scatter of a chi-square; at N = 50 error bars may be too large."""
     ensemble, drive = Ensemble(thermal=Thermal(0.2), count=count, delay=Delay(5.0)), Drive(0.1, 20.0)
-    exact, level = transient(ensemble, drive, points=6), reference(ensemble, 0.1)
+    exact, level = transient(ensemble, drive, points=6), reference(ensemble, Drive(0.1))
     runs = [trajectory(ensemble, drive, points=6, seed=seed) for seed in range(500)]
     found = []
     for name in ("force", "pinned"):
@@ -235,7 +236,7 @@ def test_quoted_error_is_the_scatter(count):
 def test_few_contacts_use_lives_as_samples():
     """One contact: batches of whole lives, and honest words when there is too little to go by."""
     long = trajectory(Ensemble(count=1, delay=Delay(1.0)), Drive(1.0, 20_000.0), seed=4)
-    level = steady(Ensemble(count=1, delay=Delay(1.0)), 1.0, rel_error=1e-5)
+    level = steady(Ensemble(count=1, delay=Delay(1.0)), Drive(1.0), rel_error=1e-5)
     assert long.friction.reliable
     assert abs(z_score(long.friction, level.friction.value)) < 4.5
     short = trajectory(Ensemble(count=1), Drive(1.0, 5.0), seed=4)
@@ -288,7 +289,7 @@ def test_same_bits_for_any_blocks(start):
     c = lower(ensemble, 0.1)
     run = Run(10.0, 101, start == "stationary", False)
     scales = Scales.of(c, run, 300, 1, 0.0)
-    table = standing(c)
+    table = stationary(c)
     sums = []
     for size in (1, 37, 128, 300):
         total = Totals(101, 1)
@@ -313,7 +314,7 @@ def test_a_contact_does_not_depend_on_the_others():
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1, 0.0)
     second = Totals(101, 1)
-    simulate(*arguments((c, standing(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
+    simulate(*arguments((c, stationary(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), rtol=0, atol=1e-12)
 

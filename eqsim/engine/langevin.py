@@ -64,8 +64,8 @@ class Path(NamedTuple):
 
     key: Key
     contact: int
-    life: int
-    draw: int
+    life: Any
+    draw: Any
     xi: float
     x: float
     left: float
@@ -194,7 +194,8 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the thermal rate now, and the slope
     of the barrier over 2 kT with the threshold."""
     step = path_step(c.barrier) * step
-    variance = 0.5 * c.aging.alpha * c.aging.final2  # 2 D_v, per unit of displacement
+    alpha = c.aging.alpha
+    variance = 0.5 * alpha * c.aging.final2  # 2 D_v, per unit of displacement
     sigma, gap = math.sqrt(variance), max(xi - x, 1e-16 * xi)  # rounding may leave nothing
     speed = 1.0 + max(0.0, variance * (xi / c.aging.final2 - (c.aging.shape + 0.5) / xi))
     h = min(max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed)), most)
@@ -208,7 +209,7 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     quiet = max(barrier - c.barrier.log_w - log(gap), 0.0)  # -ln of the hazard of a way as long as the gap
     h = min(h, max(
         reaches(max(quiet - _UNSEEN, 0.0) / slope, sigma / step, speed),
-        min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / c.aging.alpha),
+        min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / alpha),
     ))  # fmt: skip
     # what comes long after the clock has stopped says little about when it stops
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
@@ -480,15 +481,13 @@ def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
 
 
 @maker
-def lives(
-    c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array
-) -> None:
+def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array) -> None:
     """`life` of many contacts' lives `numbers`, to the same bits: `stretches` at breaking in the place of thresholds at
     birth, and `works` in the place of clocks.
 
     Paths advance side by side, one loop for each part of a step, and where one has ended the next begins.
     """
-    at, contact, life = np.full(WALKERS, -1), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
+    at, contact, life = np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
     draw, special = np.empty(WALKERS, np.int64), np.arange(WALKERS)
     room = np.zeros((16, WALKERS))
     xi, x, left, work = room[0], room[1], room[2], room[3]  # where paths are
@@ -497,7 +496,7 @@ def lives(
     passage, broke, spent, u = room[12], room[13], room[14], room[15]
     walkers = Walkers(at, contact, life, draw, along, end, passage, u)
     begun, lanes = 0, min(WALKERS, stretches.size)
-    count, broke[:] = lanes, 1.0  # idle lanes count as broken
+    count, at[:], broke[:] = lanes, -1, 1.0  # idle lanes count as broken
     while True:
         for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
             i = special[j]

@@ -280,9 +280,7 @@ def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: C
 
 
 @routine
-def follow_growth(
-    c: Contacts, recorder: Recorder, batch: int, stiffness: float, born: float, stretch: float
-) -> None:
+def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float, born: float, stretch: float) -> None:
     """What a contact leaves whose stiffness, `stiffness` at birth, follows its threshold along `flow`."""
     run, law = recorder.run, c.aging
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal, special
 
+from eqsim.engine.contacts import Contacts
 from eqsim.engine.lanes import lives
 from eqsim.numerics.streams import key
-from eqsim.engine.contacts import Contacts
 from eqsim.numerics.tables import Array
 
 _NODES = 1024  # of a lattice

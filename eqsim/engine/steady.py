@@ -28,20 +28,20 @@ import numpy as np
 from scipy import integrate, interpolate
 from scipy.stats import qmc
 
-from eqsim.numerics.compiled import kernel
-from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
 from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
 from eqsim.engine.langevin import STEP, STEP_ERROR
-from eqsim.numerics.streams import STEADY, Key, key, name_of
+from eqsim.errors import InputError, require_number
+from eqsim.estimate import Averages, Estimate, known
+from eqsim.laws.barrier.pooled import Pooled
+from eqsim.laws.threshold import Distribution
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.errors import POSITIVE, InputError, require_number
-from eqsim.estimate import Averages, Estimate, known
-from eqsim.numerics.vector_math import exp
+from eqsim.numerics.compiled import kernel
+from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
-from eqsim.laws.barrier.pooled import Pooled
-from eqsim.laws.threshold import Distribution
+from eqsim.numerics.vector_math import exp
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time

@@ -15,19 +15,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.engine.lanes import rough_stretch, typical_lives
 from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import rough_stretch, typical_lives
 from eqsim.engine.recorder import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Recorder, Run, Scales, moments
 from eqsim.engine.scatter import ENOUGH, Scatter, births, independent, known_variance, scatter
 from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import FRESH, Stationary, stationary
 from eqsim.engine.steady import settled
-from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.errors import InputError, require_number
+from eqsim.estimate import Averages, Estimate, drifts, known, ratio
 from eqsim.model.drive import Drive, check_output
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.errors import InputError, require_number
-from eqsim.estimate import Averages, Estimate, drifts, known, ratio
+from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 Progress = Callable[[int], None]
@@ -139,10 +139,10 @@ def trajectory(
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
-    late_averages = _second_half(total.batches / scales.batches, total.lives, count, drag)
+    second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    friction, pinned_now, _ = late_averages
-    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_now, late.pinned, level.pinned[0])
+    friction, pinned_fraction, _ = second_half
+    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
     enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
     return Trajectory(
         X=grid,
@@ -154,7 +154,10 @@ def trajectory(
         pinned_stderr=np.sqrt(pinned_variance),
         force_replica_std=std,
         averages=Averages(
-            *(_in(one, size, gone and seen) for one, size, seen in zip(late_averages, (unit, 1.0, unit), enough, strict=True))
+            *(
+                _in(one, size, gone and seen)
+                for one, size, seen in zip(second_half, (unit, 1.0, unit), enough, strict=True)
+            )
         ),
         lives=total.lives,
         seed=seed,

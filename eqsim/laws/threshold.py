@@ -14,10 +14,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy import special
 
-from eqsim.numerics.compiled import inlined
 from eqsim.errors import POSITIVE, InputError, require_number
-from eqsim.numerics.vector_math import log
+from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+from eqsim.numerics.vector_math import log
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
 FIRST_OCTAVE, LAST_OCTAVE = -54, 9

@@ -78,6 +78,7 @@ class Ensemble:
         thermal = self.thermal
         if math.isinf(self.b) or thermal.attempt_frequency == 0:
             return 0.0
-        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, BARRIERS[thermal.barrier], self.b)
+        barrier: Any = BARRIERS[thermal.barrier]
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, self.b)
         total = pool.G[-1] if pool.G.size else 0.0  # no attempt succeeds at very low temperature
         return float(thermal.attempt_frequency * self.thresholds.scale * total)

@@ -9,18 +9,18 @@ machine code of every kernel that calls it in use. Here the cache folder carries
 
 import functools
 import hashlib
-import inspect
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic, overload, register_jitable
 
+Body = TypeVar("Body", bound=Callable[..., Any])
 _PACKAGE = Path(__file__).parent.parent
 
 
@@ -57,27 +57,36 @@ def kernel(function: Callable[..., Any]) -> Any:
         numba.config.CACHE_DIR = previous
 
 
-# Of routines that only kernels call: without what Python would need to call them, which takes long to compile, and
-# without counting references, which takes long in loops. Those that make arrays have to count.
+# Of routines that only kernels call; Python, if it calls them, interprets them. They do not count references, which
+# takes long in loops, unless they make arrays.
 _INNER = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a routine into its callers, so that loops over lanes of contacts can vectorise. It makes no arrays."""
-    return numba.njit(function, forceinline=True, _nrt=False, **_INNER)
+    return register_jitable(forceinline=True, _nrt=False, **_INNER)(function)
 
 
 def routine(function: Callable[..., Any]) -> Any:
     """Compile a longer routine that kernels call. It makes no arrays."""
-    return numba.njit(function, _nrt=False, **_INNER)
+    return register_jitable(_nrt=False, **_INNER)(function)
 
 
 def maker(function: Callable[..., Any]) -> Any:
     """Compile a routine that kernels call and that makes arrays."""
-    return numba.njit(function, **_INNER)
+    return register_jitable(_nrt=True, **_INNER)(function)
 
 
-def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> Any:
+class LawRoutine(Protocol):
+    """What `by_law` makes."""
+
+    def __call__(self, law: Any, *arguments: Any) -> Any: ...
+
+    def register(self, law: type) -> Callable[[Body], Body]:
+        """A decorator for the body that a law has."""
+
+
+def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> LawRoutine:
     """A kernel routine with a body for each type of law, its first argument, as `functools.singledispatch` has them:
     laws register theirs with `@name.register(Law)`. `default`, which every other law has, may raise TypeError.
 
@@ -90,23 +99,20 @@ def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> Any:
         return bodies.get(type(law), default)(law, *arguments)
 
     def choose(law: Any, *arguments: Any) -> Any:
-        return bodies.get(getattr(law, "instance_class", None), default)  # type: ignore[arg-type]
+        return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    def register(law: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        def keep(function: Callable[..., Any]) -> Callable[..., Any]:
-            bodies[law] = _bare(function)
+    overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER}, strict=False)(choose)
+
+    def register(law: type) -> Callable[[Body], Body]:
+        def keep(function: Body) -> Body:
+            bodies[law] = function
             return function
 
         return keep
 
-    def _bare(function: Callable[..., Any]) -> Callable[..., Any]:
-        function.__annotations__ = {}  # numba wants signatures to be the same
-        return function
-
-    choose.__signature__ = inspect.signature(_bare(default))  # type: ignore[attr-defined]
-    overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER})(choose)
-    call.register = register  # type: ignore[attr-defined]
-    return call
+    made = cast(LawRoutine, call)
+    made.register = register  # type: ignore[method-assign]
+    return made
 
 
 def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
