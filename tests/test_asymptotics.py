@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, special
 
-from eqsim import Ensemble, InputError, Thermal, reference
-from eqsim.laws.thermal import pooled_rate
+from eqsim import Drive, Ensemble, InputError, Thermal, reference
+from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma
 from eqsim.master.closed_forms import C_0, Published, PublishedAging, beta, minimum_velocity
 
@@ -30,7 +31,7 @@ def test_closed_forms(kT):
     np.testing.assert_allclose(form.P(x), form.P_c(x) / form.J_c(x), rtol=1e-12)
     np.testing.assert_allclose(form.U(x), -np.log(form.J_c(x)), rtol=1e-12, atol=4e-16)
     np.testing.assert_allclose(
-        form.H(x, 0.7), 5.0 / 0.7 * pooled_rate(law, "uniform", "soft", form.b, x / 2.0), rtol=1e-8
+        form.H(x, 0.7), 5.0 / 0.7 * pooled_rate(law, "uniform", BARRIERS["soft"], form.b, x / 2.0), rtol=1e-8
     )
     np.testing.assert_allclose(
         form.dU(x, 0.7), [integrate.quad(form.H, 0, end, args=(0.7,), epsabs=1e-13)[0] for end in x], rtol=1e-9

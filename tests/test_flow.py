@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from cases import thinned
+from reduced_cases import barrier_of, contacts
 from rows import aging
 from scipy import integrate, optimize
 from scipy.interpolate import CubicSpline
@@ -110,12 +111,12 @@ def test_single_contacts(barrier, stiffness):
         (0.3, 3.0, 10.0, 20.0),
         (2.0, -1.0, 1, 1),
     ]:
-        c = flow.Contact(stiffness, barrier, b, log_w, final, alpha, LAW.rms)
-        moments, errors = flow.life_moments(c, xi0)
+        moments, errors = flow.life_moments(contacts(LAW, stiffness, barrier, b, log_w, final, alpha), xi0)
         plain = np.transpose([contact(stiffness, barrier, b, log_w, final, alpha, float(xi)) for xi in xi0])
         np.testing.assert_allclose(moments, plain, rtol=1e-8)
         assert np.all(errors < 1e-9 * moments)
-        off = c._replace(b=1.01 * b) if final == 1 else c._replace(alpha=1.01 * alpha)
+        more_b, more_alpha = (1.01, 1.0) if final == 1 else (1.0, 1.01)
+        off = contacts(LAW, stiffness, barrier, more_b * b, log_w, final, more_alpha * alpha)
         assert np.all(np.abs(flow.life_moments(off, xi0)[0] / plain - 1).max(axis=1) > 1e-5)
 
 
@@ -123,7 +124,7 @@ def test_single_contacts(barrier, stiffness):
 def test_single_contacts_reject_stiffness_frozen_at_birth(barrier):
     """With the sqrt law k_i follows the current threshold; thresholds that grow threefold show it beyond any error."""
     case = ("sqrt", barrier, 1.0, 1.0, 3.0, 0.7)
-    moments, _ = flow.life_moments(flow.Contact(*case, LAW.rms), np.array([1.5]))
+    moments, _ = flow.life_moments(contacts(LAW, *case), np.array([1.5]))
     assert np.all(np.abs(contact(*case, 1.5, frozen=True) / moments[:, 0] - 1) > 0.01)
 
 
@@ -186,7 +187,7 @@ def test_survivors_without_aging(barrier):
 
             def term(xi, xj=xj, power=power):
                 a = 40.0 * xi / LAW.rms
-                alive = quenched.survival(barrier, np.array([xj]), np.array([xi]), np.array([a]), 8.0)[0]
+                alive = quenched.survival(barrier_of(barrier, 1.0, 8.0), np.array([xj]), np.array([xi]), np.array([a]))[0]
                 return float(LAW.pdf(xi)) * float(alive) * (xi / LAW.rms) ** power
 
             edges = xj + np.append(0.0, np.geomspace(1e-4, 7.0, 60))

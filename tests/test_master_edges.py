@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import scipy.stats
 from cases import thinned
+from reduced_cases import barrier_of, contacts
 from scipy import integrate, optimize, special
 
 from eqsim import Distribution, Gamma, Table
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.thermal import log_hazard
 from eqsim.master import annealed, flow, quenched
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
@@ -23,7 +23,7 @@ def exponent(barrier, x, xi, a):
 
 
 def rate(barrier, x, xi, a):
-    """The bare rate of `laws.thermal`, whose integrals are closed forms there."""
+    """The bare rate of `laws.barrier`, whose integrals are closed forms there."""
     return (1.0 if barrier == "soft" else math.sqrt(1 - x / xi)) * math.exp(-exponent(barrier, x, xi, a))
 
 
@@ -246,13 +246,14 @@ def test_quenched_errors_cover_a_refined_result(monkeypatch):
 
 
 def test_levels_are_where_the_hazard_says():
-    """Stiff: (omega/v) H at the stretches of `_stretch_at` is exp(level) to 1e-12 however short the lives."""
+    """Stiff: (omega/v) H at the stretches of `stretch_at` is exp(level) to 1e-12 however short the lives."""
     xi, log_w = np.array([0.1, 1.0, 3.0]), 50.0
     for b in (1e-3, 1.0, 1e3):
         a = np.full(3, b)
-        x = quenched._stretch_at("stiff", xi, a, log_w)
+        stiff = barrier_of("stiff", 1.0, log_w)
+        x = stiff.stretch_at(quenched._LEVELS, xi, a)
         inside = x < xi[:, None]
-        reached = log_hazard("stiff", np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
+        reached = stiff.log_hazard(np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
         far = inside & (x < 0.9 * xi[:, None])
         np.testing.assert_allclose(reached[far], np.broadcast_to(quenched._LEVELS, x.shape)[far], rtol=0, atol=1e-10)
 
@@ -316,6 +317,6 @@ def test_moments_that_hardly_exist(a, barrier):
     assert abs(found.stretch - 1) < 1e-9
     assert (found.work_error > 0.02 * exact) == (a == 3.02)
     if barrier is not None:
-        annealed = annealed.stationary(contacts(law, "sqrt", barrier, 1.0, -60.0))
-        assert abs(annealed.work / exact - 1) < 1e-9 + annealed.work_error / exact
-        assert annealed.work_error < 0.1 * exact
+        pooled = annealed.stationary(contacts(law, "sqrt", barrier, 1.0, -60.0))
+        assert abs(pooled.work / exact - 1) < 1e-9 + pooled.work_error / exact
+        assert pooled.work_error < 0.1 * exact

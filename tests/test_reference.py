@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from cases import thinned
+from reduced_cases import barrier_of
 from rows import REFERENCE, ensemble_of
 from scipy import integrate, special
 
@@ -27,7 +28,8 @@ from eqsim import (
 )
 from eqsim.estimate import OBSERVABLES
 from eqsim.master import annealed, quenched
-from eqsim.master.transient import expected, fluctuations, transient
+from eqsim.master.transient import fluctuations, transient
+from eqsim.model.reduced import births
 
 UNIFORM = {"stiffness_law": "uniform"}
 
@@ -96,11 +98,11 @@ def test_errors_of_self_consistent_births():
     1/(1 - d ln <xi>/d ln C), here 1.6 (a central difference over 2 %, good to 1e-3)."""
     contacts = Ensemble(aging=Aging("flow", 0.1, 1.0), disorder="annealed", **AGED)
     exact = reference(contacts, Drive(1.0)).break_stretch
-    low, high = (contacts.births(1.0, factor * exact.value).mean for factor in (0.99, 1.01))
+    low, high = (births(contacts, 1.0, factor * exact.value).mean for factor in (0.99, 1.01))
     grown = 1 / (1 - math.log(high / low) / math.log(1.01 / 0.99))
     assert grown > 1.3
-    births = Ensemble(contacts.births(1.0, exact.value), **UNIFORM)
-    assert exact.stderr == pytest.approx(grown * reference(births, Drive(1.0)).break_stretch.stderr, rel=0.01, abs=0)
+    held = Ensemble(births(contacts, 1.0, exact.value), **UNIFORM)
+    assert exact.stderr == pytest.approx(grown * reference(held, Drive(1.0)).break_stretch.stderr, rel=0.01, abs=0)
 
 
 @pytest.mark.parametrize(("disorder", "stiffness_law"), thinned(3, ("quenched", "annealed"), ("sqrt", "uniform")))
@@ -184,11 +186,11 @@ def oracle(barrier, xi, b, w):
 @pytest.mark.parametrize(("xi", "b", "w"), [(1.0, 0.5, 2.0), (1.7, 5.0, 30.0), (0.3, 20.0, 8.0)])
 def test_one_contact(barrier, xi, b, w):
     """The panels against an independent quadrature of the rate itself (Simpson on 4001 points, 1e-7)."""
-    found = quenched.life_moments(barrier, np.array([xi]), np.array([b]), math.log(w))
+    found = quenched.life_moments(barrier_of(barrier, 1.0, math.log(w)), np.array([xi]), np.array([b]))
     exact = oracle(barrier, xi, b, w)
     assert found[0][0] == pytest.approx(exact[0], rel=1e-7, abs=0)
     assert found[1][0] == pytest.approx(exact[1], rel=1e-7, abs=0)
-    wrong = quenched.life_moments(barrier, np.array([xi]), np.array([b]), math.log(1.001 * w))
+    wrong = quenched.life_moments(barrier_of(barrier, 1.0, math.log(1.001 * w)), np.array([xi]), np.array([b]))
     assert wrong[0][0] != pytest.approx(exact[0], rel=1e-7, abs=0)
 
 
@@ -278,20 +280,19 @@ def test_transient_at_zero_temperature(delay, x, force, pinned):
 
 
 @pytest.mark.parametrize("law", ["fixed", "exponential"])
-def test_expected_of_a_stationary_start_is_level(law):
+def test_a_stationary_start_is_level(law):
     """At T = 0 with uniform stiffness: C = 3 sqrt(pi)/4, one break a cycle, that is 1/(C + v tau), pinned C/(C + v tau)
     and friction C_0 of the pinned (units of x_* = 2)."""
     contacts = Ensemble(Gamma(1.0, 2.0), delay=Delay(3.0, law), **UNIFORM)
     cycle = 2.0 * 0.75 * math.sqrt(math.pi) + 0.5 * 3.0
     pinned = 1.0 - 1.5 / cycle
-    found = expected(contacts, Drive(0.5, 7.0, "stationary"), points=3)
+    found = transient(contacts, Drive(0.5, 7.0, "stationary"), points=3)
     np.testing.assert_array_equal(found.X, [0.0, 3.5, 7.0])
     np.testing.assert_allclose(found.breaks, 1.0 / cycle, rtol=1e-10)
     np.testing.assert_allclose(found.pinned, pinned, rtol=1e-10)
     np.testing.assert_allclose(found.force, 2.0 * 4.0 / (3.0 * math.sqrt(math.pi)) * pinned, rtol=1e-10)
     assert np.all((found.force_error < 1e-9) & (found.pinned_error < 1e-9))
-    fresh = expected(contacts, Drive(0.5, 7.0), points=3)
-    np.testing.assert_array_equal(fresh.force, transient(contacts, Drive(0.5, 7.0), points=3).force)
+    fresh = transient(contacts, Drive(0.5, 7.0), points=3)
     assert abs(fresh.breaks[1] * cycle - 1.0) > 0.05
 
 
@@ -394,16 +395,17 @@ def test_particles_fluctuate_as_stated(ensemble, velocity):
 
 def trajectory_sample(ensemble, drive, runs):
     """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
-    from eqsim.engine.recorder import Run, Scales, moments, simulate
-    from eqsim.engine.stationary import standing
-    from eqsim.numerics.streams import TRAJECTORY, key
+    from eqsim.engine.contacts import contacts
+    from eqsim.engine.recorder import Run, Scales, moments
+    from eqsim.engine.simulate import simulate
+    from eqsim.engine.stationary import stationary
     from eqsim.engine.trajectory import Totals, arguments
-    from eqsim.model.ensemble import lower
+    from eqsim.numerics.streams import TRAJECTORY, key
 
-    c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
+    c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.distance / unit, 5, True, False)
     scales = Scales.of(c, run, n, 1, 0.0)
-    job = (c, standing(c), run, scales, key(12, TRAJECTORY))
+    job = (c, stationary(c), run, scales, key(12, TRAJECTORY))
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = []
     for first in range(0, runs * n, n):
