@@ -14,10 +14,17 @@ from eqsim.numerics.tables import Array
 class Estimate:
     """A value and its standard error.
 
-    `n` is the number of lives (or other samples) behind it, `dof` the number of independent batches less one from
-    which the error was found: (value - truth)/stderr follows Student's law with `dof` degrees of freedom, or the
-    normal law if `dof` is None. `reliable` is False where the error bar cannot be trusted. `value` or `stderr` is
-    None where the sample says nothing about it.
+    Attributes
+    ----------
+    value, stderr : float or None
+        None where the sample says nothing about it.
+    n : int
+        Lives (or other samples) behind it.
+    dof : int or None
+        Degrees of freedom of Student's law that (value - truth)/stderr follows, the number of independent batches less
+        one from which the error was found; None: the normal law.
+    reliable : bool
+        False where the error bar cannot be trusted.
     """
 
     value: float | None
