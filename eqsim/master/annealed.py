@@ -19,11 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.numerics.tables import Array
-from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.thermal import Barrier, log_hazard
-from eqsim.laws.threshold import ThresholdLaw, panels_above
+from eqsim.laws.stiffness import relative_stiffness
+from eqsim.laws.threshold import panels_above
 from eqsim.master.quenched import ClenshawCurtis, Moments, beyond, interpolated, panels, weakest
+from eqsim.model.reduced import Reduced
+from eqsim.numerics.tables import Array
+
+METHOD = "published master equation"
 
 _MOST_STEPS, _SMOOTH = 1000, 1e-10
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -43,16 +45,16 @@ _UNSEEN, _DEAD, _AT_ONCE = -45.0, 1e-20, 1000
 _rule = functools.cache(np.polynomial.legendre.leggauss)
 
 
-def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Moments:
-    """C and work of annealed contacts at kT > 0; lengths, b and log_w = ln(omega x_*/v) in units of `law.scale`.
+def stationary(s: Reduced) -> Moments:
+    """C and work of annealed contacts at kT > 0.
 
     Raises InputError for a discrete law of more than 1000 thresholds.
     """
-    if law.steps.size:
-        return _discrete(law, stiffness, barrier, b, log_w)
-    edges = _first_edges(law, stiffness, barrier, b, log_w)
+    if s.law.steps.size:
+        return _discrete(s)
+    edges = _first_edges(s)
     left, right = edges[:-1], edges[1:]
-    p = _panels(law, stiffness, barrier, b, log_w, left, right)
+    p = _panels(s, left, right)
     while True:
         alive = np.exp(-np.append(0.0, p.hazard[:-1].cumsum()))
         heavier = np.append(p.heavier[:0:-1].cumsum()[::-1], 0.0)
@@ -69,17 +71,17 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: 
         pieces = left[split, None] + (right - left)[split, None] * _PIECES
         pieces[:, -1] = right[split]
         new_left, new_right = pieces[:, :-1].ravel(), pieces[:, 1:].ravel()
-        new = _panels(law, stiffness, barrier, b, log_w, new_left, new_right)
+        new = _panels(s, new_left, new_right)
         left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
         order = np.argsort(left)
         left, right = left[order], right[order]
         p = _Panels(*(np.append(old[~split], found)[order] for old, found in zip(p, new, strict=True)))
     # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
     seen = alive > _DEAD
-    better = _hazard_rate(law, stiffness, barrier, b, log_w, 0.5 * (left + right)[seen], _ORDER + 4)
+    better = _hazard_rate(s, 0.5 * (left + right)[seen], _ORDER + 4)
     missed = np.abs(2.0 * p.middle[seen] - better * (right - left)[seen])
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
-    rarest = alive[-1] * beyond(law, stiffness)
+    rarest = alive[-1] * beyond(s.law, s.stiffness)
     error = errors.sum(axis=1) + _ROUNDING * total + rarest
     total = total + rarest
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
@@ -105,18 +107,16 @@ class _Panels(NamedTuple):
     middle: Array
 
 
-def _panels(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float, left: Array, right: Array
-) -> _Panels:
+def _panels(s: Reduced, left: Array, right: Array) -> _Panels:
     half = 0.5 * (right - left)[:, None]
     x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
-    hazard = half * _hazard_rate(law, stiffness, barrier, b, log_w, x.ravel()).reshape(x.shape)
+    hazard = half * _hazard_rate(s, x.ravel()).reshape(x.shape)
     # where the panel is too wide for its polynomial, that may be negative
     alive = half * np.exp(-np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0))
-    J = law.sf(x * law.scale)
+    J = s.law.sf(x * s.law.scale)
     stiff, heavier = J, np.zeros_like(J)
-    if stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
-        rms = law.rms / law.scale
+    if s.stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
+        rms = s.rms
         heavier = half * J / rms
         inside = heavier @ ClenshawCurtis.weights
         stiff = x * J / rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
@@ -126,84 +126,67 @@ def _panels(
     return _Panels(*np.vstack((values, tails, hazard[:, hazard.shape[1] // 2])))
 
 
-def _first_edges(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Array:
+def _first_edges(s: Reduced) -> Array:
     """Ends of the first panels: from lives of newborn contacts to where no threshold is left."""
+    law = s.law
     marks = np.append(law.exceeded_by(_LAW), law.breakpoints) / law.scale
     marks = marks[(marks > 0) & np.isfinite(marks)]
     top = marks.max()
     least, greatest = (edge / law.scale for edge in law.support)
-    newborn = _hazard_rate(law, stiffness, barrier, b, log_w, np.zeros(1))[0]
-    first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(b))
+    newborn = _hazard_rate(s, np.zeros(1))[0]
+    first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(s.barrier.b))
     rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
     edges = np.unique(np.concatenate(([0.0, least, min(greatest, top)], marks, rising)))
     return edges[edges <= min(greatest, top)]
 
 
-def _hazard_rate(
-    law: ThresholdLaw,
-    stiffness: StiffnessLaw,
-    barrier: Barrier,
-    b: float,
-    log_w: float,
-    y: Array,
-    order: int = _ORDER,
-) -> Array:
-    """(omega/v) h(y) of a smooth law, h that of `laws.thermal.pooled_rate` (temper11, temper12), to about 1e-13 for
+def _hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
+    """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled.pooled_rate` (temper11, temper12), to about 1e-13 for
     gamma laws and 1e-10 for most others.
 
     In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds, and with panels next to the
     ends of the support besides those next to y.
     """
-    rms, least, greatest = law.rms / law.scale, law.support[0] / law.scale, law.support[1] / law.scale
+    law, barrier, b, rms = s.law, s.barrier, s.barrier.b, s.rms
+    least, greatest = law.support[0] / law.scale, law.support[1] / law.scale
     upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
     ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
-    far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
+    far = np.cbrt(_EXPONENTS * rms / b) if s.stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
     nodes, weights = _rule(order)
     found = np.empty(y.size)
     for start in range(0, y.size, _AT_ONCE):
         at = y[start : start + _AT_ONCE, None]
         origin = np.maximum(at, least)
-        a = np.maximum(b * relative_stiffness(stiffness, origin, rms), 1e-300)
+        a = np.maximum(b * relative_stiffness(s.stiffness, origin, rms), 1e-300)
         with np.errstate(divide="ignore", over="ignore"):
-            if barrier == "soft":
-                near = _EXPONENTS / a / (origin + np.sqrt(origin**2 + _EXPONENTS / a))
-            else:
-                near = origin * np.minimum((_EXPONENTS / (a * origin**2)) ** (2.0 / 3.0), 1e6)
+            near = barrier.width(_EXPONENTS, origin, a)
         layer = np.concatenate((origin + np.minimum(near, far), np.broadcast_to(ends, (at.size, ends.size))), axis=1)
         edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
-        seen = (np.diff(edges, axis=1) > 0) & (
-            log_w - _exponent(stiffness, barrier, b, rms, at, edges[:, :-1]) > _UNSEEN
-        )
+        xi = at + edges[:, :-1] ** 2
+        a = b * relative_stiffness(s.stiffness, xi, rms)
+        with np.errstate(invalid="ignore"):  # xi = 0
+            height = barrier.exponent(edges[:, :-1] ** 2, edges[:, :-1] ** 2 + 2.0 * at, xi, a)
+        seen = (np.diff(edges, axis=1) > 0) & ~(barrier.log_w - height <= _UNSEEN)
         row, column = np.nonzero(seen)
         half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
         root, x = edges[row, column, None] + half * (1.0 + nodes), at[row]
         xi = x + root**2
-        log_rate = log_w - _exponent(stiffness, barrier, b, rms, x, root)
+        a = b * relative_stiffness(s.stiffness, xi, rms)
+        log_rate = barrier.log_w + barrier.log_attempt(root**2, root**2 + 2.0 * x, xi, a)
         terms = half * weights * 2.0 * root * law.pdf(xi * law.scale) * law.scale * np.exp(log_rate)
-        if barrier == "stiff":
-            terms *= root / np.sqrt(xi)
         terms[~np.isfinite(terms)] = 0.0  # a density that diverges at an end of the support
         found[start : start + at.size] = np.bincount(row, terms.sum(axis=1), at.size)
     return found
 
 
-def _exponent(stiffness: StiffnessLaw, barrier: Barrier, b: float, rms: float, x: Array, root: Array) -> Array:
-    """Barrier over kT of contacts at stretch x with threshold xi = x + root^2."""
-    xi = x + root**2
-    a = b * relative_stiffness(stiffness, xi, rms)
-    return a * root**2 * (root**2 + 2.0 * x) if barrier == "soft" else a * np.sqrt(xi) * root**3
-
-
-def survivors(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float, x: Array
-) -> tuple[Array, Array, Array]:
-    """E_P(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0 in units of `law.scale`; for
+def survivors(s: Reduced, x: Array) -> Array:
+    """E_P(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n); for
     a smooth law x has to begin near 0 and to rise by small factors, up to where nothing survives."""
-    rms = law.rms / law.scale
+    law, rms = s.law, s.rms
     if law.steps.size:
-        xi, share, kappa = _shares(law, stiffness)
+        xi, share, kappa = _shares(s)
         with np.errstate(divide="ignore"):
-            dU = np.exp(np.minimum(np.log(_discrete_pool(barrier, xi, share, b * kappa, x)) + log_w, 7.0))
+            dU = np.exp(np.minimum(np.log(_discrete_pool(s, xi, share, kappa, x)) + s.barrier.log_w, 7.0))
         above = np.searchsorted(xi, x, side="right")
         means = [np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above] for power in range(3)]
     else:
@@ -211,18 +194,18 @@ def survivors(
         at = np.append(x[0], inner)
 
         def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
-            return np.log1p(y * _hazard_rate(law, stiffness, barrier, b, log_w, y))
+            return np.log1p(y * _hazard_rate(s, y))
 
         rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
         dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
         J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
         means = [J, J, J]
-        if stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
+        if s.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
             for p in (1, 2):
                 cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
                 means[p] = (x**p * J + np.append(np.cumsum(cells[::-1])[::-1], 0.0)) / rms**p
     thermal = np.exp(-dU)
-    return thermal * means[0], thermal * means[1], thermal * means[2]
+    return thermal * np.array(means)
 
 
 def _between(x: Array) -> tuple[Array, Array]:
@@ -233,33 +216,33 @@ def _between(x: Array) -> tuple[Array, Array]:
     return inner, half * _WEIGHTS * inner
 
 
-def _shares(law: ThresholdLaw, stiffness: StiffnessLaw) -> tuple[Array, Array, Array]:
+def _shares(s: Reduced) -> tuple[Array, Array, Array]:
     """The different thresholds of a discrete law, their shares and stiffnesses k_i/k."""
-    xi, counts = np.unique(law.steps / law.scale, return_counts=True)
+    xi, counts = np.unique(s.law.steps / s.law.scale, return_counts=True)
     if xi.size > _MOST_STEPS:
         raise InputError(f"thresholds: {xi.size} different values; the annealed reference takes at most {_MOST_STEPS}")
-    return xi, counts / counts.sum(), relative_stiffness(stiffness, xi, law.rms / law.scale)
+    return xi, counts / counts.sum(), relative_stiffness(s.stiffness, xi, s.rms)
 
 
-def _discrete_pool(barrier: Barrier, xi: Array, share: Array, a: Array, x: Array) -> Array:
+def _discrete_pool(s: Reduced, xi: Array, share: Array, kappa: Array, x: Array) -> Array:
     """G of equally likely thresholds, a mean of closed forms."""
-    G = np.zeros(x.size)
+    G, a = np.zeros(x.size), s.barrier.b * kappa
     for j in range(xi.size):
         k = np.searchsorted(x, xi[j])
-        G[:k] += share[j] * np.exp(log_hazard(barrier, x[:k], xi[j], a[j]))
-        G[k:] += share[j] * np.exp(log_hazard(barrier, xi[j], xi[j], a[j]))
+        G[:k] += share[j] * np.exp(s.barrier.log_hazard(x[:k], xi[j], a[j]))
+        G[k:] += share[j] * np.exp(s.barrier.log_hazard(xi[j], xi[j], a[j]))
     return G
 
 
-def _discrete(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float, log_w: float) -> Moments:
+def _discrete(s: Reduced) -> Moments:
     """Discrete thresholds: E_P drops at each of them, after a layer in which attempts on it succeed."""
-    edge = panels(law, stiffness, b)
+    edge = panels(s)
 
     def integrate(order: int) -> Array:
         nodes, weights = np.polynomial.legendre.leggauss(order)
         half = 0.5 * np.diff(edge)[:, None]
         x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
-        survive, stiff, _ = survivors(law, stiffness, barrier, b, log_w, x)
+        survive, stiff, _ = survivors(s, x)
         return (half * weights).ravel() @ np.stack((survive, stiff * x), axis=1)
 
     fine, coarse = integrate(8), integrate(5)

@@ -31,14 +31,16 @@ from numpy.polynomial import chebyshev
 from scipy import integrate, ndimage, special
 from scipy.interpolate import CubicSpline
 
-from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.laws.aging import Aging
-from eqsim.numerics.tables import Array
-from eqsim.laws.thermal import Thermal, pooled_rate
+from eqsim.laws.aging.base import scale2
+from eqsim.laws.barrier import Barrier
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma
-from eqsim.master.steady import setting
+from eqsim.model.drive import Drive, require_drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import reduced
+from eqsim.numerics.tables import Array
 
 _LEAST_CELLS, _MOST_CELLS = 500, 2000  # of the coarser grid
 _CELL, _AGING = 0.015, 0.1  # a cell in units of the shortest mean life, and of the displacement in which contacts age
@@ -73,6 +75,7 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     both; after 30 mean lives the values are held. Raises InputError for other contacts, and if the laws are too narrow
     for their change of scale.
     """
+    require_drive(drive)
     law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale
     if not isinstance(law, Gamma) or ensemble.disorder != "annealed":
         raise InputError('disorder, thresholds.law: the closure needs "annealed" contacts of law "gamma"')
@@ -83,9 +86,8 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     require_number("distance / x_star", reach, least=1e-6, most=1e6)
     final = aging.x_star_final / unit if aging.active else 1.0
     rates = _Aging(final**2, aging.alpha(unit, drive.velocity))
-    s = setting(dataclasses.replace(ensemble, aging=Aging()), drive.velocity)
-    thermal = ensemble.thermal if s.barrier else None
-    pool = _Pool(law.n, rates, reach, thermal, s.b, math.exp(s.log_w))
+    barrier = reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity).barrier
+    pool = _Pool(law.n, rates, reach, barrier)
 
     shortest, longest = pool.lives()
     end = min(reach, _SETTLED * longest)
@@ -122,7 +124,7 @@ class _Aging(NamedTuple):
     def log_square(self, age: Array) -> Array:
         """ln x_*(age)^2 after aging over a displacement."""
         spent = self.rate * age if math.isfinite(self.rate) else np.full_like(age, math.inf)
-        return np.asarray(np.log(np.exp(-spent) - self.final * np.expm1(-spent)))
+        return np.asarray(np.log(scale2(self.final, spent)))
 
 
 class _Tables(NamedTuple):
@@ -137,8 +139,8 @@ class _Tables(NamedTuple):
 class _Pool:
     """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages share in them."""
 
-    def __init__(self, n: float, aging: _Aging, reach: float, thermal: Thermal | None, b: float, w: float) -> None:
-        self.n, self.aging, self.b, self.w = n, aging, b, w
+    def __init__(self, n: float, aging: _Aging, reach: float, barrier: Barrier) -> None:
+        self.n, self.aging, self.barrier, self.w = n, aging, barrier, math.exp(barrier.log_w)
         self._low, self._high = np.sort(aging.log_square(np.array([0.0, reach])))
         for laws in _LAWS:
             self._t = np.cos(math.pi * (np.arange(laws) + 0.5) / laws)
@@ -149,7 +151,7 @@ class _Pool:
             raise InputError(
                 f"x_star_final = {math.sqrt(aging.final):g} x_star_initial: too far from it for thresholds of n = {n:g}"
             )
-        self._rates = [self._rate(thermal, Gamma(n, scale)) for scale in self.x_star] if thermal else []
+        self._rates = [self._rate(Gamma(n, scale)) for scale in self.x_star] if barrier.thermal else []
         # beyond, nothing survives
         self.top = float(Gamma(n, math.exp(0.5 * self._high)).exceeded_by(45.0))
 
@@ -196,11 +198,11 @@ class _Pool:
         J, P, h = (np.where(table > 1e-250, table, 0.0) for table in (np.stack(each, axis=1) for each in found))
         return _Tables(J, P, h, least=widest.pdf(x) / widest.sf(x))
 
-    def _rate(self, thermal: Thermal, law: Gamma) -> Callable[[Array], Array]:
+    def _rate(self, law: Gamma) -> Callable[[Array], Array]:
         """Pooled rate h of one law (temper11, temper12) as a spline in logarithms."""
         low, high = 1e-6, float(law.exceeded_by(60.0)) / law.scale
         log_y = np.linspace(math.log(low), math.log(high), 600)
-        h = pooled_rate(law, "uniform", thermal.barrier, self.b * law.scale**2, np.exp(log_y))
+        h = pooled_rate(law, "uniform", type(self.barrier), self.barrier.b * law.scale**2, np.exp(log_y))
         spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))
 
         def rate(x: Array) -> Array:

@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from eqsim.model.ensemble import Ensemble, pooled_hazard_of
 from eqsim.errors import InputError
 from eqsim.estimate import known
-from eqsim.numerics.tables import Array
+from eqsim.laws.barrier.pooled import NO_POOL, pooled_hazard_of, pooled_rate
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.thermal import NO_POOL, pooled_rate
-from eqsim.master import kinetic, published
-from eqsim.master.steady import Setting, reference, setting
+from eqsim.master import quenched
+from eqsim.master.steady import reference, solver
+from eqsim.model.drive import Drive, require_drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Reduced, reduced
+from eqsim.numerics.tables import Array
 
 _NODES, _WEIGHTS = special.roots_legendre(3)
 _AT_ONCE = 2048  # stretches, to bound the memory of a call
@@ -27,7 +29,7 @@ _AT_ONCE = 2048  # stretches, to bound the memory of a call
 
 @dataclass(frozen=True)
 class StationaryState:
-    """The stationary state of an ensemble at constant `velocity`, in the user's units.
+    """The stationary state of an ensemble at the velocity of a drive, in the user's units.
 
     Stretches x are finite and >= 0, of any shape, which the result has too; they are those of pinned contacts, so that
     a delay plays no part. P to dU are good to 1e-8 relative, densities to 1e-8 of Q(0) and as good as `C`.
@@ -35,28 +37,29 @@ class StationaryState:
     """
 
     ensemble: Ensemble
-    velocity: float
+    drive: Drive
 
     @functools.cached_property
-    def _setting(self) -> Setting:
+    def _reduced(self) -> Reduced:
         if self.ensemble.aging.active:
             raise InputError("aging: the densities are those of contacts that do not age")
-        return setting(self.ensemble, self.velocity)
+        require_drive(self.drive)
+        return reduced(self.ensemble, self.drive.velocity)
 
     @functools.cached_property
     def C(self) -> float:
         """C[P], mean stretch at breaking, a length (Q11a; quenched: derived)."""
-        return known(reference(self.ensemble, self.velocity).break_stretch)
+        return known(reference(self.ensemble, self.drive).break_stretch)
 
     def density(self, x: Any) -> Array:
         """Q(x), density of the stretches of pinned contacts, 1/length: P(x_b > x)/C, which is E_P/C for annealed
         contacts (Q11a) and E[S(x|xi); xi > x]/C for quenched ones (derived)."""
-        s, u = self._setting, self._lengths("x", x)
+        s, u = self._reduced, self._lengths("x", x)
         if s.annealed and not s.law.steps.size:
             return self.E_P(x) / self.C
-        survivors: Callable[..., Any] = published.survivors if s.annealed else kinetic.survivors
+        survivors = solver(s).survivors
         ascending, back = np.unique(np.maximum(u, 1e-100), return_inverse=True)
-        outlast = _in_parts(lambda x: survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x)[0], ascending)
+        outlast = _in_parts(lambda x: survivors(s, x)[0], ascending)
         return np.asarray(outlast[back].reshape(u.shape) / self.C)
 
     def joint_density(self, x: Any, xi: Any) -> Array:
@@ -71,8 +74,7 @@ class StationaryState:
         if s.annealed:
             survive = np.where(u < threshold, np.exp(-self.dU(x)), 0.0)
         else:
-            a = s.b * relative_stiffness(s.stiffness, threshold, s.law.rms / s.law.scale)
-            survive = kinetic.survival(s.barrier, u, threshold, a, s.log_w)
+            survive = quenched.survival(s.barrier, u, threshold, relative_stiffness(s.stiffness, threshold, s.rms))
         return np.asarray(s.law.pdf(threshold * s.law.scale) * survive / self.C)
 
     def P(self, x: Any) -> Array:
@@ -93,17 +95,17 @@ class StationaryState:
     def H(self, x: Any) -> Array:
         """Thermal breaking per unit displacement, (omega/v) h, 1/length (temper11, temper12)."""
         s = self._master_equation()
-        return np.asarray(self._rate(self._lengths("x", x)) * np.exp(s.log_w) / s.law.scale)
+        return np.asarray(self._rate(self._lengths("x", x)) * np.exp(s.barrier.log_w) / s.law.scale)
 
     def dU(self, x: Any) -> Array:
         """Delta U(x) = int_0^x H (nt09 for any law)."""
         s, u = self._master_equation(), self._lengths("x", x)
-        pool = NO_POOL if s.barrier is None else pooled_hazard_of(s.law, s.stiffness, s.barrier, s.b)
+        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b) if s.barrier.thermal else NO_POOL
         node = np.searchsorted(pool.x, u, side="right")
         low, G = np.append(0.0, pool.x)[node], np.append(0.0, pool.G)[node]
         half = 0.5 * (u - low)[..., None]  # the rest of the way from the node below
         G = G + (half * _WEIGHTS * self._rate(low[..., None] + half * (1.0 + _NODES))).sum(axis=-1)
-        return np.asarray(np.exp(s.log_w) * G)
+        return np.asarray(np.exp(s.barrier.log_w) * G)
 
     def E_P(self, x: Any) -> Array:
         """P(x_b > x) = J_c exp(-dU) (above nt13)."""
@@ -114,25 +116,27 @@ class StationaryState:
         x = np.asarray(x, float)
         if not np.all(np.isfinite(x) & (x >= 0)):
             raise InputError(f"{name}: every value must be finite and >= 0")
-        return x / self._setting.law.scale
+        return x / self._reduced.law.scale
 
-    def _smooth(self) -> Setting:
-        if self._setting.law.steps.size:
+    def _smooth(self) -> Reduced:
+        if self._reduced.law.steps.size:
             raise InputError(f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a density")
-        return self._setting
+        return self._reduced
 
-    def _master_equation(self) -> Setting:
-        if self.ensemble.disorder == "quenched" and self._setting.barrier is not None:
+    def _master_equation(self) -> Reduced:
+        if self.ensemble.disorder == "quenched" and self._reduced.barrier.thermal:
             raise InputError('disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)')
         return self._smooth()
 
     def _rate(self, u: Array) -> Array:
         """h, lengths in units of the law's scale."""
-        s = self._setting
-        if s.barrier is None:
+        s = self._reduced
+        if not s.barrier.thermal:
             return np.zeros_like(u)
         barrier, ahead = s.barrier, np.maximum(u, 1e-100)  # at 0 pooled_rate divides by the barrier's height
-        return _in_parts(lambda part: pooled_rate(s.law, s.stiffness, barrier, s.b, part), ahead).reshape(u.shape)
+        return _in_parts(lambda part: pooled_rate(s.law, s.stiffness, type(barrier), barrier.b, part), ahead).reshape(
+            u.shape
+        )
 
 
 def _in_parts(function: Callable[[Array], Array], x: Array) -> Array:

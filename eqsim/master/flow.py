@@ -25,11 +25,13 @@ import numpy as np
 from scipy import special
 from scipy.optimize import elementwise
 
-from eqsim.numerics.tables import Array
-from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.thermal import Barrier, log_rate
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.laws.aging.base import scale2
+from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master.quenched import ClenshawCurtis, Moments, births_above, interpolated, strongest
+from eqsim.model.reduced import Reduced
+from eqsim.numerics.tables import Array
+
+METHOD = "joint kinetic equation along flowing thresholds"
 
 # the nodes of Clenshaw and Curtis hold both ends of a panel, where r is greatest, so that no peak of it can be missed
 _NODES, _WEIGHTS, _TAIL = ClenshawCurtis.nodes, ClenshawCurtis.weights, ClenshawCurtis.tail
@@ -50,46 +52,29 @@ _DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
 
 
-class Contact(NamedTuple):
-    """What all contacts share, lengths in units of the newborn law's scale: `barrier` None at T = 0, b = k x_*i^2/
-    (2 kT), log_w = ln(omega x_*i/v), `final` = x_*f/x_*i, alpha = 4 D x_*i/(v x_*f^2), `rms` of the newborn law."""
+def aged(s: Reduced, x: Array) -> Array:
+    """s(x): by how much thresholds have grown."""
+    return np.sqrt(scale2(s.aging.final2, s.aging.alpha * x))
 
-    stiffness: StiffnessLaw
-    barrier: Barrier | None
-    b: float
-    log_w: float
-    final: float
-    alpha: float
-    rms: float
 
-    def aged(self, x: Array) -> Array:
-        """s(x): by how much thresholds have grown."""
-        if self.final < 1:  # sums of positive terms, either way
-            return np.sqrt(self.final**2 + (1 - self.final**2) * np.exp(-self.alpha * x))
-        return np.sqrt(1 - (self.final**2 - 1) * np.expm1(-self.alpha * x))
+def rate(s: Reduced, x: Array, xi: Array) -> Array:
+    """Thermal breaking per unit displacement at stretch x, the current threshold being xi."""
+    return _rate(s, x, xi, s.barrier.b * relative_stiffness(s.stiffness, xi, s.rms))
 
-    def ends(self, xi0: Array) -> Array:
-        """Where contacts break mechanically: the root of xi0 s(x) = x."""
-        bracket = (xi0 * min(1.0, self.final), xi0 * max(1.0, self.final))
-        found = elementwise.find_root(lambda x, xi0: np.log(xi0 * self.aged(x) / x), bracket, args=(xi0,))
-        return np.asarray(found.x)
 
-    def kappa(self, xi: Array) -> Array:
-        return relative_stiffness(self.stiffness, xi, self.rms)
+def _rate(s: Reduced, x: Array, xi: Array, a: Array | float) -> Array:
+    """`rate` at a = k_i/(2 kT); at a = 0 what it would be without a barrier, which falls along a path."""
+    if not s.barrier.thermal:
+        return np.zeros(np.broadcast_shapes(x.shape, xi.shape))
+    with np.errstate(divide="ignore"):  # a stiff contact at its threshold
+        return np.exp(s.barrier.log_w + s.barrier.log_rate(x, np.maximum(xi, x), a))
 
-    def rate(self, x: Array, xi: Array) -> Array:
-        """Thermal breaking per unit displacement."""
-        if self.barrier is None:
-            return np.zeros(np.broadcast_shapes(x.shape, xi.shape))
-        with np.errstate(divide="ignore"):  # a stiff contact at its threshold
-            return np.exp(self.log_w + log_rate(self.barrier, x, np.maximum(xi, x), self.b * self.kappa(xi)))
 
-    def free_rate(self, x: Array, xi: Array) -> Array:
-        """What the rate would be without a barrier; falls along a path."""
-        if self.barrier is None:
-            return np.zeros_like(x)
-        with np.errstate(divide="ignore"):
-            return np.exp(self.log_w + log_rate(self.barrier, x, np.maximum(xi, x), 0.0))
+def _ends(s: Reduced, xi0: Array) -> Array:
+    """Where contacts break mechanically: the root of xi0 s(x) = x."""
+    bracket = (xi0 * min(1.0, s.aging.final), xi0 * max(1.0, s.aging.final))
+    found = elementwise.find_root(lambda x, xi0: np.log(xi0 * aged(s, x) / x), bracket, args=(xi0,))
+    return np.asarray(found.x)
 
 
 class _Panels(NamedTuple):
@@ -108,22 +93,23 @@ class _Panels(NamedTuple):
     blind: Array
 
 
-def _panels(c: Contact, xi0: Array, end: Array, contact: Array, left: Array, right: Array) -> _Panels:
+def _panels(s: Reduced, xi0: Array, end: Array, contact: Array, left: Array, right: Array) -> _Panels:
     half = 0.5 * (right - left)[:, None]
     phi = left[:, None] + half * (1 + _NODES)
     xi0, end = xi0[contact, None], end[contact, None]
     # x = end sin^2(phi) makes a stiff rate smooth at the threshold
     x = end * np.sin(phi) ** 2
     width = half * end * np.sin(2 * phi)
-    xi = xi0 * c.aged(x)
-    rate = c.rate(x, xi)
-    hazard = rate * width
+    xi = xi0 * aged(s, x)
+    per_x = rate(s, x, xi)
+    hazard = per_x * width
     # where the panel is too wide for its polynomial, that may be negative
     passed = np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0)
     alive = np.exp(-passed) * width
-    work = alive * c.kappa(xi) * x
+    work = alive * relative_stiffness(s.stiffness, xi, s.rms) * x
     # the least barrier on any piece of a path is at one of its ends, and that at the end of life is 0
-    peak = np.where(left == 0, np.maximum(rate[:, 0], rate[:, -1]), c.free_rate(x[:, 0], xi[:, 0])) * np.ptp(x, axis=1)
+    peak = np.where(left == 0, np.maximum(per_x[:, 0], per_x[:, -1]), _rate(s, x[:, 0], xi[:, 0], 0.0))
+    peak *= np.ptp(x, axis=1)
     blind = (peak > _RARE) & ((peak > 20 * passed[:, -1]) | ((left == 0) & (passed[:, -1] > 0.5)))
     return _Panels(
         contact,
@@ -137,16 +123,16 @@ def _panels(c: Contact, xi0: Array, end: Array, contact: Array, left: Array, rig
     )
 
 
-def life_moments(c: Contact, xi0: Array) -> tuple[Array, Array]:
+def life_moments(s: Reduced, xi0: Array) -> tuple[Array, Array]:
     """int S dx and int kappa x S dx of contacts born with thresholds `xi0` (n,), and bounds of their errors; both of
     shape (2, n).
 
     Panels are split until the highest coefficients of the hazard, times the life that is left, and of the integrands
     are negligible.
     """
-    n, end = xi0.size, c.ends(xi0)
+    n, end = xi0.size, _ends(s, xi0)
     contact, piece = (part.ravel() for part in np.indices((n, _FIRST.size - 1)))
-    p = _panels(c, xi0, end, contact, _FIRST[piece], _FIRST[piece + 1])
+    p = _panels(s, xi0, end, contact, _FIRST[piece], _FIRST[piece + 1])
     for last in range(_MOST_ROUNDS, -1, -1):
         counts = np.bincount(p.contact, minlength=n)
         at = p.contact, np.arange(p.contact.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -161,15 +147,15 @@ def life_moments(c: Contact, xi0: Array) -> tuple[Array, Array]:
         split |= p.blind & (alive > _DEAD)
         if last == 0 or not split.any():
             break
-        p = _split(c, xi0, end, p, split)
+        p = _split(s, xi0, end, p, split)
     return moments, np.array([np.bincount(p.contact, error, n) for error in errors])
 
 
-def _split(c: Contact, xi0: Array, end: Array, p: _Panels, split: Array) -> _Panels:
+def _split(s: Reduced, xi0: Array, end: Array, p: _Panels, split: Array) -> _Panels:
     """Four panels for each marked one; the first of a path is split towards 0, where all scales are possible."""
     left, right = p.left[split, None], p.right[split, None]
     edges = left + (right - left) * np.where(left > 0, _EVEN, _TOWARDS_0)
-    new = _panels(c, xi0, end, np.repeat(p.contact[split], 4), edges[:, :-1].ravel(), edges[:, 1:].ravel())
+    new = _panels(s, xi0, end, np.repeat(p.contact[split], 4), edges[:, :-1].ravel(), edges[:, 1:].ravel())
     pieces = np.where(split, 4, 1)
     fresh = np.repeat(split, pieces)
     merged = []
@@ -180,27 +166,18 @@ def _split(c: Contact, xi0: Array, end: Array, p: _Panels, split: Array) -> _Pan
     return _Panels(*merged)
 
 
-def stationary(
-    law: ThresholdLaw,
-    stiffness: StiffnessLaw,
-    barrier: Barrier | None,
-    b: float,
-    log_w: float,
-    final: float,
-    alpha: float,
-) -> Moments:
-    """C and work of quenched contacts under flow aging (derived), lengths in units of `law.scale`.
+def stationary(s: Reduced) -> Moments:
+    """C and work of quenched contacts under flow aging (derived).
 
-    `law`, of newborn thresholds, is smooth; barrier None at T = 0; see `Contact` for the rest. Births are
-    integrated by panels in ln(-ln J_c(xi0)), paths by panels of their own; the errors are what either leave unresolved.
+    Births are integrated by panels in ln(-ln J_c(xi0)), paths by panels of their own; the errors are what either leave
+    unresolved.
     """
-    c = Contact(stiffness, barrier, b, log_w, final, alpha, law.rms / law.scale)
 
     def integrate(left: Array, right: Array) -> tuple[Array, Array, Array]:
         """Both integrals over panels of ln(-ln J_c), what is left unresolved along paths, and across panels."""
         half = 0.5 * (right - left)[:, None]
         e = np.exp(left[:, None] + half * (1 + _NODES))
-        moments, errors = life_moments(c, np.asarray(law.exceeded_by(e.ravel())) / law.scale)
+        moments, errors = life_moments(s, np.asarray(s.law.exceeded_by(e.ravel())) / s.law.scale)
         weight = half * e * np.exp(-e)
         terms = moments.reshape(2, *e.shape) * weight
         return terms @ _WEIGHTS, (errors.reshape(2, *e.shape) * weight) @ _WEIGHTS, np.abs(terms @ _TAIL).sum(axis=2)
@@ -223,71 +200,60 @@ def stationary(
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
 
 
-def survivors(
-    law: ThresholdLaw,
-    stiffness: StiffnessLaw,
-    barrier: Barrier | None,
-    b: float,
-    log_w: float,
-    final: float,
-    alpha: float,
-    x: Array,
-) -> tuple[Array, Array, Array]:
-    """S(x) = P(x_b > x), E[kappa(x); x_b > x] and E[kappa(x)^2; x_b > x] under flow aging, each of the shape (n,) of
-    the ascending x > 0, lengths in units of `law.scale`; the parameters are those of `stationary`.
+def survivors(s: Reduced, x: Array) -> Array:
+    """S(x) = P(x_b > x), E[kappa(x); x_b > x] and E[kappa(x)^2; x_b > x] under flow aging at ascending x > 0, shape
+    (3, n).
 
     To about 1e-8 of the greatest value of each, and of each times x and x^2, by Chebyshev panels in ln x, split until
     they resolve them all.
     """
-    c = Contact(stiffness, barrier, b, log_w, final, alpha, law.rms / law.scale)
-    found = interpolated(lambda at: _surviving(c, law, at), x, _SMOOTH)
-    return found[0], found[1], found[2]
+    return interpolated(lambda at: _surviving(s, at), x, _SMOOTH)
 
 
-def _surviving(c: Contact, law: ThresholdLaw, x: Array) -> Array:
+def _surviving(s: Reduced, x: Array) -> Array:
     """The three means of `survivors` at every x (n,), shape (3, n): over births xi0 > x/s(x), by panels that end at
     fixed shares of the stronger contacts and where the hazard passes fixed levels."""
-    grown = c.aged(x)
+    law, grown = s.law, aged(s, x)
     least = x / grown
-    layer = None if c.barrier is None else _births_at(c, law, x, least)
-    edges = births_above(law, least, layer, strongest(c.log_w, c.barrier))
+    layer = _births_at(s, x, least) if s.barrier.thermal else None
+    edges = births_above(law, least, layer, strongest(s.barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi0 = (edges[:, :-1, None] + half * (1 + _FEW_NODES)).reshape(x.size, -1)
     weight = (half * _FEW_WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
-    weight *= np.exp(-_hazard(c, x, xi0))
-    kappa = c.kappa(xi0 * grown[:, None])
+    weight *= np.exp(-_hazard(s, x, xi0))
+    kappa = relative_stiffness(s.stiffness, xi0 * grown[:, None], s.rms)
     return np.array([(weight * kappa**power).sum(axis=1) for power in range(3)])
 
 
-def _hazard(c: Contact, x: Array, xi0: Array) -> Array:
+def _hazard(s: Reduced, x: Array, xi0: Array) -> Array:
     """(omega/v) int_0^x r dy along the paths of births `xi0`, shape (n, any), to stretches x (n,).
 
     ln r may be steep at either end: the trapezoidal rule in ln(y/(x - y)) converges exponentially whatever the slopes,
     with as many nodes as it takes to leave out a hazard of 1e-12.
     """
     found = np.zeros(xi0.shape)
-    if c.barrier is None:
+    if not s.barrier.thermal:
         return found
-    reach = c.log_w + np.log(x) - math.log(_UNSEEN)
+    reach = s.barrier.log_w + np.log(x) - math.log(_UNSEEN)
     for i in np.flatnonzero(reach > 0):
         u = _STEP * np.arange(-math.ceil(reach[i] / _STEP), math.ceil(reach[i] / _STEP) + 1)
         y = x[i] * special.expit(u)
-        found[i] = c.rate(y, xi0[i, :, None] * c.aged(y)) @ (_STEP * y * special.expit(-u))
+        found[i] = rate(s, y, xi0[i, :, None] * aged(s, y)) @ (_STEP * y * special.expit(-u))
     return found
 
 
-def _births_at(c: Contact, law: ThresholdLaw, x: Array, least: Array) -> Array:
+def _births_at(s: Reduced, x: Array, least: Array) -> Array:
     """Roughly the birth whose hazard at x passes each level, shape (n, levels): only panels depend on it."""
-    rarest = max(60.0, strongest(c.log_w, c.barrier))
-    beyond = np.maximum(float(law.exceeded_by(rarest)) / law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
+    rarest = max(60.0, strongest(s.barrier))
+    beyond = np.maximum(float(s.law.exceeded_by(rarest)) / s.law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
     with np.errstate(divide="ignore"):
-        log_hazard = np.log(_hazard(c, x, least[:, None] + beyond))
+        log_hazard = np.log(_hazard(s, x, least[:, None] + beyond))
         for _ in range(2):
             # stronger contacts are safer; where attempts hardly need energy that may fail, but there nothing is steep
             falling = np.maximum(np.minimum.accumulate(log_hazard, axis=1), -1e3)
             found = np.array([np.interp(-_LEVELS, -h, d) for h, d in zip(falling, beyond, strict=True)])
             beyond = np.concatenate((beyond, found), axis=1)
-            log_hazard = np.concatenate((log_hazard, np.log(_hazard(c, x, least[:, None] + found))), axis=1)
+            log_hazard = np.concatenate((log_hazard, np.log(_hazard(s, x, least[:, None] + found))), axis=1)
             order = np.argsort(beyond, axis=1)
             beyond, log_hazard = (np.take_along_axis(part, order, axis=1) for part in (beyond, log_hazard))
     return least[:, None] + found

@@ -21,17 +21,24 @@ plus a third of what halving the steps changes; true errors are some ten times s
 half a second; the steep front of very many attempts (log_w = 50) takes seconds.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, ndimage, optimize, special
+from scipy.interpolate import CubicSpline
 
-from eqsim.errors import require_choice, require_number
-from eqsim.numerics.tables import Array
+from eqsim.laws.aging import Langevin
+from eqsim.laws.aging.base import scale2
+from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.thermal import Barrier, log_rate
 from eqsim.laws.threshold import Gamma
+from eqsim.master.quenched import Moments
+from eqsim.model.reduced import Reduced
+from eqsim.numerics.tables import Array
+
+METHOD = "Fokker-Planck equation"
 
 # ESDIRK4(3)6L[2]SA of Kennedy and Carpenter (2003): the implicit part of ARK4(3)6L[2]SA; last row = weights
 _C = np.array([0.0, 1 / 2, 83 / 250, 31 / 50, 17 / 20, 1.0])
@@ -74,30 +81,34 @@ class Survival(NamedTuple):
     work_error: float
 
 
-def survival(
-    n: float,
-    final: float,
-    mobility: float,
-    stiffness: StiffnessLaw,
-    barrier: Barrier | None,
-    b: float,
-    log_w: float,
-) -> Survival:
-    """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law).
+def stationary(s: Reduced) -> Moments:
+    """C and work of quenched contacts whose thresholds fluctuate."""
+    found = survival(s)
+    return Moments(found.stretch, found.work, found.stretch_error, found.work_error)
 
-    Newborn law `Gamma(n, 1)`, `final` = x_*f/x_*i, `mobility` = D/(v x_*i), b = k x_*i^2/(2 kT) and
-    log_w = ln(omega x_*i/v); barrier None at T = 0, where the last two do not matter. The rms threshold of the sqrt law
-    is the newborn one, k_i follows the current threshold. A mobility below 1e-12 counts as 1e-12. Raises InputError
-    outside 0 <= n <= 1000, 1e-3 <= final <= 1e3, mobility <= 1e6, 0 < b <= 1e9 and abs(log_w) <= 230.
+
+def survivors(s: Reduced, x: Array) -> Array:
+    """The `values` of `Survival` at x > 0, shape (3, n)."""
+    found = survival(s)
+    values = CubicSpline(np.log(found.x[1:]), found.values[:, 1:], axis=1)
+    return np.where(x > found.x[-1], 0.0, values(np.log(np.clip(x, found.x[1], found.x[-1]))))
+
+
+def survival(s: Reduced) -> Survival:
+    """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law), remembered:
+    the solution takes a second.
+
+    The rms threshold of the sqrt law is the newborn one, k_i follows the current threshold. A mobility D_v below 1e-12
+    counts as 1e-12.
     """
-    require_number("n", n, least=0, most=1000)
-    require_number("x_star_final / x_star", final, least=1e-3, most=1e3)
-    require_number("rate / (velocity * x_star)", mobility, least=0, most=1e6 * (1 + 1e-9))  # a product, rounded
-    require_choice("stiffness_law", stiffness, ("sqrt", "uniform"))
-    if barrier is not None:
-        require_number("b", b, above=0, most=1e9)
-        require_number("ln(attempt_frequency * x_star / velocity)", log_w, least=-230, most=230)
-    life = _Life(n, final, max(mobility, _LEAST_MOBILITY), stiffness, barrier, b, log_w)
+    if not isinstance(s.aging, Langevin):
+        raise TypeError(f"these thresholds do not fluctuate: {s.aging}")
+    return _survival(s.aging, s.stiffness, s.barrier)
+
+
+@functools.lru_cache(maxsize=16, typed=True)  # tuples of different laws may be equal
+def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Survival:
+    life = _Life(aging, stiffness, barrier)
     coarse, middle, fine = (_Grid(life, cells * _CELL) for cells in _RATIOS)
     first = _march(life, coarse)
     halved = _march(life, coarse, np.sort(np.append(first.x, 0.5 * (first.x[1:] + first.x[:-1]))))
@@ -129,44 +140,35 @@ def _extrapolated(first: Array, second: Array, third: Array, halving: Array) -> 
 class _Life:
     """The coefficients of the equation of u, and where it ends."""
 
-    def __init__(
-        self,
-        n: float,
-        final: float,
-        mobility: float,
-        stiffness: StiffnessLaw,
-        barrier: Barrier | None,
-        b: float,
-        log_w: float,
-    ) -> None:
-        self.n, self.final, self.mobility = n, final, mobility
-        self.stiffness, self.barrier, self.b, self.log_w = stiffness, barrier, b, log_w
-        law = Gamma(n)
+    def __init__(self, aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> None:
+        self.n, self.final2, self.stiffness, self.barrier = aging.shape, aging.final2, stiffness, barrier
+        self.mobility = max(0.25 * aging.alpha * aging.final2, _LEAST_MOBILITY)
+        law = Gamma(self.n)
         self.rms = law.rms
-        self.log_norm = math.log(2.0) - special.gammaln(n + 1.0)
+        self.log_norm = math.log(2.0) - special.gammaln(self.n + 1.0)
         # where lives are short by exp(-log_w), contacts as rare as that still count in the mean
-        rarest = 45.0 + (0.0 if barrier is None else max(log_w, 0.0))
-        self.top = float(law.exceeded_by(rarest))
-        self.end = float(optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, 2 * self.top * max(1.0, final)))
+        self.top = float(law.exceeded_by(45.0 + max(barrier.log_w, 0.0)))
+        most = 2 * self.top * max(1.0, aging.final)
+        self.end = float(optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, most))
 
     def scale(self, x: float) -> float:
-        """s(x), the scale of the unbroken law (derived)."""
-        return math.sqrt(1.0 - (self.final**2 - 1.0) * math.expm1(-4.0 * self.mobility * x / self.final**2))
+        """s(x), the scale of the unbroken law."""
+        return math.sqrt(scale2(self.final2, 4.0 * self.mobility * x / self.final2))
 
     def matrix(self, x: float, grid: "_Grid") -> Array:
         """du/dx = A u: lower, main and upper diagonal of A, those of node j in column j, shape (3, N)."""
         s = self.scale(x)
         eta = x / s + grid.y
-        boundary = 1.0 / s - 2.0 * self.mobility * x / s * (1.0 / s**2 - 1.0 / self.final**2)  # d(x/s)/dx
+        boundary = 1.0 / s - 2.0 * self.mobility * x / s * (1.0 / s**2 - 1.0 / self.final2)  # d(x/s)/dx
         spread = self.mobility / s**2
         drift = (boundary + spread * ((2 * self.n + 1) / eta - 2.0 * eta)) * grid.first
         a: Array = spread * grid.second
         a[0] -= drift
         a[2] += drift
-        if self.barrier is not None:
+        if self.barrier.thermal:
             xi = x + s * grid.y
             with np.errstate(divide="ignore"):  # xi = x to rounding
-                a[1] -= np.exp(self.log_w + log_rate(self.barrier, x, xi, self.b * self.kappa(xi)))
+                a[1] -= np.exp(self.barrier.log_w + self.barrier.log_rate(x, xi, self.barrier.b * self.kappa(xi)))
         return a
 
     def kappa(self, xi: Array) -> Array:
@@ -203,8 +205,8 @@ class _Grid:
         # contacts drift into the boundary within D_v; where they diffuse to it, lives are as short as 1/D_v
         self.least = 1e-3 * min(life.mobility / high, low, low**2 / life.mobility)
         self.front, self.crowd = (0.0, 0.0), 0.0
-        if life.barrier is not None:
-            self.front, self.crowd = _front(life, low, high), _CROWD * min(max(life.log_w, 0.0), 60.0)
+        if life.barrier.thermal:
+            self.front, self.crowd = _front(life, low, high), _CROWD * min(max(life.barrier.log_w, 0.0), 60.0)
             self.least = min(self.least, 0.1 * math.exp(self.front[0]))
         self.least = max(self.least, _LEAST_GAP)
         count = math.ceil(float(self._z(np.array([life.top]))[0]) / dz)
@@ -242,14 +244,11 @@ class _Grid:
 def _front(life: _Life, low: float, high: float) -> tuple[float, float]:
     """ln y of the nearest and the farthest gap at which thermal breaking may end: the rate falls within `layer` at
     large stretch, and at no stretch with the barrier itself."""
-    x = life.top * high
-    a = life.b * float(life.kappa(np.array(x)))
-    layer = x * min(0.5 / (a * x**2) if life.barrier == "soft" else (a * x**2) ** (-2 / 3), 1.0)
-    attempts = max(life.log_w, 1.0)
-    near = 0.5 * layer * max(life.log_w + math.log(layer), 1.0)
-    far = 1.4 * (
-        (attempts * life.rms / life.b) ** (1 / 3) if life.stiffness == "sqrt" else math.sqrt(attempts / life.b)
-    )
+    x, b, log_w = life.top * high, life.barrier.b, life.barrier.log_w
+    layer = x * min(life.barrier.layer(x, b * float(life.kappa(np.array(x)))), 1.0)
+    attempts = max(log_w, 1.0)
+    near = 0.5 * layer * max(log_w + math.log(layer), 1.0)
+    far = 1.4 * ((attempts * life.rms / b) ** (1 / 3) if life.stiffness == "sqrt" else math.sqrt(attempts / b))
     near = min(near / high, life.top)
     return math.log(near), math.log(min(max(far / low, near), life.top))
 
@@ -269,7 +268,7 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
     slope[0, 0] = 0.0  # it belongs to the boundary, where u = 0
     u_slope = slope.sum(axis=0)
     path, values, totals = [0.0], [life.survivors(0.0, grid, u)], [np.zeros(2)]
-    h = 1e-10 * min(life.end, 1.0 if life.barrier is None else math.exp(-life.log_w))
+    h = 1e-10 * min(life.end, math.exp(-life.barrier.log_w))
     for _ in range(_MOST_STEPS):
         x = path[-1]
         h = min(h, life.end - x) if stops is None else stops[len(path)] - x

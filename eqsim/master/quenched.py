@@ -18,10 +18,13 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy import special
 
-from eqsim.numerics.tables import Array
+from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.thermal import Barrier, log_hazard
 from eqsim.laws.threshold import ThresholdLaw, panels_above
+from eqsim.model.reduced import Reduced
+from eqsim.numerics.tables import Array
+
+METHOD = "joint kinetic equation"
 
 _LEVELS = np.array([-48.0, -24.0, -12.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75, 2.5, 3.25, 4.0])  # of ln Lambda
 _NODES, _WEIGHTS = special.roots_legendre(14)
@@ -84,53 +87,36 @@ class Moments(NamedTuple):
     work_error: float
 
 
-def survival(barrier: Barrier | None, x: Array, xi: Array, a: Array, log_w: float) -> Array:
-    """S(x|xi) for 0 < x < xi; log_w = ln(omega/v) in the unit of length of x; no barrier means T = 0."""
-    if barrier is None:
+def survival(barrier: Barrier, x: Array, xi: Array, kappa: Array) -> Array:
+    """S(x|xi) for 0 < x < xi of contacts of relative stiffness `kappa`."""
+    if not barrier.thermal:
         return np.where(x < xi, 1.0, 0.0)
-    log_lambda = log_hazard(barrier, np.minimum(x, xi), xi, a) + log_w
+    log_lambda = barrier.log_hazard(np.minimum(x, xi), xi, barrier.b * kappa) + barrier.log_w
     return np.where(x < xi, np.exp(-np.exp(np.minimum(log_lambda, 7.0))), 0.0)
 
 
-def life_moments(barrier: Barrier | None, xi: Array, a: Array, log_w: float) -> tuple[Array, Array]:
-    """int_0^xi S dx and int_0^xi x S dx for thresholds `xi`, shape (n,), with a = k_i/(2 kT) of the same shape."""
-    if barrier is None:
+def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> tuple[Array, Array]:
+    """int_0^xi S dx and int_0^xi x S dx for thresholds `xi`, shape (n,), with k_i/k of the same shape."""
+    if not barrier.thermal:
         return xi, 0.5 * xi**2
-    levels = _stretch_at(barrier, xi, a, log_w) / xi[:, None]
+    levels = barrier.stretch_at(_LEVELS, xi, barrier.b * kappa) / xi[:, None]
     phi = np.arcsin(np.sqrt(np.clip(levels, 0.0, 1.0)))
     edges = np.concatenate((np.zeros((xi.size, 1)), phi, np.full((xi.size, 1), 0.5 * math.pi)), axis=1)
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     phi = edges[:, :-1, None] + half * (1.0 + _NODES)
-    xi, a = xi[:, None, None], a[:, None, None]
+    xi, kappa = xi[:, None, None], kappa[:, None, None]
     x = np.maximum(xi * np.sin(phi) ** 2, 1e-200)
-    terms = half * _WEIGHTS * xi * np.sin(2 * phi) * survival(barrier, x, xi, a, log_w)
+    terms = half * _WEIGHTS * xi * np.sin(2 * phi) * survival(barrier, x, xi, kappa)
     return terms.sum(axis=(1, 2)), (terms * x).sum(axis=(1, 2))
 
 
-def _stretch_at(barrier: Barrier, xi: Array, a: Array, log_w: float) -> Array:
-    """Roughly the stretch where ln((omega/v) H) passes each level, shape (n, levels): only panels depend on it."""
-    c = (a * xi**2)[:, None]
-    if barrier == "soft":
-        log_erfi = _LEVELS - log_w + c + np.log(2.0 * np.sqrt(a / math.pi))[:, None]
-        z2 = np.maximum(log_erfi, 1.0)
-        for _ in range(3):  # erfi(z) ~ exp(z^2)/(sqrt(pi) z)
-            z2 = np.maximum(log_erfi + 0.5 * np.log(math.pi * z2), 1.0)
-        small = 0.5 * math.sqrt(math.pi) * np.exp(np.minimum(log_erfi, 1.0))
-        return np.asarray(np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0)) / np.sqrt(a)[:, None])
-    spent = np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + _LEVELS - log_w) / c  # 1 - (1 - x/xi)^1.5
-    spent = np.minimum(spent, 1.0)
-    q = (1.0 - spent) ** (2.0 / 3.0)
-    return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))  # 1 - q without cancellation
-
-
-def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | None, b: float, log_w: float) -> Moments:
-    """C and work of quenched contacts; lengths, b = k x_*^2/(2 kT) and log_w = ln(omega x_*/v) in units of
-    `law.scale`; barrier None at T = 0."""
-    rms = law.rms / law.scale
+def stationary(s: Reduced) -> Moments:
+    """C and work of quenched contacts that do not age."""
+    law = s.law
 
     def moments(xi: Array) -> Array:
-        kappa = relative_stiffness(stiffness, xi, rms)
-        zeroth, first = life_moments(barrier, xi, b * kappa, log_w)
+        kappa = relative_stiffness(s.stiffness, xi, s.rms)
+        zeroth, first = life_moments(s.barrier, xi, kappa)
         return np.array([zeroth, kappa * first])
 
     if law.steps.size:
@@ -162,7 +148,7 @@ def stationary(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | No
         left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
         parts = np.append(parts[:, ~split], new_parts, axis=1)
         errors = np.append(errors[:, ~split], new_errors, axis=1)
-    rarest = beyond(law, stiffness)
+    rarest = beyond(law, s.stiffness)
     error = errors.sum(axis=1) + _PANELS * total + rarest
     total = total + rarest
     return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
@@ -182,42 +168,40 @@ def beyond(law: ThresholdLaw, stiffness: StiffnessLaw) -> Array:
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
 
 
-def survivors(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier | None, b: float, log_w: float, x: Array
-) -> tuple[Array, Array, Array]:
-    """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0 in units of `law.scale`.
+def survivors(s: Reduced, x: Array) -> Array:
+    """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n).
 
     Over xi > x by panels that end at fixed shares of the stronger contacts and where the hazard passes fixed levels.
     """
-    rms = law.rms / law.scale
+    law = s.law
     if law.steps.size:
         xi, counts = np.unique(law.steps / law.scale, return_counts=True)
-        kappa = relative_stiffness(stiffness, xi, rms)
+        kappa = relative_stiffness(s.stiffness, xi, s.rms)
         weight = np.array([kappa**power for power in range(3)]) * (counts / counts.sum())
         total = np.zeros((3, x.size))
         for j in range(xi.size):
-            total += weight[:, j, None] * survival(barrier, x, xi[j], b * kappa[j], log_w)
-        return total[0], total[1], total[2]
+            total += weight[:, j, None] * survival(s.barrier, x, xi[j], kappa[j])
+        return total
     layer = weakest(law) + np.zeros((x.size, 1))
-    if barrier is not None:
-        layer = np.concatenate((layer, _threshold_at(law, x, b, barrier, stiffness, log_w)), axis=1)
-    edges = births_above(law, x, layer, strongest(log_w, barrier))
+    if s.barrier.thermal:
+        layer = np.concatenate((layer, _threshold_at(s, x)), axis=1)
+    edges = births_above(law, x, layer, strongest(s.barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
-    kappa = relative_stiffness(stiffness, xi, rms)
+    kappa = relative_stiffness(s.stiffness, xi, s.rms)
     with np.errstate(invalid="ignore"):
         terms = half * _FEW_WEIGHTS * law.pdf(xi * law.scale) * law.scale
-        terms *= survival(barrier, x[:, None, None], xi, b * kappa, log_w)
+        terms *= survival(s.barrier, x[:, None, None], xi, kappa)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
-    return terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))
+    return np.array([terms.sum((1, 2)), (terms * kappa).sum((1, 2)), (terms * kappa**2).sum((1, 2))])
 
 
 _COMMON, _RARER = 45.0, 5.0  # -ln J_c up to which lives hardly differ enough to count, and of panels beyond
 
 
-def strongest(log_w: float, barrier: Barrier | None) -> float:
+def strongest(barrier: Barrier) -> float:
     """-ln J_c up to which contacts count: where lives are as short as exp(-log_w), ones as rare as its square do."""
-    return _COMMON + (0.0 if barrier is None else min(max(2.0 * log_w, 0.0), 455.0))
+    return _COMMON + min(max(2.0 * barrier.log_w, 0.0), 455.0)
 
 
 def births_above(law: ThresholdLaw, x: Array, layer: Array | None, rarest: float) -> Array:
@@ -239,30 +223,28 @@ def weakest(law: ThresholdLaw) -> Array:
 _SHALLOWEST, _BISECTIONS = -44.0, 13  # ln(xi/x - 1), where levels are sought
 
 
-def _threshold_at(
-    law: ThresholdLaw, x: Array, b: float, barrier: Barrier, stiffness: StiffnessLaw, log_w: float
-) -> Array:
+def _threshold_at(s: Reduced, x: Array) -> Array:
     """Roughly the threshold whose ln((omega/v) H(x)) passes each level, shape (n, levels): only panels depend on it.
 
     By bisection, as stronger contacts are safer; where attempts hardly need energy that may fail, but nothing is steep.
     """
     x = x[:, None]
     low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
-    high = np.log1p(float(law.exceeded_by(500.0)) / law.scale / x) + np.zeros_like(low)
+    high = np.log1p(float(s.law.exceeded_by(500.0)) / s.law.scale / x) + np.zeros_like(low)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         xi = x * (1.0 + np.exp(middle))
-        a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-        weak = log_hazard(barrier, x, xi, a) + log_w > _LEVELS
+        a = s.barrier.b * relative_stiffness(s.stiffness, xi, s.rms)
+        weak = s.barrier.log_hazard(x, xi, a) + s.barrier.log_w > _LEVELS
         low, high = np.where(weak, middle, low), np.where(weak, high, middle)
     return np.asarray(x * (1.0 + np.exp(high)))
 
 
-def panels(law: ThresholdLaw, stiffness: StiffnessLaw, b: float) -> Array:
+def panels(s: Reduced) -> Array:
     """Ascending stretches between which what happens to contacts of a discrete law is smooth: they crowd towards
     every threshold from below and, down to a small part of it, from above, and towards 0."""
-    xi = np.unique(law.steps) / law.scale
-    rate = 2.0 * (b if math.isfinite(b) else 0.0) * relative_stiffness(stiffness, xi, law.rms / law.scale) * xi
+    xi, b = np.unique(s.law.steps) / s.law.scale, s.barrier.b
+    rate = 2.0 * (b if math.isfinite(b) else 0.0) * relative_stiffness(s.stiffness, xi, s.rms) * xi
     edges = [xi[0] * 2.0 ** -np.arange(1.0, 340.0)]
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):
         depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))

@@ -3,22 +3,18 @@
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from scipy import optimize
 
-from eqsim.model.ensemble import Ensemble
-from eqsim.errors import POSITIVE, require_number
 from eqsim.estimate import Averages, Estimate
-from eqsim.laws.aging import AgingRule
-from eqsim.laws.stiffness import StiffnessLaw
-from eqsim.laws.thermal import Barrier
-from eqsim.laws.threshold import ThresholdLaw
-from eqsim.master import flow, fokker_planck, kinetic, published
+from eqsim.laws.aging import Flow, Langevin, Unaged
+from eqsim.master import annealed, flow, fokker_planck, quenched
 from eqsim.master.quenched import Moments
-
-PUBLISHED, KINETIC = "published master equation", "joint kinetic equation"
-FLOWING, FOKKER_PLANCK = "joint kinetic equation along flowing thresholds", "Fokker-Planck equation"
+from eqsim.model.drive import Drive, require_drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Reduced, reduced
+from eqsim.numerics.tables import Array
 
 
 @dataclass(frozen=True)
@@ -32,102 +28,64 @@ class Reference(Averages):
     method: str
 
 
-class Setting(NamedTuple):
-    """An ensemble at a velocity as the solvers see it: lengths in units of `law.scale`, barrier None at T = 0,
-    `delay` v<tau>, `drag` eta v/k; `annealed` only where it makes a difference; `aging` of quenched contacts with
-    `final` = x_*f/x_*i and `alpha` of `laws.aging`. Errors of moments count `sensitivity` times."""
+class Solver(Protocol):
+    """What the module of each equation has: its name, the moments of lives, and who survives to a stretch."""
 
-    law: ThresholdLaw
-    stiffness: StiffnessLaw
-    barrier: Barrier | None
-    b: float
-    log_w: float
-    delay: float
-    exponential: bool
-    drag: float
-    annealed: bool
-    aging: AgingRule
-    final: float
-    alpha: float
+    METHOD: str
+
+    def stationary(self, s: Reduced) -> Moments: ...
+
+    def survivors(self, s: Reduced, x: Array) -> Array: ...
+
+
+_SOLVERS: dict[type, Solver] = {Unaged: quenched, Flow: flow, Langevin: fokker_planck}  # of quenched contacts
+
+
+def solver(s: Reduced) -> Solver:
+    """Which equation describes these contacts."""
+    return annealed if s.annealed else _SOLVERS[type(s.aging)]
+
+
+class Settled(NamedTuple):
+    """An ensemble at a velocity, its births included; errors of moments count `sensitivity` times."""
+
+    reduced: Reduced
     sensitivity: float
 
 
 @functools.lru_cache(maxsize=64)
-def setting(ensemble: Ensemble, velocity: float) -> Setting:
-    """What the solvers need to know. Raises InputError if a dimensionless group is beyond 1e+-100."""
-    require_number("velocity", velocity, **POSITIVE)
-    law, thermal, unit = ensemble.thresholds, ensemble.thermal, ensemble.thresholds.scale
-    aging, moving = ensemble.aging, False
-    if ensemble.aging.active and not ensemble.self_consistent:
-        law = ensemble.births(velocity)
-        moving = law is ensemble.thresholds
-    cold = not ensemble.heated(velocity)
-    log_w = 0.0 if cold else math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
-    require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
-    delay = velocity * ensemble.delay.time / unit
-    require_number("velocity * delay / threshold", delay, least=0, most=1e100)
-    found = Setting(
-        law=law,
-        stiffness=ensemble.stiffness_law,
-        barrier=None if cold else thermal.barrier,
-        b=max(ensemble.b, 1e-100),
-        log_w=log_w,
-        delay=delay,
-        exponential=ensemble.delay.law == "exponential",
-        drag=ensemble.drag(velocity),
-        annealed=ensemble.disorder == "annealed" and law.steps.size != 1 and not cold,
-        aging=aging.rule if moving else "none",
-        final=aging.x_star_final / unit if moving else 1.0,
-        alpha=aging.alpha(unit, velocity) if moving else 0.0,
-        sensitivity=1.0,
-    )
-    return _settled(found, ensemble, velocity) if ensemble.self_consistent else found
+def settled(ensemble: Ensemble, velocity: float) -> Settled:
+    """What the solvers need to know; births of annealed contacts that age are the fixed point C = int J_c exp(-Delta U)
+    dx of star1. Raises InputError."""
+    if not ensemble.self_consistent:
+        return Settled(reduced(ensemble, velocity), 1.0)
+    unit = ensemble.thresholds.scale
 
-
-def _settled(s: Setting, ensemble: Ensemble, velocity: float) -> Setting:
-    """Annealed contacts that age: births at the fixed point C = int J_c exp(-Delta U) dx of star1."""
-    unit = s.law.scale
+    def of(log_stretch: float) -> Reduced:
+        return reduced(ensemble, velocity, math.exp(log_stretch) * unit)
 
     def excess(log_stretch: float) -> float:
-        births = s._replace(law=ensemble.births(velocity, math.exp(log_stretch) * unit))
-        return math.log(moments(births)[1].stretch) - log_stretch
+        s = of(log_stretch)
+        return math.log(solver(s).stationary(s).stretch) - log_stretch
 
     first = math.log(ensemble.thresholds.mean / unit)
     second = first + excess(first) + 1e-3  # in case births do not age at all
     fixed = float(optimize.root_scalar(excess, method="secant", x0=first, x1=second, xtol=1e-9).root)
     slope = -(excess(fixed + 1e-3) - excess(fixed)) / 1e-3  # 1 - d ln C/d ln C of births
-    law = ensemble.births(velocity, math.exp(fixed) * unit)
-    return s._replace(law=law, sensitivity=1.0 / max(slope, 1e-3))
+    return Settled(of(fixed), 1.0 / max(slope, 1e-3))
 
 
-def moments(s: Setting) -> tuple[str, Moments]:
-    """Which equation describes these contacts, and the moments of their lives."""
-    if s.annealed and s.barrier is not None:
-        return PUBLISHED, published.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
-    if s.aging == "flow":
-        return FLOWING, flow.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w, s.final, s.alpha)
-    if s.aging == "langevin":
-        found = survival(s)
-        return FOKKER_PLANCK, Moments(found.stretch, found.work, found.stretch_error, found.work_error)
-    return KINETIC, kinetic.stationary(s.law, s.stiffness, s.barrier, s.b, s.log_w)
-
-
-@functools.lru_cache(maxsize=16)
-def survival(s: Setting) -> fokker_planck.Survival:
-    """A `langevin` life in the mean, remembered: the solution takes a second."""
-    n = getattr(s.law, "n", 0.0)
-    return fokker_planck.survival(n, s.final, 0.25 * s.alpha * s.final**2, s.stiffness, s.barrier, s.b, s.log_w)
-
-
-def reference(ensemble: Ensemble, velocity: float) -> Reference:
-    """The steady averages of an ensemble at constant velocity, by quadrature. Raises InputError."""
-    s = setting(ensemble, velocity)
-    method, found = moments(s)
-    if ensemble.disorder == "annealed" and ensemble.aging.active:
-        method = PUBLISHED
-    unit, delay, drag = s.law.scale, s.delay, s.drag
+def reference(ensemble: Ensemble, drive: Drive) -> Reference:
+    """The steady averages of an ensemble at the velocity of a drive, by quadrature. Raises InputError."""
+    require_drive(drive)
+    s, sensitivity = settled(ensemble, drive.velocity)
+    equation = solver(s)
+    found = equation.stationary(s)
+    # aging annealed contacts are those of the published equation also where heat breaks none
+    method = annealed.METHOD if ensemble.disorder == "annealed" and ensemble.aging.active else equation.METHOD
+    unit, delay, drag = s.law.scale, s.delay.mean, s.drag
     stretch, work = found.stretch, found.work
-    stretch_error, work_error = (s.sensitivity * error for error in (found.stretch_error, found.work_error))
+    stretch_error, work_error = (sensitivity * error for error in (found.stretch_error, found.work_error))
     relative = stretch_error / stretch + work_error / work
     pinned = stretch / (stretch + delay)
     pinned_error = pinned * (1.0 - pinned) * stretch_error / stretch

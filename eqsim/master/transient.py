@@ -19,6 +19,7 @@ is in step, and where they cannot be the share that may still be in step is part
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,15 +27,19 @@ import numpy as np
 from scipy import fft, ndimage, signal
 from scipy.interpolate import CubicSpline
 
-from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.aging import Pooled
-from eqsim.numerics.tables import Array
+from eqsim.laws.aging import Langevin, PooledThresholds, Unaged
+from eqsim.laws.delay import Exponential, Fixed
 from eqsim.laws.threshold import Gamma
-from eqsim.master import flow, kinetic, published
-from eqsim.master.steady import Setting, moments, reference, setting, survival
+from eqsim.master import fokker_planck, quenched
+from eqsim.master.steady import reference, settled, solver
+from eqsim.model.drive import Drive, require_drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Reduced
+from eqsim.numerics.tables import Array
+
+Integral = Callable[[Array], Array]
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor
@@ -63,12 +68,12 @@ class Transient:
 class Profile:
     """A life in the mean: S(x), k1 = E[k_i/k; x_b > x], k2 = E[(k_i/k)^2; x_b > x], and their integrals from 0."""
 
-    def __init__(self, s: Setting, grid: Array) -> None:
+    def __init__(self, s: Reduced, grid: Array) -> None:
         """`grid` holds every x that will be asked for; only discrete laws, with their jumps, need to know."""
-        self.setting, self.error = s, _SPLINE if isinstance(s.law, (Gamma, Pooled)) else _KINKED_SPLINE
+        self.reduced, self.error = s, _SPLINE if isinstance(s.law, (Gamma, PooledThresholds)) else _KINKED_SPLINE
         self.steps = s.law.steps.size > 0
         if self.steps:
-            self.x = np.unique(np.append(kinetic.panels(s.law, s.stiffness, s.b), grid[grid > 0]))
+            self.x = np.unique(np.append(quenched.panels(s), grid[grid > 0]))
             nodes, weights = np.polynomial.legendre.leggauss(6)
             edge = np.append(0.0, self.x)
             half = 0.5 * np.diff(edge)[:, None]
@@ -78,10 +83,10 @@ class Profile:
             self.survive = self._solve(self.x)[0]
             self._judge()
             return
-        rarest = float(s.law.exceeded_by(kinetic.strongest(s.log_w, s.barrier)))
-        top = math.log(rarest / s.law.scale * max(1.0, s.final))
+        rarest = float(s.law.exceeded_by(quenched.strongest(s.barrier)))
+        top = math.log(rarest / s.law.scale * max(1.0, s.aging.final))
         # from where hardly a contact has broken: no rate exceeds omega
-        first = -math.log(1e15) if s.barrier is None else -max(math.log(1e15), s.log_w + math.log(1e7))
+        first = -max(math.log(1e15), s.barrier.log_w + math.log(1e7))
         log_x = np.arange(top, first, -_STEP)[::-1]
         values = self._solve(np.exp(log_x))
         for _ in range(_MOST_ROUNDS):
@@ -100,29 +105,19 @@ class Profile:
 
     def _judge(self) -> None:
         """C and work by another quadrature: what this one misses is part of the error."""
-        _, exact = moments(self.setting)
+        exact = solver(self.reduced).stationary(self.reduced)
         stretch, work = (float(self.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
         stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
         self.error = max(self.error, stretch_error, (abs(work - exact.work) + exact.work_error) / exact.work)
 
     def _solve(self, x: Array) -> Array:
-        s = self.setting
-        if s.annealed and s.barrier is not None:
-            return np.array(published.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
-        if s.aging == "flow":
-            return np.array(flow.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, s.final, s.alpha, x))
-        if s.aging == "langevin":
-            found = survival(s)
-            self.error = float(found.errors[0].max()) + _COARSE_SPLINE
-            values = CubicSpline(np.log(found.x[1:]), found.values[:, 1:], axis=1)(
-                np.log(np.clip(x, found.x[1], found.x[-1]))
-            )
-            return np.where(x > found.x[-1], 0.0, values)
-
-        def means(x: Array) -> Array:
-            return np.array(kinetic.survivors(s.law, s.stiffness, s.barrier, s.b, s.log_w, x))
-
-        return means(x) if self.steps else kinetic.interpolated(means, x, _SMOOTH)
+        s = self.reduced
+        if not s.annealed and isinstance(s.aging, Langevin):
+            self.error = float(fokker_planck.survival(s).errors[0].max()) + _COARSE_SPLINE
+        means = solver(s).survivors
+        if self.steps or s.annealed or not isinstance(s.aging, Unaged):
+            return means(s, x)
+        return quenched.interpolated(lambda x: means(s, x), x, _SMOOTH)
 
     @property
     def strongest(self) -> float:
@@ -145,11 +140,9 @@ class Profile:
         return np.asarray(np.where(x >= self.x[0], self._integrals[power](np.log(inside)), start))
 
 
-def expected(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient:
-    """The exact means of a run: the transient of a fresh start, or the steady values of a stationary one."""
-    if drive.start == "fresh":
-        return transient(ensemble, drive, points)
-    exact = reference(ensemble, drive.velocity)
+def _steady(ensemble: Ensemble, drive: Drive, points: int) -> Transient:
+    """A stationary start: nothing changes."""
+    exact = reference(ensemble, drive)
     level = np.ones(points)
     breaks = known(exact.pinned) / known(exact.break_stretch)
     return Transient(
@@ -169,16 +162,19 @@ class _Means(NamedTuple):
 
 
 def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient:
-    """F(X), pinned(X) and Gamma(X) from a fresh start at `points` equidistant X. Raises InputError."""
+    """F(X), pinned(X) and Gamma(X) at `points` equidistant X, from a fresh or a stationary start. Raises InputError."""
+    require_drive(drive)
     require_integer("points", points, 2, 10**8)
-    s = setting(ensemble, drive.velocity)
+    if drive.start == "stationary":
+        return _steady(ensemble, drive, points)
+    s = settled(ensemble, drive.velocity).reduced
     unit = s.law.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
     profile, fine, in_step, around = grid_of(s, distance, points)
     cells = in_step.size - 1
     # what the mean may be while all are in step
-    loudest = max(profile.strongest, s.drag if s.delay else 0.0), 1.0 if s.delay else 0.0
+    loudest = max(profile.strongest, s.drag if s.delay.mean else 0.0), 1.0 if s.delay.mean else 0.0
     solved = [means_of(profile, fine[::step], s) for step in (2, 1)]
     X = np.linspace(0.0, distance, points)
     found, errors = {}, {}
@@ -226,7 +222,7 @@ class Cells(NamedTuple):
     around: int
 
 
-def grid_of(s: Setting, distance: float, points: int) -> Cells:
+def grid_of(s: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
     discrete = s.law.steps.size > 0
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
@@ -247,12 +243,12 @@ def grid_of(s: Setting, distance: float, points: int) -> Cells:
             return Cells(lives, fine, in_step, around)
 
 
-def _in_step(profile: Profile, s: Setting, x: Array) -> tuple[Array, int]:
+def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
     """The share of contacts that may be in step at each edge `x` of a grid that blurs it, and `Cells.around`."""
     h = x[1]
     broken = -np.diff(profile.survive, prepend=1.0)
     quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
-    cycle = s.delay + slow
+    cycle = s.delay.mean + slow
     k = np.geomspace(2 * math.pi / cycle, max(100.0 / quick, 200.0 / cycle), 400 if profile.steps else 50)
     many = broken > 1e-8
     broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
@@ -260,20 +256,19 @@ def _in_step(profile: Profile, s: Setting, x: Array) -> tuple[Array, int]:
     # lives that last for many waves are out of step
     seen = (np.outer(k, width) < 1.0) | profile.steps
     together = np.abs(np.where(seen, np.exp(1j * phase), 0.0) @ broken)
-    if s.exponential:
-        together /= np.hypot(1.0, k * s.delay)
+    together *= s.delay.coherence(k)
     together = np.minimum(np.maximum.accumulate(together[::-1])[::-1], 1.0)
     m = np.maximum(x / cycle, 1.0)
     at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
     share = together[np.minimum(at, k.size - 1)] ** m
     share[0] = 0.0
-    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (s.delay + quick)))) if profile.steps else 0
-    if profile.steps and around * h < min(quick, s.delay or quick):
+    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (s.delay.mean + quick)))) if profile.steps else 0
+    if profile.steps and around * h < min(quick, s.delay.mean or quick):
         share[:] = 0.0  # what is in step is longer than the grid blurs it
     return share, 2 * around + 1
 
 
-def means_of(profile: Profile, x: Array, s: Setting) -> _Means:
+def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     """Force and pinned at the edges `x` of a uniform grid of cells, breaks in each cell per unit displacement.
 
     By generating functions: with w of the chance to be still detached, d = 1 - (1 - z) w of births after a break, and D
@@ -292,22 +287,13 @@ def means_of(profile: Profile, x: Array, s: Setting) -> _Means:
         return np.asarray(fft.irfft(product, size)[:cells] / damping)
 
     alive, work = (transform(np.diff(profile.integral(x, power)[power]) / h) for power in (0, 1))
-    waiting = transform(_waiting(s, h, cells))
+    waiting = transform(s.delay.waiting(h, cells))
     z = _WRAPPED ** (1.0 / size) * np.exp(-2j * math.pi / size * np.arange(waiting.size))
     reborn = 1.0 - (1.0 - z) * waiting
     breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
     force = x * stiff + np.append(0.0, back(reborn * breaks * work))
     return _Means(force + s.drag * detached, 1.0 - detached, back(breaks) / h)
-
-
-def _waiting(s: Setting, h: float, cells: int) -> Array:
-    """Chance that a contact that breaks anywhere in a cell is still detached at the end of that cell, and of the next
-    ones."""
-    later = np.arange(cells)
-    if s.exponential and s.delay > 0:
-        return np.asarray(-math.expm1(-h / s.delay) * s.delay / h * np.exp(-h / s.delay * later))
-    return np.clip(s.delay / h - later, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -320,21 +306,22 @@ class Fluctuations:
     error: Array
 
 
-def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: int = 101) -> Fluctuations:
-    """Stationary variance and autocovariance of F at `points` lags from 0 to `distance`. Raises InputError.
+def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctuations:
+    """Stationary variance and autocovariance of F at `points` lags from 0 to the drive's distance. Raises InputError.
 
     A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or breaks after y and begins anew
     with the transient of a contact that has just broken; one found detached begins with the rest of its delay. What
     the stiffness was a while ago is not known where it follows an aging threshold: refused.
     """
     require_integer("points", points, 2, 10**6)
-    require_number("distance", distance, above=0)
-    s = setting(ensemble, velocity)
-    if s.aging != "none" and s.stiffness == "sqrt":
+    require_drive(drive)
+    distance = drive.over(ensemble)
+    s = settled(ensemble, drive.velocity).reduced
+    if not isinstance(s.aging, Unaged) and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
     unit = s.law.scale
-    exact = reference(ensemble, velocity)
-    cycle = known(exact.break_stretch) / unit + s.delay
+    exact = reference(ensemble, drive)
+    cycle = known(exact.break_stretch) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     profile, fine, in_step, _ = grid_of(s, distance / unit, points)
     solved = []
@@ -364,20 +351,30 @@ def fluctuations(ensemble: Ensemble, velocity: float, distance: float, points: i
     return Fluctuations(lag, found, errors)
 
 
-def _reborn(fresh: Array, x: Array, s: Setting) -> tuple[Array, Array]:
+def _reborn(fresh: Array, x: Array, s: Reduced) -> tuple[Array, Array]:
     """Integral of the mean force from a break on, and mean force of a contact found detached, from the mean force
     `fresh` of one just pinned."""
-    if s.delay == 0:
-        return CubicSpline(x, fresh).antiderivative()(x), np.zeros_like(x)
     total = CubicSpline(x, fresh).antiderivative()
-    if not s.exponential:
-        late = total(np.maximum(x - s.delay, 0.0))
-        after = s.drag * np.minimum(x, s.delay) + late
-        return after, s.drag * np.maximum(1.0 - x / s.delay, 0.0) + (total(x) - late) / s.delay
+    if s.delay.mean == 0:
+        return total(x), np.zeros_like(x)
+    return _REBORN[type(s.delay)](fresh, x, total, s.delay.mean, s.drag)
+
+
+def _after_fixed(fresh: Array, x: Array, total: Integral, delay: float, drag: float) -> tuple[Array, Array]:
+    """`_reborn` of contacts that wait as long as each other."""
+    late = total(np.maximum(x - delay, 0.0))
+    return drag * np.minimum(x, delay) + late, drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
+
+
+def _after_exponential(fresh: Array, x: Array, total: Integral, delay: float, drag: float) -> tuple[Array, Array]:
+    """`_reborn` of contacts that attach at random."""
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh linear in each cell
-    ratio = x[1] / s.delay
+    ratio = x[1] / delay
     keep, first = math.exp(-ratio), -math.expm1(-ratio)
     slope = 1.0 - first / ratio
     y = signal.lfilter([1.0], [1.0, -keep], np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]))
-    fading = np.exp(-x / s.delay)
-    return s.drag * s.delay * (1.0 - fading) + total(x) - s.delay * y, s.drag * fading + y
+    fading = np.exp(-x / delay)
+    return drag * delay * (1.0 - fading) + total(x) - delay * y, drag * fading + y
+
+
+_REBORN = {Fixed: _after_fixed, Exponential: _after_exponential}

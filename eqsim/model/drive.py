@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from eqsim.errors import POSITIVE, require_choice, require_integer, require_number
+from eqsim.errors import POSITIVE, InputError, require_choice, require_integer, require_number, shown
 from eqsim.model.ensemble import Ensemble
 
 Start = Literal["fresh", "stationary"]
@@ -29,6 +29,12 @@ class Drive:
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
         return 200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
+
+
+def require_drive(drive: Drive) -> None:
+    """Raise InputError for what is not a drive, such as a bare velocity."""
+    if not isinstance(drive, Drive):
+        raise InputError(f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)")
 
 
 def check_output(points: int, seed: int, replicas: int) -> None:
