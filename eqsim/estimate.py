@@ -14,10 +14,17 @@ from eqsim.numerics.tables import Array
 class Estimate:
     """A value and its standard error.
 
-    `n` is the number of lives (or other samples) behind it, `dof` the number of independent batches less one from
-    which the error was found: (value - truth)/stderr follows Student's law with `dof` degrees of freedom, or the
-    normal law if `dof` is None. `reliable` is False where the error bar cannot be trusted. `value` or `stderr` is
-    None where the sample says nothing about it.
+    Attributes
+    ----------
+    value, stderr : float or None
+        None where the sample says nothing about it.
+    n : int
+        Lives (or other samples) behind it.
+    dof : int or None
+        Degrees of freedom of Student's law that (value - truth)/stderr follows, the number of independent batches less
+        one from which the error was found; None: the normal law.
+    reliable : bool
+        False where the error bar cannot be trusted.
     """
 
     value: float | None
@@ -32,7 +39,7 @@ class Estimate:
 
 
 class Observable(NamedTuple):
-    """How an observable is shown."""
+    """How an observable is shown: `label` on axes and in tables; `unit`, "length" or "" for a number."""
 
     label: str
     unit: str
@@ -45,19 +52,14 @@ def known(estimate: Estimate) -> float:
     return estimate.value
 
 
-def _observable(label: str, unit: str) -> Any:
-    """An observable: its name is that of the field, `label` for axes and tables, `unit` "length" or "" (a number)."""
-    return field(metadata={"label": label, "unit": unit})
-
-
 @dataclass(frozen=True)
 class Averages:
     """Steady averages of an ensemble. Every observable is declared here, and here only: what is printed, stored and
     plotted goes through `OBSERVABLES`."""
 
-    friction: Estimate = _observable("friction  <F> / (N k)", "length")
-    pinned: Estimate = _observable("pinned fraction  N_c / N", "")
-    break_stretch: Estimate = _observable("mean stretch at breaking", "length")
+    friction: Estimate = field(metadata={"label": "friction  <F> / (N k)", "unit": "length"})
+    pinned: Estimate = field(metadata={"label": "pinned fraction  N_c / N", "unit": ""})
+    break_stretch: Estimate = field(metadata={"label": "mean stretch at breaking", "unit": "length"})
 
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""

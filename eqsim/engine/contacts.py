@@ -40,8 +40,8 @@ def lower(s: Reduced) -> Contacts:
     """Dimensionless numbers as kernel arguments. Raises InputError where there is no table for them."""
     barrier: Any = s.barrier
     if s.annealed:
-        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)
-        barrier = Pooled(s.barrier.log_w, *pool)
+        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
+        barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
     table = s.barrier.table()
     return Contacts(for_kernels(s.law), s.springs, barrier, table, s.aging, s.aging.table(s.springs), s.delay)
 

@@ -26,12 +26,12 @@ ROUNDS = 2  # lives of a contact that are drawn together
 
 
 class Lanes(NamedTuple):
-    """Which contacts advance together, and how many times ROUNDS lives old each is; arrays (LANES,). `index` and
+    """Which contacts advance together, and how many times ROUNDS lives old each is; arrays (LANES,). `number` and
     `words` (4, LANES) are scratch."""
 
     contact: Array
     age: Array
-    index: Array
+    number: Array
     words: Array
 
 
@@ -65,7 +65,7 @@ def draw_lives(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Li
 
     Half of a Philox result serves one draw. Where no clock is needed, the two halves are the thresholds of two lives.
     """
-    contact, age, index, words = lanes.contact, lanes.age, lanes.index, lanes.words
+    contact, age, index, words = lanes.contact, lanes.age, lanes.number, lanes.words
     threshold, clock = lives.stretch, lives.clock
     for r in range(ROUNDS):
         if thermal or r == 0:
@@ -114,12 +114,12 @@ def draw_thresholds(law: Thresholds, r: int, u: Array, row: Array, count: int) -
 def complete(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
     """Stretches at breaking in the place of thresholds, of the first `count` lanes."""
     for r in range(lives.stretch.shape[0]):
-        break_lives(law, c.barrier, c.barrier_table, c.springs, r, lives, lanes.index, count)
+        break_lives(law, c.barrier, c.barrier_table, c.springs, r, lives, lanes.number, count)
 
 
 @complete.register(Langevin)
 def _complete_paths(law: Langevin, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
-    age, index = lanes.age, lanes.index
+    age, index = lanes.age, lanes.number
     for r in range(lives.stretch.shape[0]):
         for i in range(count):
             index[i] = ROUNDS * age[i] + r
@@ -164,9 +164,7 @@ def rough_stretch(ensemble: Ensemble, velocity: float) -> float | None:
     return math.exp(float(found))
 
 
-def lives(
-    c: Contacts, key: Key, first: int, u: Array, v: Array, step: float = langevin.STEP
-) -> tuple[Array, Array]:
+def lives(c: Contacts, key: Key, first: int, u: Array, v: Array, step: float = langevin.STEP) -> tuple[Array, Array]:
     """Work over k and stretch at breaking of lives from uniforms `u` (threshold) and `v` (clock), shape (n,). Paths of
     fluctuating thresholds are those of contacts `first`, `first` + 1, ... and take steps of accuracy `step`."""
     work, stretch = np.empty(u.size), np.empty(u.size)
@@ -175,17 +173,13 @@ def lives(
 
 
 @kernel
-def fill_lives(
-    c: Contacts, key: Key, first: int, step: float, u: Array, v: Array, work: Array, stretch: Array
-) -> None:
+def fill_lives(c: Contacts, key: Key, first: int, step: float, u: Array, v: Array, work: Array, stretch: Array) -> None:
     """The kernel of `lives`."""
     fill(c.aging, c, langevin.Source(key, first, step), u, v, work, stretch)
 
 
 @functools.partial(by_law, makes_arrays=True)
-def fill(
-    law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, work: Array, stretch: Array
-) -> None:
+def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, work: Array, stretch: Array) -> None:
     """Lives LANES at a time."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     found, row = empty_lives(c, 1), np.empty(LANES, np.int64)

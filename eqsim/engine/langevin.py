@@ -37,7 +37,7 @@ from eqsim.numerics.vector_math import exp, exp_less_one, log, quarter_sine
 STEP = 0.35  # the default accuracy of steps
 STEP_ERROR = 1e-3  # what they may cost then, relative; falls as the square of STEP
 WALKERS = 64  # paths that advance side by side
-_UNSEEN = 7.0  # heat counts where the hazard of the way to the threshold is above exp(-7)
+_UNSEEN = 7.0  # heat counts where the hazard from here to the threshold is above exp(-7)
 _SCATTERS = 0.03  # hazard of a step from which on its scatter counts
 _FIRST_ORDER, _BOUND = 0.05, 0.4  # ln of a factor up to which first order will do, and that bounds what it misses
 
@@ -59,13 +59,13 @@ class Source(NamedTuple):
 
 
 class Path(NamedTuple):
-    """A pinned contact on its way: its stream of random numbers with the next `draw`, threshold, stretch, and what its
+    """A pinned contact between steps: its stream of random numbers with the next `draw`, threshold, stretch, and what its
     exponential clock has left."""
 
     key: Key
     contact: int
-    life: int
-    draw: int
+    life: Any
+    draw: Any
     xi: float
     x: float
     left: float
@@ -165,9 +165,9 @@ def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> t
 
 
 @inlined
-def reaches(room: float, spread: float, speed: float) -> float:
-    """The h after which speed h + spread sqrt(h) = room."""
-    root = 2.0 * room / (spread + math.sqrt(spread * spread + 4.0 * speed * room))
+def reaches(distance: float, spread: float, speed: float) -> float:
+    """The h after which speed h + spread sqrt(h) = distance."""
+    root = 2.0 * distance / (spread + math.sqrt(spread * spread + 4.0 * speed * distance))
     return root * root
 
 
@@ -194,7 +194,8 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the thermal rate now, and the slope
     of the barrier over 2 kT with the threshold."""
     step = path_step(c.barrier) * step
-    variance = 0.5 * c.aging.alpha * c.aging.final2  # 2 D_v, per unit of displacement
+    alpha = c.aging.alpha
+    variance = 0.5 * alpha * c.aging.final2  # 2 D_v, per unit of displacement
     sigma, gap = math.sqrt(variance), max(xi - x, 1e-16 * xi)  # rounding may leave nothing
     speed = 1.0 + max(0.0, variance * (xi / c.aging.final2 - (c.aging.shape + 0.5) / xi))
     h = min(max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed)), most)
@@ -205,10 +206,10 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
     slope = height_slope(c.barrier, xi, x, a)
     slope += barrier * c.springs.slope / k0
-    quiet = max(barrier - c.barrier.log_w - log(gap), 0.0)  # -ln of the hazard of a way as long as the gap
+    quiet = max(barrier - c.barrier.log_w - log(gap), 0.0)  # -ln of the hazard over as much as the gap
     h = min(h, max(
         reaches(max(quiet - _UNSEEN, 0.0) / slope, sigma / step, speed),
-        min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / c.aging.alpha),
+        min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / alpha),
     ))  # fmt: skip
     # what comes long after the clock has stopped says little about when it stops
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
@@ -232,18 +233,18 @@ def swerve_of(c: Pinned, variance: float, xi: float, gap: float, touch: float, a
 @inlined
 def pull_of(c: Pinned, variance: float, xi: float, gap: float, ahead: float, end: float) -> float:
     """What the drift towards 0 does to it."""
-    way = gap + ahead
-    t, dip = gap / way, 2.0 * gap * ahead / way  # where the straight ways touch, and how far below the direct one
+    both = gap + ahead
+    t, dip = gap / both, 2.0 * gap * ahead / both  # where straight paths touch, and how far below the direct one
     return 0.5 * variance * dip * (xi * (2.0 - t) + end * (1.0 + t) - dip) / (3.0 * c.aging.final2 * c.aging.final2)
 
 
 @inlined
 def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) -> bool:
-    """Whether a threshold that went from `xi` to `end` has met the stretch on its way; `passage` is a uniform. Some of
+    """Whether a threshold that went from `xi` to `end` has met the stretch in between; `passage` is a uniform. Some of
     these passages are yet to be `confirmed`.
 
     The chance is that of a Brownian bridge kept away from 0, corrected for how the drift differs, to first order, on
-    a way that touches and on one that does not.
+    a path that touches and on one that does not.
     """
     gap, ahead = xi - x, end - x - h
     variance = 0.5 * c.aging.alpha * c.aging.final2 * h
@@ -480,9 +481,7 @@ def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
 
 
 @maker
-def lives(
-    c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array
-) -> None:
+def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array) -> None:
     """`life` of many contacts' lives `numbers`, to the same bits: `stretches` at breaking in the place of thresholds at
     birth, and `works` in the place of clocks.
 
@@ -490,11 +489,11 @@ def lives(
     """
     at, contact, life = np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
     draw, special = np.empty(WALKERS, np.int64), np.arange(WALKERS)
-    room = np.zeros((16, WALKERS))
-    xi, x, left, work = room[0], room[1], room[2], room[3]  # where paths are
-    h, rate, slope, along = room[4], room[5], room[6], room[7]  # their steps
-    end, lost, between, last = room[8], room[9], room[10], room[11]
-    passage, broke, spent, u = room[12], room[13], room[14], room[15]
+    scratch = np.zeros((16, WALKERS))
+    xi, x, left, work = scratch[0], scratch[1], scratch[2], scratch[3]  # where paths are
+    h, rate, slope, along = scratch[4], scratch[5], scratch[6], scratch[7]  # their steps
+    end, lost, between, last = scratch[8], scratch[9], scratch[10], scratch[11]
+    passage, broke, spent, u = scratch[12], scratch[13], scratch[14], scratch[15]
     walkers = Walkers(at, contact, life, draw, along, end, passage, u)
     begun, lanes = 0, min(WALKERS, stretches.size)
     count, at[:], broke[:] = lanes, -1, 1.0  # idle lanes count as broken

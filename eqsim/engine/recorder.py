@@ -280,9 +280,7 @@ def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: C
 
 
 @routine
-def follow_growth(
-    c: Contacts, recorder: Recorder, batch: int, stiffness: float, born: float, stretch: float
-) -> None:
+def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float, born: float, stretch: float) -> None:
     """What a contact leaves whose stiffness, `stiffness` at birth, follows its threshold along `flow`."""
     run, law = recorder.run, c.aging
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
@@ -305,7 +303,7 @@ def follow_growth(
 @routine
 def follow_path(c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, born: float) -> float:
     """Stretch at breaking of a contact whose threshold fluctuates, `path` at its birth, and what it leaves. Where its
-    stiffness follows its threshold, its steps end at grid points, and nobody follows it beyond the last one."""
+    stiffness follows its threshold, its steps end at grid points, and it is not followed beyond the last one."""
     run = recorder.run
     if c.springs.slope == 0.0:
         stretch, _ = langevin.life(c, path, langevin.STEP)

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal, special
 
+from eqsim.engine.contacts import Contacts
 from eqsim.engine.lanes import lives
 from eqsim.numerics.streams import key
-from eqsim.engine.contacts import Contacts
 from eqsim.numerics.tables import Array
 
 _NODES = 1024  # of a lattice
@@ -46,7 +46,7 @@ class Births(NamedTuple):
 
 def births(c: Contacts) -> Births:
     """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal rule in s: of even relative
-    spacing where they are small, even where they are large, up to 45: beyond, nobody matters. The clocks of different
+    spacing where they are small, even where they are large, up to 45: beyond, contacts are too rare to matter. The clocks of different
     thresholds lie between each other."""
     if c.aging.fluctuates:  # a path for each threshold
         u, share = _uniforms(np.linspace(*_RANGE, _PATHS))

@@ -57,9 +57,7 @@ class Journey(NamedTuple):
 
 
 @kernel
-def simulate(
-    c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, first: int, last: int
-) -> None:
+def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, first: int, last: int) -> None:
     """Follow contacts first <= i < last over the whole distance and add up what they leave.
 
     A contact's lives come in order of position, so what they leave in the batch sums is added up on the way and noted
@@ -171,9 +169,7 @@ def _draw_delays(law: Any, key: Key, lanes: Lanes, delay: Array, count: int) -> 
 
 
 @by_law
-def advance(
-    law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, alone: bool, counts: tuple[int, int]
-) -> None:
+def advance(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, alone: bool, counts: tuple[int, int]) -> None:
     """Stretches at breaking in the place of thresholds of the lanes, `counts` of which are active and in full use."""
     complete(law, c, key, lanes, lives, counts[1])
 
@@ -197,7 +193,8 @@ def _record_round(
     """What the lives of round r leave, `counts` = r, active and full; whether a contact has come to the end."""
     r, active, full = counts
     position, broke, reborn, edge = journey.position, journey.broke, journey.reborn, journey.edge
-    work, distance, stretch, stiffness, delay = journey.work, journey.distance, lives.stretch, lives.stiffness, journey.delay
+    work, distance, delay = journey.work, journey.distance, journey.delay
+    stretch, stiffness = lives.stretch, lives.stiffness
     for i in range(full):
         x = stretch[r, i]
         work[i] += 0.5 * stiffness[r, i] * x * x

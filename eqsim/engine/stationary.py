@@ -22,7 +22,7 @@ from eqsim.engine.steady import Proposal
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import end, life, whole_hazard
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, threshold_draw
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds, threshold_draw
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.streams import key as key_of
@@ -65,7 +65,7 @@ def stationary(c: Contacts) -> Stationary:
         return Stationary(mean / (mean + c.delay.mean), math.inf, NO_TABLE, NO_TABLE, share, means)
     grid = np.linspace(_LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging.closed else 600)  # lives that age take long
     xi = np.empty(grid.size)
-    thresholds(c, np.exp(-np.exp(grid)), xi)
+    thresholds(c.thresholds, np.exp(-np.exp(grid)), xi)
     means = mean_lives(c, xi)
     time = means * np.exp(grid - np.exp(grid))  # density of contacts found in ln e, times C
     below = integrate.cumulative_simpson(time, dx=grid[1] - grid[0], initial=0)
@@ -140,7 +140,7 @@ def extremes(c: Contacts) -> tuple[float, float]:
     """A threshold and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
     ranks = np.linspace(0.01, _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK, 2000)
     xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
-    thresholds(c, np.exp(-ranks), xi)
+    thresholds(c.thresholds, np.exp(-ranks), xi)
     strongest = 1.1 * float(xi.max()) * max(1.0, c.aging.final)
     if c.aging.fluctuates:
         return strongest, strongest
@@ -157,10 +157,10 @@ def whole_lives(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
 
 
 @kernel
-def thresholds(c: Contacts, u: Array, xi: Array) -> None:
+def thresholds(law: Thresholds, u: Array, xi: Array) -> None:
     """Fill `xi` with the thresholds that fractions `u` of the contacts exceed."""
     for i in range(u.size):
-        xi[i] = threshold_draw(c.thresholds, u[i])
+        xi[i] = threshold_draw(law, u[i])
 
 
 @kernel

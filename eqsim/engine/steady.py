@@ -28,20 +28,20 @@ import numpy as np
 from scipy import integrate, interpolate
 from scipy.stats import qmc
 
-from eqsim.numerics.compiled import kernel
-from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
 from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
 from eqsim.engine.langevin import STEP, STEP_ERROR
-from eqsim.numerics.streams import STEADY, Key, key, name_of
-from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of
-from eqsim.errors import POSITIVE, InputError, require_number
+from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
-from eqsim.numerics.vector_math import exp
-from eqsim.numerics.tables import Array
 from eqsim.laws.barrier.pooled import Pooled
 from eqsim.laws.threshold import Distribution
+from eqsim.model.drive import Drive, require_drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
+from eqsim.numerics.compiled import kernel
+from eqsim.numerics.streams import STEADY, Key, key, name_of
+from eqsim.numerics.tables import Array
+from eqsim.numerics.vector_math import exp
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
@@ -57,8 +57,19 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Steady(Averages):
-    """Steady averages as estimated from `lives` lives; `reached` says whether the requested error was, `hidden` what of
-    the errors is no scatter: a bound on the relative error of means over lives."""
+    """Steady averages as estimated.
+
+    Attributes
+    ----------
+    friction, pinned, break_stretch : Estimate
+        As in `Averages`.
+    lives, seed, engine_seconds
+        Lives of contacts that were simulated, and how.
+    reached : bool
+        Whether the requested error was.
+    hidden : float
+        What of the errors is no scatter: a bound on the relative error of means over lives.
+    """
 
     lives: int
     seed: int
@@ -78,13 +89,37 @@ def steady(
     progress: Progress | None = None,
     plain: bool = False,
 ) -> Steady:
-    """Friction, pinned fraction and mean stretch at breaking to a relative standard error `rel_error` in all three.
+    """Estimate steady averages by renewal-reward over whole lives of contacts.
 
-    `plain` draws independent lives as they are born, without Sobol sequences and weights: slower, a check of the
-    default, and unreliable where tails are heavy. `threads` changes speed only; `progress(done, total)` is told about
-    the lives of an attempt, each of which begins with done = 0. Raises InputError for arguments out of range and,
-    before the work starts, if more than `max_lives` lives would be needed.
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+        Its velocity is all that matters.
+    rel_error : float
+        Relative standard error asked of all observables.
+    seed : int
+        Of the random numbers.
+    threads : int
+        Changes speed only.
+    max_lives : float
+        Work that would need more lives of contacts is refused before it starts.
+    progress : callable, optional
+        `progress(done, total)` is told about the lives of an attempt, each of which begins with done = 0.
+    plain : bool
+        Draw independent lives as they are born, without Sobol sequences and weights: slower, a check of the default,
+        and unreliable where tails are heavy.
+
+    Returns
+    -------
+    Steady
+
+    Raises
+    ------
+    InputError
+        For arguments out of range, and if more than `max_lives` lives would be needed.
     """
+    require_drive(drive)
     velocity = drive.velocity
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)

@@ -15,19 +15,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.engine.lanes import rough_stretch, typical_lives
 from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import rough_stretch, typical_lives
 from eqsim.engine.recorder import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Recorder, Run, Scales, moments
 from eqsim.engine.scatter import ENOUGH, Scatter, births, independent, known_variance, scatter
 from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import FRESH, Stationary, stationary
 from eqsim.engine.steady import settled
-from eqsim.numerics.streams import TRAJECTORY, Key, key
-from eqsim.model.drive import Drive, check_output
-from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, drifts, known, ratio
+from eqsim.model.drive import Drive, check_output, require_drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
+from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 Progress = Callable[[int], None]
@@ -36,16 +36,38 @@ _BLOCK = 128  # contacts, at least, unless there are fewer
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
 
+class Workers(NamedTuple):
+    """Processes that simulate in the place of threads, in memory O(points) each: an executor (a ProcessPoolExecutor, or
+    the `get_executor()` of a dask client), which the caller shuts down, and how many workers it has, about."""
+
+    executor: Executor
+    size: int
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """An ensemble's force against slider displacement.
 
-    Arrays of shape (points,): `X` (length), `t` (time), `force` = <F>/(N k) (length) and its standard error, `pinned`
-    = <N_c>/N and its standard error, all averaged over replicas; `force_replica_std`, the standard deviation of
-    F/(N k) between replicas, if there are several. `force_reliable` is False where too few contacts make the force for
-    five standard errors to mean what they say; `force_replica_std` then misses what the sample did. The three estimates
-    average over the second half of the distance; they are unreliable also where the law expects a transient in it, or
-    too few of the lives that make their scatter (`scatter`).
+    Attributes
+    ----------
+    X, t : ndarray, shape (points,)
+        Displacement (length) and time.
+    force, force_stderr : ndarray, shape (points,)
+        <F>/(N k) (length), averaged over replicas, and its standard error.
+    force_reliable : bool
+        False where too few contacts make the force for five standard errors to mean what they say;
+        `force_replica_std` then misses what the sample did.
+    pinned, pinned_stderr : ndarray, shape (points,)
+        <N_c>/N, averaged over replicas, and its standard error.
+    force_replica_std : ndarray, shape (points,), or None
+        Standard deviation of F/(N k) between replicas, if there are several.
+    averages : Averages
+        Over the second half of the distance; unreliable also where the law expects a transient in it, or too few of the
+        lives that make their scatter (`engine.scatter`).
+    lives : int
+        Lives of contacts that were simulated.
+    seed, engine_seconds, threads
+        How it was computed.
     """
 
     X: Array
@@ -95,21 +117,44 @@ def trajectory(
     points: int = 2001,
     seed: int = 1,
     replicas: int = 1,
-    threads: int = 1,
+    threads: int | Workers = 1,
     max_lives: float = 1e10,
     progress: Progress | None = None,
-    executor: Executor | None = None,
 ) -> Trajectory:
-    """Simulate `replicas` independent ensembles over the drive's distance, recorded at `points` equidistant X from 0.
+    """Simulate the force of an ensemble against slider displacement, contact by contact.
 
-    The result depends on `seed`, never on `threads`; `progress(lives)` is told how many lives have been simulated.
-    With an `executor` (a ProcessPoolExecutor, or the `get_executor()` of a dask client) its workers, about `threads` of
-    them, simulate the contacts: the same bits, and memory O(points) on each. The caller shuts it down.
-    Raises InputError for arguments out of range, and if more than `max_lives` lives are predicted; what a lost worker
-    makes the executor raise is passed on.
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+        Constant velocity over a distance, from a fresh or a stationary start.
+    points : int
+        Equidistant X from 0 at which the force is recorded.
+    seed : int
+        Of the random numbers; the result depends on nothing else.
+    replicas : int
+        Independent ensembles; means and standard deviations are over all of them.
+    threads : int or Workers
+        Threads of this process, or the workers of an executor: the same bits.
+    max_lives : float
+        Work that needs more lives of contacts is refused.
+    progress : callable, optional
+        `progress(lives)` is told now and then how many lives have been simulated.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InputError
+        For arguments out of range, and if more than `max_lives` lives are predicted. What a lost worker makes an
+        executor raise is passed on.
     """
+    require_drive(drive)
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    mean_stretch = settled(ensemble, drive, seed, threads)
+    workers = threads.size if isinstance(threads, Workers) else max(1, threads)
+    mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
     count = ensemble.count * replicas
@@ -121,7 +166,7 @@ def trajectory(
     nothing = Totals(2, 1)
     simulate(*arguments(job, nothing), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
-    total = _simulate_all(job, ensemble.count, replicas, drag, max(1, threads), progress, executor)
+    total = _simulate_all(job, ensemble.count, replicas, drag, threads, progress)
 
     force, pinned, variance = moments(total.deposits, scales, run, count, drag)
     grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
@@ -139,10 +184,10 @@ def trajectory(
     if replicas > 1:
         spread = total.replica_square / scales.replica_square - (total.replica_sum / scales.replica) ** 2 / replicas
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
-    late_averages = _second_half(total.batches / scales.batches, total.lives, count, drag)
+    second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    friction, pinned_now, _ = late_averages
-    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_now, late.pinned, level.pinned[0])
+    friction, pinned_fraction, _ = second_half
+    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
     enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
     return Trajectory(
         X=grid,
@@ -154,12 +199,15 @@ def trajectory(
         pinned_stderr=np.sqrt(pinned_variance),
         force_replica_std=std,
         averages=Averages(
-            *(_in(one, size, gone and seen) for one, size, seen in zip(late_averages, (unit, 1.0, unit), enough, strict=True))
+            *(
+                _in(one, size, gone and seen)
+                for one, size, seen in zip(second_half, (unit, 1.0, unit), enough, strict=True)
+            )
         ),
         lives=total.lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
-        threads=threads,
+        threads=workers,
     )
 
 
@@ -194,7 +242,7 @@ class Totals:
         return int(self.status[0])
 
     def close_replica(self, scales: Scales, run: Run, contacts: int, drag: float) -> None:
-        """Note the force of the ensemble just simulated and make room for the next one."""
+        """Note the force of the ensemble just simulated and clear the sums for the next one."""
         if self.scratch is self.deposits:
             return
         force, _, _ = moments(self.scratch, scales, run, contacts, drag)
@@ -248,13 +296,13 @@ def _simulate_all(
     count: int,
     replicas: int,
     drag: float,
-    threads: int,
+    threads: int | Workers,
     progress: Progress | None,
-    executor: Executor | None,
 ) -> Totals:
     """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free, or a few shares
     of them for each worker to an executor."""
     _, _, run, _, _ = job
+    executor, threads = threads if isinstance(threads, Workers) else (None, max(1, threads))
     contacts = count * replicas
     least = _BLOCK if executor else min(_BLOCK, -(-contacts // threads))
     size = count if replicas > 1 else max(least, min(-(-contacts // (16 * threads)), 2**20))

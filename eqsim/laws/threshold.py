@@ -14,10 +14,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy import special
 
-from eqsim.numerics.compiled import inlined
 from eqsim.errors import POSITIVE, InputError, require_number
-from eqsim.numerics.vector_math import log
+from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+from eqsim.numerics.vector_math import log
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
 FIRST_OCTAVE, LAST_OCTAVE = -54, 9
@@ -77,8 +77,23 @@ class ThresholdLaw(Protocol):
 
 @dataclass(frozen=True)
 class Gamma:
-    """Forces f_s ~ f^n exp(-f/f_*) (eq:pcf), that is P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2), any real n >= 0:
-    xi^2/x_*^2 follows the gamma law of shape n+1. Raises InputError for n outside [0, 1e6] or x_star <= 0."""
+    """Gamma law of threshold forces, f_s ~ f^n exp(-f/f_*) (eq:pcf).
+
+    Thresholds have the density P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2): xi^2/x_*^2 follows the gamma law of shape
+    n + 1.
+
+    Parameters
+    ----------
+    n : float
+        From 0 to 1e6, not necessarily whole.
+    x_star : float
+        x_* (length), > 0.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
+    """
 
     n: float = 1.0
     x_star: float = 1.0
@@ -191,7 +206,13 @@ class _Discrete:
 
 @dataclass(frozen=True)
 class Delta(_Discrete):
-    """Identical contacts, P_c(x) = delta(x - x_star). Raises InputError for x_star <= 0."""
+    """Identical contacts, P_c(x) = delta(x - x_*).
+
+    Parameters
+    ----------
+    x_star : float
+        x_* (length), > 0. Raises InputError for other values.
+    """
 
     x_star: float = 1.0
 
@@ -204,9 +225,17 @@ class Delta(_Discrete):
 
 
 class Table(_Discrete):
-    """Measured or computed thresholds, in any order, resampled with equal weights as they are (the empirical law).
+    """Measured or computed thresholds, resampled with equal weights as they are (the empirical law).
 
-    Raises InputError if there is none, one is not a number from 1e-100 to 1e100, or they span over 30 decades.
+    Parameters
+    ----------
+    thresholds : array_like
+        Lengths, in any order.
+
+    Raises
+    ------
+    InputError
+        If there is none, one is not a number from 1e-100 to 1e100, or they span over 30 decades.
     """
 
     def __init__(self, thresholds: Any) -> None:
@@ -231,11 +260,20 @@ class Table(_Discrete):
 
 
 class Distribution:
-    """Any frozen continuous `scipy.stats` distribution of positive thresholds with a finite mean cube (the work of a
-    contact with the sqrt law). `breakpoints` are where its density jumps inside the support (a histogram's are known);
-    next to these draws are interpolated, which the error bars of `steady` count, up to some 1e-3 across a gap.
+    """Any continuous `scipy.stats` distribution of positive thresholds.
 
-    Raises InputError if the argument is something else.
+    Parameters
+    ----------
+    frozen : scipy.stats frozen distribution
+        With a finite mean cube (the work of a contact under the sqrt law).
+    breakpoints : array_like, optional
+        Where its density jumps inside the support (a histogram's are known). Next to these draws are interpolated,
+        which the error bars of `steady` count, up to some 1e-3 across a gap.
+
+    Raises
+    ------
+    InputError
+        If the argument is something else.
     """
 
     def __init__(self, frozen: Any, breakpoints: Any = None) -> None:

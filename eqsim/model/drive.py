@@ -11,9 +11,21 @@ Start = Literal["fresh", "stationary"]
 
 @dataclass(frozen=True)
 class Drive:
-    """Rigid slider at constant `velocity` over `distance` (default: 200 mean newborn thresholds).
+    """Rigid slider at constant velocity.
 
-    `start` "fresh": all contacts pinned and unstretched at X = 0; "stationary": the steady state. Raises InputError.
+    Parameters
+    ----------
+    velocity : float
+        v (length/time), > 0.
+    distance : float, optional
+        How far (length); by default 200 mean newborn thresholds.
+    start : str
+        "fresh": all contacts pinned and unstretched at X = 0. "stationary": the steady state.
+
+    Raises
+    ------
+    InputError
+        For a value out of range.
     """
 
     velocity: float

@@ -20,11 +20,32 @@ Disorder = Literal["quenched", "annealed"]
 class Ensemble:
     """N contacts of one kind (section 1 of Braun and Peyrard, 2011).
 
-    `count` N; `stiffness` k (force/length), the mean of the ensemble's k_i at the mean threshold force, with
-    `stiffness_law` "sqrt" (k_i ~ sqrt(f_si)) or "uniform"; `eta`, viscous coefficient of a detached contact
-    (force eta v); `disorder` "quenched" (a contact keeps its threshold for life, or its threshold ages: the literal
-    model) or "annealed" (every thermal attempt draws a fresh threshold: the published master equation). Raises
-    InputError.
+    Parameters
+    ----------
+    thresholds : ThresholdLaw
+        Law of newborn threshold stretches (length): `Gamma`, `Delta`, `Table` or `Distribution`.
+    thermal : Thermal
+        Temperature, attempt frequency and barrier.
+    delay : Delay
+        Between breaking and re-attachment.
+    aging : Aging
+        Of thresholds while pinned.
+    count : int
+        N.
+    stiffness : float
+        k (force/length), the mean of the ensemble's k_i at the mean threshold force.
+    stiffness_law : str
+        "sqrt" (k_i ~ sqrt(f_si)) or "uniform".
+    disorder : str
+        "quenched": a contact keeps its threshold for life, or its threshold ages (the literal model). "annealed": every
+        thermal attempt draws a fresh threshold (the published master equation).
+    eta : float
+        Viscous coefficient of a detached contact, of force eta v.
+
+    Raises
+    ------
+    InputError
+        For a value out of range, or laws that do not go together.
     """
 
     thresholds: ThresholdLaw = field(default_factory=Gamma)
@@ -78,6 +99,7 @@ class Ensemble:
         thermal = self.thermal
         if math.isinf(self.b) or thermal.attempt_frequency == 0:
             return 0.0
-        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, BARRIERS[thermal.barrier], self.b)
+        barrier: Any = BARRIERS[thermal.barrier]
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, self.b)
         total = pool.G[-1] if pool.G.size else 0.0  # no attempt succeeds at very low temperature
         return float(thermal.attempt_frequency * self.thresholds.scale * total)

@@ -129,7 +129,7 @@ def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
         raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: must be <= {_LARGEST_POOLED_B:g} for annealed contacts")
     log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
     require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
-    return law(max(b, _LEAST_B), log_w)
+    return law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]  # the NamedTuple that every law is
 
 
 class Group(NamedTuple):

@@ -13,13 +13,14 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload, register_jitable
 
+Body = TypeVar("Body", bound=Callable[..., Any])
 _PACKAGE = Path(__file__).parent.parent
 
 
@@ -56,8 +57,8 @@ def kernel(function: Callable[..., Any]) -> Any:
         numba.config.CACHE_DIR = previous
 
 
-# Of routines that only kernels call; Python, if it calls them, interprets them. Without counting references, which takes
-# long in loops; those that make arrays have to count.
+# Of routines that only kernels call; Python, if it calls them, interprets them. They do not count references, which
+# takes long in loops, unless they make arrays.
 _INNER = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -76,7 +77,16 @@ def maker(function: Callable[..., Any]) -> Any:
     return register_jitable(_nrt=True, **_INNER)(function)
 
 
-def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> Any:
+class LawRoutine(Protocol):
+    """What `by_law` makes."""
+
+    def __call__(self, law: Any, *arguments: Any) -> Any: ...
+
+    def register(self, law: type) -> Callable[[Body], Body]:
+        """A decorator for the body that a law has."""
+
+
+def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> LawRoutine:
     """A kernel routine with a body for each type of law, its first argument, as `functools.singledispatch` has them:
     laws register theirs with `@name.register(Law)`. `default`, which every other law has, may raise TypeError.
 
@@ -88,19 +98,21 @@ def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> Any:
     def call(law: Any, *arguments: Any) -> Any:
         return bodies.get(type(law), default)(law, *arguments)
 
-    @overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER}, strict=False)
     def choose(law: Any, *arguments: Any) -> Any:
         return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    def register(law: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        def keep(function: Callable[..., Any]) -> Callable[..., Any]:
+    overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER}, strict=False)(choose)
+
+    def register(law: type) -> Callable[[Body], Body]:
+        def keep(function: Body) -> Body:
             bodies[law] = function
             return function
 
         return keep
 
-    call.register = register  # type: ignore[attr-defined]
-    return call
+    made = cast(LawRoutine, call)
+    made.register = register  # type: ignore[method-assign]
+    return made
 
 
 def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:

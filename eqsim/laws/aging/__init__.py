@@ -11,7 +11,7 @@ from eqsim.laws.aging.langevin import Langevin
 from eqsim.laws.aging.pooled import PooledThresholds
 from eqsim.laws.threshold import Gamma
 
-RULES = {"langevin": Langevin, "flow": Flow}
+RULES: dict[str, type[AgingLaw]] = {"langevin": Langevin, "flow": Flow}
 __all__ = ["RULES", "Aging", "AgingLaw", "Flow", "Langevin", "PooledThresholds", "Unaged"]
 _MOST_N = 1000.0  # of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the newborn law
 

@@ -52,6 +52,11 @@ class AgingLaw:
     final2: float
     alpha: float
 
+    @classmethod
+    def reduced(cls, final2: float, alpha: float, n: float) -> "AgingLaw":
+        """The law from its numbers, of newborn thresholds Gamma(n). Raises InputError."""
+        raise NotImplementedError
+
     @property
     def final(self) -> float:
         """x_*f/x_*i."""

@@ -192,9 +192,7 @@ def _life(law: Flow, barrier: Any, table: Array, springs: Springs, xi: float, cl
 
 
 @lives.register(Flow)
-def _lives(
-    law: Flow, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int
-) -> None:
+def _lives(law: Flow, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int) -> None:
     stretch, clock, stiffness = lanes.stretch, lanes.clock, lanes.stiffness
     for i in range(count):
         xi = stretch[r, i]

@@ -1,12 +1,13 @@
-"""Thresholds that fluctuate: the process of the Smoluchowski equation itself (`laws.aging.base`). The engine follows its
-paths in `engine.langevin`, the reference solves its Fokker-Planck equation."""
+"""Thresholds that fluctuate: the process of the Smoluchowski equation itself (`laws.aging.base`).
+
+The engine follows its paths in `engine.langevin`, the reference solves its Fokker-Planck equation.
+"""
 
 from typing import Any, ClassVar, NamedTuple
 
 from eqsim.errors import require_number
 from eqsim.laws.aging.base import AgingLaw, stiffness_varies
 from eqsim.laws.stiffness import Springs
-
 
 _MOST_ALPHA = 1e6  # relaxations while the contact slides x_*: steps, and time, grow with it
 

@@ -5,6 +5,6 @@ from eqsim.laws.barrier.mechanical import Mechanical
 from eqsim.laws.barrier.soft import Soft
 from eqsim.laws.barrier.stiff import Stiff
 
-BARRIERS: dict[str, type[Soft] | type[Stiff]] = {"soft": Soft, "stiff": Stiff}
+BARRIERS: dict[str, type[Barrier]] = {"soft": Soft, "stiff": Stiff}
 
 __all__ = ["BARRIERS", "Barrier", "Mechanical"]

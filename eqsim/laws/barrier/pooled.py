@@ -1,4 +1,4 @@
-"""Annealed contacts: every attempt draws a fresh threshold xi' and needs xi' > x, so that contacts share one pooled rate
+"""Annealed contacts: every attempt draws a fresh threshold xi' and needs xi' > x; contacts share one pooled rate
 
     h(x) = int_x^inf P_c(xi') r(x|xi') dxi',    G(x) = int_0^x h dy
 
@@ -8,7 +8,7 @@
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import interpolate, special
@@ -179,14 +179,18 @@ def pooled_hazard_of(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[B
     return pooled_hazard(law, stiffness, barrier, b)
 
 
-class Pooled(NamedTuple):
-    """What a kernel needs of annealed contacts: ln(omega x_*/v) and the pooled hazard."""
-
+class _Numbers(NamedTuple):
     log_w: float
     x: Array
     G: Array
     slopes: Array
-    thermal = True
+
+
+class Pooled(_Numbers):
+    """What a kernel needs of annealed contacts: ln(omega x_*/v) and the pooled hazard."""
+
+    __slots__ = ()
+    thermal: ClassVar[bool] = True
 
     def whole_hazard(self, xi: Array, stiffness: Array) -> Array:
         """Delta U(xi), whatever the stiffness."""
@@ -200,7 +204,8 @@ def _stretch(law: Pooled, table: Array, xi: float, stiffness: float, clock: floa
 
 @stretches.register(Pooled)
 def _stretches(law: Pooled, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
-    stretch, clock, x, G, slopes, per_attempt = lives.stretch, lives.clock, law.x, law.G, law.slopes, math.exp(-law.log_w)
+    stretch, clock, x, G, slopes = lives.stretch, lives.clock, law.x, law.G, law.slopes
+    per_attempt = math.exp(-law.log_w)
     for i in range(lanes):
         stretch[r, i] = min(stretch[r, i], _inverse(x, G, slopes, clock[r, i] * per_attempt))
 
