@@ -23,6 +23,7 @@ import pytest
 from numpy._core import _multiarray_umath as built
 
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
+from eqsim.engine.trajectory import Workers
 from eqsim.laws import threshold
 from eqsim.laws.aging import flow, pooled
 from eqsim.laws.barrier import soft
@@ -69,15 +70,15 @@ def averages(name, threads=1, seed=3):
     return {"steady lives": found.lives, "steady": [x for e in level for x in (e.value, e.stderr)]}
 
 
-def result(name, threads=1, executor=None, seed=3):
+def result(name, threads=1, seed=3):
     """Of 500 contacts, and the steady averages of the same ensemble: numbers of lives, and columns by name."""
     ensemble, drive, replicas = CASES[name]
     ensemble = Ensemble(**{**vars(ensemble), "count": 500})
-    run = trajectory(ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads, executor=executor)
+    run = trajectory(ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads)
     half = run.averages.averages().values()
     columns = {name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()}
     columns |= {"second half": [x for e in half for x in (e.value, e.stderr)]}
-    return {"lives": run.lives, **columns, **averages(name, threads, seed)}
+    return {"lives": run.lives, **columns, **averages(name, threads.size if isinstance(threads, Workers) else threads, seed)}
 
 
 def agree(name, found, stored):
@@ -109,7 +110,7 @@ def test_results(name):
 def test_in_processes():
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         for name in ("soft, sqrt, exponential delay", "langevin"):
-            assert result(name, 2, pool) == result(name)
+            assert result(name, Workers(pool, 2)) == result(name)
 
 
 @pytest.mark.parametrize("name", ["T = 0", "soft, stationary", "langevin"])
