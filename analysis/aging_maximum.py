@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 from scipy import optimize
 
-from eqsim import Aging, Ensemble, Gamma, Thermal, reference, steady
+from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, steady
 from eqsim.estimate import z_score
 
 MODELS = ("annealed", "flow", "langevin")
@@ -39,7 +39,7 @@ def curves(points: int) -> pd.DataFrame:
     jobs = [(model, D, v) for model in MODELS for D in RATES for v in np.geomspace(LOW, HIGH, points)]
     rows = []
     for model, D, v in track(jobs, description="solving"):
-        f_k = reference(ensemble(model, D), v).f_k
+        f_k = reference(ensemble(model, D), Drive(v)).f_k
         rows.append({"model": model, "D": D, "velocity": v, "f_k": f_k.value, "error": f_k.stderr})
     return pd.DataFrame(rows)
 
@@ -58,14 +58,14 @@ def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
             bounds = np.log(curve.velocity.iloc[[best - 1, best + 1]])
             v = math.exp(
                 optimize.minimize_scalar(
-                    lambda log_v, e=contacts: -reference(e, math.exp(log_v)).f_k.value,
+                    lambda log_v, e=contacts: -reference(e, Drive(math.exp(log_v))).f_k.value,
                     bounds=bounds,
                     method="bounded",
                     options={"xatol": 1e-3},
                 ).x
             )
-        exact = reference(contacts, v).f_k
-        found = steady(contacts, v, rel_error=1e-3 if model == "langevin" else rel_error, threads=2).friction
+        exact = reference(contacts, Drive(v)).f_k
+        found = steady(contacts, Drive(v), rel_error=1e-3 if model == "langevin" else rel_error, threads=2).friction
         rows.append(
             {
                 "model": model,

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 from scipy.stats import qmc
 
-from eqsim import Aging, Ensemble, Gamma, Thermal, reference
+from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference
 from eqsim.engine.lanes import lives
 from eqsim.engine.langevin import STEP
 from eqsim.numerics.streams import key
@@ -71,7 +71,7 @@ def table(size: int) -> pd.DataFrame:
     rows = []
     for seed, (case, D_v, step) in enumerate(track(jobs, description="drawing lives")):
         contacts = ensemble(case, D_v)
-        exact = reference(contacts, 1.0)
+        exact = reference(contacts, Drive(1.0))
         means, seconds = measured(contacts, step, size, seed)
         work, stretch = means.T
         found = {

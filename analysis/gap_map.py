@@ -14,7 +14,7 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from rich.progress import track
 
-from eqsim import Ensemble, Thermal, reference
+from eqsim import Drive, Ensemble, Thermal, reference
 
 
 def table(points: int) -> pd.DataFrame:
@@ -28,7 +28,7 @@ def table(points: int) -> pd.DataFrame:
     rows = []
     for law, kT, v in track(plane, description="solving"):
         friction = {
-            disorder: reference(Ensemble(thermal=Thermal(kT), stiffness_law=law, disorder=disorder), v).friction
+            disorder: reference(Ensemble(thermal=Thermal(kT), stiffness_law=law, disorder=disorder), Drive(v)).friction
             for disorder in ("quenched", "annealed")
         }
         row = {f"friction_{name}": found.value for name, found in friction.items()}

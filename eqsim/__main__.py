@@ -1,22 +1,14 @@
-"""Where the `eqsim` command and `python -m eqsim` begin: signals are answered before anything large is imported."""
-
-import sys
+"""The `eqsim` command and `python -m eqsim`: handlers of signals are installed before anything large is imported."""
 
 from eqsim.io import signals
 
 
 def main() -> None:
     """Entry point of the `eqsim` command."""
-    try:
-        signals.listen()
-        from eqsim.cli import app as cli
+    with signals.interruptible():
+        from eqsim.cli.app import main as command
 
-        cli.main()
-    except BaseException:
-        if signals.unheard():
-            print(f"eqsim: {signals.WHOLE}", file=sys.stderr)
-            signals.leave(None)
-        raise
+        command()
 
 
 if __name__ == "__main__":

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 from scipy import constants
 
-from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Disorder, Ensemble
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_integer, require_number, under
-from eqsim.laws.aging import Aging, AgingRule
+from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Disorder, Ensemble
 
 BOLTZMANN: float = constants.k  # J/K
 ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
@@ -37,7 +37,7 @@ class _Arrhenius:
         require_number("energy", self.energy, **NOT_NEGATIVE)
 
     def _log_factor(self, temperature: float) -> float:
-        """E/(k_B T); infinite at T = 0. Raises InputError."""
+        """E/(k_B T); infinite at T = 0."""
         require_number("temperature", temperature, **NOT_NEGATIVE)
         if self.energy == 0:
             return 0.0
@@ -46,8 +46,15 @@ class _Arrhenius:
 
 
 class ArrheniusTime(_Arrhenius):
-    """A time that thermal activation shortens: tau(T) = prefactor exp(energy/(k_B T)), `prefactor` in s and activation
-    `energy` >= 0 in J; a constant without energy. Raises InputError."""
+    """A time that thermal activation shortens, tau(T) = prefactor exp(energy/(k_B T)).
+
+    Parameters
+    ----------
+    prefactor : float
+        s.
+    energy : float
+        Activation energy (J); without it the time is constant.
+    """
 
     def value(self, temperature: float) -> float:
         """tau (s) at `temperature` (K). Raises InputError where it is beyond 1e100 s."""
@@ -58,37 +65,57 @@ class ArrheniusTime(_Arrhenius):
 
 
 class ArrheniusRate(_Arrhenius):
-    """A rate that thermal activation raises: D(T) = prefactor exp(-energy/(k_B T)), `prefactor` in m^2/s for an aging
-    rate and activation `energy` >= 0 in J; a constant without energy. Raises InputError."""
+    """A rate that thermal activation raises, D(T) = prefactor exp(-energy/(k_B T)): as `ArrheniusTime`, with a
+    `prefactor` in m^2/s for an aging rate."""
 
     def value(self, temperature: float) -> float:
-        """D (m^2/s) at `temperature` (K). Raises InputError."""
+        """D (m^2/s) at `temperature` (K)."""
         return self.prefactor * math.exp(-self._log_factor(temperature))
 
 
 @dataclass(frozen=True)
 class ActivatedAging:
-    """Aging of pinned contacts at a thermally activated `rate` D(T) towards thresholds of scale `x_star_final` (m);
-    the material's own x_* is that of newborn contacts. `rule` as in `Aging`. Raises InputError."""
+    """Aging of pinned contacts at a thermally activated rate; the material's own x_* is that of newborn contacts.
+
+    Parameters
+    ----------
+    rate : ArrheniusRate
+        D(T) (m^2/s).
+    x_star_final : float
+        Scale of the final thresholds (m).
+    rule : str
+        As in `Aging`.
+    """
 
     rate: ArrheniusRate
     x_star_final: float
-    rule: AgingRule = "langevin"
+    rule: str = "langevin"
 
     def __post_init__(self) -> None:
         self.at(0.0)
 
     def at(self, temperature: float) -> Aging:
-        """The aging law at `temperature` (K). Raises InputError."""
+        """The aging law at `temperature` (K)."""
         return Aging(self.rule, self.rate.value(temperature), self.x_star_final)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Material(ABC):
-    """What the interfaces of this module share: `name`, mass `density` rho (kg/m^3), `shear_strength` sigma_* (Pa),
-    and optionally a thermally activated `delay` tau(T) (the same for all contacts) and `aging` D(T).
+    """What the interfaces of this module share.
 
-    Lengths in m, temperatures in K. Every method raises InputError for a temperature that is not a number >= 0.
+    Every method raises InputError for a temperature (K) that is not a number >= 0.
+
+    Parameters
+    ----------
+    name : str
+    density : float
+        rho (kg/m^3).
+    shear_strength : float
+        sigma_* (Pa).
+    delay : ArrheniusTime, optional
+        tau(T), the same for all contacts.
+    aging : ActivatedAging, optional
+        With D(T).
     """
 
     name: str
@@ -130,8 +157,20 @@ class Material(ABC):
         stiffness_law: StiffnessLaw = "uniform",
         count: int = 100_000,
     ) -> Ensemble:
-        """Contacts of this material, in SI units: soft barriers, n = 1 and, unless said otherwise, k_i = k as in the
-        paper; "annealed" is the paper's disorder. Raises InputError."""
+        """Contacts of this material in SI units: soft barriers and n = 1.
+
+        Parameters
+        ----------
+        temperature : float
+            T (K).
+        disorder, stiffness_law, count
+            As in `Ensemble`; those of the paper are "annealed" and "uniform".
+
+        Raises
+        ------
+        InputError
+            If they are out of range, or delay and aging are at this temperature.
+        """
         bare = Ensemble(
             thresholds=Gamma(1.0, self.x_star),
             thermal=self._thermal(temperature),
@@ -168,8 +207,17 @@ class Material(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class RoughContacts(Material):
-    """Two rough surfaces, a = h = r_c: of `young_modulus` E (Pa) and `contact_radius` r_c (m); the rest as in
-    `Material`. Raises InputError."""
+    """Two rough surfaces, a = h = r_c.
+
+    Parameters
+    ----------
+    young_modulus : float
+        E (Pa).
+    contact_radius : float
+        r_c (m).
+    **material
+        Those of `Material`.
+    """
 
     young_modulus: float
     contact_radius: float
@@ -197,8 +245,19 @@ class RoughContacts(Material):
 
 @dataclass(frozen=True, kw_only=True)
 class LubricantIslands(Material):
-    """A film of solid islands that melt under stress, x_* = r_c = gamma_c a: of `thickness` h (m), `spacing` a (m) and
-    `gamma_c` = r_c/a, at most 1/2; the rest as in `Material`. Raises InputError."""
+    """A film of solid islands that melt under stress, x_* = r_c = gamma_c a.
+
+    Parameters
+    ----------
+    thickness : float
+        h (m).
+    spacing : float
+        a (m).
+    gamma_c : float
+        r_c/a, at most 1/2.
+    **material
+        Those of `Material`.
+    """
 
     thickness: float
     spacing: float
@@ -237,24 +296,24 @@ class LubricantIslands(Material):
         return kT / (self.spacing**2 * math.sqrt(self.spacing * film * self.gamma_c**3))
 
 
-STEEL = RoughContacts(
-    name="steel", density=1e4, young_modulus=2e11, shear_strength=1e9, contact_radius=1e-6
-)  # section V, sigma_* that of plasticity
+# section V; the shear strength of steel is that of plasticity, the film has four layers
+STEEL = RoughContacts(name="steel", density=1e4, young_modulus=2e11, shear_strength=1e9, contact_radius=1e-6)
 OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
-    name="octamethylcyclotetrasiloxane",
-    density=956.0,
-    thickness=3.5e-9,
-    shear_strength=2e5,
-    gamma_c=0.5,
-    spacing=1e-6,
-)  # four layers, section V
+    name="octamethylcyclotetrasiloxane", density=956.0, thickness=3.5e-9, shear_strength=2e5, gamma_c=0.5, spacing=1e-6
+)
 MATERIALS: dict[str, Material] = {material.name: material for material in (STEEL, OCTAMETHYLCYCLOTETRASILOXANE)}
 
 
 def omcts_film(layers: int) -> LubricantIslands:
-    """Octamethylcyclotetrasiloxane of `layers` n_l molecular layers as in figure A05: h = n_l 8.75 A, sigma_* =
-    4e6 exp(-1.5 n_l) Pa. That is 2e5 Pa for two layers and 1e4 Pa for four, while the preset, as in the paper's text,
-    has 2e5 Pa for four. Raises InputError."""
+    """Octamethylcyclotetrasiloxane as in figure A05: h = n_l 8.75 A, sigma_* = 4e6 exp(-1.5 n_l) Pa.
+
+    That is 2e5 Pa for two layers and 1e4 Pa for four, while the preset, as in the paper's text, has 2e5 Pa for four.
+
+    Parameters
+    ----------
+    layers : int
+        n_l, molecular layers, from 1 to 100.
+    """
     require_integer("layers", layers, 1, 100)
     return dataclasses.replace(
         OCTAMETHYLCYCLOTETRASILOXANE,
@@ -273,29 +332,6 @@ class Parameter(NamedTuple):
     meaning: str
 
 
-def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> list[Parameter]:
-    """The material's constants and what follows from them at `temperature` (K). Raises InputError."""
-    given = [
-        Parameter(field.name, getattr(material, field.name), _UNITS[field.name], "given")
-        for field in dataclasses.fields(material)
-        if field.name in _UNITS
-    ]
-    found = [
-        Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
-        Parameter("k", material.stiffness, "N/m", "stiffness of a contact"),
-        Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
-        Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
-        Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
-        Parameter("b", material.b(temperature), "", "k x_*^2/(2 kT) (nt08a)"),
-        Parameter(
-            "v_*", material.crossover_velocity(temperature), "m/s",
-            "crossover velocity of the annealed ensemble (nt12); quenched contacts have none there",
-        ),
-        Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
-    ]  # fmt: skip
-    return given + found
-
-
 _UNITS = {
     "density": "kg/m^3",
     "young_modulus": "Pa",
@@ -304,6 +340,23 @@ _UNITS = {
     "spacing": "m",
     "gamma_c": "",
 }
+
+
+def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> list[Parameter]:
+    """The material's constants and what follows from them at `temperature` (K). Raises InputError."""
+    names = [field.name for field in dataclasses.fields(material) if field.name in _UNITS]
+    only_annealed = "crossover velocity of the annealed ensemble (nt12); quenched contacts have none there"
+    return [
+        *(Parameter(name, getattr(material, name), _UNITS[name], "given") for name in names),
+        Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
+        Parameter("k", material.stiffness, "N/m", "stiffness of a contact"),
+        Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
+        Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
+        Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
+        Parameter("b", material.b(temperature), "", "k x_*^2/(2 kT) (nt08a)"),
+        Parameter("v_*", material.crossover_velocity(temperature), "m/s", only_annealed),
+        Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
+    ]
 
 
 def run_file_text(
@@ -315,45 +368,62 @@ def run_file_text(
     stiffness_law: StiffnessLaw = "uniform",
     count: int = 100_000,
 ) -> str:
-    """A run file (TOML, SI units) of `material.ensemble(...)` sliding at `velocity` (m/s, default v_* at room
-    temperature, whatever `temperature` is) over 20 x_*, with a sweep of 21 velocities over the five decades around it;
-    loads to the same numbers. Raises InputError."""
+    """A run file of `material.ensemble(...)` over 20 x_*, with a sweep of five decades of velocity around its own.
+
+    It loads to the same numbers, to the last bit.
+
+    Parameters
+    ----------
+    velocity : float, optional
+        m/s; default: v_* at room temperature, whatever `temperature` is.
+    material, temperature, disorder, stiffness_law, count
+        As in `Material.ensemble`.
+
+    Returns
+    -------
+    str
+        TOML, SI units.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
     contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
+    thermal, aging = contacts.thermal, contacts.aging
     drive = Drive(material.crossover_velocity() if velocity is None else velocity, 20.0 * material.x_star)
     decade = math.floor(math.log10(drive.velocity))
-    title = f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)"
-    sections: dict[str, list[tuple[str, float | int | str, str]]] = {
-        "contacts": [
-            ("count", count, ""),
-            ("stiffness", contacts.stiffness, "N/m"),
-            ("stiffness_law", stiffness_law, ""),
-        ],
-        "thresholds": [("n", 1.0, ""), ("x_star", material.x_star, "m")],
-        "thermal": [
-            ("kT", contacts.thermal.kT, f"J, {temperature:.4g} K"),
-            ("attempt_frequency", contacts.thermal.attempt_frequency, "1/s"),
-        ],
-    }
-    if material.aging is not None:
-        aging = contacts.aging
-        sections["aging"] = [
-            ("rule", aging.rule, ""),
-            ("rate", aging.rate, "m^2/s"),
-            ("x_star_final", aging.x_star_final, "m"),
-        ]
-    if material.delay is not None:
-        sections["delay"] = [("time", contacts.delay.time, "s")]
-    sections["drive"] = [("velocity", drive.velocity, "m/s"), ("distance", drive.over(contacts), "m")]
-    lines = [f"title = {_toml(title)}", f"disorder = {_toml(disorder)}"]
-    for section, entries in sections.items():
-        lines += ["", f"[{section}]"]
-        lines += [f"{key} = {_toml(value)}" + (f"  # {unit}" if unit else "") for key, value, unit in entries]
-    lines += ["", "[sweep]", f'"drive.velocity" = {{ log = [1e{decade - 2}, 1e{decade + 3}, 21] }}  # m/s', ""]
-    return "\n".join(lines)
+    title = json.dumps(f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)", ensure_ascii=False)
+    ages = f"""
+[aging]
+rule = "{aging.rule}"
+rate = {aging.rate}  # m^2/s
+x_star_final = {aging.x_star_final}  # m
+"""
+    waits = f"""
+[delay]
+time = {contacts.delay.time}  # s
+"""
+    return f"""title = {title}
+disorder = "{disorder}"
 
+[contacts]
+count = {count}
+stiffness = {contacts.stiffness}  # N/m
+stiffness_law = "{stiffness_law}"
 
-def _toml(value: float | int | str) -> str:
-    """Numbers to the last bit; strings as JSON, which TOML reads."""
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return str(value) if isinstance(value, int) else repr(float(value))
+[thresholds]
+n = 1.0
+x_star = {material.x_star}  # m
+
+[thermal]
+kT = {thermal.kT}  # J, {temperature:.4g} K
+attempt_frequency = {thermal.attempt_frequency}  # 1/s
+{ages if material.aging else ""}{waits if material.delay else ""}
+[drive]
+velocity = {drive.velocity}  # m/s
+distance = {drive.distance}  # m
+
+[sweep]
+"drive.velocity" = {{ log = [1e{decade - 2}, 1e{decade + 3}, 21] }}  # m/s
+"""

@@ -44,9 +44,9 @@ def test_c_records_what_eqsim_records(case):
 @by_case(CASES)
 def test_c_averages_are_exact(case):
     value, error = tuned.steady(case, 2_000_000, seed=5)
-    exact = reference(case.ensemble(1), VELOCITY).friction.value
+    exact = reference(case.ensemble(1), Drive(VELOCITY)).friction.value
     assert abs(value - exact) < 5 * error  # Student's law of 63 degrees of freedom: 5e-6
-    wrong = reference(CASES[CASES.index(case) - 1].ensemble(1), VELOCITY).friction.value
+    wrong = reference(CASES[CASES.index(case) - 1].ensemble(1), Drive(VELOCITY)).friction.value
     assert abs(value - wrong) > 5 * error
 
 
@@ -66,7 +66,7 @@ def test_c_gives_the_same_bits_on_two_threads_and_the_same_lives_without_avx512(
 
 def test_plain_averages_of_eqsim_are_exact():
     found = plain(GENERAL.ensemble(1), VELOCITY, 200_000, 1, 2)
-    assert abs(found.value - reference(GENERAL.ensemble(1), VELOCITY).friction.value) < 5 * found.stderr
+    assert abs(found.value - reference(GENERAL.ensemble(1), Drive(VELOCITY)).friction.value) < 5 * found.stderr
 
 
 def test_table_and_picture(tmp_path):

@@ -13,7 +13,7 @@ import pytest
 from scipy.special import gamma
 from typer.testing import CliRunner
 
-from eqsim import Aging, Delay, InputError, load, reference, steady
+from eqsim import Aging, Delay, Drive, InputError, load, reference, steady
 from eqsim.cli.app import app
 from eqsim.estimate import z_score
 from eqsim.sweep.plan import Plan
@@ -174,7 +174,7 @@ def test_dimensions(material):
 @BOTH
 def test_shear_stress(material):
     """Force k <F>/(N k) of one contact on each a^2; C_0 sigma_* at T = 0 (nt07)."""
-    found = reference(material.ensemble(0.0), 1e-6).friction.value
+    found = reference(material.ensemble(0.0), Drive(1e-6)).friction.value
     assert material.shear_stress(found) == pytest.approx(C_0 * material.shear_strength, rel=1e-9, abs=0)
     assert material.shear_stress(found) == pytest.approx(
         material.stiffness * found * material.contacts_per_area, rel=1e-14, abs=0
@@ -196,16 +196,16 @@ def test_quenched_contacts_know_no_crossover(material):
     """Their barriers of 1e7 kT and more lower friction by some ln(omega x_*/v)/b < 1e-5 at any velocity; the annealed
     ensemble (the negative control) loses most of it."""
     for velocity in 10.0 ** np.arange(-12, 1, 3):
-        quenched = reference(material.ensemble(), velocity).friction.value
+        quenched = reference(material.ensemble(), Drive(velocity)).friction.value
         assert quenched == pytest.approx(C_0 * material.x_star, rel=1e-5, abs=0)
-    annealed = reference(material.ensemble(disorder="annealed"), 1e-12).friction.value
+    annealed = reference(material.ensemble(disorder="annealed"), Drive(1e-12)).friction.value
     assert annealed < 0.03 * C_0 * material.x_star
 
 
 def test_annealed_steel_at_1e_12_m_per_s():
     """.01833 at kT = 4e-21 J, .0181 at 300 K."""
     for temperature, value, digits in ((ROOM_TEMPERATURE, 0.018332, 5), (300.0, 0.0181, 3)):
-        found = reference(STEEL.ensemble(temperature, disorder="annealed"), 1e-12).friction.value / STEEL.x_star
+        found = reference(STEEL.ensemble(temperature, disorder="annealed"), Drive(1e-12)).friction.value / STEEL.x_star
         assert float(f"{found:.{digits}g}") == value
 
 
@@ -219,7 +219,7 @@ def test_annealed_friction_far_below_crossover(material):
         S_2 = material.attempt_frequency * material.x_star / (velocity * material.b() ** 2)
         wide = 0.6 * (gamma(7 / 3) / gamma(2 / 3) - gamma(2) / gamma(1 / 3))
         early = 1 / gamma(2 / 3) - gamma(2 / 3) / gamma(1 / 3)
-        found = reference(material.ensemble(disorder="annealed"), velocity).friction.value / material.x_star
+        found = reference(material.ensemble(disorder="annealed"), Drive(velocity)).friction.value / material.x_star
         expected = U * gamma(2 / 3) / gamma(1 / 3) * (1 + wide * U**2 - early * S_2 * U)
         assert found == pytest.approx(expected, rel=U**4 + (S_2 * U) ** 2 + 1e-8, abs=0)
 
@@ -230,7 +230,7 @@ def test_delay_makes_a_peak_of_annealed_friction_against_temperature():
     film = dataclasses.replace(OCTAMETHYLCYCLOTETRASILOXANE, delay=ArrheniusTime(1e-12, 0.2 * ELECTRON_VOLT))
     temperatures, v = np.linspace(40.0, 400.0, 19), 1e-6
     annealed, quenched = (
-        np.array([reference(film.ensemble(t, disorder=disorder), v).friction.value for t in temperatures])
+        np.array([reference(film.ensemble(t, disorder=disorder), Drive(v)).friction.value for t in temperatures])
         for disorder in ("annealed", "quenched")
     )
     top = int(np.argmax(annealed))
@@ -331,7 +331,7 @@ def test_committed_run_files(name, velocity, disorder):
     velocities = [point["drive.velocity"] for point in Plan(file, RUNS).axes[0]]
     assert len(velocities) == 21
     assert velocities[0] < 0.1 * material.crossover_velocity() < 10 * material.crossover_velocity() < velocities[-1]
-    found, exact = steady(ensemble, velocity, seed=1), reference(ensemble, velocity)
+    found, exact = steady(ensemble, Drive(velocity), seed=1), reference(ensemble, Drive(velocity))
     for observable in ("friction", "break_stretch"):
         estimate, known = getattr(found, observable), getattr(exact, observable)
         assert estimate.reliable
@@ -362,7 +362,7 @@ def test_friction_depends_on_the_temperature_of_run_files(tmp_path):
     """At one velocity, that of a laboratory: v_*(T) would leave annealed friction at that of kT -> 0."""
     cold, warm = (stored(tmp_path, run_file_text(STEEL, kelvin, disorder="annealed")) for kelvin in (77.0, 400.0))
     assert cold.driven() == warm.driven()
-    values = [reference(file.ensemble(tmp_path), file.driven().velocity).friction.value for file in (cold, warm)]
+    values = [reference(file.ensemble(tmp_path), file.driven()).friction.value for file in (cold, warm)]
     assert values[0] > 1.1 * values[1]
     assert stored(tmp_path, run_file_text(STEEL, 0.0)).driven() == warm.driven()
 

@@ -11,47 +11,33 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
-from eqsim import (
-    Aging,
-    Delay,
-    Distribution,
-    Drive,
-    Ensemble,
-    Gamma,
-    InputError,
-    Table,
-    Thermal,
-    reference,
-    steady,
-    validation,
-)
+from eqsim import Aging, Delay, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference, steady
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
 from eqsim.master.transient import transient
-from eqsim.validation.suite import (
+from eqsim.validation import columns, law_text, points, scores, validate, verdict
+from eqsim.validation.points import LAWS, SUITES, Suite, sample
+from eqsim.validation.scores import (
     DECLINED,
     KINDS,
-    LAWS,
     REASONS,
-    SUITES,
+    Point,
     Score,
-    Suite,
     Unscored,
-    Validation,
-    _averages,
-    _compared,
-    _fluctuations,
-    _hazard,
     _many,
-    _Point,
     _squares,
-    _transient,
-    columns,
-    law_text,
-    sample,
-    validate,
-    verdict,
+    averages,
+    compared,
+    fluctuating,
+    hazards,
+    transients,
 )
+from eqsim.validation.verdict import Validation, judge
+
+
+def at(ensemble, velocity, shown=None, seed=1):
+    """A point of the parameter space."""
+    return Point(0, ensemble, shown or ensemble, velocity, seed)
 
 
 def changed(**changes):
@@ -68,7 +54,7 @@ def aged(**changes):
     return change
 
 
-def scores(found):
+def made(found):
     return [one for one in found if isinstance(one, Score)]
 
 
@@ -101,17 +87,17 @@ def scores(found):
 def test_negative_controls(points, wrong, of, kinds, monkeypatch):
     """One thing wrong in the engine alone: a few points that know it fail, where they should; more under
     `-m verification`."""
-    drawn = validation.sample
+    drawn = sample
 
     def knowing(count, seed, part):
         known = ((e, v) for _, e, v in drawn(48 * count, seed) if of(e, v) and wrong(e) != e)
         return ((index, e, v) for index, (e, v) in enumerate(itertools.islice(known, count)))
 
-    monkeypatch.setattr(validation, "sample", knowing)
+    monkeypatch.setattr(verdict, "sample", knowing)
     monkeypatch.setitem(SUITES, "few", Suite(points, 0))
     result = validate("few", threads=2, wrong=wrong)
     assert not result.passed
-    assert kinds <= {verdict.kind for verdict in result.verdicts if not verdict.passed}
+    assert kinds <= {v.kind for v in result.verdicts if not v.passed}
 
 
 @pytest.mark.parametrize("suite", [Suite(6, 1), pytest.param(SUITES["quick"], marks=pytest.mark.verification)])
@@ -151,19 +137,19 @@ def test_hazard(was, wrong):
     for index, ensemble, v in sample(60, 1, (1, 3)):
         if ensemble.thermal.barrier == was and not ensemble.aging.active:
             other = dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, barrier=wrong))
-            passed += scores(_hazard(ensemble, ensemble, v, index))
-            failed += scores(_hazard(ensemble, other, v, index))
+            passed += made(hazards(at(ensemble, v, seed=index)))
+            failed += made(hazards(at(ensemble, v, other, index)))
     for kind in ("hazard", "hazard law"):
-        assert verdict(kind, passed).count >= 3
-        assert verdict(kind, passed).passed
-        assert not verdict(kind, failed).passed
+        assert judge(kind, passed).count >= 3
+        assert judge(kind, passed).passed
+        assert not judge(kind, failed).passed
 
 
 def test_verdict():
     """Too large, too small and one far out are all refused."""
 
     def of(z):
-        return verdict("mean", [Score("mean", Ensemble(), 1.0, 0.0, 0.0, 1.0, float(value)) for value in z])
+        return judge("mean", [Score("mean", Ensemble(), 1.0, 0.0, 0.0, 1.0, float(value)) for value in z])
 
     normal = np.random.default_rng(1).standard_normal(500)
     assert of(normal).passed
@@ -187,8 +173,8 @@ def test_signs_of_scores(wrong):
     """Engine less master over the joint error, in the scores and in their table; the engine's barrier is 2 % off."""
     contacts = Ensemble(thermal=Thermal(0.3), delay=Delay(2.0))
     shown = dataclasses.replace(contacts, thermal=Thermal(0.3 * wrong))
-    found = steady(shown, 0.1, rel_error=1e-4)
-    table = columns(scores(_averages(contacts, shown, 0.1, found)))
+    found = steady(shown, Drive(0.1), rel_error=1e-4)
+    table = columns(made(averages(at(contacts, 0.1, shown), found)))
     assert table["kind"] == ["friction", "pinned", "break_stretch"]
     ours, exact, sigma, z = (np.array(table[name]) for name in ("value", "reference", "sigma", "z"))
     assert list(ours) == [found.friction.value, found.pinned.value, found.break_stretch.value]
@@ -202,12 +188,12 @@ def test_signs_of_scores(wrong):
 def test_sample(monkeypatch):
     """A third of the points age, in every way there is, and the others have laws of every kind; each axis is covered
     from end to end, here to a tenth of it (of 240 even numbers, none is there once in 1e10 seeds)."""
-    monkeypatch.setattr(validation, "typical_life", lambda ensemble, v: 1.0)
-    points = list(sample(SUITES["full"].points, 1))
-    ensembles = [ensemble for _, ensemble, _ in points]
+    monkeypatch.setattr(points, "typical_life", lambda ensemble, v: 1.0)
+    drawn = list(sample(SUITES["full"].points, 1))
+    ensembles = [ensemble for _, ensemble, _ in drawn]
     aging = [ensemble for ensemble in ensembles if ensemble.aging.active]
-    assert [index for index, _, _ in points] == list(range(len(points)))
-    assert len(aging) == len(points) // 3
+    assert [index for index, _, _ in drawn] == list(range(len(drawn)))
+    assert len(aging) == len(drawn) // 3
     for name in ("disorder", "stiffness_law"):
         assert len({(getattr(e, name), e.aging.rule, e.thermal.barrier) for e in aging}) == 8
     assert {e.thermal.kT > 0 for e in aging} == {True, False}
@@ -246,8 +232,8 @@ def test_delays_are_in_units_of_a_life():
     off = []
     for _, ensemble, v in sample(20, 4):
         if not ensemble.fluctuates:
-            life = validation.typical_life(ensemble, v)
-            off.append(abs(math.log(life / reference(ensemble, v).break_stretch.value)))
+            life = points.typical_life(ensemble, v)
+            off.append(abs(math.log(life / reference(ensemble, Drive(v)).break_stretch.value)))
     assert len(off) > 12
     assert np.quantile(off, 0.75) < math.log(4.0)
 
@@ -286,9 +272,9 @@ def test_no_fluctuations_where_the_stationary_start_is_refused():
     """Most contacts break at once, a few with high thresholds live long: the suite goes on, and counts them."""
     aging, rare = Aging("langevin", 1.4e-4, 7.8), Delay(1500.0)
     hot = Ensemble(Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform")
-    assert scores(_compared(_Point(2, hot, hot, 2.2e-4, 1), Suite(3, 1), 1, 1)[3:]) == []
+    assert made(compared(Point(2, hot, hot, 2.2e-4, 1), Suite(3, 1), 1, 1)[3:]) == []
     warm = dataclasses.replace(hot, thermal=Thermal(0.1))
-    assert scores(_fluctuations(warm, warm, 2.2e-4, 1, (20, 2000))) != []
+    assert made(fluctuating(at(warm, 2.2e-4), (20, 2000))) != []
 
 
 def test_averages_that_call_themselves_unreliable_are_not_scored():
@@ -296,10 +282,10 @@ def test_averages_that_call_themselves_unreliable_are_not_scored():
     aging = Aging("langevin", 1.4e-3, 4.0)
     warm = Ensemble(Gamma(0.0), Thermal(1.9, barrier="stiff"), aging=aging, stiffness_law="uniform")
     for velocity, scored in ((2.7e-4, []), (0.1, ["friction", "break_stretch"])):
-        found = steady(warm, velocity, rel_error=1.0)
+        found = steady(warm, Drive(velocity), rel_error=1.0)
         assert found.friction.reliable == bool(scored)
-        found = _averages(warm, warm, velocity, found)
-        assert [score.kind for score in scores(found)] == scored
+        found = averages(at(warm, velocity), found)
+        assert [score.kind for score in made(found)] == scored
         assert {one.reason for one in found if isinstance(one, Unscored)} == (set() if scored else {"unreliable"})
 
 
@@ -310,13 +296,13 @@ def test_errors_that_are_bounds_do_not_count_as_scatter():
     few = Ensemble(Table([0.5, 0.8, 1.0, 1.6183]), Thermal(0.0), stiffness_law="uniform")
     smooth = dataclasses.replace(few, thresholds=Gamma(1.0))
     for ensemble, even in ((few, False), (smooth, True)):
-        of_steady = scores(_averages(ensemble, ensemble, 1.0, steady(ensemble, 1.0, rel_error=1e-4)))
-        of_force = scores(_transient(ensemble, ensemble, 1.0, 2, 1, SUITES["quick"]))
+        of_steady = made(averages(at(ensemble, 1.0), steady(ensemble, Drive(1.0), rel_error=1e-4)))
+        of_force = made(transients(at(ensemble, 1.0, seed=2), SUITES["quick"], 1))
         assert {score.even for score in of_steady} == {even}
         assert all(score.even for score in of_force) == even
         assert max(abs(score.z) for score in of_steady + of_force) < 5.0
     wrong = dataclasses.replace(few, thresholds=Table([0.5, 0.8, 1.0, 1.634483]))
-    of_steady = scores(_averages(few, wrong, 1.0, steady(wrong, 1.0, rel_error=1e-4)))
+    of_steady = made(averages(at(few, 1.0, wrong), steady(wrong, Drive(1.0), rel_error=1e-4)))
     assert min(abs(score.z) for score in of_steady) > 10.0
 
 
@@ -325,7 +311,7 @@ def test_too_many_refused():
     few = Ensemble()
     score = Score("friction", few, 1.0, 0.0, 0.0, 1.0, 0.5)
     left = [Unscored("friction", few, 1.0, reason) for reason in REASONS]
-    verdicts = [verdict("friction", [score] * 9)]
+    verdicts = [judge("friction", [score] * 9)]
     for count, declined in ((0, []), (9, []), (10, ["friction"])):
         unscored = [left[index % len(DECLINED)] for index in range(count)] + left[len(DECLINED) :] * 9
         result = Validation("quick", 1, [score] * 9, verdicts, unscored)
@@ -339,7 +325,7 @@ def test_an_engine_that_refuses_everything_does_not_pass(monkeypatch):
     def refuse(*_, **__):
         raise InputError("velocity: never")
 
-    monkeypatch.setattr(validation, "steady", refuse)
+    monkeypatch.setattr(scores, "steady", refuse)
     result = validate("few")
     assert not result.passed
     assert set(result.declined) >= set(OBSERVABLES)
@@ -369,7 +355,7 @@ def test_variances_of_a_few_broken_contacts_are_not_scored():
     """Before thresholds are reached contacts of uniform stiffness have the same force, but for the one in a million
     that has broken, and the sample has none of these; later variances are scored."""
     cold = Ensemble(Gamma(5.0, 0.5), Thermal(0.005), stiffness_law="uniform")
-    found = _transient(cold, cold, 7e-4, 1, 1, SUITES["quick"])
+    found = transients(at(cold, 7e-4), SUITES["quick"], 1)
     found = [one for one in found if one.kind == "transient variance"]
     assert [isinstance(one, Score) for one in found] == [False, False, *[True] * 6]
     assert {one.reason for one in found[:2]} == {"few contacts"}

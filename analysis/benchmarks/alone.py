@@ -53,7 +53,7 @@ def time_references(sizes: Sizes) -> list[dict[str, Any]]:
             ensemble = replace(case.ensemble(1), disorder=disorder)
 
             def averages(turn: int, ensemble: Ensemble = ensemble) -> Outcome:
-                reference(ensemble, VELOCITY * (1 + 1e-3 * turn))
+                reference(ensemble, Drive(VELOCITY * (1 + 1e-3 * turn)))
                 return NOTHING
 
             def force(turn: int, ensemble: Ensemble = ensemble) -> Outcome:

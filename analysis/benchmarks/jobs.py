@@ -118,7 +118,7 @@ def time_steady(case: Case, sizes: Sizes, threads: int, seed: int, rel_error: fl
     ensemble = case.ensemble(1)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
-        return Outcome.of(steady(ensemble, VELOCITY, rel_error=rel_error, seed=seed, threads=threads))
+        return Outcome.of(steady(ensemble, Drive(VELOCITY), rel_error=rel_error, seed=seed, threads=threads))
 
     contenders = {
         "eqsim": eqsim,

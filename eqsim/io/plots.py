@@ -3,7 +3,7 @@
 import io
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -11,13 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from eqsim.engine.steady import Steady
-from eqsim.engine.trajectory import Trajectory
 from eqsim.errors import InputError, meant
-from eqsim.estimate import Estimate
+from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.numerics.tables import Array
-from eqsim.master.transient import Transient
-from eqsim.validation.suite import Validation
+
+if TYPE_CHECKING:
+    from eqsim.engine.steady import Steady
+    from eqsim.engine.trajectory import Trajectory
+    from eqsim.master.transient import Transient
+    from eqsim.validation import Validation
 
 Points = Any  # a pandas DataFrame, one point of a sweep a row
 Column = Any  # a pandas Series
@@ -25,52 +27,36 @@ Column = Any  # a pandas Series
 _MARKERS, _DASHES = "os^DvPX<>ph*", ("-", "--", "-.", ":")
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
 _LABELS = {
-    "friction": "friction  <F> / (N k)  [length unit of the run files]",
-    "pinned": "pinned fraction  N_c / N",
-    "break_stretch": "mean stretch at breaking  [length unit of the run files]",
     "drive.velocity": "driving velocity  drive.velocity  [units of the run files]",
+    **{
+        name: label + ("  [length unit of the run files]" if unit == "length" else "")
+        for name, (label, unit) in OBSERVABLES.items()
+    },
 }
 
 
-def trajectory_png(run: Trajectory, steady: Steady, exact: Transient | None, title: str) -> bytes:
+def trajectory_png(run: "Trajectory", steady: "Steady", exact: "Transient | None", title: str) -> bytes:
     """F(X) with its error band, the exact mean over it and the steady value; below, the difference from the exact mean
     in standard errors, and the pinned fraction where contacts spend time detached."""
     delayed = steady.pinned.value is not None and steady.pinned.value < 1
     heights = [2.6] + [1.0] * ((exact is not None) + delayed)
     figure = Figure(figsize=(8, 2 + sum(heights)), dpi=150, layout="constrained")
     panels = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
-    top = panels[0]
-    handles, labels = [], []
-    if run.force_replica_std is not None:
-        spread = run.force_replica_std
-        handles.append(top.fill_between(run.X, run.force - spread, run.force + spread, color="0.85"))
-        labels.append("± standard deviation between replicas")
-    handles.append(_curve(top, run.X, run.force, run.force_stderr, "C0"))
-    handles.append(_level(top, steady.friction))
-    labels += ["particles, mean ± 2 standard errors", "steady value (renewal-reward) ± 2 standard errors"]
+    _draw_force(panels[0], run, steady, exact)
+    panels[0].set_title(_plain(title), fontsize=10)
     if exact is not None:
-        handles.append(top.plot(run.X, exact.force, color="k", linewidth=0.8, linestyle=":")[0])
-        labels.append("exact mean (renewal equation)")
-        below = panels[1]
         sigma = np.hypot(run.force_stderr, exact.force_error)
         z = np.divide(run.force - exact.force, sigma, out=np.zeros_like(sigma), where=sigma > 0)
-        below.axhspan(-2, 2, color="0.9")
-        below.plot(run.X, z, color="C0", linewidth=0.8)
-        below.set_ylim(-max(4.0, 1.1 * np.abs(z).max()), max(4.0, 1.1 * np.abs(z).max()))
-        below.set_ylabel("difference\n[standard errors]")
-    top.set_ylabel("friction force  F / (N k)\n[length unit of the run file]")
-    top.set_ylim(bottom=0)
-    top.set_title(title, fontsize=10)
-    # below the curve there is always room: forces start at 0 or stay near the steady value
-    top.legend(handles, labels, loc="lower right", fontsize=8, framealpha=1)
+        panels[1].axhspan(-2, 2, color="0.9")
+        panels[1].plot(run.X, z, color="C0", linewidth=0.8)
+        limit = max(4.0, 1.1 * np.abs(z).max())
+        panels[1].set(ylim=(-limit, limit), ylabel="difference\n[standard errors]")
     if delayed:
-        last = panels[-1]
-        _curve(last, run.X, run.pinned, run.pinned_stderr, "C2")
-        _level(last, steady.pinned)
+        _curve(panels[-1], run.X, run.pinned, run.pinned_stderr, "C2")
+        _level(panels[-1], steady.pinned)
         if exact is not None:
-            last.plot(run.X, exact.pinned, color="k", linewidth=0.8, linestyle=":")
-        last.set_ylabel("pinned fraction\nN_c / N")
-        last.set_ylim(0, 1.05)
+            panels[-1].plot(run.X, exact.pinned, color="k", linewidth=0.8, linestyle=":")
+        panels[-1].set(ylabel="pinned fraction\nN_c / N", ylim=(0, 1.05))
     panels[-1].set_xlabel("slider displacement  X  [length unit of the run file]")
     panels[-1].set_xlim(run.X[0], run.X[-1])
     figure.align_ylabels(panels)
@@ -79,17 +65,32 @@ def trajectory_png(run: Trajectory, steady: Steady, exact: Transient | None, tit
     return _png(figure)
 
 
-def validation_png(result: Validation) -> bytes:
+def _draw_force(axes: Axes, run: "Trajectory", steady: "Steady", exact: "Transient | None") -> None:
+    drawn: dict[str, Any] = {}
+    if run.force_replica_std is not None:
+        spread = run.force_replica_std
+        band = axes.fill_between(run.X, run.force - spread, run.force + spread, color="0.85")
+        drawn["± standard deviation between replicas"] = band
+    drawn["particles, mean ± 2 standard errors"] = _curve(axes, run.X, run.force, run.force_stderr, "C0")
+    drawn["steady value (renewal-reward) ± 2 standard errors"] = _level(axes, steady.friction)
+    if exact is not None:
+        line = axes.plot(run.X, exact.force, color="k", linewidth=0.8, linestyle=":")[0]
+        drawn["exact mean (renewal equation)"] = line
+    axes.set_ylabel("friction force  F / (N k)\n[length unit of the run file]")
+    axes.set_ylim(bottom=0)
+    # forces start at 0 or stay near the steady value: the space below the curve is empty
+    axes.legend(drawn.values(), drawn.keys(), loc="lower right", fontsize=8, framealpha=1)
+
+
+def validation_png(result: "Validation") -> bytes:
     """Every score of a suite by kind, ensemble by colour, and all of them against the normal law."""
     figure = Figure(figsize=(11, 5), dpi=150, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[3, 1], sharey=True)
     rng = np.random.default_rng(0)
-    styles = {"quenched": ("C0", "o"), "annealed": ("C1", "^")}
-    for disorder, (color, marker) in styles.items():
+    kinds = [verdict.kind for verdict in result.verdicts]
+    for disorder, color, marker in (("quenched", "C0", "o"), ("annealed", "C1", "^")):
         shown = [score for score in result.scores if score.ensemble.disorder == disorder]
-        x = [[v.kind for v in result.verdicts].index(score.kind) for score in shown] + rng.uniform(
-            -0.3, 0.3, len(shown)
-        )
+        x = [kinds.index(score.kind) for score in shown] + rng.uniform(-0.3, 0.3, len(shown))
         z = np.clip([score.z for score in shown], -8, 8)
         left.scatter(x, z, s=9, color=color, marker=marker, alpha=0.6, label=disorder)
     names = [
@@ -98,18 +99,16 @@ def validation_png(result: Validation) -> bytes:
     left.set_xticks(range(len(names)), names, fontsize=8)
     left.set_ylabel("z = (engine - master) / standard error")
     left.set_title(f"suite {result.suite}, seed {result.seed}: {'passed' if result.passed else 'FAILED'}", fontsize=10)
-    left.legend(fontsize=8, loc="upper right")
     grid = np.linspace(-8, 8, 401)
     every = np.clip([score.z for score in result.scores], -8, 8)
     right.hist(every, bins=np.arange(-8, 8.5, 0.5), density=True, orientation="horizontal", color="0.8")
     right.plot(np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), grid, color="k", linewidth=1, label="standard normal")
     right.set_xlabel(f"density of all {every.size} scores")
-    right.legend(fontsize=8, loc="upper right")
     for axes in (left, right):
+        axes.legend(fontsize=8, loc="upper right")
         axes.axhline(0, color="0.5", linewidth=0.5)
         axes.grid(alpha=0.3)
-    low, high = min(-4.5, every.min() - 0.5), max(4.5, every.max() + 0.5)
-    left.set_ylim(low, high)
+    left.set_ylim(min(-4.5, every.min() - 0.5), max(4.5, every.max() + 0.5))
     return _png(figure)
 
 
@@ -148,15 +147,67 @@ def select(table: Points, where: dict[str, str]) -> Points:
 def sweep_png(
     table: Points, x: str, y: str, by: str | None = None, log_x: bool | None = None, title: str = ""
 ) -> tuple[bytes, list[str]]:
-    """Column `y` of a sweep's points against column `x`, one series for each value of column `by`, and notes on what
-    was left out.
+    """A column of a sweep's points against another one.
 
     Bars are two standard errors (column `y`_stderr), lines go through the master equation's values (`y`_reference),
-    both where there are such columns; points of `status` "unreliable" are open, those of "failed" left out. The x axis
-    is logarithmic if `log_x`, or by default if its values span more than a factor 30.
-    Raises InputError if a column is missing or is not of numbers, if a parameter other than `x` and `by` varies (one of
-    `output` does not count: it changes no average), or if nothing is left to draw.
+    both where there are such columns; points of `status` "unreliable" are open, those of "failed" left out.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One point a row.
+    x, y : str
+        Columns along the axes.
+    by : str, optional
+        Column of which every value is a series of its own.
+    log_x : bool, optional
+        Whether the x axis is logarithmic; default: if its values span more than a factor 30.
+    title : str
+
+    Returns
+    -------
+    png : bytes
+    notes : list of str
+        What was left out.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or is not of numbers, if a parameter other than `x` and `by` varies (one of `output`
+        does not count: it changes no average), or if nothing is left to draw.
     """
+    table, notes = _drawable(table, x, y, by)
+    low, high = float(table[x].min()), float(table[x].max())
+    if log_x and low <= 0:
+        raise InputError(f"--log-x: {x} = {low:g} is not above 0")
+    figure = Figure(figsize=(9, 5), dpi=150, layout="constrained")
+    axes = figure.subplots()
+    if log_x or (log_x is None and low > 0 and high > _SPREAD * low):
+        axes.set_xscale("log")
+    series = list(table.groupby(by, dropna=False)) if by is not None else [(None, table)]
+    colors = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.8, len(series)))  # also a scale of greys
+    legend = []
+    for i, (value, part) in enumerate(series):
+        style: dict[str, Any] = {"color": colors[i], "marker": _MARKERS[i % len(_MARKERS)], "markersize": 5.5}
+        line = _DASHES[i % len(_DASHES)] if f"{y}_reference" in part else "none"
+        _draw_series(axes, part.sort_values(x), (x, y), style, line)
+        if by is not None:
+            legend.append(Line2D([], [], linestyle=line, linewidth=1, label=_text(value), **style))
+    legend += _explained(table, y)
+    if legend:  # beside the axes, where it covers nothing
+        figure.legend(
+            handles=legend, title=by, loc="outside right upper", fontsize=8, title_fontsize=8,
+            ncols=1 + len(legend) // 26,
+        )  # fmt: skip
+    axes.set_xlabel(_LABELS.get(x, f"{x}  [units of the run files]"))
+    axes.set_ylabel(_LABELS.get(y, y))
+    axes.set_title("\n".join(filter(None, (_plain(title), "; ".join(notes)))), fontsize=10)
+    axes.grid(alpha=0.3)
+    return _png(figure), notes
+
+
+def _drawable(table: Points, x: str, y: str, by: str | None) -> tuple[Points, list[str]]:
+    """The points that can be drawn, and notes on the others."""
     for name, option in ((x, "--x"), (y, "--y")):
         if not _numeric(_column(table, name, option)):
             raise InputError(f"{option} {name}: is not a column of numbers but of {_values(table[name])}")
@@ -168,61 +219,39 @@ def sweep_png(
         several = "; ".join(f"{name} ({_values(table[name])})" for name in free)
         raise InputError(f"besides --x and --by other parameters vary; choose with --where KEY=VALUE: {several}")
     table = table.assign(status=table.get("status", "ok"))
-    shown = (table["status"] != "failed") & np.isfinite(table[[x, y]].astype(float)).all(axis=1)
-    failed = int((table["status"] == "failed").sum())
-    empty = len(table) - failed - int(shown.sum())
-    gaps = ((failed, "failed"), (empty, f"without a finite {x} or {y}"))
-    notes = [f"left out: {number} {what}" for number, what in gaps if number]
-    table = table[shown]
-    if table.empty:
+    failed = table["status"] == "failed"
+    shown = ~failed & np.isfinite(table[[x, y]].astype(float)).all(axis=1)
+    absent = ((failed.sum(), "failed"), ((~failed & ~shown).sum(), f"without a finite {x} or {y}"))
+    notes = [f"left out: {number} {what}" for number, what in absent if number]
+    if not shown.any():
         raise InputError(f"--y {y}: no point to draw" + "".join(f"; {note}" for note in notes))
-    low, high = float(table[x].min()), float(table[x].max())
-    if log_x and low <= 0:
-        raise InputError(f"--log-x: {x} = {low:g} is not above 0")
+    return table[shown], notes
 
-    figure = Figure(figsize=(9, 5), dpi=150, layout="constrained")
-    axes = figure.subplots()
-    if log_x or (log_x is None and low > 0 and high > _SPREAD * low):
-        axes.set_xscale("log")
-    series = list(table.groupby(by, dropna=False)) if by is not None else [(None, table)]
-    colors = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.8, len(series)))  # also a scale of greys
-    legend = []
-    for i, (value, part) in enumerate(series):
-        style: dict[str, Any] = {"color": colors[i], "marker": _MARKERS[i % len(_MARKERS)], "markersize": 5.5}
-        part = part.sort_values(x)
-        line = "none"
-        if f"{y}_reference" in part:
-            known = part.drop_duplicates(x).dropna(subset=f"{y}_reference")
-            line = _DASHES[i % len(_DASHES)]
-            axes.plot(known[x], known[f"{y}_reference"], color=colors[i], linewidth=1, linestyle=line, zorder=2)
-        bars = 2 * part[f"{y}_stderr"].astype(float) if f"{y}_stderr" in part else None
-        axes.errorbar(part[x], part[y], bars, fmt="none", ecolor=colors[i], elinewidth=1, capsize=2.5, zorder=3)
-        unsure = part["status"] == "unreliable"
-        for points, fill in ((part[~unsure], colors[i]), (part[unsure], "white")):
-            axes.plot(points[x], points[y], linestyle="none", markerfacecolor=fill, zorder=4, **style)
-        if by is not None:
-            legend.append(Line2D([], [], linestyle=line, linewidth=1, label=_text(value), **style))
+
+def _draw_series(axes: Axes, part: Points, columns: tuple[str, str], style: dict[str, Any], line: str) -> None:
+    x, y = columns
+    color = style["color"]
+    if f"{y}_reference" in part:
+        known = part.drop_duplicates(x).dropna(subset=f"{y}_reference")
+        axes.plot(known[x], known[f"{y}_reference"], color=color, linewidth=1, linestyle=line, zorder=2)
+    bars = 2 * part[f"{y}_stderr"].astype(float) if f"{y}_stderr" in part else None
+    axes.errorbar(part[x], part[y], bars, fmt="none", ecolor=color, elinewidth=1, capsize=2.5, zorder=3)
+    unsure = part["status"] == "unreliable"
+    for points, fill in ((part[~unsure], color), (part[unsure], "white")):
+        axes.plot(points[x], points[y], linestyle="none", markerfacecolor=fill, zorder=4, **style)
+
+
+def _explained(table: Points, y: str) -> list[Line2D]:
+    """What lines, bars and open markers are, where there are any."""
     plain: dict[str, Any] = {"color": "0.35", "linestyle": "none", "markersize": 5.5}
+    found = []
     if f"{y}_reference" in table:
-        legend.append(Line2D([], [], color="0.35", linewidth=1, label="lines: master equation"))
+        found.append(Line2D([], [], color="0.35", linewidth=1, label="lines: master equation"))
     if f"{y}_stderr" in table:
-        legend.append(Line2D([], [], marker="|", label="bars: ± 2 standard errors", **(plain | {"markersize": 11})))
+        found.append(Line2D([], [], marker="|", label="bars: ± 2 standard errors", **(plain | {"markersize": 11})))
     if (table["status"] == "unreliable").any():
-        legend.append(Line2D([], [], marker="o", markerfacecolor="white", label="open: unreliable", **plain))
-    if legend:  # beside the axes, where it covers nothing
-        figure.legend(
-            handles=legend,
-            title=by,
-            loc="outside right upper",
-            fontsize=8,
-            title_fontsize=8,
-            ncols=1 + len(legend) // 26,
-        )
-    axes.set_xlabel(_LABELS.get(x, f"{x}  [units of the run files]"))
-    axes.set_ylabel(_LABELS.get(y, y))
-    axes.set_title("\n".join(filter(None, (title, "; ".join(notes)))), fontsize=10)
-    axes.grid(alpha=0.3)
-    return _png(figure), notes
+        found.append(Line2D([], [], marker="o", markerfacecolor="white", label="open: unreliable", **plain))
+    return found
 
 
 def _column(table: Points, name: str, option: str) -> Column:
@@ -246,6 +275,11 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return "none" if np.isnan(value) else f"{value:.6g}"
     return str(value)
+
+
+def _plain(title: str) -> str:
+    """A title for a picture: no mathematics, nothing that no font has."""
+    return title.encode(errors="backslashreplace").decode().replace("$", r"\$")
 
 
 def _png(figure: Figure) -> bytes:

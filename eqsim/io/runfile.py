@@ -8,18 +8,18 @@ import functools
 import stat
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, TextIO, get_args
 
 import pydantic
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 
-from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Ensemble
 from eqsim.errors import NOT_NEGATIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
+from eqsim.model.drive import Drive, check_output
+from eqsim.model.ensemble import Ensemble
 
 
 def _whole(value: Any) -> Any:
@@ -83,7 +83,7 @@ class Output(_Section):
 
 
 class RunFile(_Section):
-    """A checked run file; the defaults are the contract."""
+    """A checked run file; the defaults are the contract. `text` is what was read, and what was changed then."""
 
     title: Annotated[str, Field(max_length=200)] = ""
     disorder: str = "quenched"
@@ -96,53 +96,46 @@ class RunFile(_Section):
     drive: DriveSection = DriveSection()
     output: Output = Output()
     sweep: dict[str, Any] = {}
+    _text: str = PrivateAttr("")
+
+    @property
+    def text(self) -> str:
+        return self._text
 
     def ensemble(self, folder: Path) -> Ensemble:
         """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
         with under("thermal"):
-            thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)  # type: ignore[arg-type]
+            thermal = Thermal(**dict(self.thermal))
         with under("delay"):
-            delay = Delay(self.delay.time, self.delay.law)  # type: ignore[arg-type]
+            delay = Delay(**dict(self.delay))
         law = self._threshold_law(folder)
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
-        given = self.aging.model_fields_set
+        given, final = self.aging.model_fields_set, self.aging.x_star_final
         if given and "rule" not in given:  # contacts that do not age would be a surprise
             raise InputError(f'aging.rule: is required with {min(given)}; must be "langevin", "flow" or "none"')
         with under("aging"):
-            final = self.aging.x_star_final
-            aging = Aging(self.aging.rule, self.aging.rate, 1.0 if final is None else final)  # type: ignore[arg-type]
+            aging = Aging(self.aging.rule, self.aging.rate, 1.0 if final is None else final)
             aging.check(law, self.disorder)
             if final is None and aging.rule != "none":
                 raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
-        drag, springs = self.viscosity.eta, self.contacts
         with under("viscosity"):
-            require_number("eta", drag, **NOT_NEGATIVE)
+            require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
+        others: dict[str, Any] = {**dict(self.contacts), "disorder": self.disorder, "eta": self.viscosity.eta}
         with under("contacts"):
-            return Ensemble(
-                thresholds=law,
-                thermal=thermal,
-                delay=delay,
-                aging=aging,
-                count=springs.count,
-                stiffness=springs.stiffness,
-                stiffness_law=springs.stiffness_law,  # type: ignore[arg-type]
-                disorder=self.disorder,  # type: ignore[arg-type]
-                eta=drag,
-            )
+            return Ensemble(thresholds=law, thermal=thermal, delay=delay, aging=aging, **others)
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
         given = self.thresholds
         allowed = {"gamma": {"n", "x_star"}, "delta": {"x_star"}, "table": {"file"}}[given.law]
         for key in ("n", "x_star", "file"):
-            if getattr(given, key) is not None and key not in allowed:
-                raise InputError(
-                    f'thresholds.{key} = {shown(getattr(given, key))}: not allowed with law = "{given.law}"'
-                )
-        x_star = 1.0 if given.x_star is None else given.x_star
+            value = getattr(given, key)
+            if value is not None and key not in allowed:
+                raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{given.law}"')
         if given.law == "table":
             if given.file is None:
                 raise InputError('thresholds.file: is required with law = "table"')
             return read_thresholds(folder / given.file)
+        x_star = 1.0 if given.x_star is None else given.x_star
         with under("thresholds"):
             return Delta(x_star) if given.law == "delta" else Gamma(1.0 if given.n is None else given.n, x_star)
 
@@ -151,11 +144,62 @@ class RunFile(_Section):
         if self.drive.velocity is None:
             raise InputError("drive.velocity: is required")
         with under("drive"):
-            return Drive(self.drive.velocity, self.drive.distance, self.drive.start)  # type: ignore[arg-type]
+            return Drive(**dict(self.drive))
+
+    def check_output(self) -> None:
+        """Raise InputError unless the size and seed of a recording can be used."""
+        with under("output"):
+            check_output(self.output.points, self.output.seed, self.output.replicas)
 
 
-def read(path: Path) -> str:
-    """The text of a run file. Raises InputError."""
+_SECTIONS: dict[str, list[str]] = {
+    name: list(field.annotation.model_fields)
+    for name, field in RunFile.model_fields.items()
+    if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+}
+
+
+def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
+    """Read and check a run file.
+
+    Parameters
+    ----------
+    path : Path
+        TOML in UTF-8. It is read once: it may be a pipe.
+    changes : dict, optional
+        Values by "section.key", put in before anything is checked.
+
+    Returns
+    -------
+    RunFile
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds what is not allowed.
+    """
+    text, changes = _read(path), changes or {}
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
+        raise InputError(f"{path}: is not valid TOML: {error}") from None
+    for key, value in changes.items():
+        *sections, last = key.split(".")
+        axes, axis = data.get("sweep"), key.removeprefix("sweep.")
+        if isinstance(axes, dict) and axis != key and axis in axes:
+            sections, last = ["sweep"], axis
+        place = data
+        for name in sections:
+            place = place.setdefault(name, {})
+            if not isinstance(place, dict):
+                raise InputError(f"{key}: {name} is not a section")
+        place[last] = value
+    file = check(data)
+    file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
+    return file
+
+
+def _read(path: Path) -> str:
     try:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(_LONGEST + 1)
@@ -168,28 +212,6 @@ def read(path: Path) -> str:
     return text
 
 
-def load(path: Path, changes: dict[str, Any] | None = None, text: str | None = None) -> RunFile:
-    """Read and check a run file, with `changes` ("section.key": value) put in first; `text` is its content if it has
-    been read: a pipe can be read once. Raises InputError."""
-    text = read(path) if text is None else text
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
-        raise InputError(f"{path}: is not valid TOML: {error}") from None
-    for key, value in (changes or {}).items():
-        *sections, last = key.split(".")
-        axes, axis = data.get("sweep"), key.removeprefix("sweep.")
-        if isinstance(axes, dict) and axis != key and axis in axes:
-            sections, last = ["sweep"], axis
-        place = data
-        for name in sections:
-            place = place.setdefault(name, {})
-            if not isinstance(place, dict):
-                raise InputError(f"{key}: {name} is not a section")
-        place[last] = value
-    return check(data)
-
-
 @functools.cache
 def keys() -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str."""
@@ -200,23 +222,25 @@ def keys() -> dict[str, type]:
 
     known: dict[str, type] = {}
     for name, field in RunFile.model_fields.items():
-        section = field.annotation
-        if isinstance(section, type) and issubclass(section, BaseModel):
-            known |= {f"{name}.{key}": kind(part.annotation) for key, part in section.model_fields.items()}
+        if name in _SECTIONS:
+            parts: Any = field.annotation
+            known |= {f"{name}.{key}": kind(part.annotation) for key, part in parts.model_fields.items()}
         elif name not in ("title", "sweep"):
-            known[name] = kind(section)
+            known[name] = kind(field.annotation)
     return known
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
-    data = file.model_dump()
-    found = {key: data[key] if "." not in key else data[key.split(".")[0]][key.split(".")[1]] for key in keys()}
-    if file.thresholds.law != "table" and found["thresholds.x_star"] is None:
-        found["thresholds.x_star"] = 1.0
-    if file.thresholds.law == "gamma" and found["thresholds.n"] is None:
-        found["thresholds.n"] = 1.0
-    return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
+    data, found = file.model_dump(), {}
+    for key in keys():
+        section, _, name = key.rpartition(".")
+        value = (data[section] if section else data)[name]
+        found[key] = value + 0.0 if isinstance(value, float) else value  # no -0.0
+    for key, laws in (("thresholds.x_star", ("gamma", "delta")), ("thresholds.n", ("gamma",))):
+        if file.thresholds.law in laws and found[key] is None:
+            found[key] = 1.0
+    return found
 
 
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
@@ -226,31 +250,31 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
         if key not in keys():
             hint = meant(key, keys()) or "known are " + ", ".join(keys())
             raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
-        *section, last = key.split(".")
-        (data.setdefault(section[0], {}) if section else data)[last] = value
+        section, _, last = key.rpartition(".")
+        (data.setdefault(section, {}) if section else data)[last] = value
     return check(data)
 
 
 def check(data: dict[str, Any]) -> RunFile:
     """A run file from its content. Raises InputError with one line that names the field."""
-    _plain("sweep", data.get("sweep"))
+    _check_plain("sweep", data.get("sweep"))
     try:
         return RunFile.model_validate(data)
     except pydantic.ValidationError as error:
         raise InputError(_explain(error)) from None
 
 
-def _plain(field: str, content: Any) -> None:
+def _check_plain(field: str, content: Any) -> None:
     """Refuse what is no number or text of a sweep, wherever it is: dates, huge integers, endless nesting."""
-    left = [(field, content, 0)]
-    while left:
-        name, value, depth = left.pop()
+    pending = [(field, content, 0)]
+    while pending:
+        name, value, depth = pending.pop()
         if depth > _DEEPEST:
             raise InputError(f"{name}: is nested too deep")
         if isinstance(value, dict):
-            left += [(f"{name}.{key}", part, depth + 1) for key, part in value.items()]
+            pending += [(f"{name}.{key}", part, depth + 1) for key, part in value.items()]
         elif isinstance(value, list):
-            left += [(name, part, depth + 1) for part in value]
+            pending += [(name, part, depth + 1) for part in value]
         elif not isinstance(value, (str, float, int, type(None))) or (isinstance(value, int) and abs(value) > 10**300):
             raise InputError(f"{name} = {shown(value)}: must be numbers or text")
 
@@ -258,11 +282,11 @@ def _plain(field: str, content: Any) -> None:
 def _explain(error: pydantic.ValidationError) -> str:
     problems = error.errors(include_url=False)
     first = problems[0]
-    field = ".".join(str(part) for part in first["loc"])
-    value = shown(first["input"])
+    location = [str(part) for part in first["loc"]]
+    field, value = ".".join(location), shown(first["input"])
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] == "extra_forbidden":
-        return f"{field}: unknown key; {_nearest([str(part) for part in first['loc']])}{more}"
+        return f"{field}: unknown key; {_nearest(location)}{more}"
     if first["type"] in ("model_type", "dict_type"):
         return f"{field} = {value}: must be a section, [{field}]{more}"
     allowed = first["msg"].replace("Input should be", "must be").replace("String should", "must").replace("'", '"')
@@ -271,73 +295,70 @@ def _explain(error: pydantic.ValidationError) -> str:
 
 def _nearest(location: list[str]) -> str:
     """Which key may have been meant, here or in another section."""
-    sections = {name: info.annotation for name, info in RunFile.model_fields.items()}
-    known = {
-        name: list(kind.model_fields)
-        for name, kind in sections.items()
-        if isinstance(kind, type) and issubclass(kind, BaseModel)
-    }
-    here = known.get(location[0], []) if len(location) > 1 else list(sections)
-    elsewhere = [f"{name}.{key}" for name, keys in known.items() if keys != here for key in keys]
+    here = _SECTIONS.get(location[0], []) if len(location) > 1 else list(RunFile.model_fields)
+    elsewhere = [f"{name}.{key}" for name, names in _SECTIONS.items() if names != here for key in names]
     last = location[-1]
     same = [key for key in here + elsewhere if key.rpartition(".")[2].lower() == last.lower()]
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
 
 
 def read_thresholds(path: Path) -> Table:
-    """A CSV file with a column `threshold`, one positive number a row. Raises InputError."""
+    """The empirical law of a CSV file with a column `threshold`, one positive number a row.
+
+    Raises
+    ------
+    InputError
+        With the line that cannot be used.
+    """
     try:
         found = path.stat()
         stamp = (found.st_mtime_ns, found.st_size)
-        if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):  # a pipe or a device may never end
-            raise InputError(f"thresholds.file = {path}: is not a file")
-    except InputError:
-        raise
     except (OSError, ValueError):  # the reader says why
-        stamp = None
+        return _read_thresholds(path, None)
+    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):  # a pipe or a device may never end
+        raise InputError(f"thresholds.file = {path}: is not a file")
     return _read_thresholds(path, stamp)
 
 
 @functools.lru_cache(maxsize=8)
 def _read_thresholds(path: Path, stamp: tuple[int, int] | None) -> Table:
     """Remembered for as long as the file stays as it is: all points of a sweep share it."""
+    field = f"thresholds.file = {path}"
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, skipinitialspace=True, strict=True)
-            names = [name.strip() for name in rows.fieldnames or []]
-            if "threshold" not in names:
-                found = ", ".join(names)[:60] or "nothing"
-                raise InputError(
-                    f'thresholds.file = {path}: needs a column "threshold" in its first line; found {found}'
-                )
-            if names.count("threshold") > 1:
-                raise InputError(f'thresholds.file = {path}: has {names.count("threshold")} columns "threshold"')
-            rows.fieldnames = names
-            values = []
-            for row in rows:
-                text = row["threshold"] or ""
-                try:
-                    value = float(text if "_" not in text else "nan")  # Python's 1_000 is not a number elsewhere
-                except ValueError:
-                    value = float("nan")
-                if not 0 < value < float("inf"):
-                    raise InputError(
-                        f"thresholds.file = {path}, line {rows.line_num}: {text[:40]!r} must be a finite number > 0"
-                    )
-                if any(rest.strip() for rest in row.get(None, [])):
-                    raise InputError(
-                        f"thresholds.file = {path}, line {rows.line_num}: more values than columns (a decimal comma?)"
-                    )
-                values.append(value)
+            values = _thresholds(file, field)
     except OSError as error:
-        raise InputError(f"thresholds.file = {path}: cannot be read ({error.strerror})") from None
+        raise InputError(f"{field}: cannot be read ({error.strerror})") from None
     except InputError:
         raise
     except (ValueError, csv.Error):  # not UTF-8, or not a path
         raise InputError(f"thresholds.file = {str(path)!r}: is not a CSV text file") from None
     if not values:
-        raise InputError(f"thresholds.file = {path}: is empty; at least one threshold is needed")
+        raise InputError(f"{field}: is empty; at least one threshold is needed")
     try:
         return Table(values)
     except InputError as error:
-        raise InputError(f"thresholds.file = {path}: {error}") from None
+        raise InputError(f"{field}: {error}") from None
+
+
+def _thresholds(file: TextIO, field: str) -> list[float]:
+    rows = csv.DictReader(file, skipinitialspace=True, strict=True)
+    rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
+    if "threshold" not in names:
+        found = ", ".join(names)[:60] or "nothing"
+        raise InputError(f'{field}: needs a column "threshold" in its first line; found {found}')
+    if names.count("threshold") > 1:
+        raise InputError(f'{field}: has {names.count("threshold")} columns "threshold"')
+    values = []
+    for row in rows:
+        text = row["threshold"] or ""
+        try:
+            value = float(text if "_" not in text else "nan")  # Python's 1_000 is not a number elsewhere
+        except ValueError:
+            value = float("nan")
+        if not 0 < value < float("inf"):
+            raise InputError(f"{field}, line {rows.line_num}: {text[:40]!r} must be a finite number > 0")
+        if any(rest.strip() for rest in row.get(None, [])):
+            raise InputError(f"{field}, line {rows.line_num}: more values than columns (a decimal comma?)")
+        values.append(value)
+    return values

@@ -24,17 +24,18 @@ def versions() -> dict[str, str]:
 def provenance(
     command: str, settings: dict[str, Any], run_file: str, seed: int, folder: Path | None = None
 ) -> dict[str, Any]:
-    """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run file as it stood and the folder its paths
-    are relative to, every setting in force (an infinite one as "Infinity"), versions."""
+    """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run file as it stood and the folder
+    its paths are relative to, every setting in force (an infinite one as "Infinity"), versions."""
     settings = json.loads(json.dumps(settings), parse_constant=str)
     known = {"command": command, "run_file": run_file, "settings": settings, "seed": seed, "versions": versions()}
     return known if folder is None else {**known, "folder": str(folder.absolute())}
 
 
 def to_json(data: Any) -> str:
-    """JSON with null where a number is not finite."""
+    """JSON of numbers, texts and arrays, with null where a number is not finite."""
 
     def clean(value: Any) -> Any:
+        value = value.tolist() if hasattr(value, "tolist") else value
         if isinstance(value, dict):
             return {key: clean(part) for key, part in value.items()}
         if isinstance(value, (list, tuple)):
@@ -50,7 +51,6 @@ def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
     """A Parquet file of a DataFrame or of arrays by name, with `origin` as JSON under the metadata key `eqsim`."""
     import numpy as np
     import pyarrow
-    from pyarrow import parquet as pq
 
     def whole(column: Any) -> Any:
         """Numbers as they lie in memory; left to itself pyarrow imports pandas for them, a third of a second."""
@@ -61,23 +61,20 @@ def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
 
     if isinstance(columns, dict):
         columns = {name: whole(column) for name, column in columns.items()}
-    table = pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)})
-    buffer = io.BytesIO()
-    pq.write_table(table, buffer)
-    return buffer.getvalue()
+    return as_parquet(pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)}), checksums=False)
 
 
-def sealed(table: Any) -> bytes:
-    """A pyarrow table as a Parquet file whose pages carry checksums."""
+def as_parquet(table: Any, checksums: bool = True) -> bytes:
+    """A pyarrow table as a Parquet file, whose pages may carry checksums."""
     from pyarrow import parquet as pq
 
     buffer = io.BytesIO()
-    pq.write_table(table, buffer, write_page_checksum=True)
+    pq.write_table(table, buffer, write_page_checksum=checksums)
     return buffer.getvalue()
 
 
-def unsealed(content: bytes, schema: Any) -> Any:
-    """The pyarrow table of a Parquet file from `sealed`; None if it is damaged or its columns are not those of
+def from_parquet(content: bytes, schema: Any) -> Any:
+    """The pyarrow table of a Parquet file with checksums; None if it is damaged or its columns are not those of
     `schema`."""
     import pyarrow
     from pyarrow import parquet as pq
@@ -91,26 +88,22 @@ def unsealed(content: bytes, schema: Any) -> Any:
 
 def save(path: Path, content: bytes) -> None:
     """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
-    try:
-        _save(path, content)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
-
-
-def _save(path: Path, content: bytes) -> None:
     name = path.parent / f".eqsim-{secrets.token_hex(8)}"  # tempfile's would be private
     try:
-        _write(name, content)
-        os.replace(name, path)
-    except BaseException:
-        name.unlink(missing_ok=True)
-        raise
-    if os.name == "posix":  # the name itself must reach the disk too
-        folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+            _write(name, content)
+            os.replace(name, path)
+        except BaseException:
+            name.unlink(missing_ok=True)
+            raise
+        if os.name == "posix":  # the name itself must reach the disk too
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def _write(place: Path, content: bytes) -> None:

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.io import storage
-from eqsim.model.drive import Drive, check_output
-from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError, require_integer, require_number, shown, under
-from eqsim.laws.threshold import Table
+from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, keys, parameters
+from eqsim.laws.threshold import Table
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
 
 MOST_POINTS = 1_000_000
 _PACKAGE = Path(__file__).parent.parent
@@ -32,10 +32,29 @@ class Task(NamedTuple):
 
 
 class Plan:
-    """All points of a sweep, checked; `ids` in the order of the grid, the last axis fastest. Raises InputError."""
+    """All points of a run file's [sweep] table, checked.
 
-    def __init__(self, file: RunFile, folder: Path) -> None:
-        self.file, self.folder = file, folder
+    Parameters
+    ----------
+    file : RunFile
+    folder : Path
+        Where the run file's paths start.
+    version : str, optional
+        Results version that enters the points' identities, and with it their seeds; default: `results_version()`.
+
+    Attributes
+    ----------
+    ids : list of str
+        Identities in the order of the grid, the last axis fastest.
+
+    Raises
+    ------
+    InputError
+        For a table, or a point of it, that cannot be used.
+    """
+
+    def __init__(self, file: RunFile, folder: Path, version: str | None = None) -> None:
+        self.file, self.folder, self.version = file, folder, version or results_version()
         self.axes = _axes(file.sweep, folder)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
@@ -46,11 +65,10 @@ class Plan:
             try:
                 point = self.at(index)
                 ensemble, _ = point.ensemble(folder), point.driven()
-                with under("output"):
-                    check_output(point.output.points, point.output.seed, point.output.replicas)
+                point.check_output()
             except InputError as error:
                 raise InputError(f"sweep, point {index + 1} of {self.size}: {error}") from None
-            self.ids.append(identity(point, ensemble))
+            self.ids.append(identity(point, ensemble, self.version))
             if seen.setdefault(self.ids[-1], index) != index:
                 first = seen[self.ids[-1]] + 1
                 raise InputError(f"sweep: points {first} and {index + 1} are the same ({_text(self.changes(index))})")
@@ -81,16 +99,7 @@ def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
         if key == "file":
             axes.append(_points_file(folder, spec))
         elif key == "zip":
-            for group in spec if isinstance(spec, list) else [spec]:
-                if not isinstance(group, dict) or not group:
-                    raise InputError(
-                        'sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]'
-                    )
-                values = {name: _axis(name, part) for name, part in entries(group)}
-                if len({len(part) for part in values.values()}) > 1:
-                    lengths = ", ".join(f"{name} {len(part)}" for name, part in values.items())
-                    raise InputError(f"sweep.zip: its axes must have equal lengths; found {lengths}")
-                axes.append([dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)])
+            axes += [_zipped(group) for group in (spec if isinstance(spec, list) else [spec])]
         else:
             axes.append([{key: value} for value in _axis(key, spec)])
     if not axes:
@@ -100,6 +109,17 @@ def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
         if both:
             raise InputError(f"sweep.{min(both)}: is in two axes; must be in one")
     return axes
+
+
+def _zipped(group: Any) -> list[dict[str, Any]]:
+    """Axes that advance together."""
+    if not isinstance(group, dict) or not group:
+        raise InputError('sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]')
+    values = {name: _axis(name, part) for name, part in entries(group)}
+    if len({len(part) for part in values.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(part)}" for name, part in values.items())
+        raise InputError(f"sweep.zip: its axes must have equal lengths; found {lengths}")
+    return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]
 
 
 def swept(file: RunFile, folder: Path) -> set[str]:
@@ -180,7 +200,7 @@ def results_version() -> str:
     return digest.hexdigest()[:16]
 
 
-def identity(point: RunFile, ensemble: Ensemble) -> str:
+def identity(point: RunFile, ensemble: Ensemble, version: str) -> str:
     """SHA-256 of the sorted parameters of a point, its seed and the results version, hexadecimal. A table of
     thresholds enters with its values, wherever its file is."""
     values = parameters(point)
@@ -188,7 +208,7 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     law = ensemble.thresholds
     if isinstance(law, Table):
         values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    text = json.dumps([values, seed, results_version()], sort_keys=True)
+    text = json.dumps([values, seed, version], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

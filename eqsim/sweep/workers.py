@@ -1,8 +1,4 @@
-"""Who computes: worker processes of this machine, or those of a dask.distributed cluster.
-
-Both kinds of crew have a `pool` (an Executor), `slots()` (how many can work at once), `lost` (what a worker that died
-makes the pool raise), `renew()` (replace the dead) and `close(hurry)`.
-"""
+"""Who computes: worker processes of this machine, or those of a dask.distributed cluster."""
 
 import json
 import logging
@@ -16,25 +12,91 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
-from importlib import import_module
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from eqsim.errors import InputError
-from eqsim.io.signals import undisturbed
+from eqsim.io.signals import deferred
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 
-class _Pool(ProcessPoolExecutor):
+class Pool(Protocol):
+    """Workers at work: what a worker that died makes the executor raise is `lost`; each uses `threads` threads."""
+
+    executor: Executor
+    lost: tuple[type[Exception], ...]
+    threads: int
+
+    def slots(self) -> int:
+        """How many can work at once."""
+
+    def renew(self) -> None:
+        """Replace workers that died."""
+
+    def check(self) -> None:
+        """Raise InputError unless workers are there now, all with this version of eqsim."""
+
+    def close(self, hurry: bool) -> None:
+        """End the workers, in a hurry whatever they are doing."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who computes. The choice changes speed, never a number.
+
+    Parameters
+    ----------
+    count : int
+        Processes of this machine.
+    threads : int
+        Of each process.
+    dask : str, optional
+        Instead of own processes those of the dask.distributed cluster whose scheduler has this address, or has written
+        this file.
+    """
+
+    count: int = 1
+    threads: int = 1
+    dask: str | None = None
+
+    @contextmanager
+    def pool(self) -> Iterator[Pool]:
+        """The workers, for as long as the block takes; ended at once if it is broken off. Raises InputError."""
+        found: Pool = Processes(self.count) if self.dask is None else Cluster(self.dask)
+        found.threads = self.threads
+        try:
+            yield found
+        except BaseException:
+            found.close(hurry=True)
+            raise
+        found.close(hurry=False)
+
+    @contextmanager
+    def fixed_pool(self) -> Iterator[Pool]:
+        """A `pool` for work that cannot go on without one of its workers: InputError if one is lost."""
+        where = "--workers" if self.dask is None else f"--dask {self.dask}"
+        with self.pool() as found:
+            found.check()
+            try:
+                yield found
+            except (*found.lost, OSError, CancelledError) as error:
+                if isinstance(error, OSError) and self.dask is None:
+                    raise
+                said = ": ".join(filter(None, (type(error).__name__, str(error))))
+                raise InputError(f"{where}: a worker was lost, perhaps for want of memory ({said})") from None
+
+
+class _Executor(ProcessPoolExecutor):
     """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all processes of a terminal, and
     one that is still starting would answer with a traceback. What is submitted cannot be cancelled: when workers are
     killed, the thread that manages them stumbles over what is, and the process may never end."""
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
-        with undisturbed():
+        with deferred():
             future = super().submit(*args, **kwargs)
         future.cancel = lambda: False  # type: ignore[method-assign]
         return future
@@ -43,28 +105,32 @@ class _Pool(ProcessPoolExecutor):
 class Processes:
     """Worker processes of this machine."""
 
+    executor: Executor
     lost: tuple[type[Exception], ...] = (BrokenExecutor, MemoryError)
+    threads = 1
 
-    def __init__(self, workers: int) -> None:
-        self.workers = workers
+    def __init__(self, count: int) -> None:
+        self.count = count
         self.others = set(multiprocessing.active_children())
         self.environment = {name: os.environ.get(name) for name in _ONE_THREAD}
         os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # read by the libraries of workers when they start
         self.renew()
 
-    def renew(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        with undisturbed():
-            self.pool: Executor = _Pool(self.workers, context, initializer=_enlist)
-
     def slots(self) -> int:
-        return self.workers
+        return self.count
+
+    def renew(self) -> None:
+        with deferred():
+            self.executor = _Executor(self.count, multiprocessing.get_context("spawn"), initializer=_enlist)
+
+    def check(self) -> None:
+        pass
 
     def close(self, hurry: bool) -> None:
         if hurry:
             for child in set(multiprocessing.active_children()) - self.others:
                 child.kill()
-        self.pool.shutdown(wait=not hurry, cancel_futures=True)
+        self.executor.shutdown(wait=not hurry, cancel_futures=True)
         for name, value in self.environment.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -90,9 +156,12 @@ def _enlist() -> None:
 class Cluster:
     """The workers of a dask.distributed cluster; `address` of its scheduler, or of a scheduler file."""
 
+    executor: Executor
+    threads = 1
+
     def __init__(self, address: str) -> None:
         try:
-            distributed = import_module("distributed")
+            import distributed
         except ImportError:
             raise InputError('--dask: needs the package "distributed" (pip install "eqsim[dask]")') from None
         self.address = address
@@ -110,20 +179,19 @@ class Cluster:
             self.client = distributed.Client(address=where, timeout=15, set_as_default=False)
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f"--dask {address}: no scheduler answers ({error})") from None
-        self.pool: Executor = self.client.get_executor(pure=False)
-        self.asked, self.known = -math.inf, 0
+        self.executor = self.client.get_executor(pure=False)
+        self.counted, self.known = -math.inf, 0
+
+    def slots(self) -> int:
+        now = time.monotonic()
+        if now - self.counted > 1.0:
+            self.counted, self.known = now, sum(self.client.nthreads().values())
+        return max(1, self.known)
 
     def renew(self) -> None:
         """Clusters replace their own workers."""
 
-    def slots(self) -> int:
-        now = time.monotonic()
-        if now - self.asked > 1.0:
-            self.asked, self.known = now, sum(self.client.nthreads().values())
-        return max(1, self.known)
-
     def check(self) -> None:
-        """Raise InputError unless workers are there now, all with this version of eqsim."""
         try:
             self.client.wait_for_workers(1, timeout=10)
             found = {str(number) for number in self.client.run(version, "eqsim").values()}
@@ -136,36 +204,5 @@ class Cluster:
             raise InputError(f"--dask {self.address}: its workers have eqsim {listed}, not {version('eqsim')}")
 
     def close(self, hurry: bool) -> None:
-        self.pool.shutdown(wait=not hurry)
+        self.executor.shutdown(wait=not hurry)
         self.client.close(timeout=5)
-
-
-@contextmanager
-def crew(workers: int, dask: str | None) -> Iterator[Any]:
-    """A cluster if `dask` is given, else processes; closed at the end, at once if the work inside is broken off."""
-    found = Cluster(dask) if dask is not None else Processes(workers)
-    try:
-        yield found
-    except BaseException:
-        found.close(hurry=True)
-        raise
-    found.close(hurry=False)
-
-
-@contextmanager
-def unbroken(workers: int, dask: str | None) -> Iterator[Any]:
-    """A `crew` for work that cannot go on without one of its workers: InputError if one is lost."""
-    where = "--workers" if dask is None else f"--dask {dask}"
-    with crew(workers, dask) as found:
-        if isinstance(found, Cluster):
-            found.check()
-        try:
-            yield found
-        except (*found.lost, OSError, CancelledError) as error:
-            if isinstance(error, OSError) and dask is None:
-                raise
-            raise InputError(f"{where}: a worker was lost, perhaps for want of memory ({_said(error)})") from None
-
-
-def _said(error: BaseException) -> str:
-    return ": ".join(filter(None, (type(error).__name__, str(error))))

@@ -4,24 +4,30 @@ import dataclasses
 import json
 import tempfile
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from eqsim.io import storage
 from eqsim.errors import InputError
+from eqsim.io import storage
 from eqsim.io.runfile import RunFile, check
+from eqsim.sweep.plan import Plan
+from eqsim.sweep.rows import Asked
+from eqsim.sweep.scheduler import sweep
+from eqsim.sweep.workers import Workers
+from eqsim.workflows.run import Progress, simulate
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
-Progress = Callable[..., None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Replay:
-    """A table beside its repetition: `differences` holds, for each column that is not the same to the last bit, in how
-    many rows and by how much at most (None where it is not a number); `versions`, those that differ, as (then, now)."""
+    """A table beside its repetition.
+
+    `differences` holds, for each column that is not the same to the last bit, in how many rows and by how much at most
+    (None where it is not a number); `versions`, those that differ, as (then, now).
+    """
 
     command: str
     rows: int
@@ -34,11 +40,41 @@ class Replay:
 
 
 def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None) -> Replay:
-    """Repeat the call whose Parquet file is at `path`, on `workers` threads or processes, and compare.
+    """Repeat the call that made a Parquet file, and compare.
 
-    Files that a run file names are looked for where they were. Raises InputError if the file is none of eqsim's, or
-    what made it cannot be repeated.
+    Parameters
+    ----------
+    path : Path
+        A file that eqsim wrote. Files that its run file names are looked for where they were.
+    workers : int
+        Threads or processes.
+    progress : callable, optional
+        `progress(done, total)`.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    InputError
+        If the file is none of eqsim's, or what made it cannot be repeated.
     """
+    table, origin = _read(path)
+    try:
+        again = _REPEAT[origin["command"]](origin, workers, progress)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: its provenance is damaged ({type(error).__name__}: {error})") from None
+    here = storage.versions()
+    changed = {name: (then, here.get(name, "none")) for name, then in origin["versions"].items()}
+    return Replay(
+        origin["command"], len(table), compare(table, again),
+        {name: pair for name, pair in changed.items() if pair[0] != pair[1]},
+    )  # fmt: skip
+
+
+def _read(path: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The table of a file, and its provenance."""
     import pyarrow
     from pyarrow import parquet as pq
 
@@ -51,26 +87,15 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
     try:
         table = pq.read_table(pyarrow.BufferReader(content))
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
-        repeat = _REPEAT[origin["command"]]
-        written = isinstance(origin["settings"], dict) and isinstance(origin["versions"], dict)
+        if origin["command"] in _REPEAT and isinstance(origin["settings"], dict) and isinstance(origin["versions"], dict):
+            return table.to_pandas(), origin
     except (pyarrow.ArrowException, OSError, KeyError, ValueError, TypeError, RecursionError):
-        written = False
-    if not written:
-        raise InputError(f"{path}: is not a Parquet file that eqsim has written, or is damaged")
-    try:
-        again = repeat(origin, workers, progress)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: its provenance is damaged ({type(error).__name__}: {error})") from None
-    here = storage.versions()
-    changed = {name: (then, here.get(name, "none")) for name, then in origin["versions"].items()}
-    return Replay(
-        origin["command"], len(table), compare(table.to_pandas(), again),
-        {name: pair for name, pair in changed.items() if pair[0] != pair[1]},
-    )  # fmt: skip
+        pass
+    raise InputError(f"{path}: is not a Parquet file that eqsim has written, or is damaged")
 
 
-def compare(table: Any, again: Any) -> dict[str, tuple[int, float | None]]:
-    """Columns of two DataFrames that differ, as in `Replay`. A column or row that only one of them has differs."""
+def compare(table: pd.DataFrame, again: pd.DataFrame) -> dict[str, tuple[int, float | None]]:
+    """Columns of two tables that differ, as in `Replay`. A column or row that only one of them has differs."""
     found: dict[str, tuple[int, float | None]] = {}
     for name in [*table, *(name for name in again if name not in table)]:
         if name in _TIMES:
@@ -92,46 +117,40 @@ def _file(settings: dict[str, Any]) -> RunFile:
     return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
 
 
-def _run(origin: dict[str, Any], workers: int, progress: Progress) -> Any:
-    from eqsim.engine.trajectory import trajectory
-
-    file = _file(origin["settings"])
-    output, contacts = file.output, file.ensemble(Path(origin["folder"]))
-    result = trajectory(
-        contacts, file.driven(), points=output.points, seed=output.seed, replicas=output.replicas,
-        threads=workers, max_lives=float("inf"), progress=progress,
-    )  # fmt: skip
-    return pd.DataFrame(result.columns())
+def _run(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+    file, folder = _file(origin["settings"]), Path(origin["folder"])
+    return pd.DataFrame(
+        simulate(file, folder, threads=workers, max_lives=float("inf"), progress=progress).columns()
+    )
 
 
-def _validate(origin: dict[str, Any], workers: int, progress: Progress) -> Any:
-    from eqsim.validation.suite import columns, validate
+def _validate(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+    from eqsim.validation import columns, validate
 
     suite = origin["settings"]["suite"]
     return pd.DataFrame(columns(validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores))
 
 
-def _sweep(origin: dict[str, Any], workers: int, progress: Progress) -> Any:
-    from eqsim.sweep.scheduler import Asked, sweep
-
+def _sweep(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+    """By the identities of then, from which seeds are made."""
     settings = origin["settings"]
-    file, folder = _file(settings["sweep"]), Path(origin["folder"])
+    plan = Plan(_file(settings["sweep"]), Path(origin["folder"]), origin["results_version"])
     asked = Asked(**{field.name: settings[field.name] for field in dataclasses.fields(Asked)})
-    with tempfile.TemporaryDirectory() as out:
-        sweep(file, folder, Path(out) / "again", asked=asked, workers=workers, progress=progress)
-        return pd.read_parquet(Path(out) / "again" / "sweep.parquet")
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "again"
+        sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)
+        return pd.read_parquet(out / "sweep.parquet")
 
 
-def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> Any:
-    from eqsim.sweep.workers import unbroken
+def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+    from eqsim_figures import tabulate
 
-    scripts, settings = import_module("eqsim_figures"), origin["settings"]
-    with unbroken(workers, None) as crew:
-        name, quick = settings["figure"], settings["quick"]
-        return dict(scripts.tabulate([name], quick=quick, executor=crew.pool, progress=progress))[name]
+    name, quick = origin["settings"]["figure"], origin["settings"]["quick"]
+    with Workers(workers).fixed_pool() as pool:
+        return dict(tabulate([name], quick=quick, executor=pool.executor, progress=progress))[name]
 
 
-_REPEAT: dict[str, Callable[[dict[str, Any], int, Progress], Any]] = {
+_REPEAT: dict[str, Callable[[dict[str, Any], int, Progress], pd.DataFrame]] = {
     "run": _run,
     "validate": _validate,
     "sweep": _sweep,

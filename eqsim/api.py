@@ -1,0 +1,26 @@
+"""The public names of eqsim."""
+
+from eqsim.engine.steady import Steady, steady
+from eqsim.engine.trajectory import Trajectory, trajectory
+from eqsim.errors import InputError
+from eqsim.estimate import OBSERVABLES, Estimate, z_score
+from eqsim.io.runfile import RunFile, load
+from eqsim.laws.aging import Aging
+from eqsim.laws.delay import Delay
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
+from eqsim.master.closure import Closure, closure
+from eqsim.master.steady import Reference, reference
+from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.validation import Validation, validate
+from eqsim.workflows.replay import Replay, replay
+from eqsim.workflows.run import RunResult, run
+
+__all__ = [
+    "OBSERVABLES", "Aging", "Closure", "Delay", "Delta", "Distribution", "Drive", "Ensemble", "Estimate",
+    "Fluctuations", "Gamma", "InputError", "Reference", "Replay", "RunFile", "RunResult", "Steady", "Table", "Thermal",
+    "Trajectory", "Transient", "Validation", "closure", "fluctuations", "load", "reference", "replay", "run", "steady",
+    "trajectory", "transient", "validate", "z_score",
+]  # fmt: skip

@@ -1,0 +1,201 @@
+"""Commands that compute one ensemble: run, steady, reference."""
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from eqsim.cli.options import Changes, MaxLives, RunFilePath, Shown, Threads, complain, cores
+from eqsim.errors import InputError, require_integer, require_number
+from eqsim.io import terminal
+
+if TYPE_CHECKING:
+    from eqsim.sweep.workers import Workers
+    from eqsim.workflows.run import RunResult
+
+
+@dataclasses.dataclass(frozen=True)
+class Split:
+    """Who simulates the contacts, if not threads of this process."""
+
+    workers: Annotated[
+        int | None, typer.Option(help="Split the ensemble over so many processes: the same bits.", show_default=False)
+    ] = None
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            show_default=False,
+            help="Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits.",
+        ),
+    ] = None
+
+    def chosen(self) -> "Workers | None":
+        if self.workers is not None and self.dask is not None:
+            raise InputError("--workers, --dask: only one of them")
+        if self.workers is not None:
+            require_integer("--workers", self.workers, 1, 1024)
+        elif self.dask is None:
+            return None
+        from eqsim.sweep.workers import Workers
+
+        return Workers(self.workers or 1, dask=self.dask)
+
+
+def run(
+    path: RunFilePath,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Results folder. Default: out/NAME beside the run file.", show_default=False),
+    ] = None,
+    *,
+    changes: Changes,
+    threads: Threads = None,
+    split: Split,
+    max_lives: MaxLives = 1e10,
+    shown: Shown,
+) -> None:
+    """Simulate the ensemble contact by contact: friction force against displacement."""
+    file = changes.load(path)
+    from eqsim.io import storage
+
+    require_number("--max-lives", max_lives, above=0)
+    if out is None and not path.is_file():
+        raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
+    folder = out or path.parent / "out" / path.stem
+    storage.check_folder(folder)
+    number, workers = cores(threads), split.chosen()
+    from eqsim.workflows.run import run as simulate
+
+    with shown.bar("simulating", "lives") as progress:
+        result = simulate(
+            file, path.parent, threads=number, workers=workers, max_lives=max_lives, progress=progress
+        )
+    storage.publish(folder, result.files(path.stem))
+    shown.report(
+        result.summary(),
+        title=file.title or folder.name,
+        columns=("", "second half of the run", "steady value", "difference / s.e."),
+        rows=_averages(result),
+        notes=_remarks(result, folder, "workers" if workers else "threads"),
+    )
+
+
+def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
+    from eqsim.estimate import difference
+
+    steady = result.steady.averages()
+    for name, estimate in result.trajectory.averages.averages().items():
+        z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
+        yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
+
+
+def _remarks(result: "RunResult", folder: Path, who: str) -> Iterator[str]:
+    found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
+    if not all(estimate.reliable for estimate in found.averages.averages().values()):
+        yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
+    if not found.force_reliable:
+        yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
+    yield (
+        f"{terminal.count(found.lives)} lives of {terminal.count(contacts)} contacts in {found.engine_seconds:.2f} s "
+        f"({terminal.rate(found.lives, found.engine_seconds)}), {found.threads} {who}, seed {found.seed}"
+    )
+    yield f"{folder}/: trajectory.parquet, summary.json, force.png"
+    if result.no_exact:
+        yield f"no exact curve: {result.no_exact}"
+
+
+def steady(
+    path: RunFilePath,
+    rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-3,
+    *,
+    changes: Changes,
+    threads: Threads = None,
+    max_lives: MaxLives = 1e10,
+    shown: Shown,
+) -> None:
+    """Steady friction, pinned fraction and stretch at breaking, to a requested relative error."""
+    file = changes.load(path)
+    ensemble, drive, number = file.ensemble(path.parent), file.driven(), cores(threads)
+    from eqsim.engine.steady import steady as estimate_steady
+    from eqsim.estimate import z_score
+    from eqsim.master.steady import reference as solve
+    from eqsim.workflows.run import if_any
+
+    with shown.bar("simulating", "lives") as progress:
+        result = estimate_steady(
+            ensemble, drive, rel_error=rel_error, seed=file.output.seed, threads=number, max_lives=max_lives,
+            progress=terminal.announcing(progress, shown.note),
+        )  # fmt: skip
+    if not result.reached and not shown.quiet:
+        complain(f"relative error {rel_error:g} was not reached")
+    exact, reason = if_any(lambda: solve(ensemble, drive))
+    known, z = exact.averages() if exact else {}, dict.fromkeys(result.averages())
+    z |= {name: z_score(found, known[name].value, known[name].stderr) for name, found in result.averages().items() if known}
+    speed = terminal.rate(result.lives, result.engine_seconds)
+    notes = [f"{terminal.count(result.lives)} lives in {result.engine_seconds:.2f} s ({speed}), seed {result.seed}"]
+    shown.report(
+        {
+            **{name: found.as_dict() for name, found in result.averages().items()},
+            **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
+            **{"reference": {name: known[name].value if known else None for name in z}, "z": z},
+        },
+        title=file.title or path.stem,
+        columns=("", "particles", "relative error", "reference", "z"),
+        rows=[
+            (name, terminal.value_and_error(found), terminal.relative_error(found),
+             f"{known[name].value:.9g}" if known else "none", terminal.score(z[name]))
+            for name, found in result.averages().items()
+        ],
+        notes=[f"no reference: {reason}", *notes] if reason else notes,
+    )  # fmt: skip
+
+
+def reference(
+    path: RunFilePath,
+    transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
+    closure: Annotated[
+        bool, typer.Option("--closure", help="F(X) of annealed contacts whose pool of thresholds ages from newborn.")
+    ] = False,
+    *,
+    changes: Changes,
+    threads: Threads = None,
+    shown: Shown,
+) -> None:
+    """Exact averages from the master equation, without random numbers."""
+    if transient and closure:
+        raise InputError("--transient, --closure: only one of them")
+    file = changes.load(path)
+    cores(threads)
+    ensemble, drive = file.ensemble(path.parent), file.driven()
+    if transient or closure:
+        from eqsim.master.closure import closure as solve_closure
+        from eqsim.master.transient import transient as solve_transient
+
+        curve = (solve_closure if closure else solve_transient)(ensemble, drive, file.output.points)
+        columns = {field.name: getattr(curve, field.name) for field in dataclasses.fields(curve)}
+        shown.report(columns, notes=_tab_separated(columns))
+        return
+    from eqsim.master.steady import reference as solve
+
+    result = solve(ensemble, drive)
+    found = {**result.averages(), "f_k": result.f_k}
+    shown.report(
+        {
+            **{name: estimate.value for name, estimate in found.items()},
+            "error": {name: estimate.stderr for name, estimate in found.items()},
+            "method": result.method,
+        },
+        title=file.title or path.stem,
+        columns=("", "value", "error of the solver"),
+        rows=[(name, f"{estimate.value:.10g}", f"{estimate.stderr:.1e}") for name, estimate in found.items()],
+        notes=[f"method: {result.method}"],
+    )
+
+
+def _tab_separated(columns: dict[str, Any]) -> Iterator[str]:
+    yield "\t".join(columns)
+    for row in zip(*columns.values(), strict=True):
+        yield "\t".join(f"{number:.10g}" for number in row)

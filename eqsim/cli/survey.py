@@ -1,0 +1,180 @@
+"""Commands over many points: sweep, plot, figures."""
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, complain, cores, typed
+from eqsim.errors import InputError, require_integer
+from eqsim.io import signals
+
+if TYPE_CHECKING:
+    from eqsim.sweep.scheduler import Summary
+    from eqsim.sweep.store import Store
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepOptions:
+    """What is computed at each point, and who computes."""
+
+    rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-2
+    transient: Annotated[
+        bool, typer.Option("--transient", help="Second half of the run's distance instead of steady averages.")
+    ] = False
+    workers: Processes = None
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Scheduler (or its file) of a dask.distributed cluster to compute on."),
+    ] = None
+
+
+def sweep(
+    path: RunFilePath,
+    out: Annotated[Path, typer.Option(help="Folder of the dataset; the same command continues it.")],
+    options: SweepOptions,
+    changes: Changes,
+    threads: Annotated[
+        int | None, typer.Option(help="Threads per process. Default: cores that are left.", show_default=False)
+    ] = None,
+    max_lives: Annotated[float, typer.Option(help="Most lives per point.", show_default="1e10")] = 1e10,
+    *,
+    shown: Shown,
+) -> None:
+    """A grid of points, the "sweep" table of the run file: a resumable Parquet dataset, one row per point."""
+    file = changes.load(path)
+    if options.dask is not None and options.workers is not None:
+        raise InputError("--workers: not with --dask, whose cluster has its own")
+    each = None if threads is None else cores(threads)
+    count = max(1, cores() // (each or 1)) if options.workers is None else options.workers
+    require_integer("--workers", count, 1, 1024)
+    from eqsim.sweep import plan, rows, scheduler, workers
+
+    given = changes.given()
+    for key in sorted(given.keys() & plan.swept(file, path.parent)):
+        said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
+        raise InputError(f"{given[key][1]}: has no effect, {said}")
+    asked = rows.Asked(options.rel_error, max_lives, options.transient)
+    crew = workers.Workers(count, each or (1 if options.dask else max(1, cores() // count)), options.dask)
+    stores: list[Store] = []
+    try:
+        with shown.bar("sweeping", "points") as progress:
+            found = scheduler.sweep(
+                plan.Plan(file, path.parent), out, asked=asked, workers=crew, progress=progress, note=shown.note,
+                opened=stores.append,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        signals.acknowledge()  # no further one can break off the writing of what is finished
+        kept = stores[0].kept() if stores else "this call has computed nothing"
+        raise KeyboardInterrupt(f"{kept}; the same command continues") from None
+    failures = found.failures[:10]
+    shown.report({**dataclasses.asdict(found), "failures": failures, "out": str(out)}, notes=_ended(found, out))
+    for failure in failures if not shown.json else []:
+        values = ", ".join(f"{key} = {value}" for key, value in failure["changes"].items())
+        complain(f"point {failure['point']} ({values}) failed: {typed(failure['message'])}")
+    if found.failed:
+        raise typer.Exit(1)
+
+
+def _ended(found: "Summary", out: Path) -> list[str]:
+    doubtful = f", {found.unreliable} unreliable" if found.unreliable else ""
+    failed = f", {found.failed} FAILED" if found.failed else ""
+    notes = [f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}"]
+    if found.computed:
+        each_ms = found.point_seconds / found.computed * 1e3
+        notes.append(f"{found.computed} computed in {found.seconds:.1f} s, {each_ms:.3g} ms of engine and reference each")
+    return notes
+
+
+def plot(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of Parquet files, one point a row.", show_default=False)
+    ],
+    x: Annotated[str, typer.Option(help="Column along the x axis.")] = "drive.velocity",
+    y: Annotated[str, typer.Option(help="Column along the y axis.")] = "friction",
+    by: Annotated[
+        str | None, typer.Option(help="Column of which every value is a series of its own.", show_default=False)
+    ] = None,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Only points at which a column has this value; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Default: DIR.png beside DIR.", show_default=False)
+    ] = None,
+    log_x: Annotated[
+        bool | None,
+        typer.Option("--log-x/--linear-x", help="Default: logarithmic above a factor 30.", show_default=False),
+    ] = None,
+    *,
+    shown: Shown,
+) -> None:
+    """Draw a sweep: an observable against a parameter, with error bars and the reference."""
+    chosen = {}
+    for item in where or []:
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not key or not equals:
+            raise InputError(f"--where {item}: must be KEY=VALUE")
+        chosen[key] = value
+    place = folder.absolute()
+    file = out or place.parent / f"{place.name}.png"
+    if file.suffix != ".png":
+        raise InputError(f"--out {file}: must end in .png")
+    if file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"--out {file}: must be outside {folder}, where everything is read as points")
+    from eqsim.io import plots, storage
+
+    storage.check_folder(file.parent)
+    points = plots.select(plots.read_points(folder), chosen)
+    png, notes = plots.sweep_png(points, x, y, by, log_x, ", ".join([place.name, *(where or [])]))
+    storage.publish(file.parent, {file.name: png})
+    shown.report(
+        {"file": str(file), "points": len(points), "notes": notes},
+        notes=["; ".join([os.path.relpath(file), *notes])],
+    )
+
+
+def figures(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="Of A01, A01num, A02, A02ab, A03, A04, A05. Default: all."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = Path(
+        "runs/out/figures"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few points: coarse, under a minute of one core each.")
+    ] = False,
+    workers: Processes = None,
+    *,
+    shown: Shown,
+) -> None:
+    """The figures of Braun and Peyrard (2011) recomputed, with particles on them; minutes for all."""
+    from eqsim_figures import check, make
+
+    from eqsim.io import storage
+    from eqsim.sweep.workers import Workers
+
+    wanted = check(names or [])
+    count = cores() if workers is None else workers
+    require_integer("--workers", count, 1, 1024)
+    storage.check_folder(out)
+    made: list[Any] = []
+    try:
+        with Workers(count).fixed_pool() as pool, shown.bar("computing", "points") as progress:
+            for figure in make(wanted, out, quick=quick, executor=pool.executor, progress=progress):
+                made.append(figure)
+    except KeyboardInterrupt:
+        signals.acknowledge()
+        finished = ", ".join(figure.name for figure in made)
+        raise KeyboardInterrupt(f"finished in {out}/: {finished}" if made else "") from None
+    made.sort(key=lambda figure: wanted.index(figure.name))
+    shown.report(
+        {"out": str(out), "figures": [figure._asdict() for figure in made]},
+        title="figures: particles against the master equation of their ensemble",
+        columns=("", "curves", "particle estimates", "largest |z|", "chi-square p"),
+        rows=[(f.name, str(f.curves), str(f.particles), f"{f.largest:.2f}", f"{f.p:.2g}") for f in made],
+        notes=[f"{out}/: {', '.join(figure.name for figure in made)}, each .pdf, .png and .parquet"],
+    )

@@ -1,0 +1,141 @@
+"""The rows of a sweep's dataset, one per point.
+
+Columns (version 1 of the schema, the same for every sweep; null where a column does not apply):
+
+    id                         SHA-256 of parameters, seed and `results_version()`
+    disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
+                               with their defaults filled in
+    kind                       "steady" (averages to a relative error) or "transient" (the run's second half)
+    status, message            "ok"; "unreliable", error bars not to be trusted or larger than asked for; "failed"
+    each of `OBSERVABLES`, with
+      _stderr, _dof, _reliable             its standard error, degrees of freedom (null: normal) and whether to trust it
+      _reference, _reference_error         what the master equation says, and the error of the solver (steady)
+      _z                                   their difference as a standard-normal score; null if both errors are 0
+    reference_method           the solver
+    lives                      lives simulated
+    seed                       random seed, made from `id` alone
+    seconds                    wall time of engine and reference; the only column that differs when a sweep is repeated
+    eqsim_version              version of the package
+
+A value depends on the id of its point and on nothing else: not on the order, the workers, restarts or the rest of the
+grid. The results version stands for the code and the libraries. Processors of different make draw the same random
+numbers and round differently: values agree to 1e-9, and to 1e-6 where thresholds fluctuate.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from eqsim.errors import InputError, require_number
+from eqsim.estimate import OBSERVABLES, Averages, z_score
+from eqsim.io.runfile import keys
+from eqsim.sweep.plan import Task, results_version
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is computed at each point.
+
+    Parameters
+    ----------
+    rel_error : float
+        Relative standard error of steady averages.
+    max_lives : float
+        Most lives a point.
+    transient : bool
+        The second half of the run's distance instead of steady averages.
+
+    Raises
+    ------
+    InputError
+        For numbers that are not positive.
+    """
+
+    rel_error: float = 1e-2
+    max_lives: float = 1e10
+    transient: bool = False
+
+    def __post_init__(self) -> None:
+        require_number("--rel-error", self.rel_error, above=0)
+        require_number("--max-lives", self.max_lives, above=0)
+
+
+def schema() -> Any:
+    """The pyarrow schema of the dataset."""
+    import pyarrow as pa
+
+    number, integer, text, truth = pa.float64(), pa.int64(), pa.string(), pa.bool_()
+    types = {float: number, int: integer, str: text}
+    fields = {"id": text, **{key: types[kind] for key, kind in keys().items()}}
+    fields |= {"kind": text, "status": text, "message": text}
+    for name in OBSERVABLES:
+        fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
+        fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
+    fields |= {"reference_method": text, "lives": integer, "seed": integer, "seconds": number, "eqsim_version": text}
+    return pa.schema(list(fields.items()))
+
+
+def compute(tasks: list[Task], asked: Asked, threads: int, version: str) -> list[dict[str, Any]]:
+    """What a worker does: the columns of some points that are found by computing. Raises InputError if this worker's
+    code is not that of `version`."""
+    from eqsim.engine import trajectory  # noqa: F401  # imported before any point is timed
+    from eqsim.master import steady  # noqa: F401
+
+    if version != results_version():
+        raise InputError(f"a worker runs other code or libraries (results version {results_version()}, not {version})")
+    return [_row(task, asked, threads) for task in tasks]
+
+
+def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+    begin = time.perf_counter()
+    try:
+        row = (_transient if asked.transient else _steady)(task, asked, threads)
+    except MemoryError:  # the machine's fault, not the point's
+        raise
+    except Exception as error:
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+        row = {"status": "failed", "message": kind + " ".join(str(error).split())}
+    return {**row, "seconds": time.perf_counter() - begin}
+
+
+def _steady(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+    from eqsim.engine.steady import steady
+    from eqsim.master.steady import reference
+
+    found = steady(
+        task.ensemble, task.drive, rel_error=asked.rel_error, seed=task.seed, threads=threads, max_lives=asked.max_lives
+    )
+    problems = [] if found.reached else [f"relative error {asked.rel_error:g} was not reached"]
+    row = _columns(found, found.lives, problems)
+    try:
+        exact = reference(task.ensemble, task.drive)
+    except InputError as error:
+        return row | {"message": "; ".join(filter(None, (row["message"], f"no reference: {error}")))}
+    row["reference_method"] = exact.method
+    for name, level in exact.averages().items():
+        row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
+        row[f"{name}_z"] = z_score(found.averages()[name], level.value, level.stderr)
+    return row
+
+
+def _transient(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+    from eqsim.engine.trajectory import trajectory
+
+    points, replicas = task.output
+    found = trajectory(
+        task.ensemble, task.drive, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        max_lives=asked.max_lives,
+    )  # fmt: skip
+    return _columns(found.averages, found.lives, [])
+
+
+def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:
+    """Columns of estimates, and what is wrong with them besides `problems`."""
+    row: dict[str, Any] = {"lives": lives}
+    for name, e in averages.averages().items():
+        row |= {name: e.value, f"{name}_stderr": e.stderr, f"{name}_dof": e.dof, f"{name}_reliable": e.reliable}
+    doubtful = ", ".join(name for name, estimate in averages.averages().items() if not estimate.reliable)
+    problems = [f"error bars of {doubtful} cannot be trusted"] * bool(doubtful) + problems
+    return row | {"status": "unreliable" if problems else "ok", "message": "; ".join(problems) or None}

@@ -1,0 +1,189 @@
+"""The folder of a sweep.
+
+It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweep.rows`), and `_sweep.json`, what was asked for.
+While a sweep runs its rows are in `_parts/`, in files named by a digest of their content. Names that begin with "_" are
+not part of the dataset: `pandas.read_parquet(FOLDER)` reads the table. Its metadata key `eqsim` holds the run file, the
+settings, versions and the version of the schema.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import json
+import os
+import shutil
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from eqsim.errors import InputError
+from eqsim.io import storage
+from eqsim.io.runfile import parameters
+from eqsim.sweep.plan import Plan, entries, seed_of
+from eqsim.sweep.rows import SCHEMA, Asked, schema
+
+_TABLE, _MANIFEST, _LOCK, _PARTS = "sweep.parquet", "_sweep.json", "_lock", "_parts"
+_FLUSH_ROWS = 256
+
+
+class Store:
+    """The folder `out` of a sweep, held by a lock that dies with its process.
+
+    Attributes
+    ----------
+    done : set of str
+        Identities of the points whose rows are known.
+    damaged : list of str
+        Files that were found damaged, and removed.
+
+    Raises
+    ------
+    InputError
+        If the folder is in use, holds something else, or cannot be written.
+    """
+
+    def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
+        storage.check_folder(out)
+        self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
+        theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))
+        if theirs:  # the folder is read as one table
+            raise InputError(
+                f"--out {out}: holds files of another origin, {theirs[0].name}; must be a folder of its own"
+            )
+        out.mkdir(parents=True, exist_ok=True)
+        self.lock = self._locked()
+        try:
+            self._agree(asked)
+            (out / _PARTS).mkdir(exist_ok=True)
+            for unfinished in (*out.glob(".eqsim-*"), *(out / _PARTS).glob(".eqsim-*")):
+                shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
+            settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
+            origin = storage.provenance("sweep", settings, plan.file.text, plan.file.output.seed, plan.folder)
+            origin |= {"schema": SCHEMA, "results_version": plan.version}
+            self.schema = schema().with_metadata({"eqsim": storage.to_json(origin)})
+            self.rows: list[dict[str, Any]] = []
+            self.tables: list[Any] = []
+            self.done: set[str] = set()
+            self.damaged: list[str] = []
+            self._load()
+        except BaseException:
+            self.close()
+            raise
+        self.flushed = time.monotonic()
+
+    def _locked(self) -> int:
+        handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)  # modulo umask: the folder may be a group's
+        try:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise InputError(f"--out {self.out}: another sweep is at work in this folder") from None
+        except (ImportError, OSError):  # a system or a file system without locks
+            pass
+        return handle
+
+    def close(self) -> None:
+        """Release the folder."""
+        os.close(self.lock)
+
+    def _agree(self, asked: Asked) -> None:
+        """Note what is asked for, or compare it with what was."""
+        plan, path = self.plan, self.out / _MANIFEST
+        names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
+        now = {key: repr(value) for key, value in parameters(plan.file).items()}
+        now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
+        now |= {f"content of {name}": _digest((plan.folder / str(name)).read_bytes()) for name in names}
+        now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
+        now |= {"schema": str(SCHEMA), "results version": plan.version, "order of axes": repr([*plan.file.sweep])}
+        if not path.exists():
+            manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}
+            storage.save(path, json.dumps(manifest, indent=2).encode())
+            return
+        try:
+            before = json.loads(path.read_bytes())["asked"]
+            changed = [key for key in sorted({*now, *before}) if now.get(key) != before.get(key)]
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise InputError(f"{path}: is damaged; this folder cannot be continued") from None
+        if changed:
+            listed = "; ".join(
+                f"{key} was {str(before.get(key, 'absent'))[:80]}, is {now.get(key, 'absent')[:80]}" for key in changed
+            )
+            raise InputError(f"--out {self.out}: holds another sweep, use another folder: {listed}")
+
+    def _load(self) -> None:
+        """The rows on disk; what is damaged is noted and removed."""
+        final = self.out / _TABLE
+        self.complete, self.parts = False, []
+        for path in [*self.out.glob(_TABLE), *sorted((self.out / _PARTS).glob("*.parquet"))]:
+            content = path.read_bytes()
+            whole = path == final or path.stem == f"part-{_digest(content)}"
+            table = storage.from_parquet(content, self.schema) if whole else None
+            if table is None:
+                self.damaged.append(str(path))
+                path.unlink()
+                continue
+            self.tables.append(table)
+            self.done.update(table["id"].to_pylist())
+            if path == final:
+                self.complete = True
+            else:
+                self.parts.append(path)
+        self.done &= set(self.plan.ids)
+
+    def add(self, index: int, row: dict[str, Any]) -> None:
+        """Keep the row of a point; it reaches the disk with `flush`."""
+        point_id = self.plan.ids[index]
+        known = {"id": point_id, "seed": seed_of(point_id), "kind": self.kind, "eqsim_version": _version()}
+        self.rows.append({**parameters(self.plan.at(index)), **row, **known})
+        self.done.add(point_id)
+        if len(self.rows) >= _FLUSH_ROWS:
+            self.flush()
+
+    def flush(self, older: float = 0.0) -> None:
+        """Write the rows at hand to a file if the last one is `older` seconds old."""
+        if not self.rows or time.monotonic() - self.flushed < older:
+            return
+        import pyarrow as pa
+
+        table = pa.Table.from_pylist(self.rows, self.schema)
+        content = storage.as_parquet(table)
+        path = self.out / _PARTS / f"part-{_digest(content)}.parquet"
+        storage.save(path, content)
+        self.parts.append(path)
+        self.tables.append(table)
+        self.rows, self.flushed = [], time.monotonic()
+
+    def kept(self) -> str:
+        """Write the rows at hand, also those of a `flush` that was broken off, and say how many points are on disk."""
+        self.flush()
+        found = {point_id for table in self.tables for point_id in table["id"].to_pylist()} & set(self.plan.ids)
+        return f"{len(found)} of {self.plan.size} points are on disk"
+
+    def compact(self) -> Any:
+        """All rows in one file, in the order of the grid, each once; a death in between loses and doubles nothing.
+        Returns them as a pyarrow table."""
+        import pyarrow as pa
+
+        self.flush()
+        table = pa.concat_tables(self.tables)
+        place = dict(zip(reversed(table["id"].to_pylist()), reversed(range(len(table))), strict=True))  # the first
+        table = table.take([place[point_id] for point_id in self.plan.ids]).combine_chunks()
+        if self.parts or not self.complete:
+            storage.save(self.out / _TABLE, storage.as_parquet(table))
+        for path in self.parts:
+            path.unlink()
+        with suppress(OSError):
+            (self.out / _PARTS).rmdir()
+        return table
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+@functools.cache
+def _version() -> str:
+    return storage.versions()["eqsim"]

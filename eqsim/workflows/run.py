@@ -1,0 +1,136 @@
+"""Everything that `eqsim run` computes: a run, and what it is compared with."""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from eqsim.engine.steady import Steady, steady
+from eqsim.engine.trajectory import Trajectory, check_run, trajectory
+from eqsim.errors import InputError
+from eqsim.io import storage
+from eqsim.io.plots import trajectory_png
+from eqsim.io.runfile import RunFile
+from eqsim.master.transient import Transient, transient
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.sweep.workers import Pool, Workers
+
+Progress = Callable[[int, float], None]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A simulated run file.
+
+    `trajectory` is what was simulated, `steady` the steady averages of the ensemble; `exact` is the exact mean, or None
+    where there is none and `no_exact` says why.
+    """
+
+    file: RunFile
+    folder: Path
+    ensemble: Ensemble
+    drive: Drive
+    trajectory: Trajectory
+    steady: Steady
+    exact: Transient | None
+    no_exact: str
+
+    def summary(self) -> dict[str, Any]:
+        """The content of `summary.json`."""
+        found = self.trajectory
+        return {
+            "title": self.file.title,
+            **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
+            "force_reliable": found.force_reliable,
+            "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
+            "lives": found.lives,
+            "engine_seconds": found.engine_seconds,
+            "threads": found.threads,
+            "seed": found.seed,
+            "versions": storage.versions(),
+        }
+
+    def files(self, title: str = "") -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        file = self.file
+        origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, self.folder)
+        return {
+            "trajectory.parquet": storage.parquet(self.trajectory.columns(), origin),
+            "summary.json": storage.to_json(self.summary()).encode(),
+            "force.png": trajectory_png(self.trajectory, self.steady, self.exact, file.title or title),
+        }
+
+
+def run(
+    file: RunFile,
+    folder: Path,
+    *,
+    threads: int = 1,
+    workers: Workers | None = None,
+    max_lives: float = 1e10,
+    progress: Progress = lambda *_: None,
+) -> RunResult:
+    """Simulate a run file, and compute the steady averages and the exact mean that belong to it.
+
+    Parameters
+    ----------
+    file : RunFile
+    folder : Path
+        Where the paths in the run file start.
+    threads : int
+        Of this process; they change no number.
+    workers : Workers, optional
+        Instead of threads; the same bits.
+    max_lives : float
+        Most lives.
+    progress : callable, optional
+        `progress(done, expected)`, lives.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    InputError
+        If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
+    """
+    ensemble, drive, seed = file.ensemble(folder), file.driven(), file.output.seed
+    expected = check_run(ensemble, drive, file.output.points, seed, file.output.replicas, max_lives)
+    rough = 5e-3 if ensemble.fluctuates else 1e-3
+    with workers.fixed_pool() if workers else nullcontext() as pool:
+        progress(0, expected)
+        level = steady(ensemble, drive, rel_error=rough, seed=seed, threads=threads, max_lives=max_lives)
+        found = simulate(file, folder, threads=threads, pool=pool, max_lives=max_lives, progress=progress)
+    exact, reason = if_any(lambda: transient(ensemble, drive, file.output.points))
+    return RunResult(file, folder, ensemble, drive, found, level, exact, reason)
+
+
+def simulate(
+    file: RunFile,
+    folder: Path,
+    *,
+    threads: int = 1,
+    pool: Pool | None = None,
+    max_lives: float = 1e10,
+    progress: Progress = lambda *_: None,
+) -> Trajectory:
+    """The trajectory of a run file, by threads of this process or by the workers of a pool; otherwise as `run`."""
+    ensemble, drive, output = file.ensemble(folder), file.driven(), file.output
+    expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+    return trajectory(
+        ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
+        threads=pool.slots() if pool else threads, executor=pool.executor if pool else None,
+        progress=lambda lives: progress(lives, expected),
+    )  # fmt: skip
+
+
+def if_any(solve: Callable[[], Result]) -> tuple[Result | None, str]:
+    """An exact result, or None and why there is none."""
+    try:
+        return solve(), ""
+    except InputError as error:
+        return None, str(error)
