@@ -20,7 +20,7 @@ from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
-from eqsim.validation.suite import _squares
+from eqsim.validation.scores import _squares
 
 UNIFORM = {"stiffness_law": "uniform"}
 LATE = Ensemble(thermal=Thermal(0.1), delay=Delay(5.0))  # at v = 1 hardly a contact is pinned before X = 5
