@@ -15,12 +15,23 @@ from rows import REFERENCE, ensemble_of
 from scipy import integrate
 
 import eqsim.engine.steady as module
-from eqsim import Aging, Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
-from eqsim.estimate import difference, drifts, known, ratio, z_score
-from eqsim.laws.thermal import log_hazard
-from eqsim.master.steady import reference
-
-OBSERVABLES = ("friction", "pinned", "break_stretch")
+from eqsim import (
+    Aging,
+    Delay,
+    Delta,
+    Distribution,
+    Drive,
+    Ensemble,
+    Estimate,
+    Gamma,
+    InputError,
+    Table,
+    Thermal,
+    reference,
+    steady,
+)
+from eqsim.estimate import OBSERVABLES, difference, drifts, known, ratio, z_score
+from eqsim.laws.barrier import BARRIERS
 
 
 def scores(row, result):
@@ -381,7 +392,7 @@ def test_every_randomisation_has_its_own_fixed_point(monkeypatch):
     solutions b_i/(1 - s) and a_i + r b_i/(1 - s): exactly what is returned, so that errors hold that of C."""
     rng, unit, s, r = np.random.default_rng(2), 0.5, 0.4, 0.7
     a, b = rng.normal(2.0, 0.1, 32), rng.normal(3.0, 0.1, 32)
-    monkeypatch.setattr(module, "lower", lambda ensemble, velocity, stretch: stretch / unit)
+    monkeypatch.setattr(module, "contacts", lambda ensemble, velocity, stretch: stretch / unit)
     monkeypatch.setattr(
         module, "_randomise", lambda job, C, size: np.column_stack((a + r * C, b + s * C, np.zeros(32)))
     )
@@ -410,7 +421,7 @@ def test_rare_clocks(kT, odds, monkeypatch):
     """Identical contacts, of which so few break before their threshold that none may be seen: two lives in a million
     or fewer leave no scatter, and the error bar knows. |z| < 4 in 16 cases: false alarm 1e-3."""
     thermal = Thermal(kT=kT)
-    velocity = math.exp(float(log_hazard("soft", 1.0, 1.0, 0.5 / kT))) / odds
+    velocity = math.exp(float(BARRIERS["soft"].log_hazard(1.0, 1.0, 0.5 / kT))) / odds
     ensemble = Ensemble(Delta(1.0), thermal, stiffness_law="uniform")
     exact = known(reference(ensemble, Drive(velocity)).friction)
 
