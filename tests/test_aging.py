@@ -8,18 +8,23 @@ import itertools
 import math
 
 import mpmath
-import numba
 import numpy as np
 import pytest
 import scipy.stats
 from cases import thinned
+from kernels import compiled
+from reduced_cases import barrier_of
 from scipy import integrate, special
 
 from eqsim import Delta, Ensemble, Gamma, InputError, Table, Thermal
-from eqsim.model.ensemble import lower
-from eqsim.laws.aging import Aging, Pooled, barrier_of, flow_end, flow_stretch, flow_work, flow_work_table, growth
-from eqsim.laws.thermal import MECHANICAL, SOFT, STIFF, erfi_inverse_table, soft_stretch, stiff_stretch
-from eqsim.laws.threshold import NO_STEPS, threshold_draw
+from eqsim.laws.aging import Aging, Flow, PooledThresholds, Unaged, base, flow
+from eqsim.laws.barrier.base import height, stretch
+from eqsim.laws.stiffness import Springs
+from eqsim.laws.threshold import NO_STEPS, Thresholds, threshold_draw
+from eqsim.model.reduced import births, reduced
+
+flow_end, flow_life, growth, work = map(compiled, (flow.flow_end, flow.flow_life, base.growth, base.work))
+height, stretch, threshold_draw = map(compiled, (height, stretch, threshold_draw))
 
 # ------------------------------------------------------------------------------------------------------- messages
 
@@ -51,6 +56,7 @@ def test_aging_refuses(arguments, message):
         (Aging("flow", 1.0, 1.001e3), Gamma(), "quenched", r"^x_star_final = 1001.0: must be within a factor 1000"),
         (Aging("flow", 1.0, 0.999e-3), Gamma(), "annealed", r"^x_star_final = 0.000999"),
         (Aging("flow", 1.0), Gamma(1001.0), "annealed", r"^rule: annealed contacts can age for n <= 1000; n is 1001$"),
+        (Aging("langevin", 1.0), Gamma(1001.0), "quenched", r'^rule: contacts of rule "langevin" can age for n <= 1000'),
     ],
 )
 def test_ensemble_refuses(aging, law, disorder, message):
@@ -67,7 +73,8 @@ def test_what_may_age():
         ("langevin", math.inf, 1.0, Gamma(), "annealed"),
         ("flow", math.inf, 1e3, Gamma(), "quenched"),
         ("flow", 1.0, 1e-3, Gamma(1000.0), "annealed"),
-        ("langevin", 1.0, 1.0, Gamma(1e6), "quenched"),
+        ("langevin", 1.0, 1.0, Gamma(1000.0), "quenched"),
+        ("flow", 1.0, 1.0, Gamma(1e6), "quenched"),
     ]:
         Aging(rule, rate, final).check(law, disorder)
 
@@ -80,7 +87,7 @@ def test_alpha():
     with pytest.raises(InputError, match=r"^aging rate \* x_star / \(velocity \* x_star_final\^2\) = "):
         Aging("flow", 1e60).alpha(1.0, 1e-60)
     with pytest.raises(ValueError, match="mean stretch"):
-        lower(Ensemble(aging=Aging("flow", 1.0), disorder="annealed"), 1.0)
+        reduced(Ensemble(aging=Aging("flow", 1.0), disorder="annealed"), 1.0)
 
 
 # ----------------------------------------------------------------------------------------------------- pooled law
@@ -122,7 +129,7 @@ def test_pooled_law(pool):
     """-ln J_c, J_c from below and P_c from e = 1e-12 to e = 500, to the documented 2e-9 for e < 100, 3e-2 in J_c
     beyond, 1e-16 absolute in cdf. The mixture's own error is 1e-12."""
     n, final, decay = pool
-    law = Pooled(Gamma(n, 2.0), 2.0 * final, decay)
+    law = PooledThresholds(Gamma(n, 2.0), 2.0 * final, decay)
     e = np.concatenate((np.geomspace(1e-12, 0.5, 12), np.geomspace(0.7, 500.0, 15)))
     x = law.exceeded_by(e)
     assert np.all(np.diff(x) > 0)
@@ -139,7 +146,7 @@ def test_pooled_law(pool):
 def test_pooled_law_in_mpmath():
     """Two points of one law to 12 digits, of all orders of magnitude in age."""
     n, final, decay = 1.5, 10.0, 3.0
-    law = Pooled(Gamma(n), final, decay)
+    law = PooledThresholds(Gamma(n), final, decay)
     for x in (0.3, 20.0):
 
         def survive(s, x=x):
@@ -153,7 +160,7 @@ def test_pooled_law_in_mpmath():
 @pytest.mark.parametrize("n", [0.0, 1.0, 30.0])
 def test_pooled_quantiles_far_below(n):
     """Where nobody is, too: a power of xi, as of the newborn law, without a warning."""
-    law = Pooled(Gamma(n), 12.0, 0.7)
+    law = PooledThresholds(Gamma(n), 12.0, 0.7)
     with np.errstate(all="raise"):
         x = law.exceeded_by(np.geomspace(1e-300, 511.0, 2000))
     assert np.all(np.diff(x) > 0)
@@ -166,32 +173,28 @@ def test_pooled_limits():
     newborn = Gamma(1.5, 3.0)
     e = np.geomspace(1e-10, 99.0, 50)
     for decay, like in ((1e-14, newborn), (math.inf, Gamma(1.5, 12.0))):
-        law = Pooled(newborn, 12.0, decay)
+        law = PooledThresholds(newborn, 12.0, decay)
         np.testing.assert_allclose(law.exceeded_by(e), like.exceeded_by(e), rtol=5e-9)
         assert law.mean == pytest.approx(like.mean, rel=1e-12, abs=0)
         assert (law.scale, law.rms) == (newborn.scale, newborn.rms)
     for final, decay in ((12.0, 0.7), (0.3, 20.0)):
-        law = Pooled(newborn, final, decay)
+        law = PooledThresholds(newborn, final, decay)
         total, _ = integrate.quad(law.sf, 0.0, float(law.exceeded_by(60.0)), limit=500, epsabs=0, epsrel=1e-11)
         assert law.mean == pytest.approx(total, rel=1e-9, abs=0)
     assert law.sf(0.0) == 1.0
     assert law.cdf(-1.0) == law.pdf(0.0) == 0.0
 
 
-@numba.njit
 def draws(table, u):
     """`threshold_draw` of a smooth law for many uniforms."""
-    found = np.empty(u.size)
-    for i in range(u.size):
-        found[i] = threshold_draw(table, NO_STEPS, u[i])
-    return found
+    return np.array([threshold_draw(Thresholds(table, NO_STEPS, 0), one) for one in u])
 
 
 @pytest.mark.parametrize("case", [(0.0, 10.0, 0.3), (1.0, 0.1, 5.0)])
 def test_pooled_draws(case):
     """100 000 draws from the kernel's table follow the mixture, and not one whose decay is 5 % off."""
     n, final, decay = case
-    table = Pooled(Gamma(n), final, decay).table()
+    table = PooledThresholds(Gamma(n), final, decay).table()
     drawn = draws(table, np.random.default_rng(5).random(100_000))
     grid = np.geomspace(drawn.min(), drawn.max(), 200)  # interpolated to 3e-4
 
@@ -209,20 +212,16 @@ def test_pooled_table_in_any_unit(x_star):
     """The kernel's table is the quantile in units of x_*i, between its nodes too: to the 5e-8 of a quantile and the
     1e-8 of a cubic in a cell of relative width 1/64, of laws that are powers at both ends. A table whose slopes are of
     another unit is off by 1e-3."""
-    law = Pooled(Gamma(1.0, x_star), 3.0 * x_star, 0.7)
+    law = PooledThresholds(Gamma(1.0, x_star), 3.0 * x_star, 0.7)
     table, e = law.table(), np.random.default_rng(6).permutation(np.geomspace(1e-8, 99.0, 2000))
-    drawn = np.array([threshold_draw(table, NO_STEPS, u) for u in np.exp(-e)])
+    drawn = draws(table, np.exp(-e))
     np.testing.assert_allclose(drawn * x_star, law.exceeded_by(e), rtol=2e-7)
 
 
 # ----------------------------------------------------------------------------------------------------------- flow
 
-LAWS = [
-    (SOFT, 1.0, 0.0),
-    (SOFT, 0.0, 1.0),
-    (STIFF, 1.0, 0.0),
-    (STIFF, 0.0, 1.0),
-]  # barrier, kappa = slope xi + constant
+# barrier, kappa = slope xi + constant
+LAWS = [("soft", 1.0, 0.0), ("soft", 0.0, 1.0), ("stiff", 1.0, 0.0), ("stiff", 0.0, 1.0)]
 NAMES = ["soft sqrt", "soft uniform", "stiff sqrt", "stiff uniform"]
 
 
@@ -231,7 +230,7 @@ def rate(case, x):
     (barrier, slope, constant), final2, alpha, b, log_w, xi0 = case
     xi = xi0 * np.sqrt(final2 - (final2 - 1) * np.exp(-alpha * x))
     a, gap = b * (slope * xi + constant), np.maximum(xi - x, 0.0)
-    if barrier == SOFT:
+    if barrier == "soft":
         return np.exp(log_w - a * gap * (xi + x))
     return np.exp(log_w - a * np.sqrt(xi * gap) * gap) * np.sqrt(gap / xi)
 
@@ -248,7 +247,7 @@ def hazard(case, x):
 
 def stretch_of(case, clock):
     (barrier, slope, constant), final2, alpha, b, log_w, xi0 = case
-    return flow_stretch(final2, alpha, barrier, slope, constant, b, log_w, xi0, clock)
+    return flow_life(Flow(final2, alpha), barrier_of(barrier, b, log_w), Springs(constant, slope), xi0, clock)
 
 
 @pytest.mark.parametrize(("rho", "law"), thinned(3, (0.05, 0.6, 1.0, 3.0, 100.0), LAWS))
@@ -259,7 +258,7 @@ def test_flow_stretch_spends_its_clock(law, rho):
         (1e-3, 1.0, 30.0, 1e6), (0.05, 3.0, 100.0, 1e6), (-5.0, 3.0, 20.0), (0.05, 1.0, 4.0)
     ):
         case = law, rho**2, alpha, b, log_w, xi0
-        end = flow_end(rho**2, alpha, xi0)
+        end = flow_end(Flow(rho**2, alpha), xi0)
         assert xi0 * growth(rho**2, alpha, end) == pytest.approx(end, rel=1e-13, abs=0)
         steep = b * (1 + xi0 * max(rho, 1)) * (xi0 * max(1.0, rho)) ** 2 * (1 + alpha * end)
         before = 0.0
@@ -294,42 +293,42 @@ def test_flow_stretch_in_an_ode(law):
         spent.terminal = met.terminal = True
         path = integrate.solve_ivp(
             lambda x, y, case=case: [rate(case, x)], (0.0, 100.0), [0.0], "DOP853",
-            events=(spent, met), rtol=1e-11, atol=1e-13, max_step=0.01 * flow_end(rho**2, alpha, case[5]),
+            events=(spent, met), rtol=1e-11, atol=1e-13, max_step=0.01 * flow_end(Flow(rho**2, alpha), case[5]),
         )  # fmt: skip
         assert stretch_of(case, clock)[0] == pytest.approx(path.t[-1], rel=1e-8, abs=0)
 
 
-@pytest.mark.parametrize(("barrier", "closed"), [(SOFT, "soft"), (STIFF, "stiff")])
-def test_flow_without_aging(barrier, closed):
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+def test_flow_without_aging(barrier):
     """alpha = 0, and final law = newborn law: the closed forms, to 1e-9 (their table is good to 5e-10)."""
-    table = erfi_inverse_table()
     for b, log_w, xi, clock in itertools.product(
         (0.01, 1.0, 50.0, 1e6), (-3.0, 2.0, 20.0), (0.1, 1.0, 3.0), (1e-5, 0.3, 4.0)
     ):
-        exact = soft_stretch(table, xi, b, log_w, clock) if closed == "soft" else stiff_stretch(xi, b, log_w, clock)
+        law = barrier_of(barrier, b, log_w)
+        exact = stretch(law, law.table(), xi, 1.0, clock)
         for final2, alpha in ((100.0, 0.0), (100.0, 1e-16), (1.0, 5.0), (0.01, 1e-16)):
-            found, _ = flow_stretch(final2, alpha, barrier, 0.0, 1.0, b, log_w, xi, clock)
+            found, _ = flow_life(Flow(final2, alpha), law, Springs(1.0, 0.0), xi, clock)
             assert found == pytest.approx(exact, rel=1e-9 + 1e-15 * b * xi * xi, abs=0)
 
 
 def test_flow_without_attempts():
     """At T = 0 a contact breaks where threshold and stretch meet, and aging has become visible."""
     for rho, alpha, xi in itertools.product((1e-3, 0.3, 1.0, 50.0, 1e3), (0.0, 1e-3, 1.0, 1e6), (1e-4, 1.0, 7.0)):
-        x, spent = flow_stretch(rho**2, alpha, MECHANICAL, 0.0, 1.0, 1.0, 0.0, xi, 1.0)
+        x, spent = flow_life(Flow(rho**2, alpha), barrier_of(None), Springs(1.0, 0.0), xi, 1.0)
         assert spent == 0.0
         assert x == pytest.approx(xi * math.sqrt(rho**2 - (rho**2 - 1) * math.exp(-alpha * x)), rel=1e-12, abs=0)
 
 
 def test_barrier_is_that_of_the_thermal_law():
     for xi, x, a in ((2.0, 0.5, 3.0), (1e-3, 0.0, 1e5), (1.0, 1.0, 1e9)):
-        assert barrier_of(SOFT, xi, x, a) == pytest.approx(a * (xi**2 - x**2), rel=1e-14, abs=0)
-        assert barrier_of(STIFF, xi, x, a) == pytest.approx(a * xi**2 * (1 - x / xi) ** 1.5, rel=1e-14, abs=0)
+        assert height(barrier_of("soft"), xi, x, a) == pytest.approx(a * (xi**2 - x**2), rel=1e-14, abs=0)
+        assert height(barrier_of("stiff"), xi, x, a) == pytest.approx(a * xi**2 * (1 - x / xi) ** 1.5, rel=1e-14, abs=0)
 
 
 @pytest.mark.parametrize("rho", [1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 1e3])
 def test_flow_work(rho):
     """int_0^x y s(y) dy to 2e-8 (cubic in cells of 1/64), where thresholds fall too, and lives of any length."""
-    table = flow_work_table(rho**2)
+    table = flow.work_table(rho**2)
     for alpha in (0.0, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6, 1e30):
         for x in np.geomspace(1e-100, 1e6, 54):
             edges = [0.0, *sorted(p / alpha for p in (0.1, 1, 3, 10, 30, 1e3) if p < alpha * x), x]
@@ -337,21 +336,18 @@ def test_flow_work(rho):
                 integrate.quad(lambda y, alpha=alpha: y * growth(rho**2, alpha, y), *pair, epsabs=0, epsrel=1e-11)[0]
                 for pair in itertools.pairwise(edges)
             )
-            assert flow_work(table, rho**2, alpha, x) == pytest.approx(exact, rel=2e-8, abs=0)
+            assert work(Flow(rho**2, alpha), table, Springs(0.0, 1.0), 1.0, x) == pytest.approx(exact, rel=2e-8, abs=0)
 
 
-def test_what_is_lowered():
-    """Plain numbers of an aging ensemble: alpha and final2; the newborn rms for the sqrt law, final law or not."""
+def test_reduced():
+    """Numbers of an aging ensemble: alpha and final2; the newborn rms for the sqrt law, final law or not."""
     base = {"thresholds": Gamma(1.0, 0.1), "thermal": Thermal(0.01), "stiffness_law": "sqrt"}
-    c = lower(Ensemble(**base, aging=Aging("flow", 0.1, 1.0)), 2.0)
-    assert (c.aging, c.final2, c.alpha) == (
-        1,
-        pytest.approx(100.0, rel=1e-15, abs=0),
-        pytest.approx(0.02, rel=1e-15, abs=0),
-    )
+    law = reduced(Ensemble(**base, aging=Aging("flow", 0.1, 1.0)), 2.0).aging
+    assert isinstance(law, Flow)
+    assert law == (pytest.approx(100.0, rel=1e-15, abs=0), pytest.approx(0.02, rel=1e-15, abs=0))
     for disorder in ("quenched", "annealed"):
         at_once = Ensemble(**base, aging=Aging("flow", math.inf, 1.0), disorder=disorder)
-        final = lower(at_once, 2.0)
-        assert final.aging == 0
-        assert final.kappa_slope == pytest.approx(1.0 / math.sqrt(2.0), rel=1e-15, abs=0)
-        assert at_once.births(2.0).mean == pytest.approx(Gamma(1.0, 1.0).mean, rel=1e-12, abs=0)
+        final = reduced(at_once, 2.0)
+        assert isinstance(final.aging, Unaged)
+        assert final.springs.slope == pytest.approx(1.0 / math.sqrt(2.0), rel=1e-15, abs=0)
+        assert births(at_once, 2.0).mean == pytest.approx(Gamma(1.0, 1.0).mean, rel=1e-12, abs=0)

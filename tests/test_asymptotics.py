@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, special
 
-from eqsim import Ensemble, InputError, Thermal, reference
-from eqsim.laws.thermal import pooled_rate
+from eqsim import Drive, Ensemble, InputError, Thermal, reference
+from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma
 from eqsim.master.closed_forms import C_0, Published, PublishedAging, beta, minimum_velocity
 
 
 def solved(kT, v):
     ensemble = Ensemble(thermal=Thermal(kT), disorder="annealed", stiffness_law="uniform")
-    return reference(ensemble, v)
+    return reference(ensemble, Drive(v))
 
 
 @pytest.mark.parametrize("kT", [0.05, 0.5, 5.0])
@@ -30,7 +31,7 @@ def test_closed_forms(kT):
     np.testing.assert_allclose(form.P(x), form.P_c(x) / form.J_c(x), rtol=1e-12)
     np.testing.assert_allclose(form.U(x), -np.log(form.J_c(x)), rtol=1e-12, atol=4e-16)
     np.testing.assert_allclose(
-        form.H(x, 0.7), 5.0 / 0.7 * pooled_rate(law, "uniform", "soft", form.b, x / 2.0), rtol=1e-8
+        form.H(x, 0.7), 5.0 / 0.7 * pooled_rate(law, "uniform", BARRIERS["soft"], form.b, x / 2.0), rtol=1e-8
     )
     np.testing.assert_allclose(
         form.dU(x, 0.7), [integrate.quad(form.H, 0, end, args=(0.7,), epsabs=1e-13)[0] for end in x], rtol=1e-9
@@ -38,7 +39,7 @@ def test_closed_forms(kT):
     assert form.dU(60.0, form.v_star) == pytest.approx(1.0, rel=1e-15, abs=0)
     C = integrate.quad(form.E_P, 0, 14.0, args=(0.7,), epsabs=1e-12)[0]
     ensemble = Ensemble(law, Thermal(kT, 5.0), stiffness=3.0, disorder="annealed", stiffness_law="uniform")
-    exact = reference(ensemble, 0.7)
+    exact = reference(ensemble, Drive(0.7))
     assert exact.break_stretch.value == pytest.approx(C, rel=1e-9, abs=0)
     assert ensemble.crossover_velocity == pytest.approx(form.v_star, rel=1e-8, abs=0)
     assert form.kT_star / kT == pytest.approx(form.b, rel=1e-15, abs=0)

@@ -9,6 +9,7 @@ from scipy import linalg
 from test_asymptotics import exponent, star1
 
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, InputError, Thermal
+from eqsim.laws.barrier import BARRIERS, Mechanical
 from eqsim.master.closure import _Aging, _march, _Pool
 from eqsim.master.closure import closure as solve
 from eqsim.master.transient import transient
@@ -70,8 +71,10 @@ def test_values_at_zero_temperature():
 
 
 def marched(cells, x_f, rate, thermal):
-    b, w = (0.5 / thermal.kT, 2.0 * thermal.attempt_frequency) if thermal.kT > 0 else (math.inf, 0.0)
-    pool = _Pool(1.0, _Aging(x_f**2, rate), 4.0, thermal if w else None, b, w)
+    barrier = Mechanical()
+    if thermal.kT > 0:
+        barrier = BARRIERS[thermal.barrier](0.5 / thermal.kT, math.log(2.0 * thermal.attempt_frequency))
+    pool = _Pool(1.0, _Aging(x_f**2, rate), 4.0, barrier)
     means = _march(pool, 4.0 / cells, cells)
     return np.array([quantity[:: cells // 50] for quantity in means])[:, 2:]
 

@@ -8,14 +8,14 @@ import pytest
 from cases import thinned
 from scipy import integrate, interpolate, stats
 
-from eqsim import Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference
-from eqsim.numerics.compiled import kernel
-from eqsim.engine.stationary import standing, standing_contact
-from eqsim.numerics.streams import TRAJECTORY, key, uniforms
-from eqsim.model.ensemble import lower
+from eqsim import Drive, Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference
+from eqsim.engine.contacts import contacts
+from eqsim.engine.stationary import found_pinned, stationary
 from eqsim.laws.aging import Aging
 from eqsim.master.closed_forms import Published
 from eqsim.master.curves import StationaryState
+from eqsim.numerics.compiled import kernel
+from eqsim.numerics.streams import TRAJECTORY, key, uniforms
 
 ANNEALED, UNIFORM = {"disorder": "annealed"}, {"stiffness_law": "uniform"}
 SMOOTH = [
@@ -44,7 +44,7 @@ def test_closed_forms(kT):
     """n = 1, soft, uniform, x_* = 2: nt03, nt03a, nt08, nt09 and E_P to the documented 1e-8; one per mille of
     temperature would show."""
     ensemble = Ensemble(Gamma(1.0, 2.0), Thermal(kT, 5.0), stiffness=3.0, **ANNEALED, **UNIFORM)
-    state, v = StationaryState(ensemble, 0.7), 0.7
+    state, v = StationaryState(ensemble, Drive(0.7)), 0.7
     form, other = (Published(T, stiffness=3.0, x_star=2.0, attempt_frequency=5.0) for T in (kT, 1.001 * kT))
     x = np.append(np.geomspace(1e-3, 0.1, 20), np.linspace(0.1, 8.0, 80)).reshape(4, 25)
     np.testing.assert_allclose(state.P(x), form.P(x), rtol=1e-12)
@@ -64,12 +64,12 @@ def test_closed_forms(kT):
 def test_normalised(ensemble, v):
     """int Q dx = 1 and, for uniform stiffness, int x Q dx = f_k, to 1e-8: the rule in ln x is exact to rounding."""
     x = grid(ensemble)
-    state = StationaryState(ensemble, v)
+    state = StationaryState(ensemble, Drive(v))
     Q = state.density(x)
     assert x[0] * Q[0] + np.trapezoid(x * Q, np.log(x)) == pytest.approx(1.0, rel=1e-8, abs=0)
     if ensemble.stiffness_law == "uniform":
         force = np.trapezoid(x**2 * Q, np.log(x))
-        assert force == pytest.approx(reference(ensemble, v).f_k.value, rel=1e-8, abs=0)
+        assert force == pytest.approx(reference(ensemble, Drive(v)).f_k.value, rel=1e-8, abs=0)
     assert state.density(0.0) == pytest.approx(1 / state.C, rel=1e-8, abs=0)
     assert np.all(np.diff(Q) <= 1e-9 * Q[0])
 
@@ -78,7 +78,7 @@ def test_normalised(ensemble, v):
 @pytest.mark.parametrize("law", [Delta(2.0), Table([2.0, 0.5, 0.7, 0.7, 1.3])])
 def test_discrete_laws(law, disorder):
     """Between thresholds, where Q is smooth, 40 Gauss nodes are exact to 1e-9."""
-    state = StationaryState(Ensemble(law, Thermal(0.5), disorder=disorder), 0.1)
+    state = StationaryState(Ensemble(law, Thermal(0.5), disorder=disorder), Drive(0.1))
     edges = np.append(0.0, np.unique(law.steps))
     parts = [integrate.fixed_quad(state.density, a, b, n=40)[0] for a, b in itertools.pairwise(edges)]
     assert sum(parts) == pytest.approx(1.0, rel=1e-8, abs=0)
@@ -88,7 +88,7 @@ def test_discrete_laws(law, disorder):
 @pytest.mark.parametrize(("ensemble", "v"), SMOOTH)
 def test_marginal_of_the_joint_density(ensemble, v):
     """int dxi of the joint density is Q, by adaptive quadrature to 1e-10; beyond their threshold are no contacts."""
-    state, mean = StationaryState(ensemble, v), ensemble.thresholds.mean
+    state, mean = StationaryState(ensemble, Drive(v)), ensemble.thresholds.mean
     top = float(ensemble.thresholds.exceeded_by(45.0))
     for x in (0.0, 0.1 * mean, 0.9 * mean, 1.7 * mean):
         ends = np.append(x + (top - x) * np.array([0.0, 0.01, 0.05, 0.2, 0.5]), top)
@@ -103,7 +103,7 @@ def test_marginal_of_the_joint_density(ensemble, v):
 @kernel
 def snapshot(c, table, words, x, stiffness):
     for i in range(x.size):
-        stiffness[i], x[i], _ = standing_contact(c, table, words, i, uniforms(words, i, 0, 0)[1])
+        stiffness[i], x[i], _ = found_pinned(c, table, words, i, uniforms(words, i, 0, 0)[1])
 
 
 @pytest.mark.parametrize(
@@ -119,9 +119,9 @@ def test_particles_of_a_stationary_start(disorder, case):
     joint density: Kolmogorov-Smirnov, false alarm 1e-4 each, 8e-4 in all. The other ensemble fails."""
     law, thermal, v = case
     ensemble = Ensemble(law, thermal, disorder=disorder)
-    c = lower(ensemble, v)
+    c = contacts(ensemble, v)
     x, stiffness = np.empty((2, 20_000))
-    snapshot(c, standing(c), key(5, TRAJECTORY), x, stiffness)
+    snapshot(c, stationary(c), key(5, TRAJECTORY), x, stiffness)
     x, xi = x * law.scale, stiffness * law.rms
 
     share, weight = np.polynomial.legendre.leggauss(40)
@@ -135,14 +135,14 @@ def test_particles_of_a_stationary_start(disorder, case):
         assert J(np.log(at[-1])) == pytest.approx(1.0, abs=1e-5)
         return [stats.kstest(sample, lambda s, F=F: F(np.log(s))).pvalue for sample, F in ((x, Q), (xi, J))]
 
-    assert min(p_values(StationaryState(ensemble, v))) > 1e-4
+    assert min(p_values(StationaryState(ensemble, Drive(v)))) > 1e-4
     other = "annealed" if disorder == "quenched" else "quenched"
-    assert max(p_values(StationaryState(Ensemble(law, thermal, disorder=other), v))) < 1e-8
+    assert max(p_values(StationaryState(Ensemble(law, thermal, disorder=other), Drive(v)))) < 1e-8
 
 
 def test_zero_temperature():
     """Q = J_c/C_0 (nt06), with the published functions for either ensemble."""
-    state = StationaryState(Ensemble(Gamma(1.0, 2.0)), 1.0)
+    state = StationaryState(Ensemble(Gamma(1.0, 2.0)), Drive(1.0))
     u = np.linspace(0, 4, 9)
     np.testing.assert_allclose(
         state.density(2 * u), 2 / (3 * math.sqrt(math.pi)) * (1 + u**2) * np.exp(-(u**2)), rtol=1e-8
@@ -154,8 +154,8 @@ def test_zero_temperature():
 
 
 def test_refusals():
-    quenched = StationaryState(Ensemble(thermal=Thermal(0.1)), 0.1)
-    discrete = StationaryState(Ensemble(Table([1.0, 2.0]), Thermal(0.1), **ANNEALED), 0.1)
+    quenched = StationaryState(Ensemble(thermal=Thermal(0.1)), Drive(0.1))
+    discrete = StationaryState(Ensemble(Table([1.0, 2.0]), Thermal(0.1), **ANNEALED), Drive(0.1))
     for name in ("P", "U", "H", "dU", "E_P"):
         with pytest.raises(InputError, match="annealed"):
             getattr(quenched, name)(1.0)
@@ -169,6 +169,6 @@ def test_refusals():
     with pytest.raises(InputError, match="xi: every threshold"):
         quenched.joint_density(0.0, 0.0)
     with pytest.raises(InputError, match="aging"):
-        StationaryState(Ensemble(aging=Aging("flow", 0.1, 2.0)), 1.0).density(1.0)
-    with pytest.raises(InputError, match="velocity"):
-        StationaryState(Ensemble(), 0.0).density(1.0)
+        StationaryState(Ensemble(aging=Aging("flow", 0.1, 2.0)), Drive(1.0)).density(1.0)
+    with pytest.raises(InputError, match=r"^drive = 0.1: must be a Drive, for example"):
+        StationaryState(Ensemble(), 0.1).density(1.0)

@@ -24,7 +24,7 @@ def test_master_equation():
     exact = X_STAR * PHASE
     assert np.all(np.abs(found.force - exact) <= found.force_error)
     assert found.force_error[AWAY].max() < 5 * CELL * X_STAR
-    peak, plateau = int(np.argmax(found.force)), reference(Ensemble(Delta(X_STAR)), 1.0).friction.value
+    peak, plateau = int(np.argmax(found.force)), reference(Ensemble(Delta(X_STAR)), Drive(1.0)).friction.value
     assert plateau == pytest.approx(X_STAR / 2, rel=1e-10, abs=0)
     assert abs(found.force[peak] / plateau - 2 * (1 - CELL)) <= found.force_error[peak] / plateau
     assert found.force[peak] / plateau < 2

@@ -7,12 +7,13 @@ import warnings
 import numpy as np
 import pytest
 from cases import thinned
+from reduced_cases import barrier_of, contacts
 from rows import aging
 from scipy import integrate, optimize
 from scipy.interpolate import CubicSpline
 
 from eqsim.laws.threshold import Gamma
-from eqsim.master import flow, kinetic
+from eqsim.master import flow, quenched
 
 ROWS = aging("flow")
 LAW = Gamma(1.0)
@@ -26,7 +27,7 @@ def at(row, alpha_factor=1.0):
     b = row.stiffness * unit**2 / (2 * row.kT)
     alpha = alpha_factor * 4 * row.rate * unit / (row.velocity * row.x_star_final**2)
     log_w = math.log(row.attempt_frequency * unit / row.velocity)
-    m = flow.stationary(Gamma(row.n, unit), row.stiffness_law, row.barrier, b, log_w, final, alpha)
+    m = flow.stationary(contacts(Gamma(row.n, unit), row.stiffness_law, row.barrier, b, log_w, final, alpha))
     cycle = unit * m.stretch + row.velocity * row.delay
     return unit**2 * m.work / cycle, unit * m.stretch / cycle, unit * m.stretch
 
@@ -47,11 +48,11 @@ def test_table_rejects_a_wrong_rate(row):
 def test_zero_temperature(v, value):
     """x_*i = .1, x_*f = 1, D = .1: the six printed digits; S(x) = J_ci(x/s(x)); its integral is C."""
     alpha = 4 * 0.1 * 0.1 / v
-    m = flow.stationary(LAW, "uniform", *COLD, 10.0, alpha)
+    m = flow.stationary(contacts(LAW, "uniform", *COLD, 10.0, alpha))
     assert 0.1 * m.work / m.stretch == pytest.approx(value, abs=6e-7)
     x = np.geomspace(1e-15, 70.0, 2500)
     s = np.sqrt(100 - 99 * np.exp(-alpha * x))
-    survive, k1, k2 = flow.survivors(LAW, "uniform", *COLD, 10.0, alpha, x)
+    survive, k1, k2 = flow.survivors(contacts(LAW, "uniform", *COLD, 10.0, alpha), x)
     np.testing.assert_allclose(survive, LAW.sf(x / s), rtol=0, atol=1e-8)
     assert np.array_equal(survive, k1)
     assert np.array_equal(survive, k2)
@@ -66,12 +67,12 @@ def test_limits_of_slow_and_fast_aging(law, final):
     alpha (rho^2 - 1) = 1e-11 and 1/alpha = 1e-16, the shortest lives 1e-6."""
     barrier, stiffness = law
     for b, log_w in itertools.product((0.1, 30.0, 1e5), (-3.0, 3.0, 12.0)):
-        still = kinetic.stationary(LAW, stiffness, barrier, b, log_w)
-        slow = flow.stationary(LAW, stiffness, barrier, b, log_w, final, 1e-13)
+        still = quenched.stationary(contacts(LAW, stiffness, barrier, b, log_w))
+        slow = flow.stationary(contacts(LAW, stiffness, barrier, b, log_w, final, 1e-13))
         assert slow[:2] == pytest.approx(still[:2], rel=1e-9, abs=0)
         more = final if stiffness == "sqrt" else 1.0
-        aged = kinetic.stationary(LAW, stiffness, barrier, b * final**2 * more, log_w + math.log(final))
-        fast = flow.stationary(LAW, stiffness, barrier, b, log_w, final, 1e16)
+        aged = quenched.stationary(contacts(LAW, stiffness, barrier, b * final**2 * more, log_w + math.log(final)))
+        fast = flow.stationary(contacts(LAW, stiffness, barrier, b, log_w, final, 1e16))
         assert fast.stretch == pytest.approx(final * aged.stretch, rel=1e-9, abs=0)
         assert fast.work == pytest.approx(final**2 * more * aged.work, rel=1e-9, abs=0)
 
@@ -110,12 +111,12 @@ def test_single_contacts(barrier, stiffness):
         (0.3, 3.0, 10.0, 20.0),
         (2.0, -1.0, 1, 1),
     ]:
-        c = flow.Contact(stiffness, barrier, b, log_w, final, alpha, LAW.rms)
-        moments, errors = flow.life_moments(c, xi0)
+        moments, errors = flow.life_moments(contacts(LAW, stiffness, barrier, b, log_w, final, alpha), xi0)
         plain = np.transpose([contact(stiffness, barrier, b, log_w, final, alpha, float(xi)) for xi in xi0])
         np.testing.assert_allclose(moments, plain, rtol=1e-8)
         assert np.all(errors < 1e-9 * moments)
-        off = c._replace(b=1.01 * b) if final == 1 else c._replace(alpha=1.01 * alpha)
+        more_b, more_alpha = (1.01, 1.0) if final == 1 else (1.0, 1.01)
+        off = contacts(LAW, stiffness, barrier, more_b * b, log_w, final, more_alpha * alpha)
         assert np.all(np.abs(flow.life_moments(off, xi0)[0] / plain - 1).max(axis=1) > 1e-5)
 
 
@@ -123,7 +124,7 @@ def test_single_contacts(barrier, stiffness):
 def test_single_contacts_reject_stiffness_frozen_at_birth(barrier):
     """With the sqrt law k_i follows the current threshold; thresholds that grow threefold show it beyond any error."""
     case = ("sqrt", barrier, 1.0, 1.0, 3.0, 0.7)
-    moments, _ = flow.life_moments(flow.Contact(*case, LAW.rms), np.array([1.5]))
+    moments, _ = flow.life_moments(contacts(LAW, *case), np.array([1.5]))
     assert np.all(np.abs(contact(*case, 1.5, frozen=True) / moments[:, 0] - 1) > 0.01)
 
 
@@ -139,7 +140,7 @@ def test_ends_of_the_ranges():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for stiffness, barrier, b, log_w, final, alpha in WIDE[::5]:
-            m = flow.stationary(LAW, stiffness, barrier, b, log_w, final, alpha)
+            m = flow.stationary(contacts(LAW, stiffness, barrier, b, log_w, final, alpha))
             assert np.all(np.isfinite(m))
             assert 0 < m.stretch <= (1 + 1e-9) * max(final, 1.0) * LAW.mean
             assert 0 < m.stretch_error < 1e-9 * m.stretch
@@ -148,13 +149,13 @@ def test_ends_of_the_ranges():
 
 def test_errors_cover_a_refined_result(monkeypatch):
     """The quoted error against the difference from panels resolved a thousand times better (to rounding, 2e-14)."""
-    cases = [(*case, m) for case in WIDE[::11] for m in [flow.stationary(LAW, *case)]]
+    cases = [(*case, m) for case in WIDE[::11] for m in [flow.stationary(contacts(LAW, *case))]]
     monkeypatch.setattr(flow, "_RESOLVED", 1e-14)
     monkeypatch.setattr(flow, "_CONVERGED", 1e-14)
     monkeypatch.setattr(flow, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
     monkeypatch.setattr(flow, "_MOST_ROUNDS", 25)
     for *case, m in cases:
-        fine = flow.stationary(LAW, *case)
+        fine = flow.stationary(contacts(LAW, *case))
         assert abs(m.stretch - fine.stretch) < m.stretch_error + 2e-14 * m.stretch
         assert abs(m.work - fine.work) < m.work_error + 2e-14 * m.work
 
@@ -166,8 +167,8 @@ def test_survivors(final, law):
     barrier, stiffness = law
     x = np.exp(np.arange(math.log(7.5 * max(1.0, final)), math.log(1e-15), -0.015)[::-1])
     for b, log_w, alpha in [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]:
-        values = flow.survivors(LAW, stiffness, barrier, b, log_w, final, alpha, x)
-        m = flow.stationary(LAW, stiffness, barrier, b, log_w, final, alpha)
+        values = flow.survivors(contacts(LAW, stiffness, barrier, b, log_w, final, alpha), x)
+        m = flow.stationary(contacts(LAW, stiffness, barrier, b, log_w, final, alpha))
         for power, moment in enumerate((m.stretch, m.work)):
             total = CubicSpline(np.log(x), values[power] * x ** (power + 1)).integrate(math.log(x[0]), math.log(x[-1]))
             # 1e-8 of each value, and of a cubic spline with this step 2e-8
@@ -180,13 +181,13 @@ def test_survivors(final, law):
 def test_survivors_without_aging(barrier):
     """S, E[k] and E[k^2] at some x against plain quadrature over births of the closed form, to 1e-8."""
     x = np.array([1e-3, 0.03, 0.3, 1.0, 2.5])
-    found = flow.survivors(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14, x)
+    found = flow.survivors(contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14), x)
     for j, xj in enumerate(x):
         for power in range(3):
 
             def term(xi, xj=xj, power=power):
                 a = 40.0 * xi / LAW.rms
-                alive = kinetic.survival(barrier, np.array([xj]), np.array([xi]), np.array([a]), 8.0)[0]
+                alive = quenched.survival(barrier_of(barrier, 1.0, 8.0), np.array([xj]), np.array([xi]), np.array([a]))[0]
                 return float(LAW.pdf(xi)) * float(alive) * (xi / LAW.rms) ** power
 
             edges = xj + np.append(0.0, np.geomspace(1e-4, 7.0, 60))

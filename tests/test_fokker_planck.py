@@ -9,14 +9,25 @@ import math
 import numpy as np
 import pytest
 from cases import thinned
+from reduced_cases import contacts
 from rows import aging
 from scipy.interpolate import CubicSpline
 
-from eqsim import Gamma, InputError
-from eqsim.master import fokker_planck, kinetic
-from eqsim.master.fokker_planck import survival
+from eqsim import Gamma
+from eqsim.master import fokker_planck, quenched
 
 ROWS = list(aging("langevin").itertuples())
+
+
+def numbers(n, final, mobility, stiffness, barrier, b, log_w):
+    """The laws of fluctuating contacts, mobility = D/(v x_*i)."""
+    s = contacts(Gamma(n), stiffness, barrier, b, log_w, final, 4 * mobility / final**2, fluctuates=True)
+    return s.aging, s.stiffness, s.barrier
+
+
+def survival(*case):
+    """`fokker_planck.survival` of `numbers`, solved anew."""
+    return fokker_planck._survival.__wrapped__(*numbers(*case))
 
 
 def solve(row, mobility=1.0, final=1.0):
@@ -88,12 +99,12 @@ def test_without_mobility(mobility, case):
     """The joint kinetic equation by quadrature, without aging. At 1e-10 the thresholds drift by 2e-10 xi/rho^2 per
     stretch, and fluctuations change rates in proportion to b: `slack` is several times the sum."""
     n, final, law = case
-    life, exact = survival(n, final, mobility, *law), kinetic.stationary(Gamma(n), *law)
+    life, exact = survival(n, final, mobility, *law), quenched.stationary(contacts(Gamma(n), *law))
     slack = 10 * mobility * max(law[2], math.sqrt(n + 1.0) / final**2, 1.0)
     assert abs(life.stretch / exact.stretch - 1) < life.stretch_error / life.stretch + 1e-11 + slack
     assert abs(life.work / exact.work - 1) < life.work_error / life.work + 1e-11 + slack
     inside = np.flatnonzero(life.x > 1e-6)[:-1]
-    profile = np.array(kinetic.survivors(Gamma(n), *law, life.x[inside]))
+    profile = np.array(quenched.survivors(contacts(Gamma(n), *law), life.x[inside]))
     assert np.all(np.abs(life.values[:, inside] - profile) < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack)
 
 
@@ -256,7 +267,7 @@ def test_error_estimate(case, monkeypatch):
 def test_order(case):
     """Halving the cells divides the change by 4 (second order: 3.5 to 4.5 while cells are finite), halving the steps
     by 16 (fourth order; at least 8, as long as rounding does not show)."""
-    life = fokker_planck._Life(*case)
+    life = fokker_planck._Life(*numbers(*case))
     first = fokker_planck._march(life, fokker_planck._Grid(life, 0.12))
 
     def totals(dz, stops):
@@ -269,21 +280,3 @@ def test_order(case):
         stops = np.sort(np.append(stops, 0.5 * (stops[1:] + stops[:-1])))
         found.append(totals(0.12, stops))
     assert np.all(np.abs(found[0] - found[1]) > 8 * np.abs(found[1] - found[2]))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"n": -0.1}, "n = -0.1"),
-        ({"final": 0.0}, "x_star_final / x_star = 0.0"),
-        ({"mobility": math.inf}, r"rate / \(velocity \* x_star\) = inf"),
-        ({"stiffness": "cubic"}, "stiffness_law = 'cubic'"),
-        ({"b": 0.0}, "b = 0.0"),
-        ({"log_w": 300.0}, "attempt_frequency"),
-    ],
-)
-def test_bounds(change, message):
-    """What the solver is not for is refused in one line."""
-    case = dict(n=1.0, final=1.0, mobility=1.0, stiffness="sqrt", barrier="soft", b=1.0, log_w=0.0)
-    with pytest.raises(InputError, match=message):
-        survival(**(case | change))

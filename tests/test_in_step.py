@@ -9,10 +9,11 @@ import math
 
 import numpy as np
 import pytest
+from reduced_cases import contacts as contacts_of
 from scipy import integrate, special, stats
 
 from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, Thermal
-from eqsim.master import kinetic
+from eqsim.master import quenched
 from eqsim.master.transient import fluctuations, transient
 
 
@@ -126,7 +127,7 @@ def test_fluctuations_of_identical_contacts():
     at = (np.arange(100_000) + 0.5) * period / 100_000
     saw = np.where(at < 1, at, 0.0)
     for distance, points in ((5.0, 51), (1500.0, 51), (5.0, 20_001)):
-        found = fluctuations(ensemble, 1.0, distance, points=points)
+        found = fluctuations(ensemble, Drive(1.0, distance), points=points)
         shown = np.linspace(0, points - 1, 26, dtype=int)
         moved = np.mod(at + found.lag[shown, None], period)
         exact = (saw * np.where(moved < 1, moved, 0.0)).mean(axis=1) - saw.mean() ** 2
@@ -172,7 +173,7 @@ def test_contacts_too_strong_to_break_by_heat(stiffness, b):
         exact = sum(integrate.quad(term, *pair, epsabs=0, epsrel=1e-10)[0] for pair in itertools.pairwise(edges))
         assert exact < 1e-15
         found, off = (
-            kinetic.survivors(Gamma(n), stiffness, "soft", near, log_w, np.array([x]))[0][0] for near in (b, 1.01 * b)
+            quenched.survivors(contacts_of(Gamma(n), stiffness, "soft", near, log_w), np.array([x]))[0][0] for near in (b, 1.01 * b)
         )
         assert found == pytest.approx(exact, rel=1e-7, abs=0)
         assert off != pytest.approx(exact, rel=1e-3, abs=0)

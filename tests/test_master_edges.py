@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import scipy.stats
 from cases import thinned
+from reduced_cases import barrier_of, contacts
 from scipy import integrate, optimize, special
 
 from eqsim import Distribution, Gamma, Table
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.thermal import log_hazard
-from eqsim.master import flow, kinetic, published
+from eqsim.master import annealed, flow, quenched
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
 
@@ -23,7 +23,7 @@ def exponent(barrier, x, xi, a):
 
 
 def rate(barrier, x, xi, a):
-    """The bare rate of `laws.thermal`, whose integrals are closed forms there."""
+    """The bare rate of `laws.barrier`, whose integrals are closed forms there."""
     return (1.0 if barrier == "soft" else math.sqrt(1 - x / xi)) * math.exp(-exponent(barrier, x, xi, a))
 
 
@@ -74,7 +74,7 @@ def plain_annealed(edges, density, rms, stiffness, barrier, b, w):
 def test_uniform_law_above_zero():
     """Thresholds even on (1, 2), kT = v = 1: C = 1.1232368 by nested adaptive quadrature (7 digits: 5e-8)."""
     law = Distribution(scipy.stats.uniform(1, 1))
-    m = published.stationary(law, "uniform", "soft", 1.5**2 / 2, math.log(1.5))
+    m = annealed.stationary(contacts(law, "uniform", "soft", 1.5**2 / 2, math.log(1.5)))
     assert 1.5 * m.stretch == pytest.approx(1.1232368, abs=6e-8)
     assert m.stretch_error < 1e-9 * m.stretch
 
@@ -84,12 +84,12 @@ def test_annealed_laws_with_edges(name, law):
     """Both moments to 1e-8, the ODE solver being good to some 1e-9; a law moved by 1e-4 is 1000 times that off."""
     (barrier, stiffness), (law, edges, density) = law, histogram(name)
     for b, w in ((1.0, 2.0), (40.0, 100.0)):
-        m = published.stationary(law, stiffness, barrier, b, math.log(w))
+        m = annealed.stationary(contacts(law, stiffness, barrier, b, math.log(w)))
         plain = plain_annealed(edges, density, law.rms / law.scale, stiffness, barrier, b, w)
         assert m[:2] == pytest.approx(plain, rel=1e-8, abs=0)
         assert m.stretch_error < 1e-9 * m.stretch
         assert m.work_error < 1e-9 * m.work
-        moved = published.stationary(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001))
+        moved = annealed.stationary(contacts(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001)))
         assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
 
 
@@ -116,7 +116,7 @@ def test_annealed_thresholds_of_many_scales(thresholds, barrier):
                 right = min(right, np.nextafter(high, 0.0))
                 if state[0] < 60.0:
                     state = integrate.solve_ivp(slope, (left, right), state, "DOP853", rtol=1e-9, atol=1e-30).y[:, -1]
-        m = published.stationary(law, "uniform", barrier, b, math.log(w))
+        m = annealed.stationary(contacts(law, "uniform", barrier, b, math.log(w)))
         assert m.stretch == pytest.approx(state[1], rel=1e-7, abs=0)
         assert m.work == pytest.approx(state[2], rel=1e-7, abs=0)
         assert m.stretch_error < 1e-6 * m.stretch
@@ -129,7 +129,7 @@ def test_annealed_lives_much_shorter_than_any_threshold(n, b):
     """Soft, uniform: the rate of newborn contacts is omega (1 + b)^-(n+1) (nt15), so C is (v/omega) (1 + b)^(n+1) as
     long as that is small; corrections are of relative order b C^2 = 1e-38."""
     C = math.exp(-46.0)
-    m = published.stationary(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b))
+    m = annealed.stationary(contacts(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b)))
     assert m.stretch == pytest.approx(C, rel=1e-10, abs=0)
     assert m.work == pytest.approx(C**2, rel=1e-10, abs=0)
 
@@ -141,10 +141,10 @@ def test_annealed_attempts_without_a_barrier(law):
     mean = law.mean / law.scale
     for w in (1e-3, 1.0, 30.0):
         for stiffness in ("uniform", "sqrt"):
-            m = published.stationary(law, stiffness, "soft", 1e-15, math.log(w))
+            m = annealed.stationary(contacts(law, stiffness, "soft", 1e-15, math.log(w)))
             assert abs(m.stretch + math.expm1(-w * mean) / w) < m.stretch_error + 1e-13 * m.stretch
             assert m.stretch_error < 1e-9 * m.stretch
-        wrong = published.stationary(law, "uniform", "stiff", 1e-15, math.log(w))
+        wrong = annealed.stationary(contacts(law, "uniform", "stiff", 1e-15, math.log(w)))
         assert abs(wrong.stretch + math.expm1(-w * mean) / w) > 1e3 * m.stretch_error
 
 
@@ -175,16 +175,16 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     cases = list(scan(SMOOTH + OTHERS, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = [published.stationary(*case) for case in cases]
-    between = np.sqrt(published._EXPONENTS[1:] * published._EXPONENTS[:-1])
-    monkeypatch.setattr(published, "_EXPONENTS", np.sort(np.append(published._EXPONENTS, between)))
-    monkeypatch.setattr(published, "_NEAR_ENDS", 10.0 ** np.arange(-13.0, 0.0, 0.5))
-    monkeypatch.setattr(published, "_UNSEEN", -60.0)
-    monkeypatch.setattr(published, "_RISE", 2.2)
-    monkeypatch.setattr(published, "_RESOLVED", 5e-13)
-    monkeypatch.setattr(published._hazard_rate, "__defaults__", (24,))
+        found = [annealed.stationary(contacts(*case)) for case in cases]
+    between = np.sqrt(annealed._EXPONENTS[1:] * annealed._EXPONENTS[:-1])
+    monkeypatch.setattr(annealed, "_EXPONENTS", np.sort(np.append(annealed._EXPONENTS, between)))
+    monkeypatch.setattr(annealed, "_NEAR_ENDS", 10.0 ** np.arange(-13.0, 0.0, 0.5))
+    monkeypatch.setattr(annealed, "_UNSEEN", -60.0)
+    monkeypatch.setattr(annealed, "_RISE", 2.2)
+    monkeypatch.setattr(annealed, "_RESOLVED", 5e-13)
+    monkeypatch.setattr(annealed._hazard_rate, "__defaults__", (24,))
     for case, m in zip(cases, found, strict=True):
-        covered(case[0], m, published.stationary(*case))
+        covered(case[0], m, annealed.stationary(contacts(*case)))
 
 
 # ---------------------------------------------------------------------------------------------- quenched, short lives
@@ -198,7 +198,7 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
     1e-11 and the quadrature's 1e-12; another n fails."""
     law = Gamma(1.0)
     for b, log_w in ((1e-3, 50.0), (1e-3, 40.0), (0.02, 45.0)):
-        m = kinetic.stationary(law, stiffness, barrier, b, log_w)
+        m = quenched.stationary(contacts(law, stiffness, barrier, b, log_w))
 
         def mean(power, b=b):
             def term(xi):
@@ -209,13 +209,13 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
 
         assert m.stretch == pytest.approx(math.exp(-log_w) * mean(1), rel=2e-11, abs=0)
         assert m.work == pytest.approx(math.exp(-2 * log_w) * mean(2), rel=2e-11, abs=0)
-        wrong = kinetic.stationary(Gamma(1.01), stiffness, barrier, b, log_w)
+        wrong = quenched.stationary(contacts(Gamma(1.01), stiffness, barrier, b, log_w))
         assert wrong.stretch != pytest.approx(m.stretch, rel=1e-6, abs=0)
 
 
 def test_heavy_tailed_short_lives():
     """Stiff, uniform, b = 1, log_w = 50: C = 2.2494e-19 (five digits)."""
-    assert kinetic.stationary(Gamma(1.0), "uniform", "stiff", 1.0, 50.0).stretch == pytest.approx(
+    assert quenched.stationary(contacts(Gamma(1.0), "uniform", "stiff", 1.0, 50.0)).stretch == pytest.approx(
         2.2494e-19, rel=3e-5, abs=0
     )
 
@@ -226,9 +226,9 @@ def test_quenched_errors_cover_another_solver(n):
     law = Gamma(n)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = [(*case, kinetic.stationary(*case)) for case in scan([law] * 4, 2)]
+        found = [(*case, quenched.stationary(contacts(*case))) for case in scan([law] * 4, 2)]
     for law, stiffness, barrier, b, log_w, m in found:
-        other = flow.stationary(law, stiffness, barrier, b, log_w, 1.0, 1.0)
+        other = flow.stationary(contacts(law, stiffness, barrier, b, log_w, 1.0, 1.0))
         assert 0 < m.stretch_error < 1e-9 * m.stretch
         assert 0 < m.work_error < 1e-9 * m.work
         assert abs(m.stretch - other.stretch) < m.stretch_error + other.stretch_error
@@ -238,23 +238,24 @@ def test_quenched_errors_cover_another_solver(n):
 def test_quenched_errors_cover_a_refined_result(monkeypatch):
     """The quoted errors against a start from a hundred panels; chance agreement of two rules has no say in them."""
     cases = [*scan(SMOOTH + OTHERS, 3), (Gamma(1.0), "uniform", "soft", 1e3, 50.0)]
-    found = [kinetic.stationary(*case) for case in cases]
-    monkeypatch.setattr(kinetic, "_BIRTHS", np.linspace(-34.7, 6.2, 101))
-    monkeypatch.setattr(kinetic, "_CONVERGED", 1e-13)
+    found = [quenched.stationary(contacts(*case)) for case in cases]
+    monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 101))
+    monkeypatch.setattr(quenched, "_CONVERGED", 1e-13)
     for case, m in zip(cases, found, strict=True):
-        covered(case[0], m, kinetic.stationary(*case))
+        covered(case[0], m, quenched.stationary(contacts(*case)))
 
 
 def test_levels_are_where_the_hazard_says():
-    """Stiff: (omega/v) H at the stretches of `_stretch_at` is exp(level) to 1e-12 however short the lives."""
+    """Stiff: (omega/v) H at the stretches of `stretch_at` is exp(level) to 1e-12 however short the lives."""
     xi, log_w = np.array([0.1, 1.0, 3.0]), 50.0
     for b in (1e-3, 1.0, 1e3):
         a = np.full(3, b)
-        x = kinetic._stretch_at("stiff", xi, a, log_w)
+        stiff = barrier_of("stiff", 1.0, log_w)
+        x = stiff.stretch_at(quenched._LEVELS, xi, a)
         inside = x < xi[:, None]
-        reached = log_hazard("stiff", np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
+        reached = stiff.log_hazard(np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
         far = inside & (x < 0.9 * xi[:, None])
-        np.testing.assert_allclose(reached[far], np.broadcast_to(kinetic._LEVELS, x.shape)[far], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(reached[far], np.broadcast_to(quenched._LEVELS, x.shape)[far], rtol=0, atol=1e-10)
 
 
 # ------------------------------------------------------------------------------------------------ quenched, survivors
@@ -278,8 +279,8 @@ def test_survivors(law, barrier, stiffness):
 
     worst = 0.0
     for b, log_w, x in ((1e3, 10.0, 0.0338), (1.0, 10.0, 0.05), (1.0, 10.0, 1e-6), (30.0, 4.0, 0.6), (1e6, 30.0, 0.2)):
-        found = kinetic.survivors(law, stiffness, barrier, b, log_w, np.array([x]))
-        off = kinetic.survivors(law, stiffness, barrier, 1.0001 * b, log_w, np.array([x]))
+        found = quenched.survivors(contacts(law, stiffness, barrier, b, log_w), np.array([x]))
+        off = quenched.survivors(contacts(law, stiffness, barrier, 1.0001 * b, log_w), np.array([x]))
         depth = np.geomspace(1e-12, 8.0, 241)
         drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
         middle = 0.0
@@ -311,11 +312,11 @@ def test_moments_that_hardly_exist(a, barrier):
     of thresholds if a = 3.02. Heat and annealing that hardly break a contact change less than 1e-9 of it."""
     law = Distribution(scipy.stats.pareto(a))
     exact = a / (a - 3) / (2 * law.rms) / law.scale**2
-    found = kinetic.stationary(law, "sqrt", barrier, 1.0, -30.0)
+    found = quenched.stationary(contacts(law, "sqrt", barrier, 1.0, -30.0))
     assert abs(found.work / exact - 1) < 1e-9
     assert abs(found.stretch - 1) < 1e-9
     assert (found.work_error > 0.02 * exact) == (a == 3.02)
     if barrier is not None:
-        annealed = published.stationary(law, "sqrt", barrier, 1.0, -60.0)
-        assert abs(annealed.work / exact - 1) < 1e-9 + annealed.work_error / exact
-        assert annealed.work_error < 0.1 * exact
+        pooled = annealed.stationary(contacts(law, "sqrt", barrier, 1.0, -60.0))
+        assert abs(pooled.work / exact - 1) < 1e-9 + pooled.work_error / exact
+        assert pooled.work_error < 0.1 * exact

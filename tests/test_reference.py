@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from cases import thinned
+from reduced_cases import barrier_of
 from rows import REFERENCE, ensemble_of
 from scipy import integrate, special
 
@@ -26,8 +27,9 @@ from eqsim import (
     trajectory,
 )
 from eqsim.estimate import OBSERVABLES
-from eqsim.master import kinetic, published
-from eqsim.master.transient import expected, fluctuations, transient
+from eqsim.master import annealed, quenched
+from eqsim.master.transient import fluctuations, transient
+from eqsim.model.reduced import births
 
 UNIFORM = {"stiffness_law": "uniform"}
 
@@ -45,7 +47,7 @@ def some(rows):
 def test_table(row):
     """Every row to 1e-8: its own accuracy is 1e-7, its figures are printed to 9 digits (5e-9). The Fokker-Planck
     equation: to the accuracy of the row and its own."""
-    result = reference(ensemble_of(row), row.velocity)
+    result = reference(ensemble_of(row), Drive(row.velocity))
     path = row.rule == "langevin" and row.disorder == "quenched"
     for name in OBSERVABLES:
         estimate, value = getattr(result, name), getattr(row, name)
@@ -68,7 +70,7 @@ AGED = {"thresholds": Gamma(1.0, 0.1), "stiffness_law": "uniform"}
 def test_aging_rules(disorder, rule, values):
     """x_*i = .1, x_*f = 1, D = .1, T = 0, v = .01 .. 10 (values printed to six digits)."""
     for v, value in zip((0.01, 0.1, 1.0, 10.0), values, strict=True):
-        exact = reference(Ensemble(aging=Aging(rule, 0.1, 1.0), disorder=disorder, **AGED), v).friction
+        exact = reference(Ensemble(aging=Aging(rule, 0.1, 1.0), disorder=disorder, **AGED), Drive(v)).friction
         assert exact.value == pytest.approx(value, rel=6e-6, abs=0)
 
 
@@ -78,29 +80,29 @@ def test_annealed_aging_in_closed_form():
     slow, fast = [], []
     for factor in (1.0, 2.0):
         for v, found in ((1e-4 * factor, slow), (1e4 * factor, fast)):
-            exact = reference(Ensemble(aging=Aging("flow", 0.1, 1.0), disorder="annealed", **AGED), v)
+            exact = reference(Ensemble(aging=Aging("flow", 0.1, 1.0), disorder="annealed", **AGED), Drive(v))
             C = exact.break_stretch.value
             closed = (1 - 0.99 / (1 + 0.4 * C / v)) / C
             assert exact.f_k.value == pytest.approx(closed, rel=1e-9, abs=0)
             found.append(exact.f_k.value)
-    ends = [reference(Ensemble(Gamma(1.0, x), stiffness_law="uniform"), 1.0).f_k.value for x in (1.0, 0.1)]
+    ends = [reference(Ensemble(Gamma(1.0, x), stiffness_law="uniform"), Drive(1.0)).f_k.value for x in (1.0, 0.1)]
     assert (ends[0] - slow[1]) / (ends[0] - slow[0]) == pytest.approx(2.0, rel=0.01, abs=0)
     assert (fast[0] - ends[1]) / (fast[1] - ends[1]) == pytest.approx(2.0, rel=0.01, abs=0)
     late = Ensemble(aging=Aging("langevin", 0.1, 1.0), disorder="annealed", delay=Delay(0.5), **AGED)
     for name, value in zip(OBSERVABLES, (0.176900, 0.509671, 0.519724), strict=True):
-        assert getattr(reference(late, 1.0), name).value == pytest.approx(value, rel=4e-6, abs=0)
+        assert getattr(reference(late, Drive(1.0)), name).value == pytest.approx(value, rel=4e-6, abs=0)
 
 
 def test_errors_of_self_consistent_births():
     """An error of C moves births, and these C again: at T = 0, where C is the mean threshold at birth, errors grow by
     1/(1 - d ln <xi>/d ln C), here 1.6 (a central difference over 2 %, good to 1e-3)."""
     contacts = Ensemble(aging=Aging("flow", 0.1, 1.0), disorder="annealed", **AGED)
-    exact = reference(contacts, 1.0).break_stretch
-    low, high = (contacts.births(1.0, factor * exact.value).mean for factor in (0.99, 1.01))
+    exact = reference(contacts, Drive(1.0)).break_stretch
+    low, high = (births(contacts, 1.0, factor * exact.value).mean for factor in (0.99, 1.01))
     grown = 1 / (1 - math.log(high / low) / math.log(1.01 / 0.99))
     assert grown > 1.3
-    births = Ensemble(contacts.births(1.0, exact.value), **UNIFORM)
-    assert exact.stderr == pytest.approx(grown * reference(births, 1.0).break_stretch.stderr, rel=0.01, abs=0)
+    held = Ensemble(births(contacts, 1.0, exact.value), **UNIFORM)
+    assert exact.stderr == pytest.approx(grown * reference(held, Drive(1.0)).break_stretch.stderr, rel=0.01, abs=0)
 
 
 @pytest.mark.parametrize(("disorder", "stiffness_law"), thinned(3, ("quenched", "annealed"), ("sqrt", "uniform")))
@@ -108,22 +110,22 @@ def test_limits_of_aging(disorder, stiffness_law):
     """D -> 0 is no aging; D -> inf is the final law at once, k_i referring to newborns; langevin contacts let go."""
     given = {"thresholds": Gamma(0.5, 0.5), "thermal": Thermal(0.1), "stiffness_law": stiffness_law}
     given["disorder"] = disorder
-    fresh = reference(Ensemble(**given), 0.3).friction.value
+    fresh = reference(Ensemble(**given), Drive(0.3)).friction.value
     for rule, D in (("flow", 1e-11), ("langevin", 1e-8)):
-        assert reference(Ensemble(aging=Aging(rule, D, 2.0), **given), 0.3).friction.value == pytest.approx(
+        assert reference(Ensemble(aging=Aging(rule, D, 2.0), **given), Drive(0.3)).friction.value == pytest.approx(
             fresh, rel=1e-6, abs=0
         )
-    at_once = reference(Ensemble(aging=Aging("flow", math.inf, 2.0), **given), 0.3).friction.value
-    late = reference(Ensemble(aging=Aging("flow", 1e9, 2.0), **given), 0.3).friction.value
+    at_once = reference(Ensemble(aging=Aging("flow", math.inf, 2.0), **given), Drive(0.3)).friction.value
+    late = reference(Ensemble(aging=Aging("flow", 1e9, 2.0), **given), Drive(0.3)).friction.value
     assert late == pytest.approx(at_once, rel=1e-6, abs=0)
     # the final law at T = 0, its k_i in units of the newborn k: x_*f/x_*i times stronger with the sqrt law
     given["thermal"] = Thermal()
-    cold = reference(Ensemble(aging=Aging("flow", math.inf, 2.0), **given), 0.3).friction.value
-    final = reference(Ensemble(**given | {"thresholds": Gamma(0.5, 2.0)}), 0.3).friction.value
+    cold = reference(Ensemble(aging=Aging("flow", math.inf, 2.0), **given), Drive(0.3)).friction.value
+    final = reference(Ensemble(**given | {"thresholds": Gamma(0.5, 2.0)}), Drive(0.3)).friction.value
     assert cold == pytest.approx(final * (4.0 if stiffness_law == "sqrt" else 1.0), rel=1e-9, abs=0)
     if disorder == "quenched":
         forces = [
-            reference(Ensemble(aging=Aging("langevin", D, 2.0), **given), 0.3).friction.value for D in (0.3, 3.0, 30.0)
+            reference(Ensemble(aging=Aging("langevin", D, 2.0), **given), Drive(0.3)).friction.value for D in (0.3, 3.0, 30.0)
         ]
         assert forces[0] > forces[1] > forces[2]
 
@@ -140,17 +142,17 @@ def test_limits_of_aging(disorder, stiffness_law):
 def test_two_ensembles(disorder, kT, values):
     """n = 1, uniform, v = 1e-3 .. 10: how far apart the two models are (values printed to six digits)."""
     for v, value in zip((1e-3, 1e-2, 0.1, 1.0, 10.0), values, strict=True):
-        friction = reference(Ensemble(thermal=Thermal(kT), disorder=disorder, **UNIFORM), v).friction.value
+        friction = reference(Ensemble(thermal=Thermal(kT), disorder=disorder, **UNIFORM), Drive(v)).friction.value
         assert friction == pytest.approx(value, rel=4e-6, abs=0)
 
 
 @pytest.mark.parametrize("n", [0.0, 0.5, 1.0, 2.5, 30.0])
 def test_zero_temperature(n):
     """nt07 for any n, and the sqrt law (derived)."""
-    sqrt = reference(Ensemble(Gamma(n)), 1.0)
+    sqrt = reference(Ensemble(Gamma(n)), Drive(1.0))
     assert sqrt.friction.value == pytest.approx((n + 1.5) / (2 * math.sqrt(n + 1)), rel=1e-10, abs=0)
     assert sqrt.break_stretch.value == pytest.approx(special.poch(n + 1, 0.5), rel=1e-10, abs=0)
-    uniform = reference(Ensemble(Gamma(n), **UNIFORM), 1.0)
+    uniform = reference(Ensemble(Gamma(n), **UNIFORM), Drive(1.0))
     assert uniform.friction.value == pytest.approx((n + 1) / (2 * special.poch(n + 1, 0.5)), rel=1e-10, abs=0)
 
 
@@ -160,9 +162,9 @@ def test_low_velocity_limits(barrier):
     v = 1e-11
     if barrier == "soft":
         annealed = Ensemble(thermal=Thermal(0.25), disorder="annealed", **UNIFORM)
-        assert reference(annealed, v).friction.value == pytest.approx(v * 9.0, rel=1e-8, abs=0)
+        assert reference(annealed, Drive(v)).friction.value == pytest.approx(v * 9.0, rel=1e-8, abs=0)
     quenched = Ensemble(Gamma(0.5), Thermal(2.5, 1.0, barrier), **UNIFORM)
-    assert reference(quenched, v).friction.value == pytest.approx(v * (0.8 / 0.6) ** 1.5, rel=1e-8, abs=0)
+    assert reference(quenched, Drive(v)).friction.value == pytest.approx(v * (0.8 / 0.6) ** 1.5, rel=1e-8, abs=0)
 
 
 def oracle(barrier, xi, b, w):
@@ -184,11 +186,11 @@ def oracle(barrier, xi, b, w):
 @pytest.mark.parametrize(("xi", "b", "w"), [(1.0, 0.5, 2.0), (1.7, 5.0, 30.0), (0.3, 20.0, 8.0)])
 def test_one_contact(barrier, xi, b, w):
     """The panels against an independent quadrature of the rate itself (Simpson on 4001 points, 1e-7)."""
-    found = kinetic.life_moments(barrier, np.array([xi]), np.array([b]), math.log(w))
+    found = quenched.life_moments(barrier_of(barrier, 1.0, math.log(w)), np.array([xi]), np.array([b]))
     exact = oracle(barrier, xi, b, w)
     assert found[0][0] == pytest.approx(exact[0], rel=1e-7, abs=0)
     assert found[1][0] == pytest.approx(exact[1], rel=1e-7, abs=0)
-    wrong = kinetic.life_moments(barrier, np.array([xi]), np.array([b]), math.log(1.001 * w))
+    wrong = quenched.life_moments(barrier_of(barrier, 1.0, math.log(1.001 * w)), np.array([xi]), np.array([b]))
     assert wrong[0][0] != pytest.approx(exact[0], rel=1e-7, abs=0)
 
 
@@ -202,7 +204,7 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier):
         for b in (1e-3, 1.0, 1e3, 1e9):
             for v in (1e-12, 1e-6, 1.0, 1e12):
                 thermal = Thermal(0.5 / b, 1.0, barrier)
-                result = reference(Ensemble(Gamma(0.5), thermal, stiffness_law=stiffness_law, disorder=disorder), v)
+                result = reference(Ensemble(Gamma(0.5), thermal, stiffness_law=stiffness_law, disorder=disorder), Drive(v))
                 assert 0 < result.friction.value < 5
                 assert result.friction.stderr <= 1e-9 * result.friction.value
                 assert result.break_stretch.stderr <= 1e-9 * result.break_stretch.value
@@ -214,12 +216,12 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier):
 def test_error_estimates(disorder, monkeypatch):
     """Coarser solvers quote larger errors, and these cover what they miss, which is more than the error of the best."""
     ensemble = Ensemble(Gamma(0.0), Thermal(0.3), disorder=disorder)
-    best = reference(ensemble, 1e-6)
+    best = reference(ensemble, Drive(1e-6))
     if disorder == "quenched":
-        monkeypatch.setattr(kinetic, "_CONVERGED", 1.0)
+        monkeypatch.setattr(quenched, "_CONVERGED", 1.0)
     else:
-        monkeypatch.setattr(published, "_RESOLVED", 1.0)
-    rough = reference(ensemble, 1e-6)
+        monkeypatch.setattr(annealed, "_RESOLVED", 1.0)
+    rough = reference(ensemble, Drive(1e-6))
     for name in ("friction", "break_stretch"):
         a, b = getattr(best, name), getattr(rough, name)
         assert 10 * a.stderr < abs(a.value - b.value) <= b.stderr
@@ -231,16 +233,16 @@ def test_laws_agree():
     for disorder in ("quenched", "annealed"):
         given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
         ours, theirs = Ensemble(Gamma(0.0), **given), Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given)
-        assert reference(ours, 0.1).friction.value == pytest.approx(
-            reference(theirs, 0.1).friction.value, rel=1e-8, abs=0
+        assert reference(ours, Drive(0.1)).friction.value == pytest.approx(
+            reference(theirs, Drive(0.1)).friction.value, rel=1e-8, abs=0
         )
-        near = reference(Ensemble(fine, **given), 0.1).friction.value
-        assert near == pytest.approx(reference(Ensemble(Gamma(1.0), **given), 0.1).friction.value, rel=3e-3, abs=0)
+        near = reference(Ensemble(fine, **given), Drive(0.1)).friction.value
+        assert near == pytest.approx(reference(Ensemble(Gamma(1.0), **given), Drive(0.1)).friction.value, rel=3e-3, abs=0)
     one = Ensemble(Delta(1.0), Thermal(0.1))
-    assert reference(one, 0.1) == reference(Ensemble(Delta(1.0), Thermal(0.1), disorder="annealed"), 0.1)
+    assert reference(one, Drive(0.1)) == reference(Ensemble(Delta(1.0), Thermal(0.1), disorder="annealed"), Drive(0.1))
     many = Table(np.linspace(1, 2, 1001))
     with pytest.raises(InputError, match="at most 1000"):
-        reference(Ensemble(many, Thermal(0.1), disorder="annealed"), 0.1)
+        reference(Ensemble(many, Thermal(0.1), disorder="annealed"), Drive(0.1))
 
 
 def test_identical_stiff_contacts_follow_a_power_of_a_logarithm():
@@ -248,7 +250,7 @@ def test_identical_stiff_contacts_follow_a_power_of_a_logarithm():
     in ln v; over seven decades the correlation is closer to a line than that of the unpowered force."""
     velocities = np.geomspace(1e-9, 1e-2, 15)
     ensemble = Ensemble(Delta(1.0), Thermal(0.005, 1.0, "stiff"))
-    stretch = np.array([reference(ensemble, v).break_stretch.value for v in velocities])
+    stretch = np.array([reference(ensemble, Drive(v)).break_stretch.value for v in velocities])
     powered = np.corrcoef(np.log(velocities), (1 - stretch) ** 1.5)[0, 1]
     plain = np.corrcoef(np.log(velocities), 1 - stretch)[0, 1]
     assert 1 + powered < 1e-4
@@ -278,20 +280,19 @@ def test_transient_at_zero_temperature(delay, x, force, pinned):
 
 
 @pytest.mark.parametrize("law", ["fixed", "exponential"])
-def test_expected_of_a_stationary_start_is_level(law):
+def test_a_stationary_start_is_level(law):
     """At T = 0 with uniform stiffness: C = 3 sqrt(pi)/4, one break a cycle, that is 1/(C + v tau), pinned C/(C + v tau)
     and friction C_0 of the pinned (units of x_* = 2)."""
     contacts = Ensemble(Gamma(1.0, 2.0), delay=Delay(3.0, law), **UNIFORM)
     cycle = 2.0 * 0.75 * math.sqrt(math.pi) + 0.5 * 3.0
     pinned = 1.0 - 1.5 / cycle
-    found = expected(contacts, Drive(0.5, 7.0, "stationary"), points=3)
+    found = transient(contacts, Drive(0.5, 7.0, "stationary"), points=3)
     np.testing.assert_array_equal(found.X, [0.0, 3.5, 7.0])
     np.testing.assert_allclose(found.breaks, 1.0 / cycle, rtol=1e-10)
     np.testing.assert_allclose(found.pinned, pinned, rtol=1e-10)
     np.testing.assert_allclose(found.force, 2.0 * 4.0 / (3.0 * math.sqrt(math.pi)) * pinned, rtol=1e-10)
     assert np.all((found.force_error < 1e-9) & (found.pinned_error < 1e-9))
-    fresh = expected(contacts, Drive(0.5, 7.0), points=3)
-    np.testing.assert_array_equal(fresh.force, transient(contacts, Drive(0.5, 7.0), points=3).force)
+    fresh = transient(contacts, Drive(0.5, 7.0), points=3)
     assert abs(fresh.breaks[1] * cycle - 1.0) > 0.05
 
 
@@ -308,7 +309,7 @@ CASES = [
 @pytest.mark.parametrize(("ensemble", "velocity"), CASES)
 def test_transients_end_in_the_steady_state(ensemble, velocity):
     """F, pinned and Gamma = pinned/C far from the start (discrete laws keep a ripple: their stated error)."""
-    exact = reference(ensemble, velocity)
+    exact = reference(ensemble, Drive(velocity))
     result = transient(ensemble, Drive(velocity, 60.0 * ensemble.thresholds.mean), points=601)
     loose = 1e-3 if ensemble.thresholds.steps.size else 1e-7
     assert result.force[-1] == pytest.approx(exact.friction.value, rel=loose, abs=0)
@@ -342,7 +343,7 @@ def test_transients_refine_as_stated(ensemble, velocity, monkeypatch):
         return (found.force, found.force_error), (found.pinned, found.pinned_error)
 
     def spread():
-        found = fluctuations(ensemble, velocity, 5.0, points=101)
+        found = fluctuations(ensemble, Drive(velocity, 5.0), points=101)
         return [(found.covariance, found.error)]
 
     found = missed(means, monkeypatch) + missed(spread, monkeypatch)
@@ -368,14 +369,14 @@ def test_particles_follow_the_transient(ensemble, velocity):
 def test_first_peak(law):
     """T = 0: the first maximum of F over its plateau lies in [1, 2] (Farkas, Dahmen and Wolf, 2005)."""
     result = transient(Ensemble(law, **UNIFORM), Drive(1.0, 60.0 * law.mean), points=3001)
-    assert 1.0 < result.force.max() / reference(Ensemble(law, **UNIFORM), 1.0).friction.value < 2.0
+    assert 1.0 < result.force.max() / reference(Ensemble(law, **UNIFORM), Drive(1.0)).friction.value < 2.0
 
 
 @pytest.mark.parametrize("law", ["fixed", "exponential"])
 def test_fluctuations(law):
     """T = 0, tau = 1, eta = 2: the standard deviation .163412 at N = 20 in closed form; the covariance decays."""
     ensemble = Ensemble(delay=Delay(1.0, law), eta=2.0, **UNIFORM)
-    result = fluctuations(ensemble, 1.0, 40.0, points=401)
+    result = fluctuations(ensemble, Drive(1.0, 40.0), points=401)
     assert math.sqrt(result.covariance[0] / 20) == pytest.approx(0.163412, abs=5e-7)
     assert abs(result.covariance[-1]) < 1e-5 * result.covariance[0]
 
@@ -384,9 +385,9 @@ def test_fluctuations(law):
 def test_particles_fluctuate_as_stated(ensemble, velocity):
     """Autocovariance of a stationary ensemble of N = 200 over 2000 seeds at five lags: |z| < 4.5 (15 scores)."""
     small = Ensemble(**{**ensemble.__dict__, "count": 200})
-    exact = fluctuations(small, velocity, 2.0, points=5)
+    exact = fluctuations(small, Drive(velocity, 2.0), points=5)
     runs = trajectory_sample(small, Drive(velocity, 2.0, "stationary"), 2000)
-    level = reference(small, velocity).friction.value
+    level = reference(small, Drive(velocity)).friction.value
     products = (runs - level) * (runs[:, :1] - level) * 200
     error = products.std(axis=0, ddof=1) / math.sqrt(len(runs))
     assert np.abs((products.mean(axis=0) - exact.covariance) / error).max() < 4.5
@@ -394,16 +395,17 @@ def test_particles_fluctuate_as_stated(ensemble, velocity):
 
 def trajectory_sample(ensemble, drive, runs):
     """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
-    from eqsim.engine.recorder import Run, Scales, moments, simulate
-    from eqsim.engine.stationary import standing
-    from eqsim.numerics.streams import TRAJECTORY, key
+    from eqsim.engine.contacts import contacts
+    from eqsim.engine.recorder import Run, Scales, moments
+    from eqsim.engine.simulate import simulate
+    from eqsim.engine.stationary import stationary
     from eqsim.engine.trajectory import Totals, arguments
-    from eqsim.model.ensemble import lower
+    from eqsim.numerics.streams import TRAJECTORY, key
 
-    c, n, unit = lower(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
+    c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.distance / unit, 5, True, False)
     scales = Scales.of(c, run, n, 1, 0.0)
-    job = (c, standing(c), run, scales, key(12, TRAJECTORY))
+    job = (c, stationary(c), run, scales, key(12, TRAJECTORY))
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = []
     for first in range(0, runs * n, n):

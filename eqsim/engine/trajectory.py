@@ -36,14 +36,6 @@ _BLOCK = 128  # contacts, at least, unless there are fewer
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
 
-class Workers(NamedTuple):
-    """Processes that simulate in the place of threads, in memory O(points) each: an executor (a ProcessPoolExecutor, or
-    the `get_executor()` of a dask client), which the caller shuts down, and how many workers it has, about."""
-
-    executor: Executor
-    size: int
-
-
 @dataclass(frozen=True)
 class Trajectory:
     """An ensemble's force against slider displacement.
@@ -117,7 +109,7 @@ def trajectory(
     points: int = 2001,
     seed: int = 1,
     replicas: int = 1,
-    threads: int | Workers = 1,
+    threads: int | tuple[Executor, int] = 1,
     max_lives: float = 1e10,
     progress: Progress | None = None,
 ) -> Trajectory:
@@ -134,8 +126,9 @@ def trajectory(
         Of the random numbers; the result depends on nothing else.
     replicas : int
         Independent ensembles; means and standard deviations are over all of them.
-    threads : int or Workers
-        Threads of this process, or the workers of an executor: the same bits.
+    threads : int or (Executor, int)
+        Threads of this process; or an executor (a ProcessPoolExecutor, the `get_executor()` of a dask client), which the
+        caller shuts down, and about how many workers it has. The same bits.
     max_lives : float
         Work that needs more lives of contacts is refused.
     progress : callable, optional
@@ -153,7 +146,7 @@ def trajectory(
     """
     require_drive(drive)
     check_run(ensemble, drive, points, seed, replicas, max_lives)
-    workers = threads.size if isinstance(threads, Workers) else max(1, threads)
+    workers = threads[1] if isinstance(threads, tuple) else max(1, threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
@@ -296,13 +289,13 @@ def _simulate_all(
     count: int,
     replicas: int,
     drag: float,
-    threads: int | Workers,
+    threads: int | tuple[Executor, int],
     progress: Progress | None,
 ) -> Totals:
     """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free, or a few shares
     of them for each worker to an executor."""
     _, _, run, _, _ = job
-    executor, threads = threads if isinstance(threads, Workers) else (None, max(1, threads))
+    executor, threads = threads if isinstance(threads, tuple) else (None, max(1, threads))
     contacts = count * replicas
     least = _BLOCK if executor else min(_BLOCK, -(-contacts // threads))
     size = count if replicas > 1 else max(least, min(-(-contacts // (16 * threads)), 2**20))
