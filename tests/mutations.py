@@ -25,7 +25,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).parent.parent
 LONGEST = 1800.0  # seconds that tests may take; a mistake without an end is caught
 KERNELS = ("numerics/", "laws/", "engine/")  # sources of compiled code, and of the name of its cache
-COMPILED = re.compile(r"(kernel|inlined|routine|maker|by_law|functools\.partial\(by_law.*|\w+\.register\(.*)")  # decorators
+# decorators of functions that are compiled
+COMPILED = re.compile(r"kernel|inlined|routine|maker|by_law|functools\.partial\(by_law.*|\w+\.register\(.*")
 
 
 class Mistake(NamedTuple):
@@ -88,16 +89,16 @@ MISTAKES = [
       "test_elementary.py::test_stated_error"),
     M("stiff hazard: factor", "laws/barrier/stiff.py", "return math.log(2 / 3) - np.log",
       "return math.log(3 / 2) - np.log", "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
-    M("stiff rate: root of the gap", "laws/barrier/stiff.py", "return 0.5 * np.log(gap / xi)", "return np.log(gap / xi)",
-      "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
+    M("stiff rate: root of the gap", "laws/barrier/stiff.py", "return 0.5 * np.log(gap / xi)",
+      "return np.log(gap / xi)", "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
     M("soft inverse: a factor sqrt(a)", "laws/barrier/soft.py", "_SOFT * clock * root *", "_SOFT * clock *",
       "test_thermal.py::test_inverse_is_the_inverse_of_the_hazard"),
     M("stiff inverse: 1 - q", "laws/barrier/stiff.py", "x = xi * spent * (2.0 - spent) /", "x = xi * spent * 2.0 /",
       "test_thermal.py::test_inverse_is_the_inverse_of_the_hazard"),
     M("pooled inverse: below the first node", "laws/barrier/pooled.py", "return x[0] * (target / G[0])",
       "return x[0]", "test_thermal.py::test_pooled_stretch_at_its_ends"),
-    M("pooled rate: soft exponent", "laws/barrier/pooled.py", "(beyond, beyond + 2 * y, xi, a)", "(beyond, beyond + y, xi, a)",
-      "test_thermal.py::test_pooled_rate_is_nt08"),
+    M("pooled rate: soft exponent", "laws/barrier/pooled.py", "(beyond, beyond + 2 * y, xi, a)",
+      "(beyond, beyond + y, xi, a)", "test_thermal.py::test_pooled_rate_is_nt08"),
     M("pooled table: rate right of a node", "laws/barrier/pooled.py", "right[:k] += rate[:-1]",
       "right[:k] += 0.9 * rate[:-1]", "test_thermal.py::test_documented_error_of_the_pool_of_a_table"),
     M("aging: alpha by a half", "laws/aging/__init__.py", "alpha = 4.0 * self.rate", "alpha = 2.0 * self.rate",
@@ -128,8 +129,8 @@ MISTAKES = [
     M("streams: one key for all purposes", "numerics/streams.py", "SeedSequence((seed, purpose))",
       "SeedSequence((seed, 1))", "test_streams.py::test_key_is_what_numpy_makes_of_seed_and_purpose"),
     # lives
-    M("lives: both rounds alike at T > 0", "engine/lanes.py", "ROUNDS * age[i] + r if thermal", "ROUNDS * age[i] if thermal",
-      "test_lives.py::test_lives_have_the_law_of_the_twin[uniform-0.3-soft-1.0]"),
+    M("lives: both rounds alike at T > 0", "engine/lanes.py", "ROUNDS * age[i] + r if thermal",
+      "ROUNDS * age[i] if thermal", "test_lives.py::test_lives_have_the_law_of_the_twin[uniform-0.3-soft-1.0]"),
     M("lives: both rounds alike at T = 0", "engine/lanes.py", "half = 0 if thermal else r", "half = 0",
       "test_lives.py::test_lives_have_the_law_of_the_twin[uniform-0.0-soft-1.0]"),
     M("lives: clocks from the words of thresholds", "engine/lanes.py", "-log(uniform(words[2, i], words[3, i]))",
@@ -189,7 +190,8 @@ MISTAKES = [
     M("recorder: first point after", "engine/recorder.py", "return math.ceil(min(x * per_step, float(run.points)))",
       "return math.floor(min(x * per_step, float(run.points)))", "test_ramps.py::test_deposits_side_by_side"),
     M("recorder: follow_growth, stiffness of birth", "engine/recorder.py",
-      "stiffness * growth(law.final2, law.alpha, x) * x", "stiffness * x", "test_ramps.py::test_forces_that_are_no_ramps"),
+      "stiffness * growth(law.final2, law.alpha, x) * x", "stiffness * x",
+      "test_ramps.py::test_forces_that_are_no_ramps"),
     M("recorder: follow_growth, work since birth", "engine/recorder.py", "fixed(until - before,", "fixed(until,",
       "test_ramps.py::test_forces_that_are_no_ramps"),
     M("recorder: leave_force, a square that stays", "engine/recorder.py",
@@ -201,7 +203,8 @@ MISTAKES = [
       "kappa(c.springs, 1.0) * x)",
       "test_aging_engine.py::test_fresh_start[langevin sqrt]"),
     M("simulate: stationary paths, cycles too short", "engine/simulate.py",
-      "age = (stationary.longest + c.delay.mean) *", "age = stationary.longest *", "test_aging_engine.py::test_delays_longer_than_any_life_in_a_stationary_start"),
+      "age = (stationary.longest + c.delay.mean) *", "age = stationary.longest *",
+      "test_aging_engine.py::test_delays_longer_than_any_life_in_a_stationary_start"),
     M("simulate: stationary paths, rest of a delay", "engine/simulate.py", "else stretch + c.delay.mean - age\n",
       "else c.delay.mean\n",
       "test_aging_engine.py::test_delays_longer_than_any_life_in_a_stationary_start"),
@@ -222,18 +225,19 @@ MISTAKES = [
     M("simulate: a last life counts twice", "engine/simulate.py", "fixed(journey.work[i] - 0.5 * spring * x * x,",
       "fixed(journey.work[i],",
       "test_lives.py::test_side_by_side_as_one_by_one"),
-    M("simulate: pinned to rounding", "engine/simulate.py", "elapsed if c.delay.mean == 0.0 else journey.distance[i] - x",
+    M("simulate: pinned to rounding", "engine/simulate.py",
+      "elapsed if c.delay.mean == 0.0 else journey.distance[i] - x",
       "journey.distance[i] - x", "test_trajectory.py::test_without_delay_the_pinned_fraction_is_exact"),
-    M("simulate: lives not counted", "engine/simulate.py", "status[0] += life + 1 - (ROUNDS", "status[0] += life - (ROUNDS",
-      "test_lives.py::test_side_by_side_as_one_by_one"),
+    M("simulate: lives not counted", "engine/simulate.py", "status[0] += life + 1 - (ROUNDS",
+      "status[0] += life - (ROUNDS", "test_lives.py::test_side_by_side_as_one_by_one"),
     M("simulate: ages forgotten in a move", "engine/simulate.py", "= lanes.contact[active], lanes.age[active], j.mark",
       "= lanes.contact[active], lanes.age[i], j.mark",
       "test_lives.py::test_side_by_side_as_one_by_one"),
     M("recorder: moments, drag has no variance", "engine/recorder.py", "square + drag**2 * detached - force**2",
       "square - force**2 * (drag >= 0.0)", "test_trajectory.py::test_strong_drag_between_replicas & "
       "test_trajectory.py::test_stationary_start_and_fluctuations[fixed]"),
-    M("recorder: moments, ramps of squares once", "engine/recorder.py", "2.0 * total[:, RAMP2]) * X", "total[:, RAMP2]) * X",
-      "test_trajectory.py::test_stationary_start_and_fluctuations[fixed]"),
+    M("recorder: moments, ramps of squares once", "engine/recorder.py", "2.0 * total[:, RAMP2]) * X",
+      "total[:, RAMP2]) * X", "test_trajectory.py::test_stationary_start_and_fluctuations[fixed]"),
     M("recorder: sums may overflow", "engine/recorder.py", "_BITS = 62", "_BITS = 70",
       "test_ramps.py::test_no_sum_can_overflow"),
     # stationary
@@ -242,8 +246,8 @@ MISTAKES = [
       "test_trajectory.py::test_a_snapshot_of_the_stationary_state[ensemble0]"),
     M("stationary start: envelope 20 % low", "engine/stationary.py", "_MARGIN = 1.0 + 1e-4", "_MARGIN = 0.8",
       "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
-    M("stationary start: thresholds of births", "engine/stationary.py", "time = means * np.exp(grid", "time = np.exp(grid",
-      "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
+    M("stationary start: thresholds of births", "engine/stationary.py", "time = means * np.exp(grid",
+      "time = np.exp(grid", "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
     M("stationary start: shares of births of a table", "engine/stationary.py", "np.cumsum(means) / means.sum()",
       "np.arange(1, means.size + 1) / means.size", "test_trajectory.py::test_a_snapshot_of_the_stationary_state"),
     M("stationary start: lives that reach the threshold", "engine/stationary.py",

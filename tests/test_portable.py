@@ -78,7 +78,8 @@ def result(name, threads=1, seed=3):
     half = run.averages.averages().values()
     columns = {name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()}
     columns |= {"second half": [x for e in half for x in (e.value, e.stderr)]}
-    return {"lives": run.lives, **columns, **averages(name, threads.size if isinstance(threads, Workers) else threads, seed)}
+    count = threads.size if isinstance(threads, Workers) else threads
+    return {"lives": run.lives, **columns, **averages(name, count, seed)}
 
 
 def agree(name, found, stored):
