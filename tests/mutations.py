@@ -327,7 +327,7 @@ MISTAKES = [
     M("model: sqrt law by the mean threshold", "model/reduced.py", "Springs(0.0, self.law.scale / self.law.rms)",
       "Springs(0.0, self.law.scale / self.law.mean)", "test_steady.py::test_zero_temperature[1.0]"),
     M("model: final law by its root", "laws/aging/__init__.py", "(self.x_star_final / x_star) ** 2, self.alpha",
-      "self.x_star_final / x_star, self.alpha", "test_aging.py::test_what_is_lowered"),
+      "self.x_star_final / x_star, self.alpha", "test_aging.py::test_reduced"),
     M("model: b by a half", "model/ensemble.py", "energy = 0.5 * self.stiffness", "energy = 0.25 * self.stiffness",
       "test_thermal.py::test_crossover_velocity_is_nt12"),
     M("model: distance of 100 thresholds", "model/drive.py", "return 200.0 * ensemble.thresholds.mean",

@@ -17,15 +17,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from eqsim.validation.suite import ALARM, KINDS, Suite, columns, declined, left_out, validate
 from report import PARTS, SEED, SEEDS, leave, publish
 from scipy import stats
 
 from eqsim import Distribution, InputError, Table
-from eqsim.validation import suite as validation
 from eqsim.engine.stationary import standing
-from eqsim.numerics.tables import octave_edges, octave_table
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, Gamma
-from eqsim.validation.suite import ALARM, KINDS, Suite, columns, declined, left_out, validate
+from eqsim.numerics.tables import octave_edges, octave_table
+from eqsim.validation import suite as validation
 
 pytestmark = pytest.mark.verification
 
