@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from eqsim import Aging, Delay, Drive, Ensemble, Thermal, trajectory
 from eqsim.cli.app import app
-from eqsim.engine.trajectory import Totals, Workers
+from eqsim.engine.trajectory import Totals
 
 ARRAYS = ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std")
 THERMAL = Ensemble(thermal=Thermal(0.1), count=3000, delay=Delay(1.0, "exponential"), eta=1.0)
@@ -51,7 +51,7 @@ def test_same_bits_on_threads(expected):
 @pytest.mark.parametrize("workers", [1, 2, 5])
 def test_same_bits_on_processes(expected, processes, workers):
     """Two processes; the size that is given says how many shares are made."""
-    assert [bits(*case, threads=Workers(processes, workers)) for case in CASES] == expected
+    assert [bits(*case, threads=(processes, workers)) for case in CASES] == expected
 
 
 def compiled_signatures():
@@ -67,7 +67,7 @@ def test_same_bits_on_dask(expected, command):
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
     )
     with cluster, distributed.Client(cluster) as client:
-        workers = Workers(client.get_executor(), 2)
+        workers = (client.get_executor(), 2)
         assert [bits(*case, threads=workers) for case in CASES] == expected
         # arrays come as the kernel knows them: it is compiled once with paths and once without
         assert set(client.run(compiled_signatures).values()) == {2}
@@ -91,7 +91,7 @@ def test_a_lost_worker_of_a_cluster_changes_no_bit():
                 killed.append((lives, min(client.run(os.getpid).values())))
                 os.kill(killed[0][1], signal.SIGKILL)
 
-        workers = Workers(client.get_executor(), 2)
+        workers = (client.get_executor(), 2)
         there = trajectory(ensemble, drive, points=101, seed=9, threads=workers, progress=kill)
     here = trajectory(ensemble, drive, points=101, seed=9)
     assert killed[0][0] < here.lives
@@ -174,7 +174,7 @@ class Watched(Executor):
 def test_few_shares_small_messages_and_progress(replicas):
     """Four shares a worker; each is sent the tables once and returns sums over points, whatever the contacts."""
     executor, told = Watched(), []
-    found = bits(THERMAL, "stationary", replicas, threads=Workers(executor, 3), progress=told.append)
+    found = bits(THERMAL, "stationary", replicas, threads=(executor, 3), progress=told.append)
     assert found == bits(THERMAL, "stationary", replicas)
     assert len(executor.sent) == 12
     assert max(executor.sent) < 2**20
@@ -186,14 +186,14 @@ def test_few_shares_small_messages_and_progress(replicas):
 def test_no_block_below_the_lanes():
     """300 contacts are three blocks of up to 128, however many workers there are."""
     executor = Watched()
-    trajectory(Ensemble(count=300), Drive(0.1, 1.0), points=101, threads=Workers(executor, 50))
+    trajectory(Ensemble(count=300), Drive(0.1, 1.0), points=101, threads=(executor, 50))
     assert len(executor.sent) == 3
 
 
 def test_a_lost_share_shows():
     """Negative control: without one of the shares the bits differ."""
     whole = trajectory(THERMAL, Drive(0.1, 4.0), points=101)
-    less = trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=Workers(Watched(forget=3), 2))
+    less = trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=(Watched(forget=3), 2))
     assert not np.array_equal(whole.force, less.force)
     assert less.lives < whole.lives
 
@@ -201,7 +201,7 @@ def test_a_lost_share_shows():
 def test_a_dead_worker_is_an_error_and_the_rest_is_cancelled():
     executor = Watched(fail=2)
     with pytest.raises(ChildProcessError, match="a worker died"):
-        trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=Workers(executor, 2))
+        trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=(executor, 2))
     assert len(executor.futures) == 8
     for future in executor.futures[3:]:
         with pytest.raises(CancelledError):

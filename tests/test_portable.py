@@ -23,7 +23,6 @@ import pytest
 from numpy._core import _multiarray_umath as built
 
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
-from eqsim.engine.trajectory import Workers
 from eqsim.laws import threshold
 from eqsim.laws.aging import flow, pooled
 from eqsim.laws.barrier import soft
@@ -78,7 +77,8 @@ def result(name, threads=1, seed=3):
     half = run.averages.averages().values()
     columns = {name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()}
     columns |= {"second half": [x for e in half for x in (e.value, e.stderr)]}
-    return {"lives": run.lives, **columns, **averages(name, threads.size if isinstance(threads, Workers) else threads, seed)}
+    count = threads[1] if isinstance(threads, tuple) else threads
+    return {"lives": run.lives, **columns, **averages(name, count, seed)}
 
 
 def agree(name, found, stored):
@@ -110,7 +110,7 @@ def test_results(name):
 def test_in_processes():
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         for name in ("soft, sqrt, exponential delay", "langevin"):
-            assert result(name, Workers(pool, 2)) == result(name)
+            assert result(name, (pool, 2)) == result(name)
 
 
 @pytest.mark.parametrize("name", ["T = 0", "soft, stationary", "langevin"])

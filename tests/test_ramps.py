@@ -196,9 +196,10 @@ def test_crossing_an_edge(edge, delay):
     crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.3 + delay)
     stiffness, born, broke, reborn = crossing
     x, age = broke - born, 3
-    gathered = {"since": born - 2.0, "mark": ROUNDS * age - 4, "work": 3.25 + 0.5 * stiffness * x**2, "distance": 1.5 + x}
-    journey = one_lane(Journey, position=born, broke=broke, reborn=reborn, edge=edge, delay=[delay], **gathered)
-    lanes = one_lane(Lanes, contact=1, age=age, index=0, words=[0])
+    before = {"since": born - 2.0, "mark": ROUNDS * age - 4, "distance": 1.5 + x}
+    before["work"] = 3.25 + 0.5 * stiffness * x**2
+    journey = one_lane(Journey, position=born, broke=broke, reborn=reborn, edge=edge, delay=[delay], **before)
+    lanes = one_lane(Lanes, contact=1, age=age, number=0, words=[0])
     lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness])
     assert cross(c, found, lanes, lives, journey, (0, 0)) == (edge == DISTANCE)
     assert not found.batches[0].any()

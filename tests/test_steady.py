@@ -243,7 +243,8 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier, b, velocity):
 def test_low_velocity_limits():
     """Linear creep: annealed v (1+b)^2/omega (nt15); quenched, b < 1/2: (v/omega) ((1-b)/(1-2b))^(n+1) (derived)."""
     v = 1e-9
-    annealed = steady(Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed"), Drive(v), rel_error=1e-5)
+    pooled = Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed")
+    annealed = steady(pooled, Drive(v), rel_error=1e-5)
     assert abs(z_score(annealed.friction, v * 4.0)) < 4.5
     for barrier in ("soft", "stiff"):
         quenched = steady(
@@ -278,7 +279,8 @@ def test_discrete_laws():
     pieces = [(g, np.array([survival(x) for x in np.clip(g, g[0] + 1e-12, g[-1] - 1e-12)])) for g in grid]
     mean = sum(integrate.simpson(s, x=g) for g, s in pieces)
     first = sum(integrate.simpson(g * s, x=g) for g, s in pieces)
-    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), Drive(0.1), rel_error=1e-4)
+    pooled = Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed")
+    annealed = steady(pooled, Drive(0.1), rel_error=1e-4)
     assert abs(z_score(annealed.break_stretch, mean, 1e-6)) < 4.5
     assert abs(z_score(annealed.friction, first / mean, 1e-6)) < 4.5
 

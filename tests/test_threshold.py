@@ -20,7 +20,7 @@ uniforms, threshold_draw = compiled(streams.uniforms), compiled(threshold.thresh
 EPS = np.finfo(float).eps
 SMALLEST, LARGEST = 2.0**-64, 1.0 - 2.0**-53  # of the uniforms a kernel sees
 SHAPES = [0.0, 0.5, 1.0, 2.7, 30.0]
-# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (eqsim.numerics.tables). The quantile
+# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (numerics.tables). The quantile
 # behaves as e^(1/(2n+2)) at small e and as sqrt(e) at large e; no p in (0, 1/2] gives more than p = 0.38 does.
 TABLE_ERROR = 1.001 / (384 * CELLS**4)
 KERNEL_UNIFORMS = np.array([uniforms(key(11, TRAJECTORY), i, 0, 0)[0] for i in range(100_000)])

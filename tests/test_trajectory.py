@@ -182,7 +182,8 @@ def test_a_stationary_start_stays_level(law):
     """Also while contacts that were found detached wait for the rest of their delay, and not for a whole one: force and
     pinned fraction at 21 points over two delays, |z| < 4.5 in 84 scores (false alarm 6e-4)."""
     ensemble = Ensemble(count=200_000, delay=Delay(1.0, law), eta=0.5, **UNIFORM)
-    found, exact = trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=21, seed=4), reference(ensemble, Drive(1.0))
+    drive = Drive(1.0, 2.0, "stationary")
+    found, exact = trajectory(ensemble, drive, points=21, seed=4), reference(ensemble, drive)
     assert np.abs((found.force - exact.friction.value) / found.force_stderr).max() < 4.5
     assert np.abs((found.pinned - exact.pinned.value) / found.pinned_stderr).max() < 4.5
 

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.threshold import panels_above
-from eqsim.master.quenched import ClenshawCurtis, Moments, beyond, interpolated, panels, weakest
+from eqsim.master.quenched import Moments, beyond, different_steps, kappa_of, panels_between_steps, weakest
 from eqsim.model.reduced import Reduced
+from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
 from eqsim.numerics.tables import Array
 
 METHOD = "published master equation"
@@ -46,53 +46,36 @@ _rule = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def stationary(s: Reduced) -> Moments:
-    """C and work of annealed contacts at kT > 0.
-
-    Raises InputError for a discrete law of more than 1000 thresholds.
-    """
+    """Moments of the lives of annealed contacts at kT > 0. Raises InputError for a discrete law of more than 1000
+    thresholds."""
     if s.law.steps.size:
-        return _discrete(s)
-    edges = _first_edges(s)
-    left, right = edges[:-1], edges[1:]
-    p = _panels(s, left, right)
-    while True:
-        alive = np.exp(-np.append(0.0, p.hazard[:-1].cumsum()))
-        heavier = np.append(p.heavier[:0:-1].cumsum()[::-1], 0.0)
-        carried = alive * p.carried
-        parts = np.array([alive * p.stretch, alive * p.work + heavier * carried])
-        total = parts.sum(axis=1)
-        onward = parts[:, ::-1].cumsum(axis=1)[:, ::-1]
-        errors = p.hazard_tail * onward
-        errors[0] += alive * p.stretch_tail
-        errors[1] += alive * (p.work_tail + heavier * p.carried_tail) + p.heavier_tail * carried.cumsum()
-        split = (errors > _RESOLVED * total[:, None]).any(axis=0) & (right - left > _STEP * right)
-        if not split.any() or left.size > _MOST_PANELS:
-            break
-        pieces = left[split, None] + (right - left)[split, None] * _PIECES
-        pieces[:, -1] = right[split]
-        new_left, new_right = pieces[:, :-1].ravel(), pieces[:, 1:].ravel()
-        new = _panels(s, new_left, new_right)
-        left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
-        order = np.argsort(left)
-        left, right = left[order], right[order]
-        p = _Panels(*(np.append(old[~split], found)[order] for old, found in zip(p, new, strict=True)))
+        return _of_steps(s)
+    p, (parts, errors) = refined(
+        lambda left, right, _: _integrals(s, left, right),
+        _judged,
+        _first_edges(s),
+        pieces=_PIECES,
+        most=_MOST_PANELS,
+    )
     # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
+    alive, onward = _alive(p), _onward(parts)
     seen = alive > _DEAD
-    better = _hazard_rate(s, 0.5 * (left + right)[seen], _ORDER + 4)
-    missed = np.abs(2.0 * p.middle[seen] - better * (right - left)[seen])
+    better = _hazard_rate(s, 0.5 * (p.left + p.right)[seen], _ORDER + 4) * (p.right - p.left)[seen]
+    missed = np.abs(2.0 * _Integrals(*p.values).middle[seen] - better)
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
-    rarest = alive[-1] * beyond(s.law, s.stiffness)
+    total, rarest = parts.sum(axis=1), alive[-1] * beyond(s)
     error = errors.sum(axis=1) + _ROUNDING * total + rarest
-    total = total + rarest
-    return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
+    return Moments(*(total + rarest).tolist(), *error.tolist())
 
 
-class _Panels(NamedTuple):
-    """Pieces of 0 < x < inf, ascending, each array of shape (panels,): Delta U gained inside; with exp(-Delta U) = 1 at
-    the left end, the integrals of E_P and of x exp(-Delta U) E[k_i/k; xi > x] but for thresholds beyond the panel, for
-    which the latter is `carried`, the integral of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms
-    (0 if stiffness is uniform); the highest Chebyshev coefficients of each integrand; and the rate in the middle times
-    half the width."""
+class _Integrals(NamedTuple):
+    """Of panels of 0 < x < inf, each array of shape (panels,).
+
+    Delta U gained inside; with exp(-Delta U) = 1 at the left end, the integrals of E_P and of
+    x exp(-Delta U) E[kappa; xi > x] but for thresholds beyond the panel, for which the latter is `carried`, the integral
+    of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms of later panels (0 if stiffness is uniform); the
+    highest Chebyshev coefficients of each integrand; and the rate in the middle times half the width.
+    """
 
     hazard: Array
     stretch: Array
@@ -107,7 +90,8 @@ class _Panels(NamedTuple):
     middle: Array
 
 
-def _panels(s: Reduced, left: Array, right: Array) -> _Panels:
+def _integrals(s: Reduced, left: Array, right: Array) -> Array:
+    """`_Integrals` as rows."""
     half = 0.5 * (right - left)[:, None]
     x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
     hazard = half * _hazard_rate(s, x.ravel()).reshape(x.shape)
@@ -116,14 +100,36 @@ def _panels(s: Reduced, left: Array, right: Array) -> _Panels:
     J = s.law.sf(x * s.law.scale)
     stiff, heavier = J, np.zeros_like(J)
     if s.stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
-        rms = s.rms
-        heavier = half * J / rms
+        heavier = half * J / s.rms
         inside = heavier @ ClenshawCurtis.weights
-        stiff = x * J / rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
+        stiff = x * J / s.rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
     integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
     values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
     tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
-    return _Panels(*np.vstack((values, tails, hazard[:, hazard.shape[1] // 2])))
+    return np.vstack((values, tails, hazard[:, hazard.shape[1] // 2]))
+
+
+def _alive(p: Panels) -> Array:
+    """exp(-Delta U) at the left end of each panel."""
+    return np.exp(-np.append(0.0, p.values[0, :-1].cumsum()))
+
+
+def _onward(parts: Array) -> Array:
+    """Sums over each panel and all later ones."""
+    return parts[:, ::-1].cumsum(axis=1)[:, ::-1]
+
+
+def _judged(p: Panels) -> tuple[Array, tuple[Array, Array]]:
+    """Which panels are too rough; what each adds to C and work, and to their errors, both of shape (2, panels)."""
+    of, alive = _Integrals(*p.values), _alive(p)
+    heavier = np.append(of.heavier[:0:-1].cumsum()[::-1], 0.0)
+    carried = alive * of.carried
+    parts = np.array([alive * of.stretch, alive * of.work + heavier * carried])
+    errors = of.hazard_tail * _onward(parts)
+    errors[0] += alive * of.stretch_tail
+    errors[1] += alive * (of.work_tail + heavier * of.carried_tail) + of.heavier_tail * carried.cumsum()
+    rough = (errors > _RESOLVED * parts.sum(axis=1)[:, None]).any(axis=0) & (p.right - p.left > _STEP * p.right)
+    return rough, (parts, errors)
 
 
 def _first_edges(s: Reduced) -> Array:
@@ -141,8 +147,8 @@ def _first_edges(s: Reduced) -> Array:
 
 
 def _hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
-    """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled.pooled_rate` (temper11, temper12), to about 1e-13 for
-    gamma laws and 1e-10 for most others.
+    """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled` (temper11, temper12), to about 1e-13 for gamma
+    laws and 1e-10 for most others.
 
     In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds, and with panels next to the
     ends of the support besides those next to y.
@@ -154,92 +160,91 @@ def _hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
     far = np.cbrt(_EXPONENTS * rms / b) if s.stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
     nodes, weights = _rule(order)
     found = np.empty(y.size)
+
+    def contact(x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
+        """Arguments of the barrier at stretch x and threshold x + root^2."""
+        xi = x + root**2
+        return root**2, root**2 + 2.0 * x, xi, b * kappa_of(s, xi)
+
     for start in range(0, y.size, _AT_ONCE):
         at = y[start : start + _AT_ONCE, None]
         origin = np.maximum(at, least)
-        a = np.maximum(b * relative_stiffness(s.stiffness, origin, rms), 1e-300)
         with np.errstate(divide="ignore", over="ignore"):
-            near = barrier.width(_EXPONENTS, origin, a)
+            near = barrier.width(_EXPONENTS, origin, np.maximum(b * kappa_of(s, origin), 1e-300))
         layer = np.concatenate((origin + np.minimum(near, far), np.broadcast_to(ends, (at.size, ends.size))), axis=1)
         edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
-        xi = at + edges[:, :-1] ** 2
-        a = b * relative_stiffness(s.stiffness, xi, rms)
-        with np.errstate(invalid="ignore"):  # xi = 0
-            height = barrier.exponent(edges[:, :-1] ** 2, edges[:, :-1] ** 2 + 2.0 * at, xi, a)
-        seen = (np.diff(edges, axis=1) > 0) & ~(barrier.log_w - height <= _UNSEEN)
-        row, column = np.nonzero(seen)
+        with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
+            unseen = barrier.log_w - barrier.exponent(*contact(at, edges[:, :-1])) <= _UNSEEN
+        row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
         half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
-        root, x = edges[row, column, None] + half * (1.0 + nodes), at[row]
-        xi = x + root**2
-        a = b * relative_stiffness(s.stiffness, xi, rms)
-        log_rate = barrier.log_w + barrier.log_attempt(root**2, root**2 + 2.0 * x, xi, a)
-        terms = half * weights * 2.0 * root * law.pdf(xi * law.scale) * law.scale * np.exp(log_rate)
+        root = edges[row, column, None] + half * (1.0 + nodes)
+        inner = contact(at[row], root)
+        density = law.pdf(inner[2] * law.scale) * law.scale
+        terms = half * weights * 2.0 * root * density * np.exp(barrier.log_w + barrier.log_attempt(*inner))
         terms[~np.isfinite(terms)] = 0.0  # a density that diverges at an end of the support
         found[start : start + at.size] = np.bincount(row, terms.sum(axis=1), at.size)
     return found
 
 
 def survivors(s: Reduced, x: Array) -> Array:
-    """E_P(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n); for
-    a smooth law x has to begin near 0 and to rise by small factors, up to where nothing survives."""
-    law, rms = s.law, s.rms
+    """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x > 0, shape (3, n).
+
+    For a smooth law x has to begin near 0 and to rise by small factors, up to where nothing survives.
+    """
+    law = s.law
     if law.steps.size:
-        xi, share, kappa = _shares(s)
+        xi, share, kappa = _few_steps(s)
         with np.errstate(divide="ignore"):
-            dU = np.exp(np.minimum(np.log(_discrete_pool(s, xi, share, kappa, x)) + s.barrier.log_w, 7.0))
+            log_dU = np.log(_pooled_hazard(s, xi, share, kappa, x)) + s.barrier.log_w
+        dU = np.exp(np.minimum(log_dU, 7.0))
         above = np.searchsorted(xi, x, side="right")
         means = [np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above] for power in range(3)]
-    else:
-        inner, weights = _between(x)
-        at = np.append(x[0], inner)
-
-        def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
-            return np.log1p(y * _hazard_rate(s, y))
-
-        rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
-        dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
-        J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
-        means = [J, J, J]
-        if s.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
-            for p in (1, 2):
-                cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
-                means[p] = (x**p * J + np.append(np.cumsum(cells[::-1])[::-1], 0.0)) / rms**p
-    thermal = np.exp(-dU)
-    return thermal * np.array(means)
-
-
-def _between(x: Array) -> tuple[Array, Array]:
-    """Gauss-Legendre nodes in ln x between neighbours, and their weights for integrals over x, shape (n - 1, 3)."""
+        return np.exp(-dU) * np.array(means)
     log_x = np.log(x)
     half = 0.5 * np.diff(log_x)[:, None]
     inner = np.exp(log_x[:-1, None] + half * (1.0 + _NODES))
-    return inner, half * _WEIGHTS * inner
+    weights = half * _WEIGHTS * inner
+    at = np.append(x[0], inner)
+
+    def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
+        return np.log1p(y * _hazard_rate(s, y))
+
+    rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
+    dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
+    J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
+    means = [J, J, J]
+    if s.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
+        for p in (1, 2):
+            cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
+            means[p] = (x**p * J + np.append(np.cumsum(cells[::-1])[::-1], 0.0)) / s.rms**p
+    return np.exp(-dU) * np.array(means)
 
 
-def _shares(s: Reduced) -> tuple[Array, Array, Array]:
-    """The different thresholds of a discrete law, their shares and stiffnesses k_i/k."""
-    xi, counts = np.unique(s.law.steps / s.law.scale, return_counts=True)
-    if xi.size > _MOST_STEPS:
-        raise InputError(f"thresholds: {xi.size} different values; the annealed reference takes at most {_MOST_STEPS}")
-    return xi, counts / counts.sum(), relative_stiffness(s.stiffness, xi, s.rms)
+def _few_steps(s: Reduced) -> tuple[Array, Array, Array]:
+    """`different_steps`. Raises InputError if there are too many."""
+    found = different_steps(s)
+    if found[0].size > _MOST_STEPS:
+        count = found[0].size
+        raise InputError(f"thresholds: {count} different values; the annealed reference takes at most {_MOST_STEPS}")
+    return found
 
 
-def _discrete_pool(s: Reduced, xi: Array, share: Array, kappa: Array, x: Array) -> Array:
-    """G of equally likely thresholds, a mean of closed forms."""
-    G, a = np.zeros(x.size), s.barrier.b * kappa
-    for j in range(xi.size):
-        k = np.searchsorted(x, xi[j])
-        G[:k] += share[j] * np.exp(s.barrier.log_hazard(x[:k], xi[j], a[j]))
-        G[k:] += share[j] * np.exp(s.barrier.log_hazard(xi[j], xi[j], a[j]))
+def _pooled_hazard(s: Reduced, xi: Array, share: Array, kappa: Array, x: Array) -> Array:
+    """G of a discrete law, a mean of closed forms."""
+    G = np.zeros(x.size)
+    for own, part, a in zip(xi, share, s.barrier.b * kappa, strict=True):
+        k = np.searchsorted(x, own)
+        G[:k] += part * np.exp(s.barrier.log_hazard(x[:k], own, a))
+        G[k:] += part * np.exp(s.barrier.log_hazard(own, own, a))
     return G
 
 
-def _discrete(s: Reduced) -> Moments:
+def _of_steps(s: Reduced) -> Moments:
     """Discrete thresholds: E_P drops at each of them, after a layer in which attempts on it succeed."""
-    edge = panels(s)
+    edge = panels_between_steps(s)
 
     def integrate(order: int) -> Array:
-        nodes, weights = np.polynomial.legendre.leggauss(order)
+        nodes, weights = _rule(order)
         half = 0.5 * np.diff(edge)[:, None]
         x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
         survive, stiff, _ = survivors(s, x)

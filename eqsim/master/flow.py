@@ -6,7 +6,7 @@ A contact born with threshold xi0 has, at stretch x (its displacement since birt
 
 in units of x_*i, the scale of the newborn law: at every age the law of unbroken thresholds is that of the Smoluchowski
 equation from P_ci to P_cf, without its fluctuations. It breaks mechanically where xi(x) = x, thermally at the rate of
-`laws.thermal` for its current threshold,
+`laws.barrier` for its current threshold,
 
     S(x|xi0) = exp(-(omega/v) int_0^x r(y, xi(y)) dy),
 
@@ -26,46 +26,40 @@ from scipy import special
 from scipy.optimize import elementwise
 
 from eqsim.laws.aging.base import scale2
-from eqsim.laws.stiffness import relative_stiffness
-from eqsim.master.quenched import ClenshawCurtis, Moments, births_above, interpolated, strongest
+from eqsim.master.quenched import Moments, births_above, kappa_of, over_births, rarest_that_counts
 from eqsim.model.reduced import Reduced
+from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
 from eqsim.numerics.tables import Array
 
 METHOD = "joint kinetic equation along flowing thresholds"
 
-# the nodes of Clenshaw and Curtis hold both ends of a panel, where r is greatest, so that no peak of it can be missed
-_NODES, _WEIGHTS, _TAIL = ClenshawCurtis.nodes, ClenshawCurtis.weights, ClenshawCurtis.tail
-
-# paths: the first panels in phi, the errors that end refinement, hazards and survivals too small to matter
+# paths: the first panels in phi, where they are cut, the errors that end refinement, hazards and survivals too small to
+# matter. Nodes hold both ends of a panel, where the rate is greatest, so that no peak of it can be missed
 _FIRST = 0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
-_RESOLVED, _RARE, _DEAD, _MOST_ROUNDS = 1e-11, 1e-13, 1e-45, 60
 _EVEN, _TOWARDS_0 = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1.0])
-# births: the first panels in ln(-ln J_c(xi0)), from 2^-50 to 500
-_BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
-_CONVERGED, _ROUNDING = 1e-11, 1e-12
+_RESOLVED, _RARE, _DEAD, _SHORTEST = 1e-11, 1e-13, 1e-45, 1e-100
+# births: the errors that end refinement, the narrowest panel, the least error
+_CONVERGED, _NARROWEST, _ROUNDING = 1e-11, 1e-3, 1e-12
 
 # of survivors: their resolution; step and truncation of the hazard; its levels, where to seek them
 _SMOOTH = 1e-9
 _STEP, _UNSEEN = 0.45, 1e-12
 _LEVELS = np.array([3.5, 2.75, 2.0, 1.25, 0.5, -0.5, -1.5, -3.0, -6.0, -12.0, -20.0])  # of ln((omega/v) H)
 _DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
-_FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
+_NODES, _WEIGHTS = special.roots_legendre(8)
 
 
-def aged(s: Reduced, x: Array) -> Array:
-    """s(x): by how much thresholds have grown."""
+def growth(s: Reduced, x: Array) -> Array:
+    """s(x), by which thresholds have grown at stretch x (any shape)."""
     return np.sqrt(scale2(s.aging.final2, s.aging.alpha * x))
 
 
-def rate(s: Reduced, x: Array, xi: Array) -> Array:
-    """Thermal breaking per unit displacement at stretch x, the current threshold being xi."""
-    return _rate(s, x, xi, s.barrier.b * relative_stiffness(s.stiffness, xi, s.rms))
-
-
-def _rate(s: Reduced, x: Array, xi: Array, a: Array | float) -> Array:
-    """`rate` at a = k_i/(2 kT); at a = 0 what it would be without a barrier, which falls along a path."""
+def rate(s: Reduced, x: Array, xi: Array, share: float = 1.0) -> Array:
+    """Thermal breaking per unit displacement at stretch x, the current threshold being xi, arrays that broadcast; with
+    a `share` of the barrier only. Without any it falls along a path."""
     if not s.barrier.thermal:
         return np.zeros(np.broadcast_shapes(x.shape, xi.shape))
+    a = share * s.barrier.b * kappa_of(s, xi)
     with np.errstate(divide="ignore"):  # a stiff contact at its threshold
         return np.exp(s.barrier.log_w + s.barrier.log_rate(x, np.maximum(xi, x), a))
 
@@ -73,155 +67,120 @@ def _rate(s: Reduced, x: Array, xi: Array, a: Array | float) -> Array:
 def _ends(s: Reduced, xi0: Array) -> Array:
     """Where contacts break mechanically: the root of xi0 s(x) = x."""
     bracket = (xi0 * min(1.0, s.aging.final), xi0 * max(1.0, s.aging.final))
-    found = elementwise.find_root(lambda x, xi0: np.log(xi0 * aged(s, x) / x), bracket, args=(xi0,))
+    found = elementwise.find_root(lambda x, xi0: np.log(xi0 * growth(s, x) / x), bracket, args=(xi0,))
     return np.asarray(found.x)
 
 
-class _Panels(NamedTuple):
-    """Pieces of paths, in the order of contacts and along each path, shape (panels,): which contact, the ends in phi,
-    the hazard inside, int S dx and int kappa x S dx with S = 1 at the left end (2, panels), and the highest Chebyshev
-    coefficients of the hazard and of the two integrands, which say whether the panel resolves them, and whether its
-    nodes may have missed a peak at either end of a path, where dx/dphi = 0."""
+class _Integrals(NamedTuple):
+    """Of panels of paths, each array of shape (panels,): the hazard inside; int S dx and int kappa x S dx with S = 1 at
+    the left end; the highest Chebyshev coefficients of the hazard and of the two integrands, which say whether the
+    panel resolves them; and whether its nodes may have missed a peak at either end of a path, where dx/dphi = 0."""
 
-    contact: Array
-    left: Array
-    right: Array
     hazard: Array
-    parts: Array
+    stretch: Array
+    work: Array
     hazard_tail: Array
-    tails: Array
+    stretch_tail: Array
+    work_tail: Array
     blind: Array
 
 
-def _panels(s: Reduced, xi0: Array, end: Array, contact: Array, left: Array, right: Array) -> _Panels:
+def _integrals(s: Reduced, xi0: Array, end: Array, left: Array, right: Array) -> Array:
+    """`_Integrals`, as rows, of paths from births `xi0` to `end`, each of shape (panels,)."""
     half = 0.5 * (right - left)[:, None]
-    phi = left[:, None] + half * (1 + _NODES)
-    xi0, end = xi0[contact, None], end[contact, None]
+    phi = left[:, None] + half * (1 + ClenshawCurtis.nodes)
+    xi0, end = xi0[:, None], end[:, None]
     # x = end sin^2(phi) makes a stiff rate smooth at the threshold
     x = end * np.sin(phi) ** 2
     width = half * end * np.sin(2 * phi)
-    xi = xi0 * aged(s, x)
+    xi = xi0 * growth(s, x)
     per_x = rate(s, x, xi)
     hazard = per_x * width
     # where the panel is too wide for its polynomial, that may be negative
     passed = np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0)
     alive = np.exp(-passed) * width
-    work = alive * relative_stiffness(s.stiffness, xi, s.rms) * x
+    integrands = np.array([alive, alive * kappa_of(s, xi) * x])
     # the least barrier on any piece of a path is at one of its ends, and that at the end of life is 0
-    peak = np.where(left == 0, np.maximum(per_x[:, 0], per_x[:, -1]), _rate(s, x[:, 0], xi[:, 0], 0.0))
-    peak *= np.ptp(x, axis=1)
-    blind = (peak > _RARE) & ((peak > 20 * passed[:, -1]) | ((left == 0) & (passed[:, -1] > 0.5)))
-    return _Panels(
-        contact,
-        left,
-        right,
-        passed[:, -1],
-        np.array([alive @ _WEIGHTS, work @ _WEIGHTS]),
-        np.abs(hazard @ _TAIL).sum(axis=1),
-        np.array([np.abs(alive @ _TAIL).sum(axis=1), np.abs(work @ _TAIL).sum(axis=1)]),
-        blind & ((left == 0) | ((right == _FIRST[-1]) & (np.cos(left) > 1e-7))),
-    )
+    first = left == 0
+    peak = np.where(first, np.maximum(per_x[:, 0], per_x[:, -1]), rate(s, x[:, 0], xi[:, 0], 0.0)) * np.ptp(x, axis=1)
+    whole = passed[:, -1]
+    blind = (peak > _RARE) & ((peak > 20 * whole) | (first & (whole > 0.5)))
+    blind &= first | ((right == _FIRST[-1]) & (np.cos(left) > 1e-7))
+    tails = np.abs(np.concatenate((hazard[None], integrands)) @ ClenshawCurtis.tail).sum(axis=2)
+    return np.concatenate((whole[None], integrands @ ClenshawCurtis.weights, tails, blind[None]))
 
 
 def life_moments(s: Reduced, xi0: Array) -> tuple[Array, Array]:
-    """int S dx and int kappa x S dx of contacts born with thresholds `xi0` (n,), and bounds of their errors; both of
-    shape (2, n).
+    """Moments of lives along paths.
 
     Panels are split until the highest coefficients of the hazard, times the life that is left, and of the integrands
     are negligible.
+
+    Parameters
+    ----------
+    xi0 : ndarray, shape (n,)
+        Thresholds at birth.
+
+    Returns
+    -------
+    moments, errors : ndarray, shape (2, n)
+        int S dx and int kappa x S dx, and bounds of their errors.
     """
     n, end = xi0.size, _ends(s, xi0)
-    contact, piece = (part.ravel() for part in np.indices((n, _FIRST.size - 1)))
-    p = _panels(s, xi0, end, contact, _FIRST[piece], _FIRST[piece + 1])
-    for last in range(_MOST_ROUNDS, -1, -1):
-        counts = np.bincount(p.contact, minlength=n)
-        at = p.contact, np.arange(p.contact.size) - np.repeat(np.cumsum(counts) - counts, counts)
+
+    def judge(p: Panels) -> tuple[Array, tuple[Array, Array]]:
+        of = _Integrals(*p.values)
+        counts = np.bincount(p.interval, minlength=n)
+        at = p.interval, np.arange(p.interval.size) - np.repeat(np.cumsum(counts) - counts, counts)
         table = np.zeros((3, n, counts.max() + 1))
-        table[0, at[0], at[1] + 1] = p.hazard
+        table[0, at[0], at[1] + 1] = of.hazard
         alive = np.exp(-table[0].cumsum(axis=1)[at])
-        table[1:, at[0], at[1]] = alive * p.parts
+        table[1:, at[0], at[1]] = alive * p.values[1:3]
         moments = table[1:].sum(axis=2)
-        left = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, at[0], at[1]]  # of the moments, from here on
-        errors = alive * p.tails + (p.hazard_tail + p.blind) * left
-        split = (errors > _RESOLVED * moments[:, p.contact]).any(axis=0) & (p.right - p.left > 1e-14 * p.right)
-        split |= p.blind & (alive > _DEAD)
-        if last == 0 or not split.any():
-            break
-        p = _split(s, xi0, end, p, split)
-    return moments, np.array([np.bincount(p.contact, error, n) for error in errors])
+        onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, at[0], at[1]]
+        errors = alive * p.values[4:6] + (of.hazard_tail + of.blind) * onward
+        rough = (errors > _RESOLVED * moments[:, p.interval]).any(axis=0) & (p.right - p.left > 1e-14 * p.right)
+        rough |= (of.blind > 0) & (alive > _DEAD)
+        return rough & (p.right > _SHORTEST), (moments, np.array([np.bincount(p.interval, e, n) for e in errors]))
 
-
-def _split(s: Reduced, xi0: Array, end: Array, p: _Panels, split: Array) -> _Panels:
-    """Four panels for each marked one; the first of a path is split towards 0, where all scales are possible."""
-    left, right = p.left[split, None], p.right[split, None]
-    edges = left + (right - left) * np.where(left > 0, _EVEN, _TOWARDS_0)
-    new = _panels(s, xi0, end, np.repeat(p.contact[split], 4), edges[:, :-1].ravel(), edges[:, 1:].ravel())
-    pieces = np.where(split, 4, 1)
-    fresh = np.repeat(split, pieces)
-    merged = []
-    for old, found in zip(p, new, strict=True):
-        value = np.repeat(old, pieces, axis=-1)
-        value[..., fresh] = found
-        merged.append(value)
-    return _Panels(*merged)
+    _, found = refined(
+        lambda left, right, path: _integrals(s, xi0[path], end[path], left, right),
+        judge,
+        _FIRST,
+        intervals=n,
+        pieces=_EVEN,
+        pieces_at_0=_TOWARDS_0,
+    )
+    return found
 
 
 def stationary(s: Reduced) -> Moments:
-    """C and work of quenched contacts under flow aging (derived).
-
-    Births are integrated by panels in ln(-ln J_c(xi0)), paths by panels of their own; the errors are what either leave
-    unresolved.
-    """
-
-    def integrate(left: Array, right: Array) -> tuple[Array, Array, Array]:
-        """Both integrals over panels of ln(-ln J_c), what is left unresolved along paths, and across panels."""
-        half = 0.5 * (right - left)[:, None]
-        e = np.exp(left[:, None] + half * (1 + _NODES))
-        moments, errors = life_moments(s, np.asarray(s.law.exceeded_by(e.ravel())) / s.law.scale)
-        weight = half * e * np.exp(-e)
-        terms = moments.reshape(2, *e.shape) * weight
-        return terms @ _WEIGHTS, (errors.reshape(2, *e.shape) * weight) @ _WEIGHTS, np.abs(terms @ _TAIL).sum(axis=2)
-
-    left, right = _BIRTHS[:-1], _BIRTHS[1:]
-    parts, along, across = integrate(left, right)
-    while True:
-        total = parts.sum(axis=1)
-        split = (across > _CONVERGED * total[:, None]).any(axis=0) & (right - left > 1e-3)
-        if not split.any():
-            break
-        middle = 0.5 * (left[split] + right[split])
-        new_left, new_right = np.append(left[split], middle), np.append(middle, right[split])
-        found = integrate(new_left, new_right)
-        left, right = np.append(left[~split], new_left), np.append(right[~split], new_right)
-        parts, along, across = (
-            np.append(old[:, ~split], new, axis=1) for old, new in zip((parts, along, across), found, strict=True)
-        )
-    error = (along + across).sum(axis=1) + _ROUNDING * total
-    return Moments(float(total[0]), float(total[1]), float(error[0]), float(error[1]))
+    """Moments of the lives of quenched contacts under flow aging (derived); the errors are what is left unresolved
+    along paths and across births."""
+    total, error = over_births(s.law, lambda xi0: life_moments(s, xi0), _CONVERGED, _NARROWEST)
+    return Moments(*total.tolist(), *(error + _ROUNDING * total).tolist())
 
 
 def survivors(s: Reduced, x: Array) -> Array:
-    """S(x) = P(x_b > x), E[kappa(x); x_b > x] and E[kappa(x)^2; x_b > x] under flow aging at ascending x > 0, shape
-    (3, n).
+    """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x > 0, shape (3, n), kappa now.
 
-    To about 1e-8 of the greatest value of each, and of each times x and x^2, by Chebyshev panels in ln x, split until
-    they resolve them all.
+    To about 1e-8 of the greatest value of each, and of each times x and x^2, by interpolation in ln x.
     """
     return interpolated(lambda at: _surviving(s, at), x, _SMOOTH)
 
 
 def _surviving(s: Reduced, x: Array) -> Array:
-    """The three means of `survivors` at every x (n,), shape (3, n): over births xi0 > x/s(x), by panels that end at
-    fixed shares of the stronger contacts and where the hazard passes fixed levels."""
-    law, grown = s.law, aged(s, x)
+    """`survivors` over births xi0 > x/s(x), by panels that end at fixed shares of the stronger contacts and where the
+    hazard passes fixed levels."""
+    law, grown = s.law, growth(s, x)
     least = x / grown
     layer = _births_at(s, x, least) if s.barrier.thermal else None
-    edges = births_above(law, least, layer, strongest(s.barrier))
+    edges = births_above(law, least, layer, rarest_that_counts(s.barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    xi0 = (edges[:, :-1, None] + half * (1 + _FEW_NODES)).reshape(x.size, -1)
-    weight = (half * _FEW_WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
+    xi0 = (edges[:, :-1, None] + half * (1 + _NODES)).reshape(x.size, -1)
+    weight = (half * _WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
     weight *= np.exp(-_hazard(s, x, xi0))
-    kappa = relative_stiffness(s.stiffness, xi0 * grown[:, None], s.rms)
+    kappa = kappa_of(s, xi0 * grown[:, None])
     return np.array([(weight * kappa**power).sum(axis=1) for power in range(3)])
 
 
@@ -238,13 +197,13 @@ def _hazard(s: Reduced, x: Array, xi0: Array) -> Array:
     for i in np.flatnonzero(reach > 0):
         u = _STEP * np.arange(-math.ceil(reach[i] / _STEP), math.ceil(reach[i] / _STEP) + 1)
         y = x[i] * special.expit(u)
-        found[i] = rate(s, y, xi0[i, :, None] * aged(s, y)) @ (_STEP * y * special.expit(-u))
+        found[i] = rate(s, y, xi0[i, :, None] * growth(s, y)) @ (_STEP * y * special.expit(-u))
     return found
 
 
 def _births_at(s: Reduced, x: Array, least: Array) -> Array:
     """Roughly the birth whose hazard at x passes each level, shape (n, levels): only panels depend on it."""
-    rarest = max(60.0, strongest(s.barrier))
+    rarest = max(60.0, rarest_that_counts(s.barrier))
     beyond = np.maximum(float(s.law.exceeded_by(rarest)) / s.law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
     with np.errstate(divide="ignore"):
         log_hazard = np.log(_hazard(s, x, least[:, None] + beyond))

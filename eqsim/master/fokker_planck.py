@@ -34,7 +34,7 @@ from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import Gamma
-from eqsim.master.quenched import Moments
+from eqsim.master.quenched import Moments, kappa_of
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
 

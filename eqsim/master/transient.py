@@ -73,7 +73,7 @@ class Profile:
         self.reduced, self.error = s, _SPLINE if isinstance(s.law, (Gamma, PooledThresholds)) else _KINKED_SPLINE
         self.steps = s.law.steps.size > 0
         if self.steps:
-            self.x = np.unique(np.append(quenched.panels(s), grid[grid > 0]))
+            self.x = np.unique(np.append(quenched.panels_between_steps(s), grid[grid > 0]))
             nodes, weights = np.polynomial.legendre.leggauss(6)
             edge = np.append(0.0, self.x)
             half = 0.5 * np.diff(edge)[:, None]
@@ -83,7 +83,7 @@ class Profile:
             self.survive = self._solve(self.x)[0]
             self._judge()
             return
-        rarest = float(s.law.exceeded_by(quenched.strongest(s.barrier)))
+        rarest = float(s.law.exceeded_by(quenched.rarest_that_counts(s.barrier)))
         top = math.log(rarest / s.law.scale * max(1.0, s.aging.final))
         # from where hardly a contact has broken: no rate exceeds omega
         first = -max(math.log(1e15), s.barrier.log_w + math.log(1e7))

@@ -1,0 +1,140 @@
+"""Adaptive panels: intervals are split until 17 Chebyshev nodes resolve a function on each of them."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from eqsim.numerics.tables import Array
+
+_LONGEST, _SHORTEST = 2.0, 1e-3  # panels in ln x
+_HALVES = np.array([0.0, 0.5, 1.0])
+
+
+class ClenshawCurtis:
+    """The rule of Clenshaw and Curtis on [-1, 1], whose nodes hold both ends.
+
+    Attributes
+    ----------
+    nodes, weights : ndarray, shape (17,)
+    cumulative : ndarray, shape (17, 17)
+        Values at the nodes times it are the integrals from -1 to each node.
+    coefficients : ndarray, shape (17, 17)
+        It times values at the nodes is their Chebyshev coefficients.
+    tail : ndarray, shape (17, 2)
+        Values at the nodes times it are the two highest coefficients, which say whether a function is resolved.
+    """
+
+    _order = 16
+    nodes = -np.cos(math.pi * np.arange(_order + 1) / _order)
+    coefficients = np.linalg.inv(chebyshev.chebvander(nodes, _order))
+    cumulative = chebyshev.chebval(nodes, chebyshev.chebint(coefficients, lbnd=-1))
+    weights = cumulative[:, -1]
+    tail = coefficients[-2:].T
+
+
+class Panels(NamedTuple):
+    """Pieces of one or several intervals, in order.
+
+    Attributes
+    ----------
+    left, right : ndarray, shape (panels,)
+    interval : ndarray of int, shape (panels,)
+        Which interval each is a piece of.
+    values : ndarray, shape (..., panels)
+        What was evaluated.
+    """
+
+    left: Array
+    right: Array
+    interval: Array
+    values: Array
+
+
+def refined(
+    evaluate: Callable[[Array, Array, Array], Array],
+    judge: Callable[[Panels], tuple[Array, Any]],
+    edges: Array,
+    *,
+    intervals: int = 1,
+    pieces: Array = _HALVES,
+    pieces_at_0: Array | None = None,
+    most: float = math.inf,
+) -> tuple[Panels, Any]:
+    """Split panels until none is too rough.
+
+    Parameters
+    ----------
+    evaluate : callable
+        From `left`, `right` and `interval` of some panels to their `values`, shape (..., panels).
+    judge : callable
+        From all panels to which of them to split, shape (panels,), and anything else.
+    edges : ndarray
+        Ends of the first panels, the same in each of the `intervals`.
+    pieces : ndarray
+        Where a panel is cut, from 0 to 1; `pieces_at_0` where it begins at 0, of the same shape.
+    most : float
+        The number of panels beyond which nothing is split any more.
+
+    Returns
+    -------
+    Panels
+    object
+        What `judge` had to add of them.
+    """
+    interval, first = (part.ravel() for part in np.indices((intervals, edges.size - 1)))
+    at = edges[first], edges[first + 1], interval
+    p = Panels(*at, evaluate(*at))
+    while True:
+        split, verdict = judge(p)
+        if not split.any() or p.left.size > most:
+            return p, verdict
+        left, right = p.left[split, None], p.right[split, None]
+        cuts = left + (right - left) * np.where(left == 0, pieces if pieces_at_0 is None else pieces_at_0, pieces)
+        cuts[:, -1] = right[:, 0]
+        at = cuts[:, :-1].ravel(), cuts[:, 1:].ravel(), np.repeat(p.interval[split], pieces.size - 1)
+        count = np.where(split, pieces.size - 1, 1)
+        merged = [np.repeat(old, count, axis=-1) for old in p]
+        for old, new in zip(merged, (*at, evaluate(*at)), strict=True):
+            old[..., np.repeat(split, count)] = new
+        p = Panels(*merged)
+
+
+def interpolated(function: Callable[[Array], Array], x: Array, smooth: float, greatest: float | None = None) -> Array:
+    """A costly function at many points, from Chebyshev polynomials in ln x.
+
+    Parameters
+    ----------
+    function : callable
+        From x > 0, shape (n,), to values, shape (values, n).
+    x : ndarray, shape (points,)
+        Ascending, > 0.
+    smooth : float
+        What polynomials may miss, in units of `greatest` or else of the greatest of each value, and of it times x and
+        x^2, on which integrals depend.
+
+    Returns
+    -------
+    ndarray, shape (values, points)
+    """
+    log_x = np.log(x)
+    low, high = log_x[0], max(log_x[-1], log_x[0] + 1e-3)
+
+    def evaluate(left: Array, right: Array, _: Array) -> Array:
+        nodes = np.exp(left + 0.5 * (right - left) * (1 + ClenshawCurtis.nodes[:, None]))
+        return np.concatenate((nodes[None], function(nodes.ravel()).reshape(-1, *nodes.shape)))
+
+    def judge(p: Panels) -> tuple[Array, None]:
+        nodes, values = p.values[0], p.values[1:]
+        weighed = np.array([values * nodes**power for power in range(3)]) if greatest is None else values[None]
+        most = weighed.max(axis=(2, 3))[:, :, None] if greatest is None else greatest
+        rough = np.abs(ClenshawCurtis.tail.T @ weighed).sum(axis=2) > smooth * most
+        return rough.any(axis=(0, 1)) & (p.right - p.left > _SHORTEST), None
+
+    p, _ = refined(evaluate, judge, np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1))
+    panel = np.append(0, np.searchsorted(p.left, log_x[1:], side="left") - 1)
+    t = (2 * log_x - p.left[panel] - p.right[panel]) / (p.right[panel] - p.left[panel])
+    coefficients = np.moveaxis(ClenshawCurtis.coefficients @ p.values[1:], 1, 0)
+    return np.asarray(chebyshev.chebval(t, coefficients[:, :, panel], tensor=False))
