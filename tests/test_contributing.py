@@ -72,8 +72,8 @@ def copy(tmp_path_factory):
 
 
 def test_the_law_agrees_with_its_reference(copy):
-    """Engine against reference at kT = 0.3, v = 0.1: steady averages of both ensembles, and the force at one X. |z| < 4.5
-    in five scores: false alarm 4e-5 for a fresh seed. Negative control: an inverse 2 % off."""
+    """Engine against reference at kT = 0.3, v = 0.1: steady averages of both ensembles, and the force at one X.
+    |z| < 4.5 in five scores: false alarm 4e-5 for a fresh seed. Negative control: an inverse 2 % off."""
     done = copy("-c", COMPARE)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -92,7 +92,7 @@ def test_the_law_works_in_run_files(copy, tmp_path):
     assert max(abs(found["z"][name]) for name in ("friction", "break_stretch")) < 4.5
     done = copy("-m", "eqsim", "steady", str(path), "--set", "thermal.barrier=cusp")
     assert done.returncode == 2
-    assert "thermal.barrier = 'cusp': must be one of \"soft\", \"stiff\", \"bell\"" in done.stderr
+    assert 'thermal.barrier = \'cusp\': must be one of "soft", "stiff", "bell"' in done.stderr
 
 
 def test_the_law_touches_two_files_and_five_functions():

@@ -60,7 +60,7 @@ def test_functions_have_at_most_eight_parameters():
 
 def test_commands_have_at_most_fifty_lines():
     found = {where: node.end_lineno - node.lineno + 1 for where, node in functions("eqsim/cli")}
-    assert len(found) > 30
+    assert len(found) > 20
     assert {where: lines for where, lines in found.items() if lines > 50} == {}
 
 
@@ -177,7 +177,7 @@ def test_paths_and_links_exist():
         links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)]+)\)", text) if "://" not in link]
         paths = re.findall(r"`((?:eqsim|analysis|tests|notebooks|runs)/[\w./-]*)`", text)
         for path in {*links, *paths} - {"", "eqsim/laws/barrier/bell.py"}:
-            assert (ROOT / path).exists() or path.startswith("runs/out/"), f"{name}: {path}"
+            assert (ROOT / path).exists() or path.startswith(("runs/out/", "analysis/out/")), f"{name}: {path}"
 
 
 def test_what_the_readme_shows_in_python_works(capsys):

@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 from eqsim import Aging, Delay, Drive, InputError, load, reference, steady
 from eqsim.cli.app import app
 from eqsim.estimate import z_score
-from eqsim.sweep.plan import Plan
 from eqsim.master.closed_forms import C_0, Published
 from eqsim.materials import (
     BOLTZMANN,
@@ -33,6 +32,7 @@ from eqsim.materials import (
     parameters,
     run_file_text,
 )
+from eqsim.sweep.plan import Plan
 
 RUNS = Path(__file__).parent.parent / "runs"
 ELECTRON_VOLT = 1.602176634e-19
