@@ -1,4 +1,4 @@
-"""The engine against the master equation: a verdict a sceptic would accept.
+"""The engine against the master equation over the parameter space: the verdict.
 
 A suite draws parameter points (`points`) and compares, point by point, what contacts estimate with what the master
 equation says, each difference as a score z in units of the quoted errors (`scores`).
