@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 from scipy import optimize
 
-from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, steady
-from eqsim.estimate import z_score
+from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, steady, z_score
 
 MODELS = ("annealed", "flow", "langevin")
 RATES = (1.0, 0.1, 0.01)

@@ -359,6 +359,42 @@ def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> lis
     ]
 
 
+_RUN_FILE = """title = {title}
+disorder = "{contacts.disorder}"
+
+[contacts]
+count = {contacts.count}
+stiffness = {contacts.stiffness}  # N/m
+stiffness_law = "{contacts.stiffness_law}"
+
+[thresholds]
+n = {contacts.thresholds.n}
+x_star = {contacts.thresholds.x_star}  # m
+
+[thermal]
+kT = {contacts.thermal.kT}  # J, {temperature:.4g} K
+attempt_frequency = {contacts.thermal.attempt_frequency}  # 1/s
+"""
+_AGING = """
+[aging]
+rule = "{contacts.aging.rule}"
+rate = {contacts.aging.rate}  # m^2/s
+x_star_final = {contacts.aging.x_star_final}  # m
+"""
+_DELAY = """
+[delay]
+time = {contacts.delay.time}  # s
+"""
+_DRIVE = """
+[drive]
+velocity = {drive.velocity}  # m/s
+distance = {drive.distance}  # m
+
+[sweep]
+"drive.velocity" = {{ log = [1e{low}, 1e{high}, 21] }}  # m/s
+"""
+
+
 def run_file_text(
     material: Material,
     temperature: float = ROOM_TEMPERATURE,
@@ -390,40 +426,9 @@ def run_file_text(
         If a value is out of range.
     """
     contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
-    thermal, aging = contacts.thermal, contacts.aging
     drive = Drive(material.crossover_velocity() if velocity is None else velocity, 20.0 * material.x_star)
-    decade = math.floor(math.log10(drive.velocity))
     title = json.dumps(f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)", ensure_ascii=False)
-    ages = f"""
-[aging]
-rule = "{aging.rule}"
-rate = {aging.rate}  # m^2/s
-x_star_final = {aging.x_star_final}  # m
-"""
-    waits = f"""
-[delay]
-time = {contacts.delay.time}  # s
-"""
-    return f"""title = {title}
-disorder = "{disorder}"
-
-[contacts]
-count = {count}
-stiffness = {contacts.stiffness}  # N/m
-stiffness_law = "{stiffness_law}"
-
-[thresholds]
-n = 1.0
-x_star = {material.x_star}  # m
-
-[thermal]
-kT = {thermal.kT}  # J, {temperature:.4g} K
-attempt_frequency = {thermal.attempt_frequency}  # 1/s
-{ages if material.aging else ""}{waits if material.delay else ""}
-[drive]
-velocity = {drive.velocity}  # m/s
-distance = {drive.distance}  # m
-
-[sweep]
-"drive.velocity" = {{ log = [1e{decade - 2}, 1e{decade + 3}, 21] }}  # m/s
-"""
+    decade = math.floor(math.log10(drive.velocity))
+    sections = _RUN_FILE + (_AGING if material.aging else "") + (_DELAY if material.delay else "") + _DRIVE
+    numbers = {"contacts": contacts, "drive": drive, "temperature": temperature, "low": decade - 2, "high": decade + 3}
+    return sections.format(title=title, **numbers)

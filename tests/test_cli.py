@@ -17,10 +17,10 @@ import rich.progress
 from typer.testing import CliRunner
 from waiting import once
 
-from eqsim.io import terminal
 from eqsim.cli.app import app
 from eqsim.estimate import Estimate
-from eqsim.io.terminal import bar, show, table, value_and_error
+from eqsim.io import terminal
+from eqsim.io.terminal import Report, bar, value_and_error
 
 RUN = """
 title = "small"
@@ -37,7 +37,7 @@ distance = 10.0
 points = 51
 seed = 7
 """
-EQSIM = [sys.executable, "-c", "from eqsim.cli.app import main; main()"]
+EQSIM = [sys.executable, "-c", "from eqsim.__main__ import main; main()"]
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def test_long_estimates_say_how_long(run_file, monkeypatch):
     """From the speed of the attempt before, here of a clock that ticks once a look: 1000 lives a second."""
     seconds, notes, told = iter(range(100)), [], []
     monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(seconds)))
-    progress = terminal.foretold(lambda *both: told.append(both), notes.append)
+    progress = terminal.announcing(lambda *both: told.append(both), notes.append)
     calls = [(0, 2000), (1000, 2000), (2000, 2000), (0, 20_000), (20_000, 20_000), (0, 10**6), (10**6, 10**6)]
     for both in calls:
         progress(*both)
@@ -360,9 +360,9 @@ def test_help_has_all_its_words():
 
 def test_names_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    shown = table("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
-    shown.add_row("transient variance", "55", "49.1", "0.61", "2.48", "0.51", "passed")
-    show("suite", shown)
+    columns = ("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
+    rows = [("transient variance", "55", "49.1", "0.61", "2.48", "0.51", "passed")]
+    Report(None, "suite", columns, rows).show()
     assert "transient variance" in capsys.readouterr().out
 
 
@@ -374,7 +374,7 @@ def test_the_bar_tells_of_compiling(monkeypatch):
     for turn in ("compiled", "known"):
         with bar("simulating", False, "lives") as progress:
             assert fresh(2.0) == 3.0
-            progress(1)
+            progress(1, 2)
         assert ("compiling kernels, first run only" in said) == (turn == "compiled")
         assert said[-1] == "simulating"
         said.clear()

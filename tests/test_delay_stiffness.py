@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 import scipy.stats
+from kernels import compiled
 from scipy import integrate
 
-from kernels import compiled
-
 from eqsim import Delay, Gamma, InputError
-from eqsim.laws.delay import delay_draw, residual_delay_draw
-from eqsim.laws.stiffness import kappa, relative_stiffness
+from eqsim.laws import delay, stiffness
+from eqsim.laws.delay import DELAYS
+from eqsim.laws.stiffness import Springs, relative_stiffness
 
-delay_draw, residual_delay_draw, kappa = (compiled(routine) for routine in (delay_draw, residual_delay_draw, kappa))
+delay_draw, residual_delay_draw = compiled(delay.delay_draw), compiled(delay.residual_delay_draw)
+kappa = compiled(stiffness.kappa)
 
 MEAN = 2.5
 LAWS = ["fixed", "exponential"]
@@ -20,7 +21,7 @@ UNIFORMS = np.random.default_rng(4).random(50_000)
 
 
 def draws(draw, law):
-    return np.array([draw(MEAN, law == "exponential", u) for u in UNIFORMS])
+    return np.array([draw(DELAYS[law](MEAN), u) for u in UNIFORMS])
 
 
 def test_exponential_delay():
@@ -37,8 +38,8 @@ def test_fixed_delay():
 @pytest.mark.parametrize("law", LAWS)
 def test_no_delay(law):
     np.testing.assert_array_equal(Delay(0.0, law).cdf(np.array([-1.0, 0.0, 1.0])), [0, 1, 1])
-    assert delay_draw(0.0, law == "exponential", 0.3) == 0.0
-    assert residual_delay_draw(0.0, law == "exponential", 0.3) == 0.0
+    assert delay_draw(DELAYS[law](0.0), 0.3) == 0.0
+    assert residual_delay_draw(DELAYS[law](0.0), 0.3) == 0.0
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -118,6 +119,6 @@ def test_sqrt_law_makes_forces_gamma(n):
 
 def test_kernel_stiffness():
     xi = np.linspace(0.0, 5.0, 30)
-    found = [kappa(1 / 1.7, 0.0, x) for x in xi]
+    found = [kappa(Springs(0.0, 1 / 1.7), x) for x in xi]
     np.testing.assert_allclose(found, relative_stiffness("sqrt", xi, 1.7), rtol=4e-16)
-    assert [kappa(0.0, 1.0, x) for x in xi] == list(relative_stiffness("uniform", xi, 1.7))
+    assert [kappa(Springs(1.0, 0.0), x) for x in xi] == list(relative_stiffness("uniform", xi, 1.7))

@@ -9,8 +9,8 @@ import numba
 import numpy as np
 import pytest
 
+from eqsim.numerics import vector_math
 from eqsim.numerics.compiled import add_row, fma, four_of, take_row
-from eqsim.numerics import vector_math as elementary
 
 RNG = np.random.default_rng(5)
 UNIT = RNG.random(4000)  # of (0, 1)
@@ -47,7 +47,7 @@ STATED = {
 
 def loop(name):
     """The function over an array, compiled as a kernel is."""
-    function = getattr(elementary, name)
+    function = getattr(vector_math, name)
 
     @numba.njit(error_model="numpy")
     def apply(x, y):

@@ -26,12 +26,14 @@ from typer.testing import CliRunner
 from waiting import once
 
 import eqsim
-from eqsim.io import storage
 from eqsim.cli.app import app
+from eqsim.io import storage
 from eqsim.sweep.workers import Processes
 
-EQSIM = "from eqsim.cli.app import main; main()"
-EAGER = "import eqsim.sweep.scheduler as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM  # rows reach the disk at once
+EQSIM = "from eqsim.__main__ import main; main()"
+EAGER = (  # rows reach the disk at once
+    "import eqsim.sweep.scheduler as s, eqsim.sweep.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM
+)
 RUN = (
     '[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n'
 )
@@ -91,7 +93,8 @@ def names(folder):
 
 SWALLOWED = """
 import os, signal, sys, time
-import eqsim.cli.app as cli
+from eqsim.__main__ import main
+from eqsim.cli.options import Changes
 
 class Finaliser:
     def __del__(self):
@@ -111,8 +114,8 @@ def work(*_):
         print("swallowed")
     time.sleep(60)
 
-cli._load = work
-cli.main()
+Changes.load = work
+main()
 """
 
 
@@ -124,9 +127,9 @@ def test_an_interrupt_that_is_lost_is_raised_again(command, output):
 
 def test_ctrl_c_does_not_reach_a_worker_that_starts():
     """A terminal sends it to all; a worker is deaf from its first moment on, and its parent decides."""
-    crew = Processes(1)
+    pool = Processes(1)
     try:
-        future = crew.pool.submit(os.getpid)
+        future = pool.executor.submit(os.getpid)
 
         def done():
             for child in psutil.Process().children():
@@ -137,7 +140,7 @@ def test_ctrl_c_does_not_reach_a_worker_that_starts():
         once(done)
         assert future.result() != os.getpid()
     finally:
-        crew.close(hurry=True)
+        pool.close(hurry=True)
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
@@ -148,10 +151,10 @@ def test_one_thread_is_asked_of_workers_alone(monkeypatch, hurry):
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     before = dict(os.environ)
-    crew = Processes(1)
+    pool = Processes(1)
     assert {os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL")} == {"1"}
-    assert crew.pool.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
-    crew.close(hurry)
+    assert pool.executor.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
+    pool.close(hurry)
     assert dict(os.environ) == before
 
 
@@ -159,8 +162,8 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
     """Not even if there is more to send than a pipe holds and somebody tries to cancel it."""
     complaints, before = [], set(threading.enumerate())
     monkeypatch.setattr(threading, "excepthook", complaints.append)
-    crew = Processes(1)
-    futures = [crew.pool.submit(time.sleep, 60)] + [crew.pool.submit(len, bytes(10**6)) for _ in range(4)]
+    pool = Processes(1)
+    futures = [pool.executor.submit(time.sleep, 60)] + [pool.executor.submit(len, bytes(10**6)) for _ in range(4)]
     once(futures[1].running)  # and waits in the pipe
     for future in futures:
         future.cancel()
@@ -171,7 +174,7 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
     while set(threading.enumerate()) - before and time.monotonic() < deadline:
         time.sleep(0.01)
     assert (complaints, set(threading.enumerate()) - before) == ([], set())
-    crew.close(hurry=True)
+    pool.close(hurry=True)
 
 
 @pytest.mark.long
@@ -189,7 +192,10 @@ def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_
     assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
 
 
-SLOW = "import time; import eqsim.io.storage as t; w = t.sealed; t.sealed = lambda x: (time.sleep(0.2), w(x))[1]; " + EAGER
+SLOW = (
+    "import time; import eqsim.io.storage as t; w = t.as_parquet; t.as_parquet = lambda x: (time.sleep(0.2), w(x))[1]; "
+    + EAGER
+)
 
 
 @pytest.mark.long

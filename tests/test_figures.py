@@ -133,11 +133,11 @@ def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
     @contextmanager
     def here(*_):
         with ThreadPoolExecutor(1) as pool:  # in the order of the paper
-            yield SimpleNamespace(pool=pool)
+            yield SimpleNamespace(executor=pool)
 
     monkeypatch.setattr("eqsim_figures._compute", stub)
-    monkeypatch.setattr("eqsim.sweep.workers.unbroken", here)
-    monkeypatch.setattr("eqsim.io.signals.heard", lambda: 130)
+    monkeypatch.setattr("eqsim.sweep.workers.Workers.fixed_pool", here)
+    monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
     out = tmp_path / "o"
     for names, said in ((["A05"], "nothing is half-written"), (["A05", "A01"], f"finished in {out}/: A01")):
         result = CliRunner().invoke(app, ["figures", *names, "--quick", "--out", str(out)])

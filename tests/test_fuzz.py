@@ -25,15 +25,15 @@ from typer.testing import CliRunner
 from eqsim import InputError, load, reference, steady
 from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
-from eqsim.model.reduced import groups
 from eqsim.estimate import OBSERVABLES
-from eqsim.sweep.plan import Plan
 from eqsim.io.runfile import keys, read_thresholds
+from eqsim.model.reduced import groups
+from eqsim.sweep.plan import Plan
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
 LONGEST = 600  # characters of a message beyond those of the path
 WORDS = {word for key in keys() for word in key.split(".")} | {"sweep", "max_lives", "--max-lives", "title"}
-EQSIM = [sys.executable, "-c", "from eqsim.cli.app import main; main()"]
+EQSIM = [sys.executable, "-c", "from eqsim.__main__ import main; main()"]
 FASTEST = 100.0  # alpha of `langevin` aging: a life takes as many steps, and a kernel cannot be interrupted
 CHEAP = 65_536  # lives of the first attempt of `steady`
 
@@ -276,14 +276,14 @@ def use(path):
 
 def solve(ensemble, drive):
     """Both answers, or InputError; every number is one."""
-    found = steady(ensemble, drive.velocity, rel_error=0.05, max_lives=CHEAP)
+    found = steady(ensemble, drive, rel_error=0.05, max_lives=CHEAP)
     for name in OBSERVABLES:
         e = getattr(found, name)
         assert finite(e.value, e.stderr), (name, e)
         assert e.value >= 0, (name, e)
         assert e.stderr >= 0, (name, e)
     assert found.pinned.value <= 1
-    exact = reference(ensemble, drive.velocity)
+    exact = reference(ensemble, drive)
     for name in (*OBSERVABLES, "f_k"):
         e = getattr(exact, name)
         assert finite(e.value, e.stderr), (name, e)

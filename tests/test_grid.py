@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from eqsim.sweep import plan as module
 from eqsim.errors import InputError
-from eqsim.sweep.plan import Plan, seed_of
 from eqsim.io.runfile import check
+from eqsim.sweep import plan as module
+from eqsim.sweep.plan import Plan, seed_of
 
 BASE = 'title = "small"\n[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5.0\n'
 
@@ -156,7 +156,7 @@ def test_results_version_is_that_of_the_sources(tmp_path):
         "copy = pathlib.Path(sys.argv[1]) / 'eqsim'\n"
         "shutil.copytree(root, copy, ignore=shutil.ignore_patterns('__pycache__'))\n"
         "s._PACKAGE = copy; first = s.results_version()\n"
-        "for name in ('plots.py', 'laws/thermal.py', 'engine/life.py', 'master/flow.py', 'estimate.py'):\n"
+        "for name in ('io/plots.py', 'laws/thermal.py', 'engine/lanes.py', 'master/flow.py', 'estimate.py'):\n"
         "    (copy / name).write_bytes((copy / name).read_bytes() + b'#')\n"
         "    s.results_version.cache_clear(); now = s.results_version(); print(now != first); first = now\n"
     )

@@ -9,16 +9,15 @@ import scipy.stats
 from cases import thinned
 from scipy import optimize, special
 
-from eqsim import Drive, Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, steady
+from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady
+from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums
 from eqsim.engine.recorder import Run, Scales, moments
 from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import stationary
-from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments
-from eqsim.engine.contacts import contacts as lower
 from eqsim.estimate import difference
-from eqsim.laws.aging import Aging
+from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 
 V = 0.1
 UNIFORM = {"stiffness_law": "uniform"}
@@ -42,10 +41,10 @@ def twin(rng, n, kT, barrier, law):
     return x, 0.5 * stiffness * x * x
 
 
-def side_by_side(ensemble, seed, turns=8):
-    """Sums of stretch and work over the lives of a kernel's lanes, turn by turn, shape (2, sums)."""
-    c = lower(ensemble, V)
-    rows = [plain_sums(c, key(seed, STEADY), 0, turn, turn + 1)[:2] for turn in range(turns)]
+def side_by_side(ensemble, seed, ages=8):
+    """Sums of stretch and work over the lives of a kernel's lanes, one for each age, shape (2, sums)."""
+    c = contacts(ensemble, V)
+    rows = [plain_sums(c, key(seed, STEADY), 0, age, age + 1)[:2] for age in range(ages)]
     return np.array(rows).T[::-1]
 
 
@@ -56,13 +55,13 @@ def test_lives_have_the_law_of_the_twin(n, kT, barrier, law):
     """Means of x, of the work and of both squares, 4096 lives against 2000 of the twin: 54 scores, |z| < 4.5: 4e-4."""
     rng = np.random.default_rng(8)
     theirs = np.array([twin(rng, n, kT, barrier, law) for _ in range(2000)]).T
-    per_turn = LANES * ROUNDS
-    ours = side_by_side(Ensemble(Gamma(n), Thermal(kT, 1.0, barrier), stiffness_law=law), 21, turns=100)
+    per_age = LANES * ROUNDS
+    ours = side_by_side(Ensemble(Gamma(n), Thermal(kT, 1.0, barrier), stiffness_law=law), 21, ages=100)
     for mine, other in zip(ours, theirs, strict=True):
-        error = math.hypot(mine.std(ddof=1) / per_turn / 10, other.std(ddof=1) / math.sqrt(other.size))
-        assert abs(mine.mean() / per_turn - other.mean()) < 4.5 * error
-        # the scatter of sums of independent lives is that of a life: also says that lanes and turns are independent
-        ratio = mine.var(ddof=1) / per_turn / other.var(ddof=1)
+        error = math.hypot(mine.std(ddof=1) / per_age / 10, other.std(ddof=1) / math.sqrt(other.size))
+        assert abs(mine.mean() / per_age - other.mean()) < 4.5 * error
+        # the scatter of sums of independent lives is that of a life: also says that lanes and ages are independent
+        ratio = mine.var(ddof=1) / per_age / other.var(ddof=1)
         kurtosis = scipy.stats.kurtosis(other, fisher=False)
         assert abs(ratio - 1) < 4.5 * math.sqrt(2 / 99 + (kurtosis - 1) / other.size)
 
@@ -72,7 +71,7 @@ def test_another_law_fails():
     rng = np.random.default_rng(8)
     for n, kT in ((0.5, 0.3), (0.0, 0.1)):
         theirs = np.array([twin(rng, n, kT, "soft", "sqrt")[0] for _ in range(4000)])
-        mine = side_by_side(Ensemble(Gamma(0.0), Thermal(0.3)), 21, turns=100)[0] / (LANES * ROUNDS)
+        mine = side_by_side(Ensemble(Gamma(0.0), Thermal(0.3)), 21, ages=100)[0] / (LANES * ROUNDS)
         error = math.hypot(mine.std(ddof=1) / 10, theirs.std(ddof=1) / math.sqrt(theirs.size))
         assert abs(mine.mean() - theirs.mean()) > 4.5 * error
 
@@ -82,10 +81,10 @@ def test_direct_draws_have_the_law_of_the_table():
     2e5 stretches at T = 0 from sums of 512 lives, means and variances."""
     for n in (0.0, 1.0):
         named = Distribution(scipy.stats.nakagami(n + 1, scale=math.sqrt(n + 1)))
-        assert lower(Ensemble(Gamma(n)), V).thresholds.exponentials == n + 1
-        assert lower(Ensemble(named), V).thresholds.exponentials == 0
-        direct = side_by_side(Ensemble(Gamma(n), **UNIFORM), 5, turns=400)
-        table = side_by_side(Ensemble(named, **UNIFORM), 6, turns=400) * np.array([[named.scale], [named.scale**2]])
+        assert contacts(Ensemble(Gamma(n)), V).thresholds.exponentials == n + 1
+        assert contacts(Ensemble(named), V).thresholds.exponentials == 0
+        direct = side_by_side(Ensemble(Gamma(n), **UNIFORM), 5, ages=400)
+        table = side_by_side(Ensemble(named, **UNIFORM), 6, ages=400) * np.array([[named.scale], [named.scale**2]])
         for mine, other in zip(direct, table, strict=True):
             error = math.hypot(mine.std(ddof=1), other.std(ddof=1)) / 20
             assert abs(mine.mean() - other.mean()) < 4.5 * error
@@ -109,14 +108,14 @@ CASES = [
 def test_side_by_side_as_one_by_one(ensemble, start, points):
     """The same contacts with every life deposited and recorded by itself: force, pinned fraction, variance and sums
     over the second half agree to rounding, of which sums of 300 contacts and some 1e4 lives have 1e-11."""
-    c, contacts = lower(ensemble, V), 300
+    c, count = contacts(ensemble, V), 300
     found = []
     for by_life in (False, True):
         run = Run(20.0, points, start == "stationary", by_life)
-        scales, total = Scales.of(c, run, contacts, 1, 0.0), Totals(points, 1)
-        simulate(*arguments((c, stationary(c), run, scales, key(2, TRAJECTORY)), total), 0, contacts)
+        scales, total = Scales.of(c, run, count, 1, 0.0), Totals(points, 1)
+        simulate(*arguments((c, stationary(c), run, scales, key(2, TRAJECTORY)), total), 0, count)
         sums = total.batches.sum(axis=0) / scales.batches
-        found.append((*moments(total.deposits, scales, run, contacts, 0.0), sums, np.array(total.lives)))
+        found.append((*moments(total.deposits, scales, run, count, 0.0), sums, np.array(total.lives)))
     for mine, other in zip(*found, strict=True):
         np.testing.assert_allclose(mine, other, rtol=1e-10, atol=1e-10)
 
@@ -169,7 +168,7 @@ def test_plain_refuses_and_warns():
 
 def test_lives_of_any_number():
     """Blocks of lanes in `lives` have no seams."""
-    c = lower(Ensemble(thermal=Thermal(0.1)), V)
+    c = contacts(Ensemble(thermal=Thermal(0.1)), V)
     u, v = np.random.default_rng(1).random((2, 2 * LANES + 3))
     work, stretch = lives(c, key(0, 0), 0, u, v)
     for i in (0, LANES - 1, LANES, 2 * LANES + 2):

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-
 from kernels import compiled
 
-from eqsim.numerics.tables import CELLS, look_up, octave_edges, octave_table
+from eqsim.numerics import tables
+from eqsim.numerics.tables import CELLS, octave_edges, octave_table
 
-look_up = compiled(look_up)
+look_up = compiled(tables.look_up)
 
 EPS = np.finfo(float).eps
 

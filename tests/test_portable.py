@@ -23,15 +23,19 @@ import pytest
 from numpy._core import _multiarray_umath as built
 
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
-from eqsim.model.ensemble import pooled_hazard_of, threshold_table_of
+from eqsim.laws import threshold
+from eqsim.laws.aging import flow, pooled
+from eqsim.laws.barrier import soft
+from eqsim.laws.barrier.pooled import pooled_hazard_of
+from eqsim.laws.barrier.soft import erfi_inverse_table
+from eqsim.laws.threshold import for_kernels
+from eqsim.numerics.tables import octave_table
 from eqsim.sweep.plan import Plan
-from eqsim.laws import aging, octaves, thermal, threshold
-from eqsim.laws.thermal import erfi_inverse_table
 
 PATH = Path(__file__).parent / "data" / "results.json"
 WARM, STIFF = Thermal(kT=0.1), Thermal(kT=0.1, barrier="stiff")
 UNIFORM, ANNEALED = {"stiffness_law": "uniform"}, {"disorder": "annealed"}
-FRESH, STANDING = Drive(0.1, 7.0), Drive(0.1, 7.0, "stationary")
+FRESH, STATIONARY = Drive(0.1, 7.0), Drive(0.1, 7.0, "stationary")
 CASES = {
     "T = 0": (Ensemble(**UNIFORM), FRESH, 1),
     "T = 0, sqrt": (Ensemble(), FRESH, 1),
@@ -42,15 +46,15 @@ CASES = {
     "table": (Ensemble(Table([0.5, 1.0, 1.0, 2.0]), STIFF), FRESH, 1),
     "soft": (Ensemble(thermal=WARM, **UNIFORM), FRESH, 1),
     "soft, sqrt, exponential delay": (Ensemble(thermal=WARM, delay=Delay(5.0, "exponential")), FRESH, 1),
-    "soft, stationary": (Ensemble(thermal=WARM, delay=Delay(5.0), eta=1.0), STANDING, 1),
+    "soft, stationary": (Ensemble(thermal=WARM, delay=Delay(5.0), eta=1.0), STATIONARY, 1),
     "soft, b = 5e8": (Ensemble(thermal=Thermal(kT=1e-9)), Drive(1e-9, 7.0), 1),
     "stiff": (Ensemble(thermal=STIFF), FRESH, 1),
     "stiff, replicas": (Ensemble(thermal=STIFF, delay=Delay(1.0)), FRESH, 3),
     "annealed": (Ensemble(thermal=WARM, **ANNEALED), FRESH, 1),
-    "annealed, stiff, stationary": (Ensemble(thermal=STIFF, **UNIFORM, **ANNEALED), STANDING, 1),
+    "annealed, stiff, stationary": (Ensemble(thermal=STIFF, **UNIFORM, **ANNEALED), STATIONARY, 1),
     "annealed, aging": (Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0), **UNIFORM, **ANNEALED), FRESH, 1),
     "flow": (Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0)), FRESH, 1),
-    "flow, stationary": (Ensemble(aging=Aging("flow", 0.1, 0.5), **UNIFORM), STANDING, 1),
+    "flow, stationary": (Ensemble(aging=Aging("flow", 0.1, 0.5), **UNIFORM), STATIONARY, 1),
     "langevin": (Ensemble(aging=Aging("langevin", 0.01, 2.0), **UNIFORM), FRESH, 1),
     "langevin, warm, sqrt": (Ensemble(thermal=WARM, aging=Aging("langevin", 0.01, 2.0)), FRESH, 1),
 }
@@ -61,19 +65,20 @@ def averages(name, threads=1, seed=3):
     """Steady averages: the number of lives, and values and errors."""
     ensemble, drive, _ = CASES[name]
     found = steady(ensemble, drive, rel_error=0.1, seed=seed, threads=threads)
-    level = [found.friction, found.pinned, found.break_stretch]
+    level = found.averages().values()
     return {"steady lives": found.lives, "steady": [x for e in level for x in (e.value, e.stderr)]}
 
 
-def result(name, threads=1, executor=None, seed=3):
+def result(name, threads=1, seed=3):
     """Of 500 contacts, and the steady averages of the same ensemble: numbers of lives, and columns by name."""
     ensemble, drive, replicas = CASES[name]
     ensemble = Ensemble(**{**vars(ensemble), "count": 500})
-    run = trajectory(ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads, executor=executor)
-    half = [run.friction, run.pinned_fraction, run.break_stretch]
+    run = trajectory(ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads)
+    half = run.averages.averages().values()
     columns = {name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()}
     columns |= {"second half": [x for e in half for x in (e.value, e.stderr)]}
-    return {"lives": run.lives, **columns, **averages(name, threads, seed)}
+    count = threads[1] if isinstance(threads, tuple) else threads
+    return {"lives": run.lives, **columns, **averages(name, count, seed)}
 
 
 def agree(name, found, stored):
@@ -105,7 +110,7 @@ def test_results(name):
 def test_in_processes():
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         for name in ("soft, sqrt, exponential delay", "langevin"):
-            assert result(name, 2, pool) == result(name)
+            assert result(name, (pool, 2)) == result(name)
 
 
 @pytest.mark.parametrize("name", ["T = 0", "soft, stationary", "langevin"])
@@ -122,13 +127,13 @@ def test_last_bits_of_tables_change_no_draw(name, monkeypatch):
     """All tables an ulp larger, as another processor may find them: the same lives, results within rounding."""
 
     def larger(first, y, slope):
-        table = octaves.octave_table(first, y, slope)
+        table = octave_table(first, y, slope)
         table[1:] = np.nextafter(table[1:], math.inf)
         return table
 
-    remembered = threshold_table_of, pooled_hazard_of, erfi_inverse_table
+    remembered = for_kernels, pooled_hazard_of, erfi_inverse_table
     exact = result(name)
-    for module in (aging, thermal, threshold):
+    for module in (flow, pooled, soft, threshold):
         monkeypatch.setattr(module, "octave_table", larger)
     for function in remembered:
         function.cache_clear()

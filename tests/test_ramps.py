@@ -4,24 +4,61 @@ import math
 
 import numpy as np
 import pytest
+from kernels import compiled
 
-from eqsim import Aging, Ensemble, Thermal
-from eqsim.engine import recorder as ramps
-from eqsim.engine.recorder import AREA, BREAKS, ELAPSED, PINNED, STRETCH, Run, Scales, moments
+from eqsim import Aging, Delay, Ensemble, Thermal
+from eqsim.engine import recorder, simulate
+from eqsim.engine.contacts import contacts
+from eqsim.engine.lanes import ROUNDS, Lanes, Lives
+from eqsim.engine.recorder import (
+    AREA,
+    BATCHES,
+    BREAKS,
+    ELAPSED,
+    PINNED,
+    STRETCH,
+    Columns,
+    Recorder,
+    Run,
+    Scales,
+    edge_after,
+    moments,
+)
+from eqsim.engine.simulate import Journey
 from eqsim.engine.stationary import extremes
-from eqsim.engine.contacts import contacts as lower
-from eqsim.laws.aging import growth
+from eqsim.laws.aging.base import growth
 from eqsim.laws.stiffness import kappa
+
+deposit, leave, record = compiled(recorder.deposit), compiled(recorder.leave), compiled(recorder.record)
+leave_ramps, leave_uniform_ramps = compiled(recorder.leave_ramps), compiled(recorder.leave_uniform_ramps)
+join_uniform_ramps, follow_growth = compiled(recorder.join_uniform_ramps), compiled(recorder.follow_growth)
+cross = compiled(simulate._cross)
 
 CONTACTS, DISTANCE, UNIT = 40, 10.0, 2.0**40  # fixed point: 1e-12, of numbers up to some hundred and thousand
 ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
 
 
-def scales(even):
-    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT]), 1.0, 1.0, even)
+def scales(uniform):
+    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT]), 1.0, 1.0, uniform)
 
 
-def lives(even, delayed, early=0.0):
+def empty(run, uniform=False):
+    """A recorder of nothing yet."""
+    units, status = scales(uniform), np.zeros(2, np.int64)
+    sums = np.zeros((run.points, 6), np.int64), np.zeros((BATCHES, 2, 5), np.int64)
+    return Recorder(run, units.deposits, units.batches, *sums, status)
+
+
+def columns(count):
+    return Columns(np.empty(count, np.int64), np.empty(count, np.int64), np.empty((5, count), np.int64))
+
+
+def one_lane(kind, **values):
+    """Arrays over a single lane."""
+    return kind(**{name: np.array([value]) for name, value in values.items()})
+
+
+def lives(uniform, delayed, early=0.0):
     """Stiffness, birth, break and birth of the next one, one row a life of some contact, over more than the distance;
     the first ones are born up to `early` before it. One is too short to be seen, and some end on a grid point."""
     rng, rows = np.random.default_rng(5), [(1.0, 4.31, 4.32, 4.32), (1.0, 2.5, 5.0, 5.0)]
@@ -30,7 +67,7 @@ def lives(even, delayed, early=0.0):
         while born <= DISTANCE:
             broke = born + rng.gamma(3.0, 0.4)
             reborn = broke + delayed * rng.exponential(0.7)
-            rows.append((1.0 if even else rng.uniform(0.2, 3.0), born, broke, reborn))
+            rows.append((1.0 if uniform else rng.uniform(0.2, 3.0), born, broke, reborn))
             born = reborn
     return np.array(rows)
 
@@ -44,34 +81,35 @@ def seen(rows, run, force=None):
     return each.sum(axis=1), pinned.sum(axis=1), (each**2).sum(axis=1)
 
 
-def compare(deposits, run, even, expected):
+def compare(found, uniform, expected):
     """Of `moments` of one contact that does all: sums, and sums of squares less the square of the sum."""
-    force, pinned, variance = moments(deposits, scales(even), run, 1, 0.0)
+    run, deposits = found.run, found.deposits
+    force, pinned, variance = moments(deposits, scales(uniform), run, 1, 0.0)
     np.testing.assert_allclose(force, expected[0], rtol=ROUNDING, atol=ROUNDING)
     np.testing.assert_array_equal(pinned, expected[1])
     # few contacts have a smaller sum of squares than the square of their sum: compare what was added up
-    total = np.cumsum(deposits, axis=0) / scales(even).deposits
+    total = np.cumsum(deposits, axis=0) / scales(uniform).deposits
     X = np.linspace(0.0, run.distance, run.points)
-    slope2, ramp2 = (total[:, 0], total[:, 1]) if even else (total[:, 4], total[:, 5])
+    slope2, ramp2 = (total[:, 0], total[:, 1]) if uniform else (total[:, 4], total[:, 5])
     np.testing.assert_allclose((slope2 * X + 2 * ramp2) * X + total[:, 2], expected[2], rtol=ROUNDING, atol=1e-8)
     np.testing.assert_allclose(variance, np.maximum(expected[2] - expected[0] ** 2, 0.0), rtol=1e-7, atol=1e-6)
 
 
-@pytest.mark.parametrize("contacts", [1, 1000, 10**9])
+@pytest.mark.parametrize("count", [1, 1000, 10**9])
 @pytest.mark.parametrize("thermal", [Thermal(), Thermal(0.1), Thermal(0.1, 1.0, "stiff")])
-def test_no_sum_can_overflow(contacts, thermal):
+def test_no_sum_can_overflow(count, thermal):
     """If all contacts were the strongest there can be, and lived the longest life, no sum would reach 2^63; and no unit
     but that of counts is finer than it has to be by more than rounding down to a power of 2 can make it."""
-    c = lower(Ensemble(thermal=thermal), 0.1)
+    c = contacts(Ensemble(thermal=thermal), 0.1)
     run = Run(DISTANCE, 2, True, False)
     xi, x = extremes(c)
-    found, strong, way = Scales.of(c, run, contacts, 3, 5.0), kappa(c.kappa_slope, c.kappa_constant, xi), DISTANCE + x
-    deposits = np.array([1.0, strong * way, (strong * way) ** 2, strong, strong**2, strong**2 * way])
-    batches = np.array([strong * x * way, way, way, 1.0, way])
+    found, strong, reach = Scales.of(c, run, count, 3, 5.0), kappa(c.springs, xi), DISTANCE + x
+    deposits = np.array([1.0, strong * reach, (strong * reach) ** 2, strong, strong**2, strong**2 * reach])
+    batches = np.array([strong * x * reach, reach, reach, 1.0, reach])
     most = max(strong * x, 5.0)
     for sums in (
-        contacts * deposits * found.deposits,
-        contacts * batches * found.batches,
+        count * deposits * found.deposits,
+        count * batches * found.batches,
         np.array([1, 3 * most * found.replica, 3 * most**2 * found.replica_square]),
     ):
         sizes = np.log2(sums)
@@ -83,38 +121,36 @@ def test_no_sum_can_overflow(contacts, thermal):
 @pytest.mark.parametrize("early", [0.0, 2.0])
 def test_single_deposits(points, early):
     run, rows = Run(DISTANCE, points, early > 0, False), lives(False, True, early)
-    deposits = np.zeros((points, 6), np.int64)
+    found = empty(run)
     for stiffness, born, broke, _ in rows:
-        ramps.deposit(deposits, run, stiffness, born, broke, scales(False).deposits)
-    compare(deposits, run, False, seen(rows, run))
+        deposit(found, stiffness, born, broke)
+    compare(found, False, seen(rows, run))
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
-@pytest.mark.parametrize("even", [False, True])
-def test_deposits_side_by_side(points, even):
-    run, rows = Run(DISTANCE, points, False, False), lives(even, True)
-    deposits, lanes = np.zeros((points, 6), np.int64), len(rows)
-    start, end, column = np.empty(lanes, np.int64), np.empty(lanes, np.int64), np.empty((5, lanes), np.int64)
+@pytest.mark.parametrize("uniform", [False, True])
+def test_deposits_side_by_side(points, uniform):
+    run, rows = Run(DISTANCE, points, False, False), lives(uniform, True)
+    found, count = empty(run, uniform), len(rows)
     stiffness, born, broke = (np.ascontiguousarray(rows[:, i]) for i in range(3))
-    given = (run, deposits, scales(even).deposits, start, end, column, lanes)
-    if even:
-        ramps.leave_even_ramps(born, broke, *given)
+    if uniform:
+        leave_uniform_ramps(found, born, broke, columns(count), count)
     else:
-        ramps.leave_ramps(0, born, broke, stiffness[None], *given)
-    compare(deposits, run, even, seen(rows, run))
+        of_rows = Lives((broke - born)[None], np.empty((1, count)), stiffness[None])
+        leave_ramps(found, born, broke, of_rows, 0, columns(count), count)
+    compare(found, uniform, seen(rows, run))
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 def test_deposits_that_join(points):
     """Without delay, from the first birth of each contact on."""
     run, rows = Run(DISTANCE, points, False, False), lives(True, False)[2:]
-    deposits, lanes, whole = np.zeros((points, 6), np.int64), len(rows), scales(True).deposits
+    found = empty(run, True)
     for _ in range(CONTACTS):
-        ramps.leave(deposits, 0, 1, 1.0, 0.0, whole)
-    end, column = np.empty(lanes, np.int64), np.empty((5, lanes), np.int64)
+        leave(found, 0, 1, 1.0, 0.0)
     born, broke = (np.ascontiguousarray(rows[:, i]) for i in (1, 2))
-    ramps.join_even_ramps(born, broke, run, deposits, whole, end, column, lanes)
-    compare(deposits, run, True, seen(rows, run))
+    join_uniform_ramps(found, born, broke, columns(len(rows)), len(rows))
+    compare(found, True, seen(rows, run))
 
 
 def averages(rows, low, high, work=None):
@@ -136,34 +172,46 @@ def averages(rows, low, high, work=None):
 def test_records_of_quarters():
     """Of both quarters of the second half, batch by batch."""
     run, rows = Run(DISTANCE, 2, True, False), lives(False, True, 2.0)
-    batches = np.zeros((3, 2, 5), np.int64)
+    found = empty(run)
     for i, row in enumerate(rows):
-        ramps.record(batches, i % 3, run, *row, scales(False).batches)
+        record(found, i % 3, *row)
     for batch in range(3):
         for quarter, low in enumerate((5.0, 7.5)):
-            found = batches[batch, quarter] / scales(False).batches
-            np.testing.assert_allclose(found, averages(rows[batch::3], low, low + 2.5), rtol=ROUNDING, atol=ROUNDING)
+            sums = found.batches[batch, quarter] / found.batch_scales
+            np.testing.assert_allclose(sums, averages(rows[batch::3], low, low + 2.5), rtol=ROUNDING, atol=ROUNDING)
 
 
 def test_edges():
     run = Run(DISTANCE, 2, False, False)
     edges = {0.0: 5.0, 5.0: 5.0, 5.1: 7.5, 7.5: 7.5, 7.6: 10.0, 10.0: 10.0, 10.1: math.inf}
-    assert {x: ramps.edge_after(run, x) for x in edges} == edges
+    assert {x: compiled(edge_after)(run, x) for x in edges} == edges
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.2])
 @pytest.mark.parametrize("edge", [5.0, 7.5, 10.0])
-def test_crossing_an_edge(edge):
+def test_crossing_an_edge(edge, delay):
     """What was gathered since the last edge goes to the quarter before this one, if it is one of the second half; the
-    life that crosses it is divided."""
-    run, batches, units = Run(DISTANCE, 2, False, False), np.zeros((2, 2, 5), np.int64), scales(False).batches
-    crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.5)
-    ramps.cross(batches, 1, run, edge, 3.25, 1.5, 2.0, 4, *crossing, units)
-    assert not batches[0].any()
+    life that crosses it is divided, and gathering begins anew. Without delay a contact is pinned all the time."""
+    c, found = contacts(Ensemble(delay=Delay(delay)), 1.0), empty(Run(DISTANCE, 2, False, False))
+    crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.3 + delay)
+    stiffness, born, broke, reborn = crossing
+    x, age = broke - born, 3
+    before = {"since": born - 2.0, "mark": ROUNDS * age - 4, "distance": 1.5 + x}
+    before["work"] = 3.25 + 0.5 * stiffness * x**2
+    journey = one_lane(Journey, position=born, broke=broke, reborn=reborn, edge=edge, delay=[delay], **before)
+    lanes = one_lane(Lanes, contact=1, age=age, number=0, words=[0])
+    lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness])
+    assert cross(c, found, lanes, lives, journey, (0, 0)) == (edge == DISTANCE)
+    assert not found.batches[0].any()
+    pinned = 1.5 if delay else 2.0
     for quarter, low in enumerate((5.0, 7.5)):
         expected = averages(np.array([crossing]), low, low + 2.5)
         if low + 2.5 == edge:
-            expected += [3.25, 1.5, 2.0, 4, 1.5]
-        np.testing.assert_allclose(batches[1, quarter] / units, expected, rtol=ROUNDING, atol=ROUNDING)
+            expected += [3.25, pinned, 2.0, 4, pinned]
+        sums = found.batches[1, quarter] / found.batch_scales
+        np.testing.assert_allclose(sums, expected, rtol=ROUNDING, atol=ROUNDING)
+    assert (journey.edge[0], journey.since[0]) == (edge_after(found.run, reborn), reborn)
+    assert (journey.mark[0], journey.work[0], journey.distance[0]) == (ROUNDS * age + 1, 0.0, 0.0)
     assert (AREA, PINNED, ELAPSED, BREAKS, STRETCH) == (0, 1, 2, 3, 4)
 
 
@@ -171,17 +219,16 @@ def test_crossing_an_edge(edge):
 def test_forces_that_are_no_ramps(points):
     """A stiffness that follows the threshold along `flow`: its force at each point, its square, and its work in both
     quarters (to the 1e-8 of the table of work)."""
-    c = lower(Ensemble(aging=Aging("flow", 0.3, 3.0)), 1.0)
-    run, rows, units = Run(DISTANCE, points, True, False), lives(False, True, 2.0), scales(False)
-    deposits, batches = np.zeros((points, 6), np.int64), np.zeros((1, 2, 5), np.int64)
+    c = contacts(Ensemble(aging=Aging("flow", 0.3, 3.0)), 1.0)
+    run, rows = Run(DISTANCE, points, True, False), lives(False, True, 2.0)
+    found = empty(run)
     for stiffness, born, broke, _ in rows:
-        given = (batches, 0, stiffness, born, broke - born, units.deposits, units.batches)
-        ramps.flow_force(c, run, deposits, *given)
+        follow_growth(c, found, 0, stiffness, born, broke - born)
     stiffness = rows[:, 0]
-    grown = np.vectorize(lambda x: growth(c.final2, c.alpha, max(x, 0.0)))
-    compare(deposits, run, False, seen(rows, run, lambda x: stiffness * grown(x) * x))
+    grown = np.vectorize(lambda x: growth(c.aging.final2, c.aging.alpha, max(x, 0.0)))
+    compare(found, False, seen(rows, run, lambda x: stiffness * grown(x) * x))
     x = np.linspace(0.0, 15.0, 30_001)
     work = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (lambda f: f[1:] + f[:-1])(grown(x) * x)))
     for quarter, low in enumerate((5.0, 7.5)):
         area = averages(rows, low, low + 2.5, lambda y: stiffness * np.interp(y, x, work))[0]
-        assert batches[0, quarter, AREA] / UNIT == pytest.approx(area, rel=1e-6, abs=0)
+        assert found.batches[0, quarter, AREA] / UNIT == pytest.approx(area, rel=1e-6, abs=0)

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, trajectory
+from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, reference, trajectory
+from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
-from eqsim.engine.simulate import simulate
 from eqsim.engine.scatter import births, independent, known_variance, scatter
+from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import FRESH
-from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments
-from eqsim.engine.contacts import contacts as lower
 from eqsim.estimate import z_score
-from eqsim.master.steady import reference
 from eqsim.master.transient import fluctuations, transient
-from eqsim.validation.suite import _squares
+from eqsim.model.reduced import drag_of
+from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.validation.scores import _squares
 
 UNIFORM = {"stiffness_law": "uniform"}
 LATE = Ensemble(thermal=Thermal(0.1), delay=Delay(5.0))  # at v = 1 hardly a contact is pinned before X = 5
@@ -39,7 +39,7 @@ CASES = {
 
 def law(ensemble, v, distance):
     """Fresh and stationary, in the user's units: X, mean, variance of each."""
-    c, unit, drag = lower(ensemble, v), ensemble.thresholds.scale, ensemble.drag(v)
+    c, unit, drag = contacts(ensemble, v), ensemble.thresholds.scale, drag_of(ensemble, v)
     born = births(c)
     found = [scatter(c, born, far, drag) for far in (distance / unit, None)]
     return [(s.X * unit, s.mean * unit, s.variance * unit**2) for s in found]
@@ -160,9 +160,9 @@ def test_few_long_lives(count, distance, reliable):
     ensemble, drive = Ensemble(thermal=Thermal(1.0), count=count), Drive(1e-3, distance)
     level = reference(ensemble, Drive(1e-3)).friction.value
     runs = [trajectory(ensemble, drive, points=2, seed=seed) for seed in range(40)]
-    assert {run.friction.reliable for run in runs} == {reliable}
+    assert {run.averages.friction.reliable for run in runs} == {reliable}
     if reliable:
-        z = np.array([z_score(run.friction, level) for run in runs])
+        z = np.array([z_score(run.averages.friction, level) for run in runs])
         assert 1e-4 < scipy.stats.chi2.cdf(np.sum(z**2), 40) < 1 - 1e-4
         assert abs(z.mean()) < 4 / math.sqrt(40)
 
@@ -172,8 +172,8 @@ def test_averages_of_few_lives_would_be_wrong():
     ensemble = Ensemble(thermal=Thermal(1.0), count=1)
     level = reference(ensemble, Drive(1e-3)).friction.value
     runs = [trajectory(ensemble, Drive(1e-3, 4.0), points=2, seed=seed) for seed in range(40)]
-    assert not any(run.friction.reliable for run in runs)
-    assert np.mean([z_score(run.friction, level) ** 2 for run in runs]) > 3
+    assert not any(run.averages.friction.reliable for run in runs)
+    assert np.mean([z_score(run.averages.friction, level) ** 2 for run in runs]) > 3
 
 
 @pytest.mark.parametrize(("count", "replicas"), [(1, 1), (20, 1), (5, 20)])
@@ -181,7 +181,7 @@ def test_broad_laws_are_not_trusted(count, replicas):
     """Log-normal thresholds at T = 0 with the sqrt law: forces have no scatter that any sample could show."""
     run = trajectory(Ensemble(BROAD, count=count), Drive(1.0, 330.0, "stationary"), points=5, replicas=replicas)
     assert not run.force_reliable
-    assert not run.friction.reliable
+    assert not run.averages.friction.reliable
     tame = trajectory(Ensemble(count=count), Drive(1.0, 30.0, "stationary"), points=5, replicas=replicas)
     assert tame.force_reliable
 
@@ -190,16 +190,16 @@ def test_a_transient_that_is_not_over():
     """Delays of 5: after 10 the average over the second half is still far from the steady one, which its halves alone
     do not show."""
     run = trajectory(Ensemble(thermal=Thermal(0.1), delay=Delay(5.0), count=2000), Drive(1.0, 20.0), points=2)
-    assert abs(z_score(run.friction, reference(LATE, Drive(1.0)).friction.value)) > 3
-    assert not any(found.reliable for found in (run.friction, run.pinned_fraction, run.break_stretch))
+    assert abs(z_score(run.averages.friction, reference(LATE, Drive(1.0)).friction.value)) > 3
+    assert not any(found.reliable for found in run.averages.averages().values())
 
 
 @pytest.mark.parametrize("ensemble", [Ensemble(), Ensemble(delay=Delay(1.0), eta=2.0, **UNIFORM)])
 def test_many_contacts_know_their_errors(ensemble):
     """The errors of 100 000 ordinary contacts are those of the sample, to 2 %."""
-    n, drag = 100_000, ensemble.drag(1.0)
+    n, drag = 100_000, drag_of(ensemble, 1.0)
     run = Run(8.0, 41, False, False)
-    c, total = lower(ensemble, 1.0), Totals(41, 1)
+    c, total = contacts(ensemble, 1.0), Totals(41, 1)
     scales = Scales.of(c, run, n, 1, drag)
     simulate(*arguments((c, FRESH, run, scales, key(1, TRAJECTORY)), total), 0, n)
     _, _, variance = moments(total.deposits, scales, run, n, drag)
@@ -212,5 +212,5 @@ def test_many_contacts_know_their_errors(ensemble):
 
 def test_no_scatter_at_all():
     """Identical contacts at T = 0 have exact averages, however few they are."""
-    c = lower(Ensemble(Delta(2.0), delay=Delay(0.25)), 2.0)
+    c = contacts(Ensemble(Delta(2.0), delay=Delay(0.25)), 2.0)
     assert independent(c, births(c), 0.3) == (math.inf, math.inf, math.inf)

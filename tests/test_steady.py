@@ -15,12 +15,23 @@ from rows import REFERENCE, ensemble_of
 from scipy import integrate
 
 import eqsim.engine.steady as module
-from eqsim import Aging, Delay, Delta, Distribution, Ensemble, Estimate, Gamma, InputError, Table, Thermal, steady
-from eqsim.estimate import difference, drifts, known, ratio, z_score
-from eqsim.laws.thermal import log_hazard
-from eqsim.master.steady import reference
-
-OBSERVABLES = ("friction", "pinned", "break_stretch")
+from eqsim import (
+    Aging,
+    Delay,
+    Delta,
+    Distribution,
+    Drive,
+    Ensemble,
+    Estimate,
+    Gamma,
+    InputError,
+    Table,
+    Thermal,
+    reference,
+    steady,
+)
+from eqsim.estimate import OBSERVABLES, difference, drifts, known, ratio, z_score
+from eqsim.laws.barrier import BARRIERS
 
 
 def scores(row, result):
@@ -232,7 +243,8 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier, b, velocity):
 def test_low_velocity_limits():
     """Linear creep: annealed v (1+b)^2/omega (nt15); quenched, b < 1/2: (v/omega) ((1-b)/(1-2b))^(n+1) (derived)."""
     v = 1e-9
-    annealed = steady(Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed"), Drive(v), rel_error=1e-5)
+    pooled = Ensemble(thermal=Thermal(0.5), stiffness_law="uniform", disorder="annealed")
+    annealed = steady(pooled, Drive(v), rel_error=1e-5)
     assert abs(z_score(annealed.friction, v * 4.0)) < 4.5
     for barrier in ("soft", "stiff"):
         quenched = steady(
@@ -267,7 +279,8 @@ def test_discrete_laws():
     pieces = [(g, np.array([survival(x) for x in np.clip(g, g[0] + 1e-12, g[-1] - 1e-12)])) for g in grid]
     mean = sum(integrate.simpson(s, x=g) for g, s in pieces)
     first = sum(integrate.simpson(g * s, x=g) for g, s in pieces)
-    annealed = steady(Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed"), Drive(0.1), rel_error=1e-4)
+    pooled = Ensemble(Table(xi), thermal, stiffness_law="uniform", disorder="annealed")
+    annealed = steady(pooled, Drive(0.1), rel_error=1e-4)
     assert abs(z_score(annealed.break_stretch, mean, 1e-6)) < 4.5
     assert abs(z_score(annealed.friction, first / mean, 1e-6)) < 4.5
 
@@ -381,7 +394,7 @@ def test_every_randomisation_has_its_own_fixed_point(monkeypatch):
     solutions b_i/(1 - s) and a_i + r b_i/(1 - s): exactly what is returned, so that errors hold that of C."""
     rng, unit, s, r = np.random.default_rng(2), 0.5, 0.4, 0.7
     a, b = rng.normal(2.0, 0.1, 32), rng.normal(3.0, 0.1, 32)
-    monkeypatch.setattr(module, "lower", lambda ensemble, velocity, stretch: stretch / unit)
+    monkeypatch.setattr(module, "contacts", lambda ensemble, velocity, stretch: stretch / unit)
     monkeypatch.setattr(
         module, "_randomise", lambda job, C, size: np.column_stack((a + r * C, b + s * C, np.zeros(32)))
     )
@@ -410,7 +423,7 @@ def test_rare_clocks(kT, odds, monkeypatch):
     """Identical contacts, of which so few break before their threshold that none may be seen: two lives in a million
     or fewer leave no scatter, and the error bar knows. |z| < 4 in 16 cases: false alarm 1e-3."""
     thermal = Thermal(kT=kT)
-    velocity = math.exp(float(log_hazard("soft", 1.0, 1.0, 0.5 / kT))) / odds
+    velocity = math.exp(float(BARRIERS["soft"].log_hazard(1.0, 1.0, 0.5 / kT))) / odds
     ensemble = Ensemble(Delta(1.0), thermal, stiffness_law="uniform")
     exact = known(reference(ensemble, Drive(velocity)).friction)
 

@@ -5,24 +5,14 @@ import itertools
 import numpy as np
 import pytest
 import scipy.stats
-
 from kernels import compiled
 
 from eqsim.numerics import streams
-from eqsim.numerics.streams import (
-    ROUGH,
-    STEADY,
-    TRAJECTORY,
-    fill_words,
-    fine_product,
-    key,
-    philox,
-    product,
-    uniform,
-    uniforms,
-)
+from eqsim.numerics.streams import ROUGH, STEADY, TRAJECTORY, key
 
-uniforms, uniform = (compiled(routine) for routine in (uniforms, uniform))
+philox, uniform, uniforms = compiled(streams.philox), compiled(streams.uniform), compiled(streams.uniforms)
+product, fine_product = compiled(streams.product), compiled(streams.fine_product)
+fill_words, words_of_paths = compiled(streams.fill_words), compiled(streams.words)
 
 MASK = 0xFFFFFFFF
 # Random123, kat_vectors, philox4x32 of 10 rounds: counter, key, result
@@ -161,7 +151,7 @@ def test_words_have_counters_of_their_own():
     plain = tuple(map(int, k))
     for contact, life, draw in [(0, 0, 0), (5, 3, 1), (2**40 + 9, 2**32 - 1, 65535), (2**63 - 1, 7, 2**31 - 1)]:
         counter = (contact & MASK, contact >> 32, life, draw | 2**31)
-        assert streams.words(k, contact, life, draw) == plain_philox(counter, plain)
+        assert words_of_paths(k, contact, life, draw) == plain_philox(counter, plain)
     assert (((2**47 - 1) >> 32) << 16 | 65535) < 2**31
 
 
@@ -169,7 +159,7 @@ def test_words_do_not_repeat_uniforms():
     """No 64-bit half of a path's words is one of the same contact's uniforms: 8e3 values, chance 2e-12 of a tie."""
     k = key(3, TRAJECTORY)
     box = list(itertools.product((0, 1, 2**32), (0, 1, 2, 2**32 - 1), range(200)))
-    paths = {half for at in box for w in [streams.words(k, *at)] for half in (w[:2], w[2:])}
+    paths = {half for at in box for w in [words_of_paths(k, *at)] for half in (w[:2], w[2:])}
     assert len(paths) == 2 * len(box)
     others = {uniform(np.uint64(low), np.uint64(high)) for low, high in paths}
     assert not others & {u for at in box for u in uniforms(k, *at)}
@@ -180,7 +170,7 @@ def test_words_are_uniform_and_independent(direction):
     """Five p-values of each of two pairs of words in each direction, p > 1e-5: false alarm 3e-4."""
     k = key(4, TRAJECTORY)
     place = {"contact": lambda i: (i, 5, 6), "life": lambda i: (5, i, 6), "draw": lambda i: (5, 6, i)}[direction]
-    found = (np.array([streams.words(k, *place(i)) for i in range(20_000)]) + 0.5) * 2.0**-32
+    found = (np.array([words_of_paths(k, *place(i)) for i in range(20_000)]) + 0.5) * 2.0**-32
     assert min(*p_values(found[:, :2]), *p_values(found[:, 2:])) > 1e-5
 
 

@@ -25,25 +25,33 @@ from test_grid import BASE, file_of, plan_of
 from typer.testing import CliRunner
 from waiting import once
 
-from eqsim.sweep import scheduler as module
 from eqsim.cli.app import app
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
-from eqsim.model.ensemble import Ensemble
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
-from eqsim.sweep.plan import Plan, results_version, seed_of, swept
-from eqsim.master.steady import reference
 from eqsim.io.runfile import keys, load
-from eqsim.sweep.scheduler import Asked, Store, schema, sweep
 from eqsim.io.storage import publish
+from eqsim.master.steady import reference
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.sweep import rows as rows_module
+from eqsim.sweep import store as store_module
+from eqsim.sweep.plan import Plan, results_version, seed_of, swept
+from eqsim.sweep.rows import SCHEMA, Asked, schema
+from eqsim.sweep.scheduler import Scheduler, sweep
+from eqsim.sweep.store import Store
+from eqsim.sweep.workers import Workers
 
 GRID = (
     BASE
     + '[sweep]\n"drive.velocity" = { log = [0.01, 1.0, 3] }\n"thermal.kT" = [0.1, 1.0]\n"delay.time" = [0.0, 1.0]\n'
 )
 # Rows reach the disk at once, and workers are told to stop nowhere in particular.
-EAGER = "import eqsim.sweep.scheduler as s; s._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; from eqsim.cli.app import main; main()"
+EAGER = (
+    "import eqsim.sweep.scheduler as s, eqsim.sweep.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; "
+    "from eqsim.__main__ import main; main()"
+)
 
 
 def table_of(folder):
@@ -56,7 +64,7 @@ def small(tmp_path_factory):
     """A run file of 12 points and its dataset, computed by one process with one thread."""
     folder = tmp_path_factory.mktemp("small")
     (folder / "small.toml").write_text(GRID)
-    sweep(load(folder / "small.toml"), folder, folder / "one", text=GRID)
+    sweep(Plan(load(folder / "small.toml"), folder), folder / "one")
     return folder
 
 
@@ -72,8 +80,8 @@ def test_rows_are_what_steady_and_reference_say(small):
     assert list(table["id"]) == plan.ids  # in the order of the grid
     for index in (0, 7):
         row, point = table.iloc[index], plan.at(index)
-        found = steady(point.ensemble(Path()), point.driven().velocity, rel_error=1e-2, seed=seed_of(row["id"]))
-        exact = reference(point.ensemble(Path()), point.driven().velocity)
+        found = steady(point.ensemble(Path()), point.driven(), rel_error=1e-2, seed=seed_of(row["id"]))
+        exact = reference(point.ensemble(Path()), point.driven())
         assert row["friction"] == found.friction.value
         assert row["friction_stderr"] == found.friction.stderr
         assert row["lives"] == found.lives
@@ -94,19 +102,19 @@ def test_rows_are_what_steady_and_reference_say(small):
     assert set(table["status"]) == {"ok"}
     origin = json.loads(pq.read_schema(small / "one" / "sweep.parquet").metadata[b"eqsim"])
     assert origin["run_file"] == GRID
-    assert origin["schema"] == module.SCHEMA
+    assert origin["schema"] == SCHEMA
     assert origin["results_version"] == results_version()
 
 
 def test_workers_and_threads_do_not_change_a_bit(small):
-    for out, options in (("threads", {"threads": 2}), ("processes", {"workers": 2})):
-        sweep(load(small / "small.toml"), small, small / out, text=GRID, **options)
+    for out, workers in (("threads", Workers(threads=2)), ("processes", Workers(2))):
+        sweep(Plan(load(small / "small.toml"), small), small / out, workers=workers)
         assert table_of(small / out).equals(table_of(small / "one"), check_metadata=True)
 
 
 def test_order_and_company_do_not_change_a_bit(small, tmp_path):
     other = GRID.replace("[0.1, 1.0]", "[3.0, 1.0]").replace("[0.0, 1.0]", "[1.0, 0.0]")
-    sweep(file_of(other), tmp_path, tmp_path / "o")
+    sweep(plan_of(other), tmp_path / "o")
     one, two = (table_of(folder).to_pandas().set_index("id") for folder in (small / "one", tmp_path / "o"))
     both = one.index.intersection(two.index)
     assert len(both) == 6
@@ -116,7 +124,7 @@ def test_order_and_company_do_not_change_a_bit(small, tmp_path):
 
 def test_transient(tmp_path):
     text = BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
-    sweep(file_of(text), tmp_path, tmp_path / "o", asked=Asked(transient=True))
+    sweep(plan_of(text), tmp_path / "o", asked=Asked(transient=True))
     table = pd.read_parquet(tmp_path / "o")
     assert set(table["kind"]) == {"transient"}
     assert table["friction_reference"].isna().all()
@@ -124,9 +132,7 @@ def test_transient(tmp_path):
     for index, row in table.iterrows():
         point, seed = plan.at(index), seed_of(row["id"])
         found = trajectory(point.ensemble(Path()), point.driven(), points=point.output.points, seed=seed)
-        for name, estimate in zip(
-            OBSERVABLES, (found.friction, found.pinned_fraction, found.break_stretch), strict=True
-        ):
+        for name, estimate in found.averages.averages().items():
             assert (row[name], row[f"{name}_stderr"], row[f"{name}_dof"]) == (
                 estimate.value,
                 estimate.stderr,
@@ -158,7 +164,7 @@ def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
 
 
 def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
-    task, found = plan_of(GRID).task(0), steady(Ensemble(), 0.1, rel_error=1e-2)
+    task, found = plan_of(GRID).task(0), steady(Ensemble(), Drive(0.1), rel_error=1e-2)
     doubtful = dataclasses.replace(found.friction, reliable=False)
     for result, said in (
         (dataclasses.replace(found, reached=False), "relative error 0.01 was not reached"),
@@ -166,7 +172,7 @@ def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
         (found, None),
     ):
         monkeypatch.setattr("eqsim.engine.steady.steady", lambda *_, result=result, **__: result)
-        row = module._row(task, Asked(), 1)
+        row = rows_module._row(task, Asked(), 1)
         assert (row["status"], row["message"]) == ("unreliable" if said else "ok", said)
 
 
@@ -175,7 +181,7 @@ def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
 
 def test_another_sweep_in_the_same_folder_is_refused(small, monkeypatch):
     def again(text, **asked):
-        sweep(file_of(text), small, small / "one", asked=Asked(**asked))
+        sweep(Plan(file_of(text), small), small / "one", asked=Asked(**asked))
 
     before = (small / "one" / "sweep.parquet").stat().st_mtime_ns
     again(GRID)  # the same is welcome, and computes nothing
@@ -186,7 +192,7 @@ def test_another_sweep_in_the_same_folder_is_refused(small, monkeypatch):
     with pytest.raises(InputError, match=r"rel_error was 0.01, is 0.001"):
         again(GRID, rel_error=1e-3)
     old = results_version()
-    monkeypatch.setattr(module, "results_version", lambda: "later")
+    monkeypatch.setattr("eqsim.sweep.plan.results_version", lambda: "later")
     with pytest.raises(InputError, match=f"results version was {old}, is later"):
         again(GRID)
     assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before
@@ -194,32 +200,32 @@ def test_another_sweep_in_the_same_folder_is_refused(small, monkeypatch):
 
 def test_a_worker_with_other_code_is_refused():
     with pytest.raises(InputError, match="other code"):
-        module.compute([], Asked(), 1, "another version")
+        rows_module.compute([], Asked(), 1, "another version")
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "theirs.parquet")
     with pytest.raises(InputError, match="another origin"):
-        sweep(file_of(GRID), tmp_path, tmp_path)
+        sweep(plan_of(GRID), tmp_path)
     (tmp_path / "theirs.parquet").rename(tmp_path / "notes.txt")  # which readers of the folder would stumble over
     with pytest.raises(InputError, match=r"another origin, notes.txt; must be a folder of its own"):
-        sweep(file_of(GRID), tmp_path, tmp_path)
+        sweep(plan_of(GRID), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_one_sweep_at_a_time(tmp_path):
     plan = plan_of(GRID)
-    store = Store(tmp_path, plan, Asked(), "")
+    store = Store(tmp_path, plan, Asked())
     with pytest.raises(InputError, match="another sweep is at work"):
-        Store(tmp_path, plan, Asked(), "")
+        Store(tmp_path, plan, Asked())
     store.close()
-    Store(tmp_path, plan, Asked(), "").close()
+    Store(tmp_path, plan, Asked()).close()
 
 
 def parts_of(small, out, size=3, rows=9):
     """An unfinished folder: `rows` finished rows of `small`, in parts."""
     plan, table = plan_of(GRID), pq.read_table(small / "one" / "sweep.parquet").to_pylist()
-    store = Store(out, plan, Asked(), GRID)
+    store = Store(out, plan, Asked())
     for index, row in enumerate(table[:rows]):
         store.add(index, row)
         if index % size == size - 1:
@@ -237,7 +243,7 @@ def test_damaged_parts_are_named_and_computed_again(small, tmp_path):
     parts[1].write_bytes(content[1][:middle])
     parts[2].write_bytes(content[3])
     notes = []
-    found = sweep(file_of(GRID), tmp_path, tmp_path / "o", text=GRID, note=notes.append)
+    found = sweep(plan_of(GRID), tmp_path / "o", note=notes.append)
     assert sorted(found.damaged) == sorted(str(part) for part in parts[:3])
     assert all(any(part.name in note and "damaged" in note for note in notes) for part in parts[:3])
     assert (found.resumed, found.computed) == (3, 9)
@@ -250,7 +256,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
 
     path = small / "one" / "sweep.parquet"
     content, table = path.read_bytes(), pq.read_table(path)
-    assert storage.unsealed(content, table.schema).equals(table)
+    assert storage.from_parquet(content, table.schema).equals(table)
     chunks = pq.ParquetFile(path).metadata.row_group(0)
     column = chunks.column(table.column_names.index("friction"))
     begin, end = column.dictionary_page_offset or column.data_page_offset, column.total_compressed_size
@@ -258,7 +264,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
     for _ in range(40):
         bad = bytearray(content)
         bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
-        found = storage.unsealed(bytes(bad), table.schema)
+        found = storage.from_parquet(bytes(bad), table.schema)
         assert found is None or found.equals(table)  # some bits of a page's header mean nothing
 
 
@@ -267,10 +273,10 @@ def test_death_between_the_table_and_its_parts_doubles_nothing(small, tmp_path, 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(SystemError("killed")))
         with pytest.raises(SystemError):
-            sweep(file_of(GRID), tmp_path, tmp_path / "o", text=GRID)
+            sweep(plan_of(GRID), tmp_path / "o")
     assert len(list((tmp_path / "o" / "_parts").iterdir())) == 2
     assert len(pd.read_parquet(tmp_path / "o")) == 12
-    found = sweep(file_of(GRID), tmp_path, tmp_path / "o", text=GRID)
+    found = sweep(plan_of(GRID), tmp_path / "o")
     assert found.computed == 0
     assert not (tmp_path / "o" / "_parts").exists()
     assert pq.read_table(tmp_path / "o" / "sweep.parquet").equals(pq.read_table(small / "one" / "sweep.parquet"))
@@ -296,11 +302,11 @@ class Deadly(futures.Executor):
         return future
 
 
-class Crew:
-    lost = (futures.BrokenExecutor,)
+class Pool:
+    lost, threads = (futures.BrokenExecutor,), 1
 
     def __init__(self, *args):
-        self.pool, self.renewed = Deadly(*args), 0
+        self.executor, self.renewed = Deadly(*args), 0
 
     def slots(self):
         return 2
@@ -313,27 +319,27 @@ class Crew:
 def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous):
     """It alone fails, whatever it was sent with; without it, workers that die by chance cost nothing."""
     plan = plan_of(GRID)
-    store = Store(tmp_path, plan, Asked(), GRID)
-    crew = Crew(seed_of(plan.ids[4]) if poisonous else -1, 0.1 if poisonous else 0.2)
-    module._Loop(plan, store, Asked(), 1, crew, None, lambda _: None).run(list(range(12)))
+    store = Store(tmp_path, plan, Asked())
+    pool = Pool(seed_of(plan.ids[4]) if poisonous else -1, 0.1 if poisonous else 0.2)
+    Scheduler(store, pool, Asked(), None, lambda _: None).run(list(range(12)))
     store.compact()
     store.close()
     found, exact = table_of(tmp_path).to_pandas(), table_of(small / "one").to_pandas()
     assert list(found["status"]) == ["failed" if poisonous and index == 4 else "ok" for index in range(12)]
     if poisonous:
         assert found["message"][4] == "3 workers died at this point (not enough memory?)"
-        assert crew.pool.alone == 3
+        assert pool.executor.alone == 3
         found, exact = found.drop(4), exact.drop(4)
     pd.testing.assert_frame_equal(found, exact, check_exact=True, check_dtype=False)
 
 
 def test_workers_that_never_live_end_the_sweep(tmp_path):
     plan = plan_of(GRID)
-    store = Store(tmp_path, plan, Asked(), GRID)
-    crew = Crew(-1, 1.0)
+    store = Store(tmp_path, plan, Asked())
+    pool = Pool(-1, 1.0)
     with pytest.raises(InputError, match="as soon as they start"):
-        module._Loop(plan, store, Asked(), 1, crew, None, lambda _: None).run(list(range(12)))
-    assert crew.renewed == 12  # four times as many in a row as a point may cost
+        Scheduler(store, pool, Asked(), None, lambda _: None).run(list(range(12)))
+    assert pool.renewed == 12  # four times as many in a row as a point may cost
     store.close()
 
 
@@ -341,19 +347,19 @@ def test_workers_that_die_now_and_then_do_not_end_the_sweep(tmp_path):
     """With any two points together, and with every second point the first two times it goes alone: more often than
     would end the sweep in a row, and every point is computed."""
     plan = plan_of(GRID.replace("1.0, 3]", "1.0, 6]"))
-    store, crew = Store(tmp_path, plan, Asked(), GRID), Crew(-1, 0.0)
-    left, submit = dict.fromkeys(map(seed_of, plan.ids[::2]), 2), crew.pool.submit
+    store, pool = Store(tmp_path, plan, Asked()), Pool(-1, 0.0)
+    left, submit = dict.fromkeys(map(seed_of, plan.ids[::2]), 2), pool.executor.submit
 
     def frail(work, tasks):
         dies = len(tasks) > 1 or left.get(tasks[0].seed, 0) > 0
         if len(tasks) == 1 and dies:
             left[tasks[0].seed] -= 1
-        crew.pool.chance = float(dies)
+        pool.executor.chance = float(dies)
         return submit(work, tasks)
 
-    crew.pool.submit = frail
-    module._Loop(plan, store, Asked(), 1, crew, None, lambda _: None).run(list(range(24)))
-    assert crew.renewed > 12
+    pool.executor.submit = frail
+    Scheduler(store, pool, Asked(), None, lambda _: None).run(list(range(24)))
+    assert pool.renewed > 12
     assert set(store.compact()["status"].to_pylist()) == {"ok"}
     store.close()
 
@@ -405,7 +411,7 @@ def larger(tmp_path_factory):
     folder = tmp_path_factory.mktemp("larger")
     text = GRID.replace("1.0, 3]", "1.0, 8]").replace("[0.1, 1.0]", "[0.05, 0.3, 1.0]")
     (folder / "a.toml").write_text(text)
-    sweep(load(folder / "a.toml"), folder, folder / "exact", workers=2)
+    sweep(Plan(load(folder / "a.toml"), folder), folder / "exact", workers=Workers(2))
     return folder
 
 
@@ -449,9 +455,9 @@ def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
 )
 def test_interrupts_at_any_moment_lose_no_row(small, tmp_path, monkeypatch, moment):
     """The first one in a method once three points are finished, another one as the rows at hand are written."""
-    monkeypatch.setattr("eqsim.io.signals.heard", lambda: 130)
-    monkeypatch.setattr(module, "_FLUSH_ROWS", 2)
-    owner = module._Loop if moment == "_finish" else Store
+    monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
+    monkeypatch.setattr(store_module, "_FLUSH_ROWS", 2)
+    owner = Scheduler if moment == "_finish" else Store
     real, flush, begun = getattr(owner, moment), Store.flush, []
 
     def broken(self, *args, **kwargs):
@@ -485,8 +491,8 @@ def test_an_interrupt_before_there_is_a_folder(small, tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("eqsim.io.signals.heard", lambda: 130)
-    monkeypatch.setattr(module, "Plan", stop)
+    monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
+    monkeypatch.setattr("eqsim.sweep.plan.Plan", stop)
     done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o")])
     said = "eqsim: interrupted; this call has computed nothing; the same command continues\n"
     assert (done.exit_code, done.stderr) == (130, said)

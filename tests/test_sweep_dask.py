@@ -9,7 +9,9 @@ from distributed import LocalCluster
 
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
+from eqsim.sweep.plan import Plan
 from eqsim.sweep.scheduler import sweep
+from eqsim.sweep.workers import Workers
 
 RUN = {
     "contacts": {"stiffness_law": "uniform"},
@@ -28,7 +30,7 @@ def table_of(folder):
 @pytest.fixture(scope="module")
 def exact(tmp_path_factory):
     folder = tmp_path_factory.mktemp("exact")
-    sweep(check(RUN), folder, folder, workers=2)
+    sweep(Plan(check(RUN), folder), folder, workers=Workers(2))
     return table_of(folder)
 
 
@@ -38,7 +40,7 @@ def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_pat
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         address = cluster.scheduler_address
-        found = sweep(check(RUN), tmp_path, tmp_path / "calm", dask=address)
+        found = sweep(Plan(check(RUN), tmp_path), tmp_path / "calm", workers=Workers(dask=address))
         assert found.ok == 48
         assert table_of(tmp_path / "calm").equals(exact)
 
@@ -53,7 +55,7 @@ def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_pat
                 os.kill(killed[0], signal.SIGKILL)
                 assert done < total
 
-        found = sweep(check(RUN), tmp_path, tmp_path / "killed", dask=address, progress=progress)
+        found = sweep(Plan(check(RUN), tmp_path), tmp_path / "killed", workers=Workers(dask=address), progress=progress)
         assert killed
         assert found.ok == 48
         assert table_of(tmp_path / "killed").equals(exact)
@@ -67,10 +69,10 @@ def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Client, "__init__", refuse)
     with pytest.raises(InputError, match=r"--dask tcp://nowhere:1: no scheduler answers"):
-        sweep(check(RUN), tmp_path, tmp_path / "o", dask="tcp://nowhere:1")
+        sweep(Plan(check(RUN), tmp_path), tmp_path / "o", workers=Workers(dask="tcp://nowhere:1"))
 
 
 def test_without_the_package_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install \"eqsim\[dask\]\""):
-        sweep(check(RUN), tmp_path, tmp_path / "o", dask="tcp://nowhere:1")
+        sweep(Plan(check(RUN), tmp_path), tmp_path / "o", workers=Workers(dask="tcp://nowhere:1"))

@@ -9,36 +9,27 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
-from kernels import compiled
 from cases import thinned
+from kernels import compiled
 from scipy import integrate, interpolate, special
 
 from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal
+from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
 from eqsim.engine.steady import _POOLED_STEPS
-from eqsim.numerics.streams import TRAJECTORY, key, uniforms
-from eqsim.engine.contacts import contacts as lower
-from eqsim.numerics.tables import look_up
+from eqsim.laws.barrier import BARRIERS, base, pooled, soft
+from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS, pooled_hazard, pooled_rate
+from eqsim.laws.barrier.soft import Soft, erfi_inverse_table, log_erfi
+from eqsim.laws.barrier.stiff import Stiff
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.thermal import (
-    MOST_POOLED_STEPS,
-    erfi_inverse_table,
-    log_erfi,
-    log_hazard,
-    log_rate,
-    pooled_hazard,
-    pooled_rate,
-    pooled_stretch,
-    soft_odds,
-    soft_rank,
-    soft_stretch,
-    stiff_stretch,
-)
+from eqsim.numerics import streams, tables
+from eqsim.numerics.streams import TRAJECTORY, key
 
-look_up, uniforms = (compiled(routine) for routine in (look_up, uniforms))
+look_up, uniforms = compiled(tables.look_up), compiled(streams.uniforms)
+soft_odds, soft_rank = compiled(soft._odds), compiled(soft._rank)
+stretch, pooled_stretch = compiled(base.stretch), compiled(pooled._inverse)
 
 EPS = np.finfo(float).eps
-BARRIERS = ["soft", "stiff"]
 # relative error of the tabulated inverse of ln(1 + erfi z): that of a root in a cell of relative width 1/64, three
 # times as large near s = 2 where the function bends, and 2^-31 of the straight beginning below s = 2^-30
 INVERSE_ERROR = 5e-10
@@ -67,7 +58,7 @@ def test_log_erfi(z):
     assert float(log_erfi(z)) == pytest.approx(exact, rel=8 * EPS, abs=8 * EPS)
 
 
-@pytest.mark.parametrize(("barrier", "a"), thinned(5, BARRIERS, (1e-6, 0.3, 1.0, 40.0, 1e4, 1e8)))
+@pytest.mark.parametrize(("barrier", "a"), thinned(5, BARRIERS.values(), (1e-6, 0.3, 1.0, 40.0, 1e4, 1e8)))
 def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
     """Against quadrature of exp(log_rate), in 40 digits and on intervals that shrink towards x, where it is largest.
     Rounding: a few eps of the exponent a xi^2."""
@@ -77,7 +68,7 @@ def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
 
         def log_r(y):
             gap = 1 - y / mpmath.mpf(xi)
-            if barrier == "soft":
+            if barrier is Soft:
                 return -c * (1 - (y / mpmath.mpf(xi)) ** 2)
             return mpmath.log(gap) / 2 - c * gap ** mpmath.mpf(1.5)
 
@@ -87,22 +78,22 @@ def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
             edges = [x * (1 - mpmath.mpf(2) ** -j) for j in range(34)] + [x]
             integral = mpmath.quad(lambda y, top=top: mpmath.exp(log_r(y) - top) if y < xi else 0, edges)
             exact = float(mpmath.log(integral) + top)
-            assert float(log_hazard(barrier, part * xi, xi, a)) == pytest.approx(exact, abs=1e-11 + 8 * EPS * float(c))
+            assert float(barrier.log_hazard(part * xi, xi, a)) == pytest.approx(exact, abs=1e-11 + 8 * EPS * float(c))
             if part < 1:
-                assert float(log_rate(barrier, part * xi, xi, a)) == pytest.approx(
+                assert float(barrier.log_rate(part * xi, xi, a)) == pytest.approx(
                     float(log_r(x)), abs=1e-12 + 8 * EPS * float(c)
                 )
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 def test_derivative_of_the_hazard_is_the_rate(barrier):
     """d ln H/dx = r/H by central differences, over random contacts (error of second order in a step of 1e-5)."""
     rng = np.random.default_rng(5)
     a, xi = 10 ** rng.uniform(-3, 2, 500), rng.uniform(0.2, 3.0, 500)
     x = xi * rng.uniform(0.05, 0.95, 500)
     h = 1e-5 * np.minimum(x, xi - x) / (1 + a * xi**2)
-    found = (log_hazard(barrier, x + h, xi, a) - log_hazard(barrier, x - h, xi, a)) / (2 * h)
-    expected = np.exp(log_rate(barrier, x, xi, a) - log_hazard(barrier, x, xi, a))
+    found = (barrier.log_hazard(x + h, xi, a) - barrier.log_hazard(x - h, xi, a)) / (2 * h)
+    expected = np.exp(barrier.log_rate(x, xi, a) - barrier.log_hazard(x, xi, a))
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
@@ -136,10 +127,8 @@ def test_inverse_table():
 
 
 def stretches(barrier, xi, a, log_w, clock):
-    if barrier == "stiff":
-        return np.array([stiff_stretch(*row) for row in zip(xi, a, log_w, clock, strict=True)])
-    table = erfi_inverse_table()
-    return np.array([soft_stretch(table, *row) for row in zip(xi, a, log_w, clock, strict=True)])
+    laws = [barrier(*row) for row in zip(a, log_w, strict=True)]
+    return np.array([stretch(law, barrier.table(), x, 1.0, c) for law, x, c in zip(laws, xi, clock, strict=True)])
 
 
 def round_trip(barrier, xi, a, log_w, clock):
@@ -147,47 +136,47 @@ def round_trip(barrier, xi, a, log_w, clock):
     the relative error of x (table and a few eps) times d ln H/d ln x, and a few eps of each term of ln(w H/clock)."""
     x = stretches(barrier, xi, a, log_w, clock)
     assert np.all((x > 0) & (x <= xi))
-    log_h = log_hazard(barrier, x, xi, a)
+    log_h = barrier.log_hazard(x, xi, a)
     residual = log_w + log_h - np.log(clock)
     inside = x < xi
     steepness = np.zeros(x.size)
-    steepness[inside] = x[inside] * np.exp(log_rate(barrier, x[inside], xi[inside], a[inside]) - log_h[inside])
-    if barrier == "soft":
+    steepness[inside] = x[inside] * np.exp(barrier.log_rate(x[inside], xi[inside], a[inside]) - log_h[inside])
+    if barrier is Soft:
         steepness[~inside] = (np.sqrt(a) * xi / special.dawsn(np.sqrt(a) * xi))[~inside]
-    relative = 16 * EPS + (INVERSE_ERROR if barrier == "soft" else 0.0)
+    relative = 16 * EPS + (INVERSE_ERROR if barrier is Soft else 0.0)
     allowed = relative * steepness + 16 * EPS * (1 + np.abs(log_w) + a * xi**2 + np.abs(np.log(clock)))
     missed = np.where(inside, np.abs(residual), np.maximum(residual, 0.0))  # a clock may show more than H(xi)
     return missed / allowed, inside
 
 
-def contacts(rng, count, log_b, log_xi=(-2.0, 1.0)):
+def random_contacts(rng, count, log_b, log_xi=(-2.0, 1.0)):
     """Random contacts, half of them where the exponent leaves the choice between thermal and mechanical open."""
     a, xi = 10 ** rng.uniform(*log_b, count), 10 ** rng.uniform(*log_xi, count)
     clock = np.where(rng.random(count) < 0.5, rng.exponential(size=count), 10 ** rng.uniform(-16, 1.6, count))
     return a, xi, clock
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 def test_inverse_is_the_inverse_of_the_hazard(barrier):
     """b from 1e-3 to 1e9, |ln(omega/v)| <= 60, thresholds over three decades: exp(log_w) H(x) = clock."""
     rng = np.random.default_rng(7)
-    a, xi, clock = contacts(rng, 6000, (-3, 9))
+    a, xi, clock = random_contacts(rng, 6000, (-3, 9))
     log_w = rng.uniform(-60, 60, a.size)
     # half the velocities such that the contact breaks at a stretch of our choice, near xi if the barrier is high
     near = xi * np.sqrt(np.maximum(1 - rng.uniform(0, 60, a.size) / (a * xi**2), rng.random(a.size)))
-    aimed = np.log(clock) - log_hazard(barrier, near, xi, a)
+    aimed = np.log(clock) - barrier.log_hazard(near, xi, a)
     log_w = np.where((rng.random(a.size) < 0.7) & (np.abs(aimed) <= 60), aimed, log_w)
     missed, inside = round_trip(barrier, xi, a, log_w, clock)
     assert missed.max() <= 1.0
     assert 0.2 < inside.mean() < 0.9  # both ends of a life are met
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 @pytest.mark.parametrize("log_b", [(-12, -9), (10, 15)])
 @pytest.mark.parametrize("ratio", [1e-12, 1e12])
 def test_inverse_at_extremes(barrier, log_b, ratio):
     """Next to no barrier, next to no temperature, v from 1e-12 to 1e12 omega x_*."""
-    a, xi, clock = contacts(np.random.default_rng(8), 1000, log_b)
+    a, xi, clock = random_contacts(np.random.default_rng(8), 1000, log_b)
     missed, _ = round_trip(barrier, xi, a, np.full(a.size, -math.log(ratio)), clock)
     assert missed.max() <= 1.0
 
@@ -196,31 +185,31 @@ def test_inverse_at_extremes(barrier, log_b, ratio):
 def test_no_barrier_is_a_constant_rate(ratio):
     """b = 1e-12, soft: H(x) = x, so a contact breaks at clock v/omega or at its threshold."""
     clock = np.geomspace(1e-15, 40, 200)
-    x = stretches("soft", np.ones(200), np.full(200, 1e-12), np.full(200, -math.log(ratio)), clock)
+    x = stretches(Soft, np.ones(200), np.full(200, 1e-12), np.full(200, -math.log(ratio)), clock)
     np.testing.assert_allclose(x, np.minimum(clock * ratio, 1.0), rtol=INVERSE_ERROR + 1e-11)
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 @pytest.mark.parametrize("a", [1e13, 1e16, 1e18, 1e22, 1e60])
 def test_no_temperature_breaks_at_the_threshold(barrier, a):
     """At b -> infinity, whatever the clock, x = xi within ln(omega/v)/(2b) (soft) or its power 2/3 (stiff)."""
     xi = np.array([0.3, 1.0, 12.0])
     for log_w in (-60.0, 0.0, 60.0):
         x = stretches(barrier, xi, np.full(3, a), np.full(3, log_w), np.array([1e-3, 1.0, 5.0]))
-        room = (60 + math.log(a) + 20) / (a * xi**2)
-        assert np.all(1 - x / xi <= INVERSE_ERROR + (room if barrier == "soft" else room ** (2 / 3)))
+        early = (60 + math.log(a) + 20) / (a * xi**2)
+        assert np.all(1 - x / xi <= INVERSE_ERROR + (early if barrier is Soft else early ** (2 / 3)))
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 def test_wrong_barrier_fails_the_round_trip(barrier):
     """Negative control: temperature off by 1e-6."""
     rng = np.random.default_rng(9)
     a, xi = 10 ** rng.uniform(0, 3, 200), rng.uniform(0.5, 2, 200)
     x = xi * rng.uniform(0.2, 0.9, 200)
-    log_w = -log_hazard(barrier, x, xi, a)
+    log_w = -barrier.log_hazard(x, xi, a)
     found = stretches(barrier, xi, a * (1 + 1e-6), log_w, np.ones(200))
-    assert np.median(np.abs(log_w + log_hazard(barrier, found, xi, a))) > 1e-7
-    assert np.median(np.abs(log_w + log_hazard(barrier, stretches(barrier, xi, a, log_w, np.ones(200)), xi, a))) < 1e-7
+    assert np.median(np.abs(log_w + barrier.log_hazard(found, xi, a))) > 1e-7
+    assert np.median(np.abs(log_w + barrier.log_hazard(stretches(barrier, xi, a, log_w, np.ones(200)), xi, a))) < 1e-7
 
 
 # ------------------------------------------------------------------------------------------ annealed, smooth laws
@@ -239,14 +228,14 @@ def nt09(b, u):
 @pytest.mark.parametrize("b", B)
 def test_pooled_rate_is_nt08(b):
     u = np.geomspace(1e-10, 7, 300)
-    found = pooled_rate(Gamma(1.0, 3.0), "uniform", "soft", b, u)
+    found = pooled_rate(Gamma(1.0, 3.0), "uniform", Soft, b, u)
     np.testing.assert_allclose(found, (1 + (1 + b) * u**2) / (1 + b) ** 2 * np.exp(-(u**2)), rtol=1e-12)
 
 
 @pytest.mark.parametrize("b", B)
 def test_pooled_hazard_is_nt09(b):
     """G at its nodes; the closed form cancels to a part u^2 of itself at small u, hence u > 1e-2."""
-    pool = pooled_hazard(Gamma(1.0, 3.0), "uniform", "soft", b)
+    pool = pooled_hazard(Gamma(1.0, 3.0), "uniform", Soft, b)
     beyond = pool.x > 1e-2
     np.testing.assert_allclose(pool.G[beyond], nt09(b, pool.x[beyond])[1], rtol=1e-8)
     small = pool.x < 1e-3  # h is constant plus u^2/(1 + b)
@@ -278,7 +267,7 @@ def quadrature_rate(density, low, high, stiffness, rms, barrier, b, y):
             if xi <= y:
                 return mpmath.mpf(0)
             a = b * xi / rms if stiffness == "sqrt" else b
-            if barrier == "soft":
+            if barrier is Soft:
                 return density(xi) * mpmath.exp(-a * (xi**2 - y**2))
             gap = 1 - y / xi
             return density(xi) * mpmath.sqrt(gap) * mpmath.exp(-a * xi**2 * gap ** mpmath.mpf(1.5))
@@ -300,7 +289,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize(("barrier", "stiffness", "name"), thinned(5, BARRIERS, ("sqrt", "uniform"), LAWS))
+@pytest.mark.parametrize(("barrier", "stiffness", "name"), thinned(5, BARRIERS.values(), ("sqrt", "uniform"), LAWS))
 def test_pooled_rate_by_quadrature(name, stiffness, barrier):
     law, density, low, high = LAWS[name]
     y = np.array([0.02, 0.3, 1.2])
@@ -328,8 +317,8 @@ def test_pooled_rate_of_narrow_laws(law, b):
     )
     xi = law.exceeded_by(-np.log(tail)) / law.scale
     y = np.array([0.1, 0.5]) * law.mean / law.scale
-    exact = [np.sum(weight * np.exp(log_rate("soft", v, xi, b))) * (t[1] - t[0]) for v in y]
-    np.testing.assert_allclose(pooled_rate(law, "uniform", "soft", b, y), exact, rtol=ERROR["smooth"])
+    exact = [np.sum(weight * np.exp(Soft.log_rate(v, xi, b))) * (t[1] - t[0]) for v in y]
+    np.testing.assert_allclose(pooled_rate(law, "uniform", Soft, b, y), exact, rtol=ERROR["smooth"])
 
 
 def test_pooled_rate_of_a_histogram():
@@ -340,7 +329,7 @@ def test_pooled_rate_of_a_histogram():
     for low, high in ((0.5, 0.7), (1.3, 1.5)):
         inside = special.erf(math.sqrt(b) * np.maximum(y, high)) - special.erf(math.sqrt(b) * np.maximum(y, low))
         exact += inside / 0.4 * math.sqrt(math.pi / b) / 2 * np.exp(b * y**2)
-    np.testing.assert_allclose(pooled_rate(law, "uniform", "soft", b, y), exact, rtol=ERROR["edge"])
+    np.testing.assert_allclose(pooled_rate(law, "uniform", Soft, b, y), exact, rtol=ERROR["edge"])
 
 
 def test_pooled_rate_of_an_integrable_singularity():
@@ -352,19 +341,19 @@ def test_pooled_rate_of_an_integrable_singularity():
     for v in y:
         half = (math.pi / 2 - math.asin(math.sqrt(v / 2))) / 2
         xi = 2 * np.sin(math.pi / 2 - half * (1 - node)) ** 2
-        exact.append(weight @ np.exp(log_rate("soft", v, xi, b)) * half / (math.pi / 2))
-    np.testing.assert_allclose(pooled_rate(law, "uniform", "soft", b, y), exact, rtol=ERROR["edge"])
+        exact.append(weight @ np.exp(Soft.log_rate(v, xi, b)) * half / (math.pi / 2))
+    np.testing.assert_allclose(pooled_rate(law, "uniform", Soft, b, y), exact, rtol=ERROR["edge"])
 
 
 def test_wrong_pooled_rates_fail():
     """Negative controls of the comparisons above: 1e-6 of temperature, the other stiffness, the other barrier."""
     law, density, low, high = LAWS["gamma n=1"]
     y = np.array([0.3])
-    exact = quadrature_rate(density, low, high, "sqrt", law.rms / law.scale, "soft", 30.0, y[0])
-    for wrong in (("sqrt", "soft", 30.0 * (1 + 1e-6)), ("uniform", "soft", 30.0), ("sqrt", "stiff", 30.0)):
+    exact = quadrature_rate(density, low, high, "sqrt", law.rms / law.scale, Soft, 30.0, y[0])
+    for wrong in (("sqrt", Soft, 30.0 * (1 + 1e-6)), ("uniform", Soft, 30.0), ("sqrt", Stiff, 30.0)):
         assert abs(pooled_rate(law, *wrong, y)[0] / exact - 1) > 1e-7
     u = np.geomspace(1e-2, 5, 50)
-    pool = pooled_hazard(Gamma(1.0), "uniform", "soft", 1.0 + 1e-6)
+    pool = pooled_hazard(Gamma(1.0), "uniform", Soft, 1.0 + 1e-6)
     assert np.max(np.abs(np.interp(u, pool.x, pool.G) / nt09(1.0, u)[1] - 1)) > 1e-7
 
 
@@ -388,7 +377,7 @@ def integrated_rate(law, stiffness, barrier, b, x):
 
 
 @pytest.mark.parametrize(
-    ("b", "barrier", "stiffness", "name"), thinned(5, (0.1, 30.0, 1e6), BARRIERS, ("sqrt", "uniform"), LAWS)
+    ("b", "barrier", "stiffness", "name"), thinned(5, (0.1, 30.0, 1e6), BARRIERS.values(), ("sqrt", "uniform"), LAWS)
 )
 def test_pooled_inverse_of_smooth_laws(name, stiffness, barrier, b):
     """The integral of the rate up to the inverse is the target, within the documented error of the inverse times h."""
@@ -411,7 +400,7 @@ def test_pooled_inverse_against_nt09(b):
     """Documented error against the closed form, up to u = 3, beyond which one contact in 800 has its threshold."""
     u = np.linspace(0.02, 3.0, 4001)
     G = nt09(b, u)[1]
-    pool = pooled_hazard(Gamma(1.0), "uniform", "soft", b)
+    pool = pooled_hazard(Gamma(1.0), "uniform", Soft, b)
     assert inverse_errors(pool, u, G).max() < ERROR["smooth"]
     assert inverse_errors(pool, u * (1 + 1e-6), G).min() > ERROR["smooth"]  # negative control
 
@@ -421,7 +410,7 @@ def test_pooled_inverse_far_below_a_narrow_law(n, b):
     """Attempts so many that contacts break far below all thresholds, on the weakest of a share of 1e-20 to 1e-240:
     h = exp(b y^2) Q(n+1, (1+b) y^2)/(1+b)^(n+1), Q the regularised incomplete gamma function, and its integral by
     Simpson's rule over steps in which it rises by a few per cent. Control: b 1e-4 off."""
-    x, pool = np.linspace(0.3, 0.999, 100) * math.sqrt(n), pooled_hazard(Gamma(n), "uniform", "soft", b)
+    x, pool = np.linspace(0.3, 0.999, 100) * math.sqrt(n), pooled_hazard(Gamma(n), "uniform", Soft, b)
 
     def errors(b):
         found = []
@@ -444,12 +433,12 @@ def rate_of_weak(shape, barrier, b, y):
     beyond = np.exp(step)
     xi = y + beyond
     weight = np.exp((shape - 1) * np.log(xi) - xi - math.lgamma(shape) + step) * (step[1] - step[0])
-    if barrier == "soft":
+    if barrier is Soft:
         return weight @ np.exp(-b * beyond * (beyond + 2 * y))
     return weight @ (np.sqrt(beyond / xi) * np.exp(-b * xi**2 * (beyond / xi) ** 1.5))
 
 
-@pytest.mark.parametrize(("barrier", "shape"), thinned(3, BARRIERS, (0.2, 0.5)))
+@pytest.mark.parametrize(("barrier", "shape"), thinned(3, BARRIERS.values(), (0.2, 0.5)))
 def test_pools_of_infinite_density_at_zero(shape, barrier):
     """So many weak contacts that the rate still varies where stretches are 1e-25: rate and inverse. Control:
     a shape 1e-4 off."""
@@ -482,11 +471,11 @@ def test_pooled_inverse_with_a_gap_below_the_support(low, high, b):
     G = <exp(-b xi^2)> int_0^u exp(b y^2) dy, in erfc (scaled, against overflow) and erfi. At u the exponent is up to
     20 below its value at low, as matters at v/omega > 1e-9."""
     root = math.sqrt(b)
-    pool = pooled_hazard(Distribution(scipy.stats.uniform(low, high - low)), "uniform", "soft", b)
+    pool = pooled_hazard(Distribution(scipy.stats.uniform(low, high - low)), "uniform", Soft, b)
     u = low - np.linspace(min(20.0, b * low**2), 0.5, 400) / (2 * b * low)
     above = special.erfcx(root * low) - math.exp(-b * (high**2 - low**2)) * special.erfcx(root * high)
     mean = math.sqrt(math.pi) / (2 * root) * above / (high - low)  # of exp(-b (xi^2 - low^2))
-    G = mean * np.exp(log_hazard("soft", u, low, b))
+    G = mean * np.exp(Soft.log_hazard(u, low, b))
     assert inverse_errors(pool, u, G).max() < ERROR["edge"]
 
 
@@ -499,7 +488,7 @@ def mean_hazard(law, stiffness, barrier, b, x):
     """G(x) of equally likely thresholds: the mean of the closed forms."""
     xi = law.steps / law.scale
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    return np.mean([np.exp(log_hazard(barrier, np.minimum(x, s), s, r)) for s, r in zip(xi, a, strict=True)], axis=0)
+    return np.mean([np.exp(barrier.log_hazard(np.minimum(x, s), s, r)) for s, r in zip(xi, a, strict=True)], axis=0)
 
 
 def exact_inverse(law, stiffness, barrier, b, targets):
@@ -512,7 +501,7 @@ def exact_inverse(law, stiffness, barrier, b, targets):
 
 
 @pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 @pytest.mark.parametrize("b", [1e-3, 1.0, 1e3, 1e8])
 def test_pool_of_a_table_is_the_mean(stiffness, barrier, b):
     """At the nodes to rounding (of exponents up to 8 b); between them the mean error of the inverse over targets is
@@ -527,7 +516,7 @@ def test_pool_of_a_table_is_the_mean(stiffness, barrier, b):
     assert np.mean(np.abs(found - exact_inverse(law, stiffness, barrier, 1.5 * b + 0.1, targets))) > tolerance
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 def test_documented_error_of_the_pool_of_a_table(barrier):
     """Below 1e-4 of the distance between neighbours, at every target."""
     law = Table([0.5, 1.0, 2.0])
@@ -539,7 +528,7 @@ def test_documented_error_of_the_pool_of_a_table(barrier):
     assert np.max(np.abs(found - exact) / gaps) < 1e-4
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 @pytest.mark.parametrize("thresholds", [[0.03, 1.0], [1e-4, 1.0], [1e-6, 0.3, 2.0], [1e-20, 1e-10, 1.0]])
 def test_pool_of_thresholds_of_many_scales(thresholds, barrier):
     """The inverse from the least threshold on, where lives end that are much shorter than the next one, to the error
@@ -556,7 +545,7 @@ def test_pool_of_thresholds_of_many_scales(thresholds, barrier):
     assert error(1.01) > 100 * _POOLED_STEPS
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", BARRIERS.values())
 def test_pool_of_one_threshold_is_the_contact_itself(barrier):
     """Identical contacts: the pooled inverse is that of a single quenched contact."""
     pool = pooled_hazard(Delta(2.0), "sqrt", barrier, 5.0)
@@ -567,12 +556,12 @@ def test_pool_of_one_threshold_is_the_contact_itself(barrier):
 
 def test_pooled_stretch_at_its_ends():
     """Linear from 0, with the rate there; infinite when no stretch is enough."""
-    for stiffness, barrier, b in (("sqrt", "soft", 30.0), ("uniform", "stiff", 1e6)):
+    for stiffness, barrier, b in (("sqrt", Soft, 30.0), ("uniform", Stiff, 1e6)):
         pool = pooled_hazard(Gamma(1.0), stiffness, barrier, b)
         start = 1.0 / pooled_rate(Gamma(1.0), stiffness, barrier, b, np.array([1e-100]))[0]
         for target in (1e-200, 0.5 * pool.G[0], pool.G[0], 1.5 * pool.G[0]):
             assert pooled_stretch(*pool, target) == pytest.approx(start * target, rel=ERROR["smooth"], abs=0)
-    pool = pooled_hazard(Gamma(1.0), "uniform", "soft", 1.0)
+    pool = pooled_hazard(Gamma(1.0), "uniform", Soft, 1.0)
     for target in (1e-200, 1e-30, 0.3 * float(pool.G[0])):  # h(0) = 1/(1 + b)^2
         assert pooled_stretch(*pool, target) == pytest.approx(4.0 * target, rel=1e-8, abs=0.0)
     assert pooled_stretch(*pool, float(pool.G[-1])) == math.inf
@@ -584,8 +573,8 @@ def test_pooled_stretch_at_its_ends():
 
 def test_too_many_different_thresholds():
     with pytest.raises(InputError, match=f"{MOST_POOLED_STEPS + 1} different values"):
-        pooled_hazard(Table(np.arange(1.0, MOST_POOLED_STEPS + 2)), "sqrt", "soft", 1.0)
-    pooled_hazard(Table(np.tile(np.arange(1.0, 11), MOST_POOLED_STEPS)), "sqrt", "soft", 1.0)
+        pooled_hazard(Table(np.arange(1.0, MOST_POOLED_STEPS + 2)), "sqrt", Soft, 1.0)
+    pooled_hazard(Table(np.tile(np.arange(1.0, 11), MOST_POOLED_STEPS)), "sqrt", Soft, 1.0)
 
 
 # ------------------------------------------------------------------------------------------------------ by draws
@@ -594,11 +583,11 @@ def test_too_many_different_thresholds():
 def survival(ensemble, velocity):
     """S(x) = P(x_b > x) of newborn contacts as a function: over thresholds by Gauss-Legendre in -ln of their rank
     (quenched), or J_c(x) exp(-(omega/v) G(x)) (annealed)."""
-    law, thermal, b = ensemble.thresholds, ensemble.thermal, ensemble.b
+    law, barrier, b = ensemble.thresholds, BARRIERS[ensemble.thermal.barrier], ensemble.b
     x = np.linspace(0.0, float(law.exceeded_by(20.0)), 300)[1:]
-    w = thermal.attempt_frequency / velocity
+    w = ensemble.thermal.attempt_frequency / velocity
     if ensemble.disorder == "annealed":
-        G = integrated_rate(law, ensemble.stiffness_law, thermal.barrier, b, x / law.scale)
+        G = integrated_rate(law, ensemble.stiffness_law, barrier, b, x / law.scale)
         s = law.sf(x) * np.exp(-w * law.scale * G)
     else:
         node, weight = np.polynomial.legendre.leggauss(60)
@@ -606,7 +595,7 @@ def survival(ensemble, velocity):
         e = start + 15.0 * (node + 1) ** 2 / 4 * 2  # up to 30 beyond, denser at the beginning
         xi = law.exceeded_by(e)
         a = b / law.scale**2 * relative_stiffness(ensemble.stiffness_law, xi, law.rms)
-        loss = w * np.exp(log_hazard(thermal.barrier, np.broadcast_to(x[:, None], xi.shape), xi, a))
+        loss = w * np.exp(barrier.log_hazard(np.broadcast_to(x[:, None], xi.shape), xi, a))
         s = np.sum(weight * 15.0 * (node + 1) * np.exp(-e - loss), axis=1)
     spline = interpolate.PchipInterpolator(np.append(0.0, x), np.append(1.0, s))
     return lambda at: np.where(at < x[-1], spline(np.minimum(at, x[-1])), 0.0)
@@ -615,7 +604,7 @@ def survival(ensemble, velocity):
 def break_stretches(ensemble, velocity, count=40_000):
     stream = key(21, TRAJECTORY)
     u, v = np.array([uniforms(stream, i, 0, 0) for i in range(count)]).T.copy()
-    work, stretch = lives(lower(ensemble, velocity), stream, 0, u, v)
+    work, stretch = lives(contacts(ensemble, velocity), stream, 0, u, v)
     stiffness = 2.0 * work / stretch**2
     xi = ensemble.thresholds.exceeded_by(-np.log(u))
     np.testing.assert_allclose(
@@ -658,16 +647,16 @@ def test_lives_spend_their_clocks(disorder, stiffness, barrier):
     """A life that heat ends does so where its integrated hazard is its clock, and one that it does not has not spent
     it: 400 lives, to what the errors of tables do to a hazard (1e-6 of the clock)."""
     law = Gamma(1.0, 2.0)
-    contacts = Ensemble(law, Thermal(2.0, 1.5, barrier), stiffness=0.5, stiffness_law=stiffness, disorder=disorder)
+    ensemble = Ensemble(law, Thermal(2.0, 1.5, barrier), stiffness=0.5, stiffness_law=stiffness, disorder=disorder)
     u, v = np.random.default_rng(14).random((2, 400))
-    _, x = lives(lower(contacts, 1.0), key(0, TRAJECTORY), 0, u, v)
-    xi, b, w = law.exceeded_by(-np.log(u)) / law.scale, contacts.b, 1.5 * law.scale
+    _, x = lives(contacts(ensemble, 1.0), key(0, TRAJECTORY), 0, u, v)
+    xi, b, w = law.exceeded_by(-np.log(u)) / law.scale, ensemble.b, 1.5 * law.scale
     if disorder == "annealed":
         at, back = np.unique(x, return_inverse=True)
-        spent = w * integrated_rate(law, stiffness, barrier, b, at)[back]
+        spent = w * integrated_rate(law, stiffness, BARRIERS[barrier], b, at)[back]
     else:
         a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-        spent = w * np.exp(log_hazard(barrier, np.minimum(x, xi), xi, a))
+        spent = w * np.exp(BARRIERS[barrier].log_hazard(np.minimum(x, xi), xi, a))
     hot = x < xi * (1 - 1e-9)
     assert 20 < hot.sum() < 380
     np.testing.assert_allclose(spent[hot], -np.log(v[hot]), rtol=1e-6)

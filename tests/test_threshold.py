@@ -6,20 +6,21 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
-
 from kernels import compiled
 
 from eqsim import Delta, Distribution, Gamma, InputError, Table
-from eqsim.numerics.streams import TRAJECTORY, key, uniforms
+from eqsim.laws import threshold
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, for_kernels
+from eqsim.numerics import streams
+from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import CELLS
-from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, threshold_draw
 
-uniforms, threshold_draw = (compiled(routine) for routine in (uniforms, threshold_draw))
+uniforms, threshold_draw = compiled(streams.uniforms), compiled(threshold.threshold_draw)
 
 EPS = np.finfo(float).eps
 SMALLEST, LARGEST = 2.0**-64, 1.0 - 2.0**-53  # of the uniforms a kernel sees
 SHAPES = [0.0, 0.5, 1.0, 2.7, 30.0]
-# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (eqsim.numerics.tables). The quantile
+# a cubic in a cell of relative width 1/64: |p(p-1)(p-2)(p-3)|/(384 * 64^4) for s^p (numerics.tables). The quantile
 # behaves as e^(1/(2n+2)) at small e and as sqrt(e) at large e; no p in (0, 1/2] gives more than p = 0.38 does.
 TABLE_ERROR = 1.001 / (384 * CELLS**4)
 KERNEL_UNIFORMS = np.array([uniforms(key(11, TRAJECTORY), i, 0, 0)[0] for i in range(100_000)])
@@ -30,8 +31,8 @@ def nakagami(law):
 
 
 def drawn(law, u):
-    table, steps = law.table(), law.steps / law.scale
-    return law.scale * np.array([threshold_draw(table, steps, value) for value in u])
+    lowered = for_kernels(law)
+    return law.scale * np.array([threshold_draw(lowered, value) for value in u])
 
 
 # --------------------------------------------------------------------------------------------------- NumPy side
@@ -271,9 +272,9 @@ def test_error_of_draws_across_a_gap(shares):
     here over 5e4 midpoints of uniforms, and quoted from four points of each cell (0.3 of it are left for that). The gap
     is one of weak contacts, whose cubes hardly matter: twice the first is much more."""
     law = Distribution(scipy.stats.rv_histogram((shares, [0.1, 0.2, 0.3, 2.0]), density=True))
-    table, u = law.table(), (np.arange(50_000) + 0.5) / 50_000
-    drawn, exact = np.array([threshold_draw(table, NO_STEPS, x) for x in u]) * law.scale, law.frozen.isf(u)
-    first, third = (np.abs(drawn**p - exact**p).mean() / (exact**p).mean() for p in (1, 3))
+    u = (np.arange(50_000) + 0.5) / 50_000
+    found, exact = drawn(law, u), law.frozen.isf(u)
+    first, third = (np.abs(found**p - exact**p).mean() / (exact**p).mean() for p in (1, 3))
     assert 1e-6 < first < 1e-3
     assert third < 0.3 * first
     assert law.drawn_to == pytest.approx(first + third, rel=0.3, abs=0.0)

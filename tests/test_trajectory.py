@@ -26,14 +26,14 @@ from eqsim import (
     steady,
     trajectory,
 )
+from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
 from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import stationary
-from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.engine.trajectory import Totals, arguments, predicted_lives
-from eqsim.engine.contacts import contacts as lower
-from eqsim.estimate import z_score
+from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.master.transient import fluctuations, transient
+from eqsim.numerics.streams import TRAJECTORY, key
 
 UNIFORM = {"stiffness_law": "uniform"}
 
@@ -78,7 +78,7 @@ def test_identical_contacts_are_deterministic():
     expected = np.where(phase < 2.0, phase, 0.5 * 2.0 / 4.0)
     np.testing.assert_allclose(result.force[here], expected[here], rtol=1e-9)
     np.testing.assert_array_equal(result.pinned[here], (phase < 2.0)[here])
-    assert result.break_stretch.value == pytest.approx(2.0, rel=1e-15, abs=0)
+    assert result.averages.break_stretch.value == pytest.approx(2.0, rel=1e-15, abs=0)
 
 
 @pytest.mark.parametrize("law", ["fixed", "exponential"])
@@ -141,17 +141,13 @@ def test_agrees_with_steady(ensemble, start):
     mean = ensemble.thresholds.mean
     level = steady(ensemble, Drive(0.1), rel_error=1e-4)
     result = trajectory(ensemble, Drive(0.1, 40 * mean, start), points=11, seed=8, threads=2)
-    pairs = [
-        (result.friction, level.friction),
-        (result.pinned_fraction, level.pinned),
-        (result.break_stretch, level.break_stretch),
-    ]
-    for particles, exact in pairs:
-        assert particles.reliable
-        if particles.stderr:
-            assert abs(z_score(particles, exact.value, exact.stderr)) < 4.5
+    for name, late in result.averages.averages().items():
+        exact = getattr(level, name)
+        assert late.reliable
+        if late.stderr:
+            assert abs(z_score(late, exact.value, exact.stderr)) < 4.5
         else:
-            assert particles.value == exact.value == 1.0
+            assert late.value == exact.value == 1.0
     if start == "stationary":
         z = (result.force - level.friction.value) / np.hypot(result.force_stderr, level.friction.stderr)
         assert 1e-4 < scipy.stats.chi2.cdf(np.sum(z**2), z.size) < 1 - 1e-4
@@ -186,7 +182,8 @@ def test_a_stationary_start_stays_level(law):
     """Also while contacts that were found detached wait for the rest of their delay, and not for a whole one: force and
     pinned fraction at 21 points over two delays, |z| < 4.5 in 84 scores (false alarm 6e-4)."""
     ensemble = Ensemble(count=200_000, delay=Delay(1.0, law), eta=0.5, **UNIFORM)
-    found, exact = trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=21, seed=4), reference(ensemble, Drive(1.0))
+    drive = Drive(1.0, 2.0, "stationary")
+    found, exact = trajectory(ensemble, drive, points=21, seed=4), reference(ensemble, drive)
     assert np.abs((found.force - exact.friction.value) / found.force_stderr).max() < 4.5
     assert np.abs((found.pinned - exact.pinned.value) / found.pinned_stderr).max() < 4.5
 
@@ -221,9 +218,9 @@ def test_quoted_error_is_the_scatter(count):
         value, stderr = (np.array([getattr(run, part)[1:] for run in runs]) for part in (name, f"{name}_stderr"))
         # the ratio of variances, as the errors of few contacts are themselves known to some 10 % each
         found.append((np.sum((value - getattr(exact, name)[1:]) ** 2) / np.sum(stderr**2), value.size))
-    known = {"friction": level.friction, "pinned_fraction": level.pinned, "break_stretch": level.break_stretch}
-    for name, value in known.items():
-        found.append((np.mean([z_score(getattr(run, name), value.value) ** 2 for run in runs]), len(runs)))
+    for name in OBSERVABLES:
+        z = [z_score(getattr(run.averages, name), getattr(level, name).value) for run in runs]
+        found.append((np.mean(np.square(z)), len(runs)))
     for ratio, scores in found:
         law = scipy.stats.chi2(scores)
         assert law.sf(scores * ratio) > 1e-4
@@ -237,19 +234,19 @@ def test_few_contacts_use_lives_as_samples():
     """One contact: batches of whole lives, and honest words when there is too little to go by."""
     long = trajectory(Ensemble(count=1, delay=Delay(1.0)), Drive(1.0, 20_000.0), seed=4)
     level = steady(Ensemble(count=1, delay=Delay(1.0)), Drive(1.0), rel_error=1e-5)
-    assert long.friction.reliable
-    assert abs(z_score(long.friction, level.friction.value)) < 4.5
+    assert long.averages.friction.reliable
+    assert abs(z_score(long.averages.friction, level.friction.value)) < 4.5
     short = trajectory(Ensemble(count=1), Drive(1.0, 5.0), seed=4)
-    assert not short.friction.reliable
+    assert not short.averages.friction.reliable
     nothing = trajectory(Ensemble(count=100), Drive(1.0, 1e-3), seed=4)
-    assert nothing.break_stretch.value is None
-    assert not nothing.friction.reliable
+    assert nothing.averages.break_stretch.value is None
+    assert not nothing.averages.friction.reliable
 
 
 def test_transients_are_called_unreliable():
     """A delay longer than the run: the halves of the averaging window differ."""
     result = trajectory(Ensemble(delay=Delay(30.0)), Drive(1.0, 20.0))
-    assert not result.friction.reliable
+    assert not result.averages.friction.reliable
 
 
 def test_a_drift_of_some_errors_is_seen(monkeypatch):
@@ -260,11 +257,11 @@ def test_a_drift_of_some_errors_is_seen(monkeypatch):
     ensemble, drive = Ensemble(count=20_000, delay=Delay(1.0, "exponential"), **UNIFORM), Drive(1.0, 4.0)
     found = trajectory(ensemble, drive, points=3)
     exact = transient(ensemble, drive, points=401).force
-    apart = (exact[301:].mean() - exact[201:301].mean()) / (2 * found.friction.stderr)
+    apart = (exact[301:].mean() - exact[201:301].mean()) / (2 * found.averages.friction.stderr)
     assert 8 < abs(apart) < 20
     level = trajectory(ensemble, dataclasses.replace(drive, start="stationary"), points=3)
-    for name in ("friction", "pinned_fraction", "break_stretch"):
-        assert (getattr(found, name).reliable, getattr(level, name).reliable) == (False, True)
+    assert [one.reliable for one in found.averages.averages().values()] == [False] * 3
+    assert [one.reliable for one in level.averages.averages().values()] == [True] * 3
 
 
 def test_same_bits_for_any_threads_and_seeds_that_differ():
@@ -277,7 +274,7 @@ def test_same_bits_for_any_threads_and_seeds_that_differ():
         for name in ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std"):
             first = getattr(runs[0], name)
             assert all(first is None or first.tobytes() == getattr(run, name).tobytes() for run in runs)
-        assert len({(run.friction, run.pinned_fraction, run.break_stretch, run.lives) for run in runs}) == 1
+        assert len({(run.averages, run.lives) for run in runs}) == 1
     other = trajectory(ensemble, drive, points=301, seed=10)
     assert not np.array_equal(other.force, runs[0].force)
 
@@ -286,7 +283,7 @@ def test_same_bits_for_any_threads_and_seeds_that_differ():
 def test_same_bits_for_any_blocks(start):
     """Blocks of 1, 37, 128 and all contacts, in any order, add up to the same integers."""
     ensemble = Ensemble(thermal=Thermal(0.1), count=300, delay=Delay(1.0))
-    c = lower(ensemble, 0.1)
+    c = contacts(ensemble, 0.1)
     run = Run(10.0, 101, start == "stationary", False)
     scales = Scales.of(c, run, 300, 1, 0.0)
     table = stationary(c)
@@ -310,7 +307,7 @@ def test_a_contact_does_not_depend_on_the_others():
     drive = Drive(0.1, 10.0)
     alone = trajectory(Ensemble(thermal=Thermal(0.1), count=1), drive, points=101)
     both = trajectory(Ensemble(thermal=Thermal(0.1), count=2), drive, points=1001)
-    c = lower(Ensemble(thermal=Thermal(0.1)), 0.1)
+    c = contacts(Ensemble(thermal=Thermal(0.1)), 0.1)
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1, 0.0)
     second = Totals(101, 1)
@@ -378,8 +375,8 @@ def test_refusals():
 @pytest.mark.parametrize("stiffness_law", ["sqrt", "uniform"])
 def test_without_delay_the_pinned_fraction_is_exact(stiffness_law):
     run = trajectory(Ensemble(count=2000, stiffness_law=stiffness_law), Drive(0.1, 40.0), points=41)
-    assert (run.pinned_fraction.value, run.pinned_fraction.stderr) == (1.0, 0.0)
-    assert run.pinned_fraction.reliable
+    assert (run.averages.pinned.value, run.averages.pinned.stderr) == (1.0, 0.0)
+    assert run.averages.pinned.reliable
 
 
 def test_laws_too_broad_to_add_up():
@@ -387,7 +384,7 @@ def test_laws_too_broad_to_add_up():
     broad = Ensemble(Distribution(scipy.stats.pareto(3.5)), count=20_000)
     with pytest.raises(InputError, match="strongest of 20000 contacts can carry"):
         trajectory(broad, Drive(1.0, 5.0, "stationary"), points=5)
-    even = Ensemble(broad.thresholds, count=20_000, **UNIFORM)
-    run = trajectory(even, Drive(1.0, 5.0, "stationary"), points=5)
+    uniform = Ensemble(broad.thresholds, count=20_000, **UNIFORM)
+    run = trajectory(uniform, Drive(1.0, 5.0, "stationary"), points=5)
     # <xi^2>/2<xi>; 9 errors, as <xi^4> is infinite
-    assert abs(z_score(run.friction, 5 / 6)) < 9
+    assert abs(z_score(run.averages.friction, 5 / 6)) < 9

@@ -207,7 +207,7 @@ def test_sample(monkeypatch):
         assert high - 0.1 * (high - low) < numbers.max() <= high
 
     even([math.log10(e.aging.x_star_final / e.thresholds.x_star) for e in aging], -2, 2)
-    even([math.log10(e.delay.time * v) for _, e, v in points if e.delay.time], -3, 3)
+    even([math.log10(e.delay.time * v) for _, e, v in drawn if e.delay.time], -3, 3)
     laws = [ensemble.thresholds for ensemble in ensembles]
     even([law.n for law in laws if isinstance(law, Gamma)], 0, 10)
     of = {}

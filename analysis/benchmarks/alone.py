@@ -10,14 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from analysis.benchmarks.cases import CASES, VELOCITY, Case, Sizes
-from analysis.benchmarks.jobs import Outcome, plain, ratios, speed, take_turns
-from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Ensemble
-from eqsim.laws.aging import Aging
-from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import Gamma
-from eqsim.master.steady import reference
-from eqsim.master.transient import transient
+from analysis.benchmarks.jobs import Outcome, interleaved, plain, ratios, speed
+from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, transient
 
 ROOT = Path(__file__).parents[2]
 NOTHING = Outcome(0.0, 0.0)  # a job that is not about friction
@@ -32,38 +26,38 @@ def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]
             ensemble = Ensemble(Gamma(1.0, 0.1), thermal, aging=aging, stiffness_law=law)
 
             def run(seed: int, threads: int = 1, ensemble: Ensemble = ensemble) -> Outcome:
-                return plain(ensemble, 1.0, sizes.langevin_lives, seed, threads)
+                return plain(ensemble, 1.0, 1.0, seed, threads)  # the fewest lives there are, 65 536
 
             run(seed)  # compiles
             contenders = {"eqsim": run, "eqsim, threads": lambda seed, run=run: run(seed, threads)}
-            turns = take_turns(contenders, sizes.repeats, seed)
+            rounds = interleaved(contenders, sizes.repeats, seed)
             case = f"{f'soft kT={kT:g}' if kT else 'T=0'}, {law} k"
-            gain = ratios("threads", turns, "eqsim, threads", "eqsim")
-            rows.append({"job": "langevin lives, D_v = 0.1", "case": case} | speed(turns, "eqsim", "") | gain)
+            gain = ratios("threads", rounds, "eqsim, threads", "eqsim")
+            rows.append({"job": "langevin lives, D_v = 0.1", "case": case} | speed(rounds, "eqsim", "") | gain)
     return rows
 
 
 def time_references(sizes: Sizes) -> list[dict[str, Any]]:
     """Stationary averages and transients from the master equation; kernels and tables are warm, answers are not:
-    each turn has its own velocity."""
+    each round has its own velocity."""
     chosen = [case for case in CASES if not case.general] + [Case(0.1, "soft", True)]
     rows = []
     for disorder in ("quenched", "annealed"):
         for case in chosen:
             ensemble = replace(case.ensemble(1), disorder=disorder)
 
-            def averages(turn: int, ensemble: Ensemble = ensemble) -> Outcome:
-                reference(ensemble, Drive(VELOCITY * (1 + 1e-3 * turn)))
+            def averages(number: int, ensemble: Ensemble = ensemble) -> Outcome:
+                reference(ensemble, Drive(VELOCITY * (1 + 1e-3 * number)))
                 return NOTHING
 
-            def force(turn: int, ensemble: Ensemble = ensemble) -> Outcome:
-                transient(ensemble, Drive(VELOCITY * (1 + 1e-3 * turn), sizes.distance), sizes.points)
+            def force(number: int, ensemble: Ensemble = ensemble) -> Outcome:
+                transient(ensemble, Drive(VELOCITY * (1 + 1e-3 * number), sizes.distance), sizes.points)
                 return NOTHING
 
             averages(0), force(0)
-            turns = take_turns({"stationary": averages, "transient": force}, sizes.repeats, 1)
+            rounds = interleaved({"stationary": averages, "transient": force}, sizes.repeats, 1)
             rows += [
-                {"job": f"reference, {job}, {disorder}", "case": case.name} | speed(turns, job, "")
+                {"job": f"reference, {job}, {disorder}", "case": case.name} | speed(rounds, job, "")
                 for job in ("stationary", "transient")
             ]
     return sorted(rows, key=lambda row: row["job"])
@@ -74,7 +68,7 @@ def time_start(sizes: Sizes) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
 
         def eqsim(*arguments: str, cache: str) -> Outcome:
-            command = [sys.executable, "-c", "from eqsim.cli.app import main; main()", *arguments]
+            command = [sys.executable, "-m", "eqsim", *arguments]
             path = os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", "")))
             environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/{cache}", "PYTHONPATH": path}
             subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True)
@@ -85,12 +79,12 @@ def time_start(sizes: Sizes) -> list[dict[str, Any]]:
 
         starts: dict[str, tuple[Callable[[int], Outcome], int]] = {
             "eqsim --help": (lambda _: eqsim("--help", cache="0"), sizes.repeats),
-            "quickstart, cold": (lambda turn: quickstart(str(turn)), sizes.cold_starts),
+            "quickstart, cold": (lambda number: quickstart(str(number)), sizes.cold_starts),
             "quickstart, warm": (lambda _: quickstart("0"), sizes.repeats if sizes.cold_starts else 0),
         }
         rows = []
         for case, (start, repeats) in starts.items():
             if repeats:
-                turns = take_turns({case: start}, repeats, 0)
-                rows.append({"job": "start-up", "case": case} | speed(turns, case, ""))
+                rounds = interleaved({case: start}, repeats, 0)
+                rows.append({"job": "start-up", "case": case} | speed(rounds, case, ""))
     return rows

@@ -1,11 +1,9 @@
 """What is timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and warm, plain and general."""
 
 from dataclasses import dataclass
+from typing import Literal
 
-from eqsim.model.ensemble import Ensemble
-from eqsim.laws.delay import Delay
-from eqsim.laws.stiffness import StiffnessLaw
-from eqsim.laws.thermal import Barrier, Thermal
+from eqsim import Delay, Ensemble, Thermal
 
 VELOCITY = 0.01
 DELAY = 20.0  # tau of the general case: contacts stay detached over 0.2 x_*
@@ -16,7 +14,7 @@ class Case:
     """One kind of contacts. `general` is k_i ~ sqrt(f_si) with a fixed delay, otherwise uniform k and none."""
 
     kT: float
-    barrier: Barrier
+    barrier: str
     general: bool
 
     @property
@@ -25,11 +23,11 @@ class Case:
         return f"{self.barrier} kT={self.kT:g}, {contacts}" if self.kT else f"T=0, {contacts}"
 
     @property
-    def stiffness_law(self) -> StiffnessLaw:
+    def stiffness_law(self) -> Literal["sqrt", "uniform"]:
         return "sqrt" if self.general else "uniform"
 
     @property
-    def gap(self) -> float:
+    def delay(self) -> float:
         """v tau."""
         return VELOCITY * DELAY if self.general else 0.0
 
@@ -47,17 +45,16 @@ CASES = [
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is timed; lengths in x_*. The stepped script gets fewer contacts and a shorter way."""
+    """How much is timed; lengths in x_*. The stepped script gets fewer contacts, over a shorter distance."""
 
     contacts: int = 100_000
     distance: float = 200.0
     points: int = 4001
     stepped_contacts: int = 10_000
     stepped_distance: float = 20.0
-    lives: int = 100_000_000  # of one plain steady average
+    lives: int = 100_000_000  # of one plain steady average, about
     scalar_lives: int = 8_000_000  # of one by rival B
     errors: tuple[float, ...] = (1e-3, 1e-5)  # relative, asked of the steady averages
-    langevin_lives: int = 64_000
     repeats: int = 5
     plain_repeats: int = 3
     cold_starts: int = 2
@@ -68,5 +65,5 @@ class Sizes:
         return self.contacts * self.distance / (self.stepped_contacts * self.stepped_distance)
 
 
-QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 640_000, 64_000, (1e-3, 1e-4), 6400, 3, 3, 0)
-COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 6400, 320, (1e-2,), 320, 1, 1, 0)
+QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 640_000, 64_000, (1e-3, 1e-4), 3, 3, 0)
+COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 6400, 320, (1e-2,), 1, 1, 0)

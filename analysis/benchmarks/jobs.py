@@ -1,25 +1,15 @@
-"""The jobs that eqsim and its rivals share, and how contenders are timed: they take turns within one run, and a ratio
-is the median over the turns, so that a machine that is slow for a while is slow for all of them."""
+"""The jobs that eqsim and its rivals share, and how contenders are timed: in interleaved rounds within one run, a ratio
+being the median over the rounds, so that a machine that is slow for a while is slow for all of them."""
 
 import math
 import statistics
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from analysis.benchmarks import scalar, stepped, tuned
 from analysis.benchmarks.cases import VELOCITY, Case, Sizes
-from eqsim.engine.lanes import LANES, ROUNDS, plain_sums
-from eqsim.engine.langevin import path_law
-from eqsim.engine.steady import Steady, steady
-from eqsim.numerics.streams import STEADY, key
-from eqsim.engine.trajectory import Trajectory, trajectory
-from eqsim.model.ensemble import Drive, Ensemble, lower
-
-BATCHES = 64  # of a plain average
+from eqsim import Drive, Ensemble, Estimate, steady, trajectory
 
 
 class Outcome(NamedTuple):
@@ -30,40 +20,35 @@ class Outcome(NamedTuple):
     lives: int = 0
 
     @classmethod
-    def of(cls, found: Trajectory | Steady) -> "Outcome":
-        return cls(found.friction.value or math.nan, found.friction.stderr or math.nan, found.lives)
+    def of(cls, friction: Estimate, lives: int) -> "Outcome":
+        return cls(friction.value or math.nan, friction.stderr or math.nan, lives)
 
 
 Contender = Callable[[int], Outcome]
-Turns = dict[str, list[tuple[float, Outcome]]]  # seconds and outcome of every turn of a contender
+Rounds = dict[str, list[tuple[float, Outcome]]]  # seconds and outcome of a contender in every round
 
 
-def take_turns(contenders: dict[str, Contender], repeats: int, seed: int) -> Turns:
+def interleaved(contenders: dict[str, Contender], repeats: int, seed: int) -> Rounds:
     """Time every contender `repeats` times, in alternating order, each time from another seed."""
-    turns: Turns = {name: [] for name in contenders}
+    rounds: Rounds = {name: [] for name in contenders}
     for repeat in range(repeats):
         for name in list(contenders)[:: (-1) ** repeat]:
             begin = time.perf_counter()
             outcome = contenders[name](seed + repeat)
-            turns[name].append((time.perf_counter() - begin, outcome))
-    return turns
+            rounds[name].append((time.perf_counter() - begin, outcome))
+    return rounds
 
 
-def plain(ensemble: Ensemble, velocity: float, lives: int, seed: int, threads: int) -> Outcome:
-    """Friction of eqsim's lives, plainly drawn, by renewal-reward."""
-    c, turns = lower(ensemble, velocity), -(-lives // (BATCHES * LANES * ROUNDS))
-    size = turns * LANES * ROUNDS
+def accuracy(ensemble: Ensemble, velocity: float, lives: int) -> float:
+    """The relative error that some 0.7 to 1.4 times so many plainly drawn lives give."""
+    friction = steady(ensemble, Drive(velocity), rel_error=1.0, plain=True).friction
+    return 1.3 * friction.stderr / friction.value * math.sqrt(friction.n / (0.7 * lives))
 
-    def sums(batch: int) -> tuple[float, float]:
-        work, stretch, *_ = plain_sums(c, path_law(c), key(seed, STEADY), batch * LANES, 0, turns)
-        return work, stretch
 
-    with ThreadPoolExecutor(threads) as pool:
-        work, stretch = np.array(list(pool.map(sums, range(BATCHES)))).T
-    cycle, unit = stretch + size * c.delay, ensemble.thresholds.scale
-    value = work.sum() / cycle.sum()
-    error = float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())
-    return Outcome(float(value) * unit, error * unit, size * BATCHES)
+def plain(ensemble: Ensemble, velocity: float, rel_error: float, seed: int, threads: int = 1) -> Outcome:
+    """Friction of plainly drawn lives of eqsim, by renewal-reward."""
+    found = steady(ensemble, Drive(velocity), rel_error=rel_error, seed=seed, threads=threads, plain=True)
+    return Outcome.of(found.friction, found.lives)
 
 
 def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
@@ -71,7 +56,8 @@ def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[s
     ensemble, drive = case.ensemble(sizes.contacts), Drive(VELOCITY, sizes.distance)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
-        return Outcome.of(trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads))
+        found = trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads)
+        return Outcome.of(found.averages.friction, found.lives)
 
     def by_hand(seed: int, threads: int = 1) -> Outcome:
         found = tuned.run(case, sizes.contacts, sizes.distance, sizes.points, seed, threads)
@@ -85,18 +71,20 @@ def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[s
     }
     if tuned.available():
         contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
-    turns = take_turns(contenders, sizes.repeats, seed)
-    (value, error), (truth, its_error) = pooled(turns, "A"), pooled(turns, "eqsim")
+    rounds = interleaved(contenders, sizes.repeats, seed)
+    (value, error), (truth, its_error) = pooled(rounds, "A"), pooled(rounds, "eqsim")
     bias = {"A_bias": value / truth - 1, "A_bias_stderr": math.hypot(error, its_error) / truth}
     wanted = {"wanted": 0.80 if case.kT else 0.85}
-    return summary(case, turns) | ratios("A", turns, "A", "eqsim", sizes.contact_steps) | bias | wanted
+    return summary(case, rounds) | ratios("A", rounds, "A", "eqsim", sizes.contact_steps) | bias | wanted
 
 
 def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
-    """Steady friction from so many lives, plainly drawn. Rival B takes fewer, and its time is scaled up."""
+    """Steady friction from about so many lives, plainly drawn; times are compared per life."""
+    ensemble = case.ensemble(1)
+    rel_error = accuracy(ensemble, VELOCITY, sizes.lives)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
-        return plain(case.ensemble(1), VELOCITY, sizes.lives, seed, threads)
+        return plain(ensemble, VELOCITY, rel_error, seed, threads)
 
     def by_hand(seed: int, threads: int = 1) -> Outcome:
         return Outcome(*tuned.steady(case, sizes.lives, seed, threads), sizes.lives)
@@ -108,9 +96,9 @@ def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, A
     }
     if tuned.available():
         contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
-    turns = take_turns(contenders, sizes.plain_repeats, seed)
+    rounds = interleaved(contenders, sizes.plain_repeats, seed)
     wanted = {"wanted": 0.70 if case.kT else 0.80}
-    return summary(case, turns, sizes.lives / sizes.scalar_lives) | wanted
+    return summary(case, rounds, per_life=True) | wanted
 
 
 def time_steady(case: Case, sizes: Sizes, threads: int, seed: int, rel_error: float) -> dict[str, Any]:
@@ -118,52 +106,56 @@ def time_steady(case: Case, sizes: Sizes, threads: int, seed: int, rel_error: fl
     ensemble = case.ensemble(1)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
-        return Outcome.of(steady(ensemble, Drive(VELOCITY), rel_error=rel_error, seed=seed, threads=threads))
+        found = steady(ensemble, Drive(VELOCITY), rel_error=rel_error, seed=seed, threads=threads)
+        return Outcome.of(found.friction, found.lives)
 
     contenders = {
         "eqsim": eqsim,
         "eqsim, threads": lambda seed: eqsim(seed, threads),
         "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.scalar_lives, seed)),
     }
-    turns = take_turns(contenders, sizes.repeats, seed)
-    value, error = pooled(turns, "B")
+    rounds = interleaved(contenders, sizes.repeats, seed)
+    value, error = pooled(rounds, "B")
     needed = sizes.repeats * (error / value / rel_error) ** 2  # runs of sizes.scalar_lives
-    return summary(case, turns, needed) | {"B_lives": needed * sizes.scalar_lives}
+    return summary(case, rounds, needed) | {"B_lives": needed * sizes.scalar_lives}
 
 
-def summary(case: Case, turns: Turns, b_factor: float = 1.0) -> dict[str, Any]:
+def summary(case: Case, rounds: Rounds, b_factor: float = 1.0, per_life: bool = False) -> dict[str, Any]:
     """Speed and error of eqsim, what threads gain, and speed and score of rivals B and C, as far as they took part."""
-    figures: dict[str, Any] = {"case": case.name} | speed(turns, "eqsim", "")
-    figures |= ratios("threads", turns, "eqsim, threads", "eqsim") | ratios("B", turns, "B", "eqsim", b_factor)
-    figures["rel_error"] = statistics.median(outcome.stderr / outcome.value for _, outcome in turns["eqsim"])
-    truth, its_error = pooled(turns, "eqsim")
+    cost = rounds
+    if per_life:
+        cost = {name: [(seconds / found.lives, found) for seconds, found in of] for name, of in rounds.items()}
+    figures: dict[str, Any] = {"case": case.name} | speed(rounds, "eqsim", "")
+    figures |= ratios("threads", cost, "eqsim, threads", "eqsim") | ratios("B", cost, "B", "eqsim", b_factor)
+    figures["rel_error"] = statistics.median(outcome.stderr / outcome.value for _, outcome in rounds["eqsim"])
+    truth, its_error = pooled(rounds, "eqsim")
     for name in ("B", "C"):
-        if name in turns:
-            value, error = pooled(turns, name)
+        if name in rounds:
+            value, error = pooled(rounds, name)
             figures[f"{name}_z"] = (value - truth) / math.hypot(error, its_error)
-    if "C" in turns:
-        figures |= speed(turns, "C", "C_") | ratios("C", turns, "C", "eqsim")
-        figures |= ratios("C_both_threads", turns, "C, threads", "eqsim, threads")
-        figures |= ratios("C_threads", turns, "C, threads", "C")
+    if "C" in rounds:
+        figures |= speed(rounds, "C", "C_") | ratios("C", cost, "C", "eqsim")
+        figures |= ratios("C_both_threads", cost, "C, threads", "eqsim, threads")
+        figures |= ratios("C_threads", cost, "C, threads", "C")
     return figures
 
 
-def speed(turns: Turns, name: str, prefix: str) -> dict[str, float]:
+def speed(rounds: Rounds, name: str, prefix: str) -> dict[str, float]:
     """Median seconds, lives and nanoseconds per life."""
-    seconds = statistics.median(seconds for seconds, _ in turns[name])
-    found = statistics.median(outcome.lives for _, outcome in turns[name])
+    seconds = statistics.median(seconds for seconds, _ in rounds[name])
+    found = statistics.median(outcome.lives for _, outcome in rounds[name])
     figures = {f"{prefix}seconds": seconds, f"{prefix}lives": found}
     return figures | ({f"{prefix}ns_per_life": 1e9 * seconds / found} if found else {})
 
 
-def ratios(figure: str, turns: Turns, this: str, that: str, factor: float = 1.0) -> dict[str, float]:
-    """Seconds of `this` over those of `that`, times `factor`: median, least and greatest over the turns."""
-    found = [factor * one / other for (one, _), (other, _) in zip(turns[this], turns[that], strict=True)]
+def ratios(figure: str, rounds: Rounds, this: str, that: str, factor: float = 1.0) -> dict[str, float]:
+    """Seconds of `this` over those of `that`, times `factor`: median, least and greatest over the rounds."""
+    found = [factor * one / other for (one, _), (other, _) in zip(rounds[this], rounds[that], strict=True)]
     return {figure: statistics.median(found), f"{figure}_low": min(found), f"{figure}_high": max(found)}
 
 
-def pooled(turns: Turns, name: str) -> tuple[float, float]:
-    """Mean of the frictions of all turns, and its standard error."""
-    outcomes = [outcome for _, outcome in turns[name]]
+def pooled(rounds: Rounds, name: str) -> tuple[float, float]:
+    """Mean of the frictions of all rounds, and its standard error."""
+    outcomes = [outcome for _, outcome in rounds[name]]
     error = math.sqrt(sum(outcome.stderr**2 for outcome in outcomes)) / len(outcomes)
     return statistics.fmean(outcome.value for outcome in outcomes), error

@@ -8,7 +8,7 @@ enum { DEGREE = 9 };
 
 typedef struct {
     int64_t breaking, general; /* general: k_i = k xi/sqrt(2), fixed delay; otherwise k_i = k, none */
-    double b, w, gap;          /* k/(2 kT), omega/v, v tau */
+    double b, w, delay;        /* k/(2 kT), omega/v, v tau */
     uint32_t key[2];
 } Law;
 

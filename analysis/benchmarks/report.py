@@ -62,12 +62,12 @@ BARS = {  # figure: label and colour
 def notes(sizes: Sizes, threads: int) -> str:
     """How to read the figures."""
     return (
-        f"Medians over {sizes.repeats} interleaved turns (plain averages: {sizes.plain_repeats}). A, B, C: seconds per "
-        "second of eqsim, one thread each.\n"
+        f"Medians over {sizes.repeats} interleaved rounds (plain averages: {sizes.plain_repeats}). A, B, C: seconds "
+        "per second of eqsim, one thread each.\n"
         f"A: NumPy script in steps of {STEP} x_*, {sizes.stepped_contacts} contacts over {sizes.stepped_distance:g} "
         f"x_*, scaled by contact-steps (x{sizes.contact_steps:g}).\n"
         f"B: scalar numba kernel of the same algorithm, mean force only; steady averages: plain Monte Carlo of "
-        f"{sizes.scalar_lives:.0e} lives,\n   scaled to as many as eqsim takes, or as the asked error takes.\n"
+        f"{sizes.scalar_lives:.0e} lives,\n   compared per life, or scaled to as many as the asked error takes.\n"
         "C: the same work by hand in C: eqsim's generator, exact lives, all that eqsim records; the limit of the "
         "machine. wanted: least C.\n"
         f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} threads over seconds on one "
@@ -93,7 +93,7 @@ def table(figures: pd.DataFrame) -> Table:
 
 
 def picture(figures: pd.DataFrame, path: Path) -> None:
-    """One panel per job with rivals; bars reach from 1, lines from the least turn to the greatest."""
+    """One panel per job with rivals; bars reach from 1, lines from the least round to the greatest."""
     compared = figures[figures["B"].notna()]
     jobs = compared["job"].unique()
     plt.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})

@@ -1,8 +1,8 @@
 """Rival B: the same event-driven algorithm as a plain scalar numba kernel: libm, np.random, float64 sums, and of all
 that eqsim records only the mean force.
 
-It is written for n = 1 and for moderate kT: xi^2 is the sum of two exponential variables, which is the quickest way
-to draw it, and the stiff inverse is the short formula that does without logarithms of exponentials.
+It is written for n = 1 and for moderate kT: xi^2 is the sum of two exponential variables, which is quickest
+to draw, and the stiff inverse is the short formula that does without logarithms of exponentials.
 """
 
 import math
@@ -81,7 +81,7 @@ def life(kT: float, stiff: bool, general: bool) -> tuple[float, float]:
 
 @numba.njit
 def force(
-    kT: float, stiff: bool, general: bool, gap: float, contacts: int, distance: float, points: int, seed: int
+    kT: float, stiff: bool, general: bool, delay: float, contacts: int, distance: float, points: int, seed: int
 ) -> NDArray[np.float64]:
     """<F>/(N k) on the grid after a fresh start."""
     np.random.seed(seed)  # noqa: NPY002
@@ -99,7 +99,7 @@ def force(
                 if last < points:
                     slope[last] -= kappa
                     offset[last] += kappa * born
-            born = broke + gap
+            born = broke + delay
     return (np.cumsum(offset) + np.cumsum(slope) * np.linspace(0.0, distance, points)) / contacts
 
 
@@ -122,7 +122,9 @@ def _law(case: Case) -> tuple[float, bool, bool]:
 def friction(case: Case, contacts: int, distance: float, points: int, seed: int) -> tuple[float, float]:
     """Mean of the force over the second half of the grid, and its standard error."""
     size = contacts // BATCHES
-    curves = [force(*_law(case), case.gap, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)]
+    curves = [
+        force(*_law(case), case.delay, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)
+    ]
     means = np.array([curve[points // 2 :].mean() for curve in curves])
     return float(means.mean()), float(means.std(ddof=1)) / math.sqrt(BATCHES)
 
@@ -131,6 +133,6 @@ def steady_friction(case: Case, lives: int, seed: int) -> tuple[float, float]:
     """Steady friction by renewal-reward over plainly drawn lives, and its standard error."""
     size = lives // BATCHES
     work, stretch = np.array([totals(*_law(case), size, seed * BATCHES + batch) for batch in range(BATCHES)]).T
-    cycle = stretch + size * case.gap
+    cycle = stretch + size * case.delay
     value = work.sum() / cycle.sum()
     return float(value), float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())

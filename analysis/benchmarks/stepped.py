@@ -35,13 +35,13 @@ def friction(case: Case, contacts: int, distance: float, seed: int) -> tuple[flo
         broken = x >= xi
         if case.kT:
             broken |= rng.random(contacts) < STEP / VELOCITY * _rate(case, x, xi, a, barrier)
-            if case.gap:
+            if case.delay:
                 broken &= x > 0
         index = np.flatnonzero(broken)
         give_birth(index)
-        x[index] = -case.gap
+        x[index] = -case.delay
         if step >= steps // 2:
-            area += kappa * np.maximum(x, 0.0) if case.gap else kappa * x
+            area += kappa * np.maximum(x, 0.0) if case.delay else kappa * x
     area /= steps - steps // 2
     return float(area.mean()), float(area.std(ddof=1)) / math.sqrt(contacts)
 

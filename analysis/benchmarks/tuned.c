@@ -1,7 +1,7 @@
 /* Rival C: eqsim's algorithm by hand; the limit of the machine.
 
    lives       in lives.h and lanes.h: eight contacts to a vector, all without branches, tables or calls
-   short loops each step of a chunk of 128 lives is a loop of its own, so that many vectors are under way at once
+   short loops each step of a chunk of 128 lives is a loop of its own, so that many vectors are worked on at once
    lock-step   a batch of contacts lives its n-th lives together, so that all deposits of a sweep fall near each other
                and stay in the first-level cache; those that have reached the end are squeezed out
    deposits    64-bit integers of what does not depend on the grid point, so that a life takes back what it left; with
@@ -17,7 +17,7 @@ enum { AREA, PINNED, BREAKS, STRETCH, SUMS }; /* of a quarter of the second half
 typedef struct {
     int64_t contacts, points, batches;
     double distance;
-} Way;
+} Job;
 
 typedef struct {
     double per_step, half, scale[5];
@@ -33,7 +33,7 @@ INLINE void leave_birth(const Grid *grid, pair *deposits, whole j, real born, re
     whole a = rounded((broke - born) * grid->scale[0]), b = rounded((broke - born) * (broke + born) * grid->scale[1]);
     whole odd_and_even[2] = {PAIRS_EVEN(a, b), PAIRS_ODD(a, b)};
     const pair *rows = (const pair *)odd_and_even;
-    int64_t at[LANES]; /* by way of memory, which the compiler is kept from avoiding: 5 % faster */
+    int64_t at[LANES]; /* through memory, which the compiler is kept from avoiding: 5 % faster */
     memcpy(at, &j, sizeof at);
     __asm__ volatile("" : "+m"(at));
     for (int i = 0; i < LANES; i++) deposits[at[i]] += rows[i / 2 + i % 2 * 4];
@@ -65,24 +65,24 @@ INLINE void leave_life(const Grid *grid, whole *deposits, whole start, whole end
 INLINE void record(const Grid *grid, real sums[2][SUMS], real k, real born, real broke, int general) {
     for (int quarter = 0; quarter < 2; quarter++) {
         real low = ALL(grid->half * (1.0 + 0.5 * quarter)), high = low + 0.5 * grid->half;
-        real start = most(born, low), end = least(broke, high), way = most(end - start, ALL(0.0));
-        real area = way * (0.5 * (start + end) - born);
+        real start = most(born, low), end = least(broke, high), pinned = most(end - start, ALL(0.0));
+        real area = pinned * (0.5 * (start + end) - born);
         sums[quarter][AREA] += general ? k * area : area;
-        sums[quarter][PINNED] += way;
+        sums[quarter][PINNED] += pinned;
         unsigned inside = above(broke, low) & ~above(broke, high);
         sums[quarter][BREAKS] += where(inside, ALL(1.0));
         sums[quarter][STRETCH] += where(inside, broke - born);
     }
 }
 
-/* contacts first <= i < last to the end of the way, in lock-step; returns their lives */
-INLINE int64_t march(const Law *law, int breaking, int general, const Way *way, const Grid *grid, int64_t first,
+/* contacts first <= i < last to the end of the distance, in lock-step; returns their lives */
+INLINE int64_t march(const Law *law, int breaking, int general, const Job *job, const Grid *grid, int64_t first,
                      int64_t last, double *position, double *contact, whole *deposits, real sums[2][SUMS]) {
     int64_t lives = 0, count = last - first;
     Lives l;
     for (int64_t i = 0; i < count; i++) position[i] = 0.0, ((int64_t *)contact)[i] = first + i;
     for (uint64_t life = 0; count > 0; life++) {
-        for (int64_t i = count; i % LANES; i++) position[i] = 4 * way->distance; /* lanes to spare: beyond the end */
+        for (int64_t i = count; i % LANES; i++) position[i] = 4 * job->distance; /* lanes to spare: beyond the end */
         int64_t kept = 0;
         for (int64_t from = 0; from < count; from += CHUNK * LANES) {
             int n = count - from < CHUNK * LANES ? (int)((count - from + LANES - 1) / LANES) : CHUNK;
@@ -90,16 +90,16 @@ INLINE int64_t march(const Law *law, int breaking, int general, const Way *way, 
             memcpy(l.id, contact + from, sizeof l.id), memcpy(at, position + from, sizeof at);
             live(law, breaking, general, life, n, &l);
             for (int i = 0; i < n; i++) {
-                real born = at[i], broke = born + l.x[i], next = general ? broke + law->gap : broke;
+                real born = at[i], broke = born + l.x[i], next = general ? broke + law->delay : broke;
                 /* what is beyond the last grid point goes to a row that nobody reads */
-                whole end = rounded_up(least(broke * grid->per_step, ALL(way->points)));
+                whole end = rounded_up(least(broke * grid->per_step, ALL(job->points)));
                 if (general) {
-                    whole start = rounded_up(least(born * grid->per_step, ALL(way->points)));
+                    whole start = rounded_up(least(born * grid->per_step, ALL(job->points)));
                     leave_life(grid, deposits, start, end, l.k[i], born);
                 } else
                     leave_birth(grid, (pair *)deposits, end, born, broke);
                 if (above(next, ALL(grid->half))) record(grid, sums, l.k[i], born, broke, general);
-                unsigned keep = ~above(next, ALL(way->distance)) & 0xff;
+                unsigned keep = ~above(next, ALL(job->distance)) & 0xff;
                 squeeze(position + kept, keep, next), squeeze(contact + kept, keep, (real)l.id[i]);
                 kept += __builtin_popcount(keep);
             }
@@ -146,10 +146,10 @@ static double power_below(double bound) {
 
 /* Deposits, shape (points, columns), divided by their scales, and sums, shape (batches, 2, SUMS), of all contacts from
    a fresh start; returns lives, or -1 where memory is short. Columns: 2 (uniform, no delay) or 8. */
-int64_t trajectory(const Law *law, const Way *way, int threads, double *deposits, double *sums) {
-    int64_t columns = law->general ? 8 : 2, size = columns * (way->points + 1), lives = 0;
-    double reach = way->distance + 8.0, k = law->general ? 5.5 : 1.0, n = (double)way->contacts; /* xi < 7.8 */
-    Grid grid = {(way->points - 1) / way->distance, 0.5 * way->distance, {0}};
+int64_t trajectory(const Law *law, const Job *job, int threads, double *deposits, double *sums) {
+    int64_t columns = law->general ? 8 : 2, size = columns * (job->points + 1), lives = 0;
+    double reach = job->distance + 8.0, k = law->general ? 5.5 : 1.0, n = (double)job->contacts; /* xi < 7.8 */
+    Grid grid = {(job->points - 1) / job->distance, 0.5 * job->distance, {0}};
     double bounds[5] = {k, k * reach, k * k, k * k * reach, k * k * reach * reach};
     if (!law->general) bounds[0] = reach, bounds[1] = reach * reach;
     for (int i = 0; i < 5; i++) grid.scale[i] = power_below(n * bounds[i]);
@@ -157,17 +157,17 @@ int64_t trajectory(const Law *law, const Way *way, int threads, double *deposits
     int failed = !total;
 #pragma omp parallel num_threads(threads) reduction(+ : lives) reduction(| : failed)
     {
-        int64_t most_contacts = way->contacts / way->batches + 1 + CHUNK * LANES;
+        int64_t most_contacts = job->contacts / job->batches + 1 + CHUNK * LANES;
         int64_t *own = aligned_alloc(64, (size * sizeof *own + 63) / 64 * 64);
         double *position = malloc(most_contacts * sizeof *position), *contact = malloc(most_contacts * sizeof *contact);
         failed |= !own || !position || !contact;
         if (!failed) {
             memset(own, 0, size * sizeof *own);
 #pragma omp for schedule(dynamic) nowait
-            for (int64_t batch = 0; batch < way->batches; batch++) {
-                int64_t first = way->contacts * batch / way->batches, last = way->contacts * (batch + 1) / way->batches;
+            for (int64_t batch = 0; batch < job->batches; batch++) {
+                int64_t first = job->contacts * batch / job->batches, last = job->contacts * (batch + 1) / job->batches;
                 real both[2][SUMS] = {};
-                FOR_KIND(lives += march, law, way, &grid, first, last, position, contact, (whole *)own, both)
+                FOR_KIND(lives += march, law, job, &grid, first, last, position, contact, (whole *)own, both)
                 for (int i = 0; i < 2 * SUMS; i++)
                     for (int lane = 0; lane < LANES; lane++)
                         sums[batch * 2 * SUMS + i] += both[i / SUMS][i % SUMS][lane];
@@ -177,7 +177,7 @@ int64_t trajectory(const Law *law, const Way *way, int threads, double *deposits
         }
         free(own), free(position), free(contact);
     }
-    for (int64_t i = 0; !failed && i < columns * way->points; i++) {
+    for (int64_t i = 0; !failed && i < columns * job->points; i++) {
         int64_t column = i % columns - law->general;
         deposits[i] = (double)total[i] / (column < 0 || column > 4 ? 1.0 : grid.scale[column]);
     }

@@ -32,12 +32,12 @@ Array = NDArray[np.float64]
 class _Law(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in ("breaking", "general")),
-        *((name, ctypes.c_double) for name in ("b", "w", "gap")),
+        *((name, ctypes.c_double) for name in ("b", "w", "delay")),
         ("key", ctypes.c_uint32 * 2),
     )
 
 
-class _Way(ctypes.Structure):
+class _Job(ctypes.Structure):
     _fields_ = (*((name, ctypes.c_int64) for name in ("contacts", "points", "batches")), ("distance", ctypes.c_double))
 
 
@@ -114,15 +114,15 @@ def _law(case: Case, seed: int) -> _Law:
     breaking = ("soft", "stiff").index(case.barrier) + 1 if case.kT else 0
     key = np.random.SeedSequence((seed, 3)).generate_state(2, np.uint32)
     words = (ctypes.c_uint32 * 2)(*key.tolist())
-    return _Law(breaking, case.general, 0.5 / case.kT if case.kT else 0.0, 1.0 / VELOCITY, case.gap, words)
+    return _Law(breaking, case.general, 0.5 / case.kT if case.kT else 0.0, 1.0 / VELOCITY, case.delay, words)
 
 
 def run(case: Case, contacts: int, distance: float, points: int, seed: int, threads: int = 1) -> Run:
     """Force of the ensemble from a fresh start. Raises MemoryError."""
     deposits, sums = np.zeros((points, 8 if case.general else 2)), np.zeros((BATCHES, 2, 4))
-    law, way = _law(case, seed), _Way(contacts, points, BATCHES, distance)
+    law, job = _law(case, seed), _Job(contacts, points, BATCHES, distance)
     lives = library().trajectory(
-        ctypes.byref(law), ctypes.byref(way), ctypes.c_int(threads), _pointer(deposits), _pointer(sums)
+        ctypes.byref(law), ctypes.byref(job), ctypes.c_int(threads), _pointer(deposits), _pointer(sums)
     )
     if lives < 0:
         raise MemoryError
@@ -151,6 +151,6 @@ def steady(case: Case, lives: int, seed: int, threads: int = 1) -> tuple[float, 
         ctypes.c_int(threads),
         _pointer(sums),
     )
-    work, cycle = sums[:, 0], sums[:, 1] + size * case.gap
+    work, cycle = sums[:, 0], sums[:, 1] + size * case.delay
     value = float(work.sum() / cycle.sum())
     return value, float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())

@@ -18,10 +18,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from eqsim import reference, steady
-from eqsim.io import storage
+from eqsim import Drive, Estimate, reference, steady, z_score
 from eqsim.errors import require_choice
-from eqsim.estimate import Estimate, z_score
+from eqsim.io import storage
 
 from .common import STYLE, Curve
 
@@ -117,10 +116,11 @@ def _jobs(curve: Curve) -> list[_Job]:
 
 def _compute(job: _Job) -> Estimate:
     """Friction at a velocity, by particles or by the master equation."""
+    drive = Drive(job.velocity)
     if not job.particles:
-        return reference(job.ensemble, job.velocity).friction
+        return reference(job.ensemble, drive).friction
     rel_error = 5e-3 if job.ensemble.fluctuates else 2e-3
-    return steady(job.ensemble, job.velocity, rel_error=rel_error).friction
+    return steady(job.ensemble, drive, rel_error=rel_error).friction
 
 
 def _rows(curve: Curve, found: dict[_Job, Estimate]) -> Iterator[dict[str, Any]]:

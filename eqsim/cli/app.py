@@ -2,7 +2,6 @@
 
 import io
 import os
-import re
 import sys
 from typing import Any, NoReturn, cast
 

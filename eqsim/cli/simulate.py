@@ -70,9 +70,7 @@ def run(
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
-        result = simulate(
-            file, path.parent, threads=number, workers=workers, max_lives=max_lives, progress=progress
-        )
+        result = simulate(file, path.parent, threads=number, workers=workers, max_lives=max_lives, progress=progress)
     storage.publish(folder, result.files(path.stem))
     shown.report(
         result.summary(),
@@ -133,7 +131,11 @@ def steady(
         complain(f"relative error {rel_error:g} was not reached")
     exact, reason = if_any(lambda: solve(ensemble, drive))
     known, z = exact.averages() if exact else {}, dict.fromkeys(result.averages())
-    z |= {name: z_score(found, known[name].value, known[name].stderr) for name, found in result.averages().items() if known}
+    z |= {
+        name: z_score(found, known[name].value, known[name].stderr)
+        for name, found in result.averages().items()
+        if known
+    }
     speed = terminal.rate(result.lives, result.engine_seconds)
     notes = [f"{terminal.count(result.lives)} lives in {result.engine_seconds:.2f} s ({speed}), seed {result.seed}"]
     shown.report(

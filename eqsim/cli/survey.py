@@ -3,7 +3,7 @@
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -84,7 +84,9 @@ def _ended(found: "Summary", out: Path) -> list[str]:
     notes = [f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}"]
     if found.computed:
         each_ms = found.point_seconds / found.computed * 1e3
-        notes.append(f"{found.computed} computed in {found.seconds:.1f} s, {each_ms:.3g} ms of engine and reference each")
+        notes.append(
+            f"{found.computed} computed in {found.seconds:.1f} s, {each_ms:.3g} ms of engine and reference each"
+        )
     return notes
 
 

@@ -306,7 +306,7 @@ def hazards(point: Point) -> Found:
     if s.aging.fluctuates:
         return [point.uniform(profile_of(s).at(stretch * unit)[0])]
     xi = np.empty(u.size)
-    thresholds(c, u, xi)
+    thresholds(c.thresholds, u, xi)
     end = xi
     if not (c.aging.closed or c.aging.fluctuates):
         end = np.empty(u.size)

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, check
@@ -19,6 +17,7 @@ from eqsim.sweep.workers import Workers
 from eqsim.workflows.run import Progress, simulate
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
+Table = Any  # a pandas DataFrame, or columns by name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,8 +60,10 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
         If the file is none of eqsim's, or what made it cannot be repeated.
     """
     table, origin = _read(path)
+    import pandas as pd
+
     try:
-        again = _REPEAT[origin["command"]](origin, workers, progress)
+        again = pd.DataFrame(_REPEAT[origin["command"]](origin, workers, progress))
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: its provenance is damaged ({type(error).__name__}: {error})") from None
     here = storage.versions()
@@ -73,7 +74,7 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
     )  # fmt: skip
 
 
-def _read(path: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+def _read(path: Path) -> tuple[Table, dict[str, Any]]:
     """The table of a file, and its provenance."""
     import pyarrow
     from pyarrow import parquet as pq
@@ -87,14 +88,18 @@ def _read(path: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
     try:
         table = pq.read_table(pyarrow.BufferReader(content))
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
-        if origin["command"] in _REPEAT and isinstance(origin["settings"], dict) and isinstance(origin["versions"], dict):
+        if (
+            origin["command"] in _REPEAT
+            and isinstance(origin["settings"], dict)
+            and isinstance(origin["versions"], dict)
+        ):
             return table.to_pandas(), origin
     except (pyarrow.ArrowException, OSError, KeyError, ValueError, TypeError, RecursionError):
         pass
     raise InputError(f"{path}: is not a Parquet file that eqsim has written, or is damaged")
 
 
-def compare(table: pd.DataFrame, again: pd.DataFrame) -> dict[str, tuple[int, float | None]]:
+def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
     """Columns of two tables that differ, as in `Replay`. A column or row that only one of them has differs."""
     found: dict[str, tuple[int, float | None]] = {}
     for name in [*table, *(name for name in again if name not in table)]:
@@ -106,7 +111,7 @@ def compare(table: pd.DataFrame, again: pd.DataFrame) -> dict[str, tuple[int, fl
         then, now = table[name], again[name]
         other = ~((then == now) | (then.isna() & now.isna()))
         if other.any():
-            numbers = pd.api.types.is_numeric_dtype(then) and pd.api.types.is_numeric_dtype(now)
+            numbers = then.dtype.kind in "iuf" and now.dtype.kind in "iuf"
             by = (then - now)[other].abs() if numbers else None
             found[name] = (int(other.sum()), None if by is None or by.isna().any() else float(by.max()))
     return found
@@ -117,32 +122,32 @@ def _file(settings: dict[str, Any]) -> RunFile:
     return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
 
 
-def _run(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+def _run(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
     file, folder = _file(origin["settings"]), Path(origin["folder"])
-    return pd.DataFrame(
-        simulate(file, folder, threads=workers, max_lives=float("inf"), progress=progress).columns()
-    )
+    return simulate(file, folder, threads=workers, max_lives=float("inf"), progress=progress).columns()
 
 
-def _validate(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+def _validate(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
     from eqsim.validation import columns, validate
 
     suite = origin["settings"]["suite"]
-    return pd.DataFrame(columns(validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores))
+    return columns(validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores)
 
 
-def _sweep(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+def _sweep(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
     """By the identities of then, from which seeds are made."""
+    from pyarrow import parquet as pq
+
     settings = origin["settings"]
     plan = Plan(_file(settings["sweep"]), Path(origin["folder"]), origin["results_version"])
     asked = Asked(**{field.name: settings[field.name] for field in dataclasses.fields(Asked)})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
         sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)
-        return pd.read_parquet(out / "sweep.parquet")
+        return pq.read_table(out / "sweep.parquet").to_pandas()
 
 
-def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> pd.DataFrame:
+def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
     from eqsim_figures import tabulate
 
     name, quick = origin["settings"]["figure"], origin["settings"]["quick"]
@@ -150,7 +155,7 @@ def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> pd.Dat
         return dict(tabulate([name], quick=quick, executor=pool.executor, progress=progress))[name]
 
 
-_REPEAT: dict[str, Callable[[dict[str, Any], int, Progress], pd.DataFrame]] = {
+_REPEAT: dict[str, Callable[[dict[str, Any], int, Progress], Table]] = {
     "run": _run,
     "validate": _validate,
     "sweep": _sweep,

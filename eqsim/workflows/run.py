@@ -10,7 +10,6 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import Trajectory, check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
-from eqsim.io.plots import trajectory_png
 from eqsim.io.runfile import RunFile
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive
@@ -55,6 +54,8 @@ class RunResult:
 
     def files(self, title: str = "") -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        from eqsim.io.plots import trajectory_png
+
         file = self.file
         origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, self.folder)
         return {

@@ -18,7 +18,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from eqsim.io import plots, storage
-from eqsim.validation.suite import ALARM, KINDS, REASONS, SUITES, Score, overall, verdict
+from eqsim.validation.points import SUITES
+from eqsim.validation.scores import KINDS, REASONS, Score
+from eqsim.validation.verdict import ALARM, judge, overall
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"
@@ -29,11 +31,10 @@ P_VALUES = ("p_chi_square", "p_largest")
 
 def digest():
     """Of the sources that numbers depend on."""
-    sources = sorted((ROOT / "eqsim").rglob("*.py"))
-    found = hashlib.sha256(b"".join(path.read_bytes() for path in sources if path.parent.name != "eqsim"))
-    for name in ("validation.py", "ensemble.py", "estimate.py"):
-        found.update((ROOT / "eqsim" / name).read_bytes())
-    return found.hexdigest()[:16]
+    folders = ("numerics", "laws", "model", "engine", "master", "validation")
+    sources = [path for folder in folders for path in sorted((ROOT / "eqsim" / folder).rglob("*.py"))]
+    sources.append(ROOT / "eqsim" / "estimate.py")
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
 
 
 DIGEST = digest()
@@ -103,9 +104,7 @@ def gather():
     complete = {name for name, got, all_ in (("space", space, PARTS), ("flat", seeds, len(SEEDS))) if len(got) == all_}
     records = (("parameter space", space), ("flatness", seeds), ("negative controls", controls))
     seconds = {name: sum(record["seconds"] for record in group.values()) for name, group in records}
-    return Report(
-        [verdict(kind, rows) for kind in KINDS], scores, left_out, flat, flatness, controls, complete, seconds
-    )
+    return Report([judge(kind, rows) for kind in KINDS], scores, left_out, flat, flatness, controls, complete, seconds)
 
 
 def publish():

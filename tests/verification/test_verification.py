@@ -20,12 +20,14 @@ import pytest
 from report import PARTS, SEED, SEEDS, leave, publish
 from scipy import stats
 
-from eqsim import Distribution, InputError, Table
-from eqsim.validation import suite as validation
-from eqsim.engine.stationary import standing
+from eqsim import Distribution, Gamma, InputError, Table, validate
+from eqsim.engine.stationary import stationary
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE
 from eqsim.numerics.tables import octave_edges, octave_table
-from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, Gamma
-from eqsim.validation.suite import ALARM, KINDS, Suite, columns, declined, left_out, validate
+from eqsim.validation import scores, verdict
+from eqsim.validation.points import SUITES, Suite, sample
+from eqsim.validation.scores import KINDS, columns
+from eqsim.validation.verdict import ALARM, declined, left_out
 
 pytestmark = pytest.mark.verification
 
@@ -53,7 +55,7 @@ def test_p_values_are_flat(seed, monkeypatch):
     """Over seeds the p-value of the chi-square of every kind is uniform, that of the largest score, which bounds only
     make smaller, is at least not too often small, and none is too small for so many."""
     begin = time.perf_counter()
-    monkeypatch.setitem(validation.SUITES, "flat", Suite(15, 5, ((20, 2000), (100, 1000))))
+    monkeypatch.setitem(SUITES, "flat", Suite(15, 5, ((20, 2000), (100, 1000))))
     result = validate("flat", seed=seed)
     leave(f"flat-{seed}", begin, verdicts=[dataclasses.asdict(v) for v in result.verdicts if v.even])
     found = publish()
@@ -226,18 +228,15 @@ def run_control(law, wrong, kinds, result, begin):
 def test_wrong_law(control, monkeypatch):
     """One law wrong in the engine alone, at all points that know it: every kind it must show in fails."""
     begin = time.perf_counter()
-    monkeypatch.setitem(
-        validation.SUITES, "control", Suite(control.points, control.points // 3, ((20, 2000), (100, 1000)))
-    )
-    drawn = validation.sample
-    monkeypatch.setattr(validation, "sample", lambda count, seed, _: knowing(drawn, control, count, seed))
+    monkeypatch.setitem(SUITES, "control", Suite(control.points, control.points // 3, ((20, 2000), (100, 1000))))
+    monkeypatch.setattr(verdict, "sample", lambda count, seed, _: knowing(control, count, seed))
     result = validate("control", seed=7, wrong=control.change)
     run_control(control.law, control.wrong, control.kinds, result, begin)
 
 
-def knowing(drawn, control, count, seed):
+def knowing(control, count, seed):
     """The first `count` points that know what is wrong, and can be drawn so."""
-    knows = ((e, v) for _, e, v in drawn(48 * count, seed) if control.of(e) and changes(control, e))
+    knows = ((e, v) for _, e, v in sample(48 * count, seed) if control.of(e) and changes(control, e))
     return ((index, e, v) for index, (e, v) in enumerate(itertools.islice(knows, count)))
 
 
@@ -250,12 +249,12 @@ def changes(control, e):
 
 def all_pinned(c):
     """No contact found waiting."""
-    return standing(c)._replace(pinned=1.0)
+    return stationary(c)._replace(pinned=1.0)
 
 
 def births(c):
     """Thresholds of births instead of those that a snapshot finds."""
-    found = standing(c)
+    found = stationary(c)
     edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
     same = octave_table(FIRST_OCTAVE, edges, np.ones(edges.size))
     return found._replace(biased=same) if found.biased.size else found
@@ -263,7 +262,7 @@ def births(c):
 
 def long_lives(c):
     """Stretches from 0 to the threshold alone, evenly: an envelope that is too high is harmless, one too low is not."""
-    found = standing(c)
+    found = stationary(c)
     return found._replace(life=0.8 * found.life) if found.life.size else found
 
 
@@ -278,8 +277,8 @@ START = [
 def test_wrong_stationary_start(wrong, start, kinds, monkeypatch):
     """What the stationary start finds is wrong."""
     begin = time.perf_counter()
-    monkeypatch.setitem(validation.SUITES, "control", Suite(36, 12, ((20, 2000), (100, 1000))))
-    monkeypatch.setattr(validation, "standing", start)
+    monkeypatch.setitem(SUITES, "control", Suite(36, 12, ((20, 2000), (100, 1000))))
+    monkeypatch.setattr(scores, "stationary", start)
     result = validate("control", seed=7)
     assert math.isfinite(sum(v.chi_square for v in result.verdicts))
     run_control("stationary start", wrong, kinds, result, begin)

@@ -1,9 +1,9 @@
-"""How the error of `langevin` lives goes with the accuracy of their steps (`step` of `eqsim.engine.langevin`).
+"""A study: how the error of `langevin` lives goes with the accuracy of their steps (`step` of `eqsim.engine.langevin`).
 
 Lives drawn with step = 0.2, 0.35 (the default), 0.5 and 0.7 against the Fokker-Planck equation, from thresholds that
 hardly fluctuate to ones that fluctuate a hundred times faster than the slider moves: relative errors of friction and of
-the mean stretch at breaking, with standard errors. `python -m analysis.aging_steps` writes aging_steps.png and
-aging_steps.parquet.
+the mean stretch at breaking, with standard errors. `python tests/verification/langevin_steps.py` writes
+langevin_steps.png and langevin_steps.parquet.
 """
 
 import os
@@ -20,10 +20,10 @@ from rich.progress import track
 from scipy.stats import qmc
 
 from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference
+from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
 from eqsim.engine.langevin import STEP
 from eqsim.numerics.streams import key
-from eqsim.model.ensemble import lower
 
 STEPS = (0.2, STEP, 0.5, 0.7)
 RANDOMISATIONS = 32
@@ -47,10 +47,10 @@ def ensemble(case: str, D_v: float) -> Ensemble:
     )
 
 
-def measured(contacts: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndarray, float]:
+def measured(ages: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndarray, float]:
     """Mean work over k and mean stretch at breaking in units of x_*i, shape (RANDOMISATIONS, 2), from scrambled Sobol
     births and independent paths; and seconds that a life takes."""
-    c = lower(contacts, 1.0)
+    c = contacts(ages, 1.0)
     lives(c, key(0, 0), 0, *np.full((2, 1), 0.5), step)  # compiles
 
     def one(index: int) -> tuple[float, float, float]:
@@ -70,9 +70,9 @@ def table(size: int) -> pd.DataFrame:
     jobs = [(case, D_v, step) for case, (*_, rates) in CASES.items() for D_v in rates for step in STEPS]
     rows = []
     for seed, (case, D_v, step) in enumerate(track(jobs, description="drawing lives")):
-        contacts = ensemble(case, D_v)
-        exact = reference(contacts, Drive(1.0))
-        means, seconds = measured(contacts, step, size, seed)
+        ages = ensemble(case, D_v)
+        exact = reference(ages, Drive(1.0))
+        means, seconds = measured(ages, step, size, seed)
         work, stretch = means.T
         found = {
             "friction": (means[:, 0].mean() / stretch.mean(), (work / work.mean() - stretch / stretch.mean())),
@@ -123,14 +123,14 @@ def picture(frame: pd.DataFrame) -> Figure:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for the picture and the table.")] = Path("analysis/out"),
+    out: Annotated[Path, typer.Option(help="Folder for the picture and the table.")] = Path("runs/out/verification"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer lives: error bars twice as long.")] = False,
 ) -> None:
     """Draw lives, save, draw the picture, say what the default is worth."""
     out.mkdir(parents=True, exist_ok=True)
     frame = table(2**12 if quick else 2**14)
-    frame.to_parquet(out / "aging_steps.parquet", index=False)
-    picture(frame).savefig(out / "aging_steps.png")
+    frame.to_parquet(out / "langevin_steps.parquet", index=False)
+    picture(frame).savefig(out / "langevin_steps.png")
     default = frame[frame.step == STEP]
     for name in ("friction", "break_stretch"):
         worst = default.loc[default[f"{name}_error"].abs().idxmax()]

@@ -1,0 +1,122 @@
+"""CONTRIBUTING.md: the law that it adds works as it stands there, and what else it says is so."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+LISTED = "eqsim/laws/barrier/__init__.py"
+COMPARE = """
+import json
+from eqsim import Delay, Drive, Ensemble, Thermal, reference, steady, trajectory, transient, z_score
+
+def scores(barrier, disorder):
+    contacts, drive = Ensemble(thermal=Thermal(0.3, 1.0, barrier), disorder=disorder), Drive(0.1)
+    found, exact = steady(contacts, drive, rel_error=1e-4), reference(contacts, drive)
+    return [z_score(getattr(found, name), *of(getattr(exact, name))) for name in ("friction", "break_stretch")]
+
+def of(estimate):
+    return estimate.value, estimate.stderr
+
+right = scores("bell", "quenched") + scores("bell", "annealed")
+contacts, drive = Ensemble(thermal=Thermal(0.3, 1.0, "bell"), delay=Delay(2.0), count=20_000), Drive(0.1, 2.0)
+found, exact = trajectory(contacts, drive, points=2), transient(contacts, drive, points=2)
+right.append((found.force[1] - exact.force[1]) / (found.force_stderr[1] + exact.force_error[1]))
+print(json.dumps({"right": right, "wrong": scores("wrong", "quenched")}))
+"""
+
+
+def block(language):
+    """The one block of a language."""
+    [found] = re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+    return found
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """The package with the law of CONTRIBUTING.md, and a law that differs from it by 2 % in the inverse of the hazard
+    alone; a function that runs Python there."""
+    folder = tmp_path_factory.mktemp("copy")
+    shutil.copytree(ROOT / "eqsim", folder / "eqsim", ignore=shutil.ignore_patterns("__pycache__"))
+    law, listed = block("python"), folder / LISTED
+    wrong = law.replace("slope * clock *", "slope * 1.02 * clock *").replace("Bell", "Wrong")
+    assert wrong.count("1.02") == 1
+    listed.with_name("bell.py").write_text(law, encoding="utf-8")
+    listed.with_name("wrong.py").write_text(wrong, encoding="utf-8")
+    text = listed.read_text(encoding="utf-8")
+    for line in block("diff").splitlines():
+        sign, line = line[0], line[1:]
+        if sign == "-":
+            assert text.count(line) == 1, f"not in {LISTED}: {line}"
+            text = text.replace(line, "")
+        else:  # no import comes after
+            text += f"\n{line}\n"
+    text += '\nfrom eqsim.laws.barrier.wrong import Wrong\nBARRIERS["wrong"] = Wrong\n'
+    listed.write_text(text, encoding="utf-8")
+
+    def python(*arguments):
+        path = os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", "")))
+        environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder / "cache")}
+        return subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+
+    found = python("-c", "import eqsim; print(eqsim.__file__)")
+    assert found.stdout.strip() == str(folder / "eqsim" / "__init__.py"), found.stderr
+    return python
+
+
+def test_the_law_agrees_with_its_reference(copy):
+    """Engine against reference at kT = 0.3, v = 0.1: steady averages of both ensembles, and the force at one X. |z| < 4.5
+    in five scores: false alarm 4e-5 for a fresh seed. Negative control: an inverse 2 % off."""
+    done = copy("-c", COMPARE)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert len(found["right"]) == 5
+    assert max(map(abs, found["right"])) < 4.5
+    assert max(map(abs, found["wrong"])) > 4.5
+
+
+def test_the_law_works_in_run_files(copy, tmp_path):
+    """And an unknown one is refused with the list of laws."""
+    path = tmp_path / "run.toml"
+    path.write_text('[thermal]\nkT = 0.3\nbarrier = "bell"\n[drive]\nvelocity = 0.1\n', encoding="utf-8")
+    done = copy("-m", "eqsim", "steady", str(path), "--json", "--quiet")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert max(abs(found["z"][name]) for name in ("friction", "break_stretch")) < 4.5
+    done = copy("-m", "eqsim", "steady", str(path), "--set", "thermal.barrier=cusp")
+    assert done.returncode == 2
+    assert "thermal.barrier = 'cusp': must be one of \"soft\", \"stiff\", \"bell\"" in done.stderr
+
+
+def test_the_law_touches_two_files_and_five_functions():
+    assert len(re.findall(r"^ *def ", block("python"), re.MULTILINE)) == 5
+    assert re.findall(r"one new file, `(.+)`, with|`(.+)`, where the barriers are listed", TEXT) == [
+        ("eqsim/laws/barrier/bell.py", ""),
+        ("", LISTED),
+    ]
+
+
+@pytest.mark.parametrize("command", [["check", "-"], ["format", "--check", "-"]])
+def test_the_law_is_written_like_the_others(command):
+    name = ["--stdin-filename", "eqsim/laws/barrier/bell.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "ruff", *command, *name], input=block("python"), cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_observables_are_estimated_where_it_says():
+    steps = TEXT.split("## How to add an observable")[1].split("##")[0]
+    files = re.findall(r"`(eqsim/[\w/]+\.py)`", steps)
+    assert len(files) == 4
+    names = [name for name in re.findall(r"`(\w+)`", steps) if name.isidentifier()]
+    assert names == ["Averages", "_averages", "_second_half", "reference"]
+    for path, name in zip(files, names, strict=True):
+        assert re.search(rf"^(class|def) {name}\b", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE), path
