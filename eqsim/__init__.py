@@ -16,7 +16,7 @@ else:
     def __getattr__(name):
         if name == "__version__":
             return metadata.version("eqsim")
-        public = {} if name.startswith("__") else vars(import_module("eqsim.api"))
-        if name not in public.get("__all__", ()):
+        public = vars(import_module("eqsim.api")) if name == "__all__" or not name.startswith("__") else {}
+        if name not in ("__all__", *public.get("__all__", ())):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
         return public[name]

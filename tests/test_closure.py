@@ -9,8 +9,9 @@ from scipy import linalg
 from test_asymptotics import exponent, star1
 
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, InputError, Thermal
+from eqsim.laws.aging import Flow
 from eqsim.laws.barrier import BARRIERS, Mechanical
-from eqsim.master.closure import _Aging, _march, _Pool
+from eqsim.master.closure import _march, _Pool
 from eqsim.master.closure import closure as solve
 from eqsim.master.transient import transient
 
@@ -74,7 +75,7 @@ def marched(cells, x_f, rate, thermal):
     barrier = Mechanical()
     if thermal.kT > 0:
         barrier = BARRIERS[thermal.barrier](0.5 / thermal.kT, math.log(2.0 * thermal.attempt_frequency))
-    pool = _Pool(1.0, _Aging(x_f**2, rate), 4.0, barrier)
+    pool = _Pool(1.0, Flow(x_f**2, rate), 4.0, barrier)
     means = _march(pool, 4.0 / cells, cells)
     return np.array([quantity[:: cells // 50] for quantity in means])[:, 2:]
 

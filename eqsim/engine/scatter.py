@@ -46,8 +46,8 @@ class Births(NamedTuple):
 
 def births(c: Contacts) -> Births:
     """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal rule in s: of even relative
-    spacing where they are small, even where they are large, up to 45: beyond, contacts are too rare to matter. The clocks of different
-    thresholds lie between each other."""
+    spacing where they are small, even where they are large, up to 45: beyond, contacts are too rare to matter. The
+    clocks of different thresholds lie between each other."""
     if c.aging.fluctuates:  # a path for each threshold
         u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
         v = _spread(_PATHS)

@@ -30,7 +30,7 @@ from scipy.stats import qmc
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
-from eqsim.engine.langevin import STEP, STEP_ERROR
+from eqsim.engine.langevin import STEP, step_error
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
 from eqsim.laws.barrier.pooled import Pooled
@@ -129,7 +129,9 @@ def steady(
     # parameters enter the streams, so that the errors of many parameter sets at one seed are independent; as they were
     # declared, because a table's last bits are the processor's
     identity = name_of(*ensemble.declared(velocity))
-    step = STEP * min(1.0, math.sqrt(rel_error / (3.0 * STEP_ERROR))) if proposal else STEP
+    step = STEP
+    if c.aging.fluctuates and proposal:
+        step *= min(1.0, math.sqrt(rel_error / (3.0 * step_error(c.aging))))
     job = _Job(ensemble, velocity, proposal, identity, seed, threads, progress, step)
     begin = time.perf_counter()
     drag, unit = drag_of(ensemble, velocity), ensemble.thresholds.scale
@@ -137,7 +139,7 @@ def steady(
     if isinstance(c.barrier, Pooled):
         tables = _POOLED_STEPS if c.thresholds.steps.size else _POOLED_SMOOTH
     if c.aging.fluctuates:
-        tables = STEP_ERROR * (step / STEP) ** 2
+        tables = step_error(c.aging, step)
     if isinstance(ensemble.thresholds, Distribution):
         tables = max(tables, ensemble.thresholds.drawn_to)
     response: Array | None = None

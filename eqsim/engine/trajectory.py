@@ -17,6 +17,7 @@ import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import rough_stretch, typical_lives
+from eqsim.engine.langevin import STEP_ERROR, step_error
 from eqsim.engine.recorder import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Recorder, Run, Scales, moments
 from eqsim.engine.scatter import ENOUGH, Scatter, births, independent, known_variance, scatter
 from eqsim.engine.simulate import simulate
@@ -127,8 +128,8 @@ def trajectory(
     replicas : int
         Independent ensembles; means and standard deviations are over all of them.
     threads : int or (Executor, int)
-        Threads of this process; or an executor (a ProcessPoolExecutor, the `get_executor()` of a dask client), which the
-        caller shuts down, and about how many workers it has. The same bits.
+        Threads of this process; or an executor (a ProcessPoolExecutor, the `get_executor()` of a dask client), which
+        the caller shuts down, and about how many workers it has. The same bits.
     max_lives : float
         Work that needs more lives of contacts is refused.
     progress : callable, optional
@@ -172,6 +173,10 @@ def trajectory(
     law, level, alike = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
     force_variance, rare = known_variance(law.at(grid / unit), level, variance, count)
     _, always_rare = known_variance(level, level, level.variance, count)
+    # what steps of fluctuating thresholds cost, relative, where that is more than usual: the usual is below scatter
+    bias = max(step_error(c.aging) - STEP_ERROR, 0.0) if c.aging.fluctuates else 0.0
+    pinned_variance += (bias * pinned * (1.0 - pinned)) ** 2
+    force_variance = force_variance + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
     std = None
     if replicas > 1:
@@ -193,7 +198,7 @@ def trajectory(
         force_replica_std=std,
         averages=Averages(
             *(
-                _in(one, size, gone and seen)
+                _in(_widened(one, bias), size, gone and seen)
                 for one, size, seen in zip(second_half, (unit, 1.0, unit), enough, strict=True)
             )
         ),
@@ -352,6 +357,13 @@ def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tupl
 def _is_over(estimate: Estimate, expected: Array, level: float) -> bool:
     """Whether the transient, as the law expects it, moves an average by less than half its error, or by rounding."""
     return bool(abs(np.mean(expected) - level) <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * level)
+
+
+def _widened(estimate: Estimate, relative: float) -> Estimate:
+    """With a relative error more."""
+    if not relative or estimate.value is None or estimate.stderr is None:
+        return estimate
+    return replace(estimate, stderr=math.hypot(estimate.stderr, relative * estimate.value))
 
 
 def _in(estimate: Estimate, unit: float, trusted: bool) -> Estimate:

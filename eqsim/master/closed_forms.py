@@ -21,8 +21,20 @@ C_0 = 4.0 / (3.0 * math.sqrt(math.pi))  # nt05
 
 @dataclass(frozen=True)
 class Published:
-    """The parameters of nt01-nt16, in the user's units: stiffness k, threshold scale x_*, attempt frequency omega,
-    temperature kT > 0. Raises InputError."""
+    """nt01-nt16, in the user's units; functions take stretches x (length) and velocities v of any shape.
+
+    Parameters
+    ----------
+    kT : float
+        Temperature (energy), > 0.
+    stiffness, x_star, attempt_frequency : float
+        k (force/length), x_* (length) and omega (1/time).
+
+    Raises
+    ------
+    InputError
+        For values that are not positive.
+    """
 
     kT: float
     stiffness: float = 1.0
@@ -124,9 +136,7 @@ class Published:
         """C_1 and C_2 of nt16 with dU in full: moments of J_c dU^k/S_2^k over u."""
         u, weight = np.polynomial.legendre.leggauss(200)
         u, weight = 4.0 * (u + 1), 4.0 * weight
-        unit = Published(self.kT, self.stiffness, self.x_star, self.attempt_frequency)
-        g = unit.dU(u * self.x_star, 1.0) / unit.S_2(1.0)
-        J = unit.J_c(u * self.x_star)
+        g, J = self.dU(u * self.x_star, 1.0) / self.S_2(1.0), self.J_c(u * self.x_star)
         c = [float(weight @ (J * g**k)) / math.factorial(k) for k in range(3)]
         m = [float(weight @ (u * J * g**k)) / math.factorial(k) for k in range(3)]
         # (m0 - m1 s + m2 s^2)/(c0 - c1 s + c2 s^2), over m0/c0
@@ -137,10 +147,23 @@ class Published:
 
 @dataclass(frozen=True)
 class PublishedAging:
-    """Aging contacts at high velocity, to first order in 1/v (star3-star4): newborn thresholds follow nt01 with
-    `x_star_initial` x_*i, and age at the `rate` D (length^2/time) towards nt01 with `x_star_final` x_*f.
+    """Aging contacts at high velocity, to first order in 1/v (star3-star4), that is for S_2, |S_3| << 1; u_i = x/x_*i.
 
-    `kT` may be 0. The expansions hold for S_2, |S_3| << 1, and `u_i = x/x_*i`. Raises InputError.
+    Newborn thresholds follow nt01 with x_*i and age towards nt01 with x_*f.
+
+    Parameters
+    ----------
+    rate : float
+        D (length^2/time).
+    x_star_initial, x_star_final : float
+        x_*i and x_*f (length).
+    kT, stiffness, attempt_frequency : float
+        As in `Published`; kT may be 0.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
     """
 
     rate: float
@@ -215,12 +238,36 @@ class PublishedAging:
 
 
 def beta(v: Any, v_eta: float, v_d: float) -> Array:
-    """Factor by which viscous detached contacts raise the friction of the delayed ensemble (section V): 1 + v^2/(v_eta
-    v_d), v_eta = f_k/eta_l, v_d = C/tau."""
+    """Factor by which viscous detached contacts raise the friction of the delayed ensemble (section V).
+
+    Parameters
+    ----------
+    v : array_like
+        Velocity.
+    v_eta, v_d : float
+        f_k/eta_l and C/tau (velocity).
+
+    Returns
+    -------
+    ndarray
+        1 + v^2/(v_eta v_d), of the shape of v.
+    """
     return np.asarray(1 + np.asarray(v) ** 2 / (v_eta * v_d))
 
 
 def minimum_velocity(v_eta: float, v_d: float, *, printed: bool = False) -> float:
-    """Where beta(v)/(1 + v/v_d) is least at fixed C: v_d (sqrt(1 + v_eta/v_d) - 1) (derived); the paper prints its
-    limit for v_eta >> v_d, sqrt(v_eta v_d)."""
+    """Velocity at which beta(v)/(1 + v/v_d) is least at fixed C.
+
+    Parameters
+    ----------
+    v_eta, v_d : float
+        As in `beta`.
+    printed : bool
+        Whether to give the limit for v_eta >> v_d that the paper prints, sqrt(v_eta v_d).
+
+    Returns
+    -------
+    float
+        v_d (sqrt(1 + v_eta/v_d) - 1) (derived).
+    """
     return math.sqrt(v_eta * v_d) if printed else v_d * (math.sqrt(1 + v_eta / v_d) - 1)

@@ -32,7 +32,7 @@ from scipy import integrate, ndimage, special
 from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
-from eqsim.laws.aging import Aging
+from eqsim.laws.aging import Aging, Flow
 from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.barrier.pooled import pooled_rate
@@ -48,15 +48,26 @@ _SETTLED = 30.0  # longest mean lives after which a fresh start is forgotten
 _LAWS, _INTERPOLATION = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300), 1e-11
 _FLOOR = 1e-7  # relative, of the pooled rate and its spline
 _FORGOTTEN = 1e-20  # weight of an age that no longer matters
+_LEAST_J = 1e-13  # below, a sum of shares of both signs is all rounding
 _NODES, _WEIGHTS = special.roots_legendre(3)
 _SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS  # on the unit interval
 
 
 @dataclass(frozen=True)
 class Closure:
-    """A transient from a fresh start: `X` (length), `force` = <F>/(N k) (length), `breaks` Gamma per contact and unit
-    displacement, `mean_threshold` <xi> of the pool of pinned contacts (length), each of shape (points,), and error
-    estimates of all three. Every contact is pinned at all times."""
+    """A transient from a fresh start, arrays of shape (points,). Every contact is pinned at all times.
+
+    Attributes
+    ----------
+    X : ndarray
+        Displacement (length).
+    force, force_error : ndarray
+        <F>/(N k) and its error estimate (length).
+    breaks, breaks_error : ndarray
+        Gamma, breaks per contact and unit displacement, and its error estimate (1/length).
+    mean_threshold, mean_threshold_error : ndarray
+        <xi> of the pool of pinned contacts, and its error estimate (length).
+    """
 
     X: Array
     force: Array
@@ -68,12 +79,27 @@ class Closure:
 
 
 def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
-    """Force, breaks and mean threshold at `points` equidistant X of annealed contacts of uniform stiffness without
-    delay, which start fresh: unstretched, with newborn thresholds (derived).
+    """Transient of annealed contacts of uniform stiffness without delay, which start fresh: unstretched, with newborn
+    thresholds (derived).
 
     Errors are those of the finer of two grids, of at most some 4000 cells, while the values are extrapolated from
-    both; after 30 mean lives the values are held. Raises InputError for other contacts, and if the laws are too narrow
-    for their change of scale.
+    both; after 30 mean lives the values are held.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+    points : int
+        Number of equidistant displacements from 0 to the drive's distance.
+
+    Returns
+    -------
+    Closure
+
+    Raises
+    ------
+    InputError
+        For other contacts, and if the laws are too narrow for their change of scale.
     """
     require_drive(drive)
     law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale
@@ -84,14 +110,13 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     require_integer("points", points, 2, 10**6)
     reach = drive.over(ensemble) / unit
     require_number("distance / x_star", reach, least=1e-6, most=1e6)
-    final = aging.x_star_final / unit if aging.active else 1.0
-    rates = _Aging(final**2, aging.alpha(unit, drive.velocity))
-    barrier = reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity).barrier
-    pool = _Pool(law.n, rates, reach, barrier)
+    # the scale of the unbroken law changes as thresholds that flow do
+    flow = Flow((aging.x_star_final / unit) ** 2 if aging.active else 1.0, aging.alpha(unit, drive.velocity))
+    pool = _Pool(law.n, flow, reach, reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity).barrier)
 
     shortest, longest = pool.lives()
     end = min(reach, _SETTLED * longest)
-    wanted = end * max(1.0 / (_CELL * shortest), rates.rate / _AGING if rates.rate < math.inf else 0.0)
+    wanted = end * max(1.0 / (_CELL * shortest), flow.alpha / _AGING if flow.alpha < math.inf else 0.0)
     cells = int(min(max(wanted, _LEAST_CELLS), _MOST_CELLS))
     solved = [_march(pool, end / fine, fine) for fine in (cells, 2 * cells)]
     # both schemes are of second order; a grid too coarse to show it has the error of its finer member
@@ -103,61 +128,46 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
         # the difference may vanish by chance where the error does not
         error = share * ndimage.maximum_filter1d(change, cells // 20) + _FLOOR * np.abs(best).max()
         held = np.ptp(best[-cells // 10 :]) * (end < X)  # what has settled stays as it is
-        found += [CubicSpline(nodes, best)(np.minimum(X, end)), np.interp(X, nodes, error) + held]
-    return Closure(
-        X=X * unit,
-        force=found[0] * unit,
-        breaks=found[2] / unit,
-        mean_threshold=found[4] * unit,
-        force_error=found[1] * unit,
-        breaks_error=found[3] / unit,
-        mean_threshold_error=found[5] * unit,
-    )
-
-
-class _Aging(NamedTuple):
-    """x_*f^2 and 4 D/(v x_*f^2), lengths in units of x_*i."""
-
-    final: float
-    rate: float
-
-    def log_square(self, age: Array) -> Array:
-        """ln x_*(age)^2 after aging over a displacement."""
-        spent = self.rate * age if math.isfinite(self.rate) else np.full_like(age, math.inf)
-        return np.asarray(np.log(scale2(self.final, spent)))
+        found.append(np.array([CubicSpline(nodes, best)(np.minimum(X, end)), np.interp(X, nodes, error) + held]))
+    force, breaks, threshold = found[0] * unit, found[1] / unit, found[2] * unit
+    return Closure(X * unit, force[0], breaks[0], threshold[0], force[1], breaks[1], threshold[1])
 
 
 class _Tables(NamedTuple):
-    """J_c, P_c and h of each law of a pool, shape (x, laws), and P_c/J_c of its widest law, shape (x,)."""
+    """J_c, P_c and h of each law of a pool, shape (3, x, laws), and P_c/J_c of its widest law, shape (x,)."""
 
-    J: Array
-    P: Array
-    h: Array
+    laws: Array
     least: Array
 
 
 class _Pool:
     """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages share in them."""
 
-    def __init__(self, n: float, aging: _Aging, reach: float, barrier: Barrier) -> None:
-        self.n, self.aging, self.barrier, self.w = n, aging, barrier, math.exp(barrier.log_w)
-        self._low, self._high = np.sort(aging.log_square(np.array([0.0, reach])))
+    def __init__(self, n: float, aging: Flow, reach: float, barrier: Barrier) -> None:
+        self.n, self.aging, self.barrier = n, aging, barrier
+        self._low, self._high = np.sort(self._log_square(np.array([0.0, reach])))
         for laws in _LAWS:
             self._t = np.cos(math.pi * (np.arange(laws) + 0.5) / laws)
             self.x_star = np.exp(0.25 * (self._low + self._high + (self._high - self._low) * self._t))
             if self._high == self._low or (laws > 1 and self._missed() < _INTERPOLATION):
                 break
         else:
-            raise InputError(
-                f"x_star_final = {math.sqrt(aging.final):g} x_star_initial: too far from it for thresholds of n = {n:g}"
-            )
+            raise InputError(f"x_star_final = {aging.final:g} x_star_initial: too far from it for thresholds of n = {n:g}")
         self._rates = [self._rate(Gamma(n, scale)) for scale in self.x_star] if barrier.thermal else []
         # beyond, nothing survives
         self.top = float(Gamma(n, math.exp(0.5 * self._high)).exceeded_by(45.0))
 
-    def shares(self, log_square: Array) -> Array:
-        """Weights, shape (..., laws), by which the laws represent Gamma(n, x_*) of any x_* between them: Chebyshev
-        interpolation, to `_INTERPOLATION`."""
+    def _log_square(self, age: Array) -> Array:
+        """ln x_*^2 after aging over a displacement."""
+        spent = self.aging.alpha * age if math.isfinite(self.aging.alpha) else np.full_like(age, math.inf)
+        return np.asarray(np.log(scale2(self.aging.final2, spent)))
+
+    def shares(self, age: Array) -> Array:
+        """Weights, shape (..., laws), by which the laws represent the unbroken law at any age."""
+        return self._shares(self._log_square(age))
+
+    def _shares(self, log_square: Array) -> Array:
+        """Chebyshev interpolation, to `_INTERPOLATION`."""
         laws = self._t.size
         if laws == 1:
             return np.ones((*log_square.shape, 1))
@@ -165,14 +175,6 @@ class _Pool:
         back = chebyshev.chebvander(self._t, laws - 1) * (2.0 / laws)
         back[:, 0] *= 0.5
         return np.asarray(chebyshev.chebvander(t, laws - 1) @ back.T)
-
-    def lives(self) -> tuple[float, float]:
-        """Mean lives of the shortest and the longest-lived law: scales only, to 1 %."""
-        x = np.append(0.0, np.geomspace(1e-12 * self.top, self.top, 2000))
-        table = self.tables(x)
-        hazard = integrate.cumulative_trapezoid(table.h, x, axis=0, initial=0.0)
-        lives = integrate.trapezoid(table.J * np.exp(-self.w * hazard), x, axis=0)
-        return float(lives.min()), float(lives.max())
 
     def _missed(self) -> float:
         """Largest error of J_c and x P_c between the nodes."""
@@ -182,21 +184,25 @@ class _Pool:
         worst = 0.0
         for name, power in (("sf", 0), ("pdf", 1)):
             at = [np.array([getattr(Gamma(self.n, s), name)(x) * x**power for s in of]) for of in (self.x_star, scales)]
-            worst = max(worst, float(np.abs(self.shares(probe) @ at[0] - at[1]).max()))
+            worst = max(worst, float(np.abs(self._shares(probe) @ at[0] - at[1]).max()))
         return worst
+
+    def lives(self) -> tuple[float, float]:
+        """Mean lives of the shortest and the longest-lived law: scales only, to 1 %."""
+        x = np.append(0.0, np.geomspace(1e-12 * self.top, self.top, 2000))
+        J, _, h = self.tables(x).laws
+        hazard = integrate.cumulative_trapezoid(h, x, axis=0, initial=0.0)
+        lives = integrate.trapezoid(J * np.exp(-math.exp(self.barrier.log_w) * hazard), x, axis=0)
+        return float(lives.min()), float(lives.max())
 
     def tables(self, x: Array) -> _Tables:
         """The laws at stretches x, ascending from 0."""
         laws = [Gamma(self.n, s) for s in self.x_star]
         widest = Gamma(self.n, math.exp(0.5 * self._high))
-        found = (
-            [law.sf(x) for law in laws],
-            [law.pdf(x) for law in laws],
-            [rate(x) for rate in self._rates] or [np.zeros(x.size)] * len(laws),
-        )
+        rates = [rate(x) for rate in self._rates] or [np.zeros(x.size)] * len(laws)
+        found = np.stack(([law.sf(x) for law in laws], [law.pdf(x) for law in laws], rates)).swapaxes(1, 2)
         # subnormal numbers would take most of the time
-        J, P, h = (np.where(table > 1e-250, table, 0.0) for table in (np.stack(each, axis=1) for each in found))
-        return _Tables(J, P, h, least=widest.pdf(x) / widest.sf(x))
+        return _Tables(np.where(found > 1e-250, found, 0.0), widest.pdf(x) / widest.sf(x))
 
     def _rate(self, law: Gamma) -> Callable[[Array], Array]:
         """Pooled rate h of one law (temper11, temper12) as a spline in logarithms."""
@@ -211,6 +217,12 @@ class _Pool:
 
         return rate
 
+    def breaking(self, mixture: Array, least: Array) -> Array:
+        """P_T at ascending stretches, at each of which a mixture has J_c, P_c and h, shape (3, x)."""
+        J, P, h = mixture
+        mechanical = np.where(J > _LEAST_J, np.maximum(P / np.maximum(J, _LEAST_J), least), least)
+        return np.asarray(mechanical + math.exp(self.barrier.log_w) * np.maximum(h, 0.0))
+
 
 class _Means(NamedTuple):
     """At the edges of the cells: force, breaks per unit displacement and mean threshold."""
@@ -220,7 +232,14 @@ class _Means(NamedTuple):
     mean_threshold: Array
 
 
-_LEAST_J = 1e-13  # below, a sum of shares of both signs is all rounding
+def _aged(pool: _Pool, h: float, cells: int) -> Array:
+    """Shares of contacts whose ages are spread evenly over each cell, shape (cells, laws)."""
+    edges = h * np.arange(cells)
+    aged = np.einsum("q,cql->cl", _WEIGHTS, pool.shares(edges[:, None] + h * _SHARE))
+    parts = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))  # the youngest may age within a fraction of it
+    inside = pool.shares(parts[:-1, None] + np.diff(parts)[:, None] * _SHARE)
+    aged[0] = np.einsum("p,q,pql->l", np.diff(parts) / h, _WEIGHTS, inside)
+    return np.asarray(aged)
 
 
 def _march(pool: _Pool, h: float, cells: int) -> _Means:
@@ -231,41 +250,25 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
     the young that break. Births of the last cell follow from the count of contacts, which is conserved.
     """
     x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
-    table = pool.tables(x)
-    edges = h * np.arange(cells + 1)
-    fresh = pool.shares(pool.aging.log_square(edges))
-    inside = pool.shares(pool.aging.log_square(edges[:-1, None] + h * _SHARE))
-    aged = np.einsum("q,cql->cl", _WEIGHTS, inside)  # mean over the ages of a cell
-    parts = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))  # the youngest may age within a fraction of it
-    inside = pool.shares(pool.aging.log_square(parts[:-1, None] + np.diff(parts)[:, None] * _SHARE))
-    aged[0] = np.einsum("p,q,pql->l", np.diff(parts) / h, _WEIGHTS, inside)
+    table, edges = pool.tables(x), h * np.arange(cells + 1)
+    fresh, aged = pool.shares(edges), _aged(pool, h, cells)
     scales = pool.x_star * special.poch(pool.n + 1.0, 0.5)
-
-    def sums(share: Array, top: int) -> Array:
-        return np.stack([table.J[: top + 1] @ share, table.P[: top + 1] @ share, table.h[: top + 1] @ share])
-
-    young = sums(aged[0], x.size - 1)
-
-    def hazard(of: Array) -> Array:
-        J, P, rate = of
-        least = table.least[: J.size]
-        mechanical = np.where(J > _LEAST_J, np.maximum(P / np.maximum(J, _LEAST_J), least), least)
-        return np.asarray(mechanical + pool.w * np.maximum(rate, 0.0))
+    young = table.laws @ aged[0]
 
     force, births, threshold = np.zeros(cells + 1), np.zeros(cells), np.zeros(cells + 1)
     threshold[0] = scales @ fresh[0]
     unbroken, weight, first = 1.0, np.zeros(cells), 0
-    log_E, P_T = np.zeros(1), hazard(sums(fresh[0], 0))
+    log_E, P_T = np.zeros(1), pool.breaking(table.laws[:, :1] @ fresh[0], table.least[:1])
     broken = 0.0  # Gamma_c h of the last cell
     for i in range(1, cells + 1):
         top = min(i, x.size - 1)
         # the pool after aging, before the breaks of this cell
         share = unbroken * fresh[i] + weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
-        old = sums(share, top)
+        old, new, least = table.laws[:, : top + 1] @ share, young[:, : top + 1], table.least[: top + 1]
         earlier = births[i - top : i - 1][::-1]
         for _ in range(2 if i > 1 else 4):  # the pool at the end of the cell needs its breaks
             stay = math.exp(-broken)
-            now = hazard(stay * old + (1.0 - stay) * young[:, : top + 1])
+            now = pool.breaking(stay * old + (1.0 - stay) * new, least)
             log_next = np.append(0.0, log_E[:top] - 0.5 * h * (P_T[:top] + now[1:]))
             mean, moment = _in_cells(log_next)
             atom = math.exp(log_next[i]) if i < x.size else 0.0
@@ -274,7 +277,7 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
         cohorts = births[i - top : i][::-1]
         force[i] = x[top] * atom + h * (cohorts @ (x[:top] * mean + h * moment))
         stay = math.exp(-broken)
-        log_E, P_T = log_next, hazard(stay * old + (1.0 - stay) * young[:, : top + 1])
+        log_E, P_T = log_next, pool.breaking(stay * old + (1.0 - stay) * new, least)
         threshold[i] = scales @ (stay * share + (1.0 - stay) * aged[0])
         unbroken *= stay
         weight[first : i - 1] *= stay

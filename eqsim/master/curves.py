@@ -15,9 +15,8 @@ from scipy import special
 from eqsim.errors import InputError
 from eqsim.estimate import known
 from eqsim.laws.barrier.pooled import NO_POOL, pooled_hazard_of, pooled_rate
-from eqsim.laws.stiffness import relative_stiffness
-from eqsim.master import quenched
-from eqsim.master.steady import reference, solver
+from eqsim.master import annealed, quenched
+from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, reduced
@@ -25,15 +24,27 @@ from eqsim.numerics.tables import Array
 
 _NODES, _WEIGHTS = special.roots_legendre(3)
 _AT_ONCE = 2048  # stretches, to bound the memory of a call
+_LEAST = 1e-100  # stretch; at 0 barriers are divided by
 
 
 @dataclass(frozen=True)
 class StationaryState:
-    """The stationary state of an ensemble at the velocity of a drive, in the user's units.
+    """The stationary state of contacts that do not age, in the user's units.
 
-    Stretches x are finite and >= 0, of any shape, which the result has too; they are those of pinned contacts, so that
-    a delay plays no part. P to dU are good to 1e-8 relative, densities to 1e-8 of Q(0) and as good as `C`.
-    Raises InputError for other stretches, for contacts that age, and where a function does not exist.
+    Functions take stretches x >= 0 (length) of any shape, which the result has too; they are those of pinned contacts,
+    so that a delay plays no part. P to dU are good to 1e-8 relative, densities to 1e-8 of Q(0) and as good as `C`.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+        Only its velocity counts.
+
+    Raises
+    ------
+    InputError
+        By functions: for contacts that age, for stretches that are negative or not finite, and where a function does
+        not exist: the published ones for quenched contacts at kT > 0, and any that needs P_c for a discrete law.
     """
 
     ensemble: Ensemble
@@ -41,9 +52,9 @@ class StationaryState:
 
     @functools.cached_property
     def _reduced(self) -> Reduced:
+        require_drive(self.drive)
         if self.ensemble.aging.active:
             raise InputError("aging: the densities are those of contacts that do not age")
-        require_drive(self.drive)
         return reduced(self.ensemble, self.drive.velocity)
 
     @functools.cached_property
@@ -57,36 +68,32 @@ class StationaryState:
         s, u = self._reduced, self._lengths("x", x)
         if s.annealed and not s.law.steps.size:
             return self.E_P(x) / self.C
-        survivors = solver(s).survivors
-        ascending, back = np.unique(np.maximum(u, 1e-100), return_inverse=True)
-        outlast = _in_parts(lambda x: survivors(s, x)[0], ascending)
-        return np.asarray(outlast[back].reshape(u.shape) / self.C)
+        survivors = annealed.survivors if s.annealed else quenched.survivors_at
+        ascending, back = np.unique(np.maximum(u, _LEAST), return_inverse=True)
+        return np.asarray(_in_parts(lambda x: survivors(s, x)[0], ascending)[back].reshape(u.shape) / self.C)
 
     def joint_density(self, x: Any, xi: Any) -> Array:
         """Density of pinned contacts in stretch x and own threshold xi > 0, 1/length^2: P_c(xi) S(x|xi)/C on x < xi
-        and 0 beyond (derived), where annealed contacts have S = exp(-dU(x)). x and xi are broadcast.
-
-        Raises InputError for a discrete law, which has no density of thresholds.
-        """
+        and 0 beyond (derived), where annealed contacts have S = exp(-dU(x)). x and xi are broadcast."""
         s, u, threshold = self._smooth(), self._lengths("x", x), self._lengths("xi", xi)
         if not np.all(threshold > 0):
             raise InputError("xi: every threshold must be > 0")
         if s.annealed:
             survive = np.where(u < threshold, np.exp(-self.dU(x)), 0.0)
         else:
-            survive = quenched.survival(s.barrier, u, threshold, relative_stiffness(s.stiffness, threshold, s.rms))
+            survive = quenched.survival(s.barrier, u, threshold, quenched.kappa_of(s, threshold))
         return np.asarray(s.law.pdf(threshold * s.law.scale) * survive / self.C)
 
     def P(self, x: Any) -> Array:
         """Mechanical breaking per unit displacement, P_c/J_c, 1/length (PcP); infinite where no threshold is left."""
-        s = self._master_equation()
+        s = self._published()
         x = self._lengths("x", x) * s.law.scale
         J_c = s.law.sf(x)
         return np.where(J_c > 0, s.law.pdf(x) / np.where(J_c > 0, J_c, 1.0), np.inf)
 
     def U(self, x: Any) -> Array:
         """int_0^x P = -ln J_c (below Q11a)."""
-        s = self._master_equation()
+        s = self._published()
         x = self._lengths("x", x) * s.law.scale
         broken = s.law.cdf(x)
         with np.errstate(divide="ignore"):  # no threshold left
@@ -94,16 +101,17 @@ class StationaryState:
 
     def H(self, x: Any) -> Array:
         """Thermal breaking per unit displacement, (omega/v) h, 1/length (temper11, temper12)."""
-        s = self._master_equation()
+        s = self._published()
         return np.asarray(self._rate(self._lengths("x", x)) * np.exp(s.barrier.log_w) / s.law.scale)
 
     def dU(self, x: Any) -> Array:
         """Delta U(x) = int_0^x H (nt09 for any law)."""
-        s, u = self._master_equation(), self._lengths("x", x)
-        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b) if s.barrier.thermal else NO_POOL
+        s, u, pool = self._published(), self._lengths("x", x), NO_POOL
+        if s.barrier.thermal:
+            pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
         node = np.searchsorted(pool.x, u, side="right")
         low, G = np.append(0.0, pool.x)[node], np.append(0.0, pool.G)[node]
-        half = 0.5 * (u - low)[..., None]  # the rest of the way from the node below
+        half = 0.5 * (u - low)[..., None]  # from the node below
         G = G + (half * _WEIGHTS * self._rate(low[..., None] + half * (1.0 + _NODES))).sum(axis=-1)
         return np.asarray(np.exp(s.barrier.log_w) * G)
 
@@ -119,11 +127,13 @@ class StationaryState:
         return x / self._reduced.law.scale
 
     def _smooth(self) -> Reduced:
+        """The numbers of contacts whose law has a density."""
         if self._reduced.law.steps.size:
             raise InputError(f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a density")
         return self._reduced
 
-    def _master_equation(self) -> Reduced:
+    def _published(self) -> Reduced:
+        """The numbers of contacts that the published functions describe."""
         if self.ensemble.disorder == "quenched" and self._reduced.barrier.thermal:
             raise InputError('disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)')
         return self._smooth()
@@ -133,10 +143,9 @@ class StationaryState:
         s = self._reduced
         if not s.barrier.thermal:
             return np.zeros_like(u)
-        barrier, ahead = s.barrier, np.maximum(u, 1e-100)  # at 0 pooled_rate divides by the barrier's height
-        return _in_parts(lambda part: pooled_rate(s.law, s.stiffness, type(barrier), barrier.b, part), ahead).reshape(
-            u.shape
-        )
+        law = type(s.barrier)
+        h = _in_parts(lambda y: pooled_rate(s.law, s.stiffness, law, s.barrier.b, y), np.maximum(u, _LEAST))
+        return h.reshape(u.shape)
 
 
 def _in_parts(function: Callable[[Array], Array], x: Array) -> Array:

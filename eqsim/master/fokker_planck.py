@@ -2,7 +2,7 @@
 aging operator L of Braun and Peyrard, 2011, eq. `L`).
 
 A pinned contact of stretch x has a threshold xi; their joint density q(xi, x) obeys, lengths in units of the newborn
-scale x_*i, with rho = x_*f/x_*i, D_v = D/(v x_*i) and r the thermal rate of `laws.thermal`,
+scale x_*i, with rho = x_*f/x_*i, D_v = D/(v x_*i) and r the thermal rate of `laws.barrier`,
 
     dq/dx = D_v d/dxi [dq/dxi - ((2n+1)/xi - 2 xi/rho^2) q] - (omega x_*i/v) r(x, xi) q    on xi > x,    q(x, x) = 0
 
@@ -34,7 +34,7 @@ from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import Gamma
-from eqsim.master.quenched import Moments, kappa_of
+from eqsim.master.quenched import Moments
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
 
@@ -65,26 +65,28 @@ _MOST_STEPS = 20_000
 
 
 class Survival(NamedTuple):
-    """A life in the mean, lengths in units of x_*i and stiffness in units of k.
+    """A life in the mean, lengths in units of x_*i.
 
-    `x` (points,): ascending stretches from 0 to where nothing that matters survives; `values` (3, points):
-    S(x) = P(x_b > x), E[k_i/k; x_b > x], E[(k_i/k)^2; x_b > x], k_i of the current threshold; `errors` (3, points)
-    absolute. `stretch` = int S dx = E[x_b], `work` = int x E[k_i/k; x_b > x] dx, and absolute errors of both.
+    Attributes
+    ----------
+    x : ndarray, shape (points,)
+        Ascending stretches from 0 to where nothing that matters survives.
+    values, errors : ndarray, shape (3, points)
+        S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x], kappa that of the current threshold, and absolute
+        errors.
+    moments : Moments
+        int S dx and int x E[kappa; x_b > x] dx.
     """
 
     x: Array
     values: Array
     errors: Array
-    stretch: float
-    work: float
-    stretch_error: float
-    work_error: float
+    moments: Moments
 
 
 def stationary(s: Reduced) -> Moments:
-    """C and work of quenched contacts whose thresholds fluctuate."""
-    found = survival(s)
-    return Moments(found.stretch, found.work, found.stretch_error, found.work_error)
+    """Moments of the lives of quenched contacts whose thresholds fluctuate."""
+    return survival(s).moments
 
 
 def survivors(s: Reduced, x: Array) -> Array:
@@ -96,9 +98,7 @@ def survivors(s: Reduced, x: Array) -> Array:
 
 def survival(s: Reduced) -> Survival:
     """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law), remembered:
-    the solution takes a second.
-
-    The rms threshold of the sqrt law is the newborn one, k_i follows the current threshold. A mobility D_v below 1e-12
+    the solution takes a second. The rms threshold of the sqrt law is the newborn one, k_i follows the current threshold. A mobility D_v below 1e-12
     counts as 1e-12.
     """
     if not isinstance(s.aging, Langevin):
@@ -121,7 +121,7 @@ def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Sur
         first.totals, second.totals, third.totals, halved.totals[:, ::2] - first.totals
     )
     # the worst on the way to the end, where errors may cancel by chance
-    return Survival(first.x, values, errors, *totals[:, -1].tolist(), *total_errors.max(axis=1).tolist())
+    return Survival(first.x, values, errors, Moments(*totals[:, -1].tolist(), *total_errors.max(axis=1).tolist()))
 
 
 def _extrapolated(first: Array, second: Array, third: Array, halving: Array) -> tuple[Array, Array]:

@@ -29,33 +29,40 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.aging import Langevin, PooledThresholds, Unaged
+from eqsim.laws.aging import Unaged
 from eqsim.laws.delay import Exponential, Fixed
-from eqsim.laws.threshold import Gamma
-from eqsim.master import fokker_planck, quenched
-from eqsim.master.steady import reference, settled, solver
+from eqsim.master.profile import Profile, profile_of
+from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
 
-Integral = Callable[[Array], Array]
-
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor
 _BLURRED, _RESOLVED = 1.5, 0.3  # k h sqrt(m) that two grids still tell; the share in step beyond it that they may miss
-_STEP = 0.015  # in ln x, of the life's profile, whose splines are then good to 2e-8
-_BROKEN, _MOST_ROUNDS = 0.02, 8  # most that may break in such a step, reached by so many rounds of splits in four
-_SPLINE, _SMOOTH = 3e-8, 1e-9
-_KINKED_SPLINE = 1e-6  # of laws whose density may have kinks
-_COARSE_SPLINE = 3e-6  # of the steps that the Fokker-Planck equation takes
 _AROUND, _WRAPPED = 6, 1e-13  # length of the circle in transients, and what of the next turn remains
+_EVERYTHING = np.array([1e90])  # a stretch beyond any
 
 
 @dataclass(frozen=True)
 class Transient:
-    """Exact means from a fresh start: `X` (length), `force` = <F>/(N k) (length), `pinned`, `breaks` Gamma per contact
-    and unit displacement, each of shape (points,), and error estimates of the first two."""
+    """Exact means over independent contacts on the way, arrays of shape (points,).
+
+    Attributes
+    ----------
+    X : ndarray
+        Displacement (length).
+    force, force_error : ndarray
+        <F>/(N k) and its error estimate (length).
+    pinned, pinned_error : ndarray
+        Fraction of pinned contacts and its error estimate.
+    breaks : ndarray
+        Gamma, breaks per contact and unit displacement (1/length).
+    force_variance, force_variance_error : ndarray or None
+        Variance over contacts of the force of one over k (length^2), and its error estimate; None if not asked for, or
+        where contacts stay in step for longer than the grids can tell.
+    """
 
     X: Array
     force: Array
@@ -63,152 +70,84 @@ class Transient:
     breaks: Array
     force_error: Array
     pinned_error: Array
+    force_variance: Array | None = None
+    force_variance_error: Array | None = None
 
 
-class Profile:
-    """A life in the mean: S(x), k1 = E[k_i/k; x_b > x], k2 = E[(k_i/k)^2; x_b > x], and their integrals from 0."""
+def transient(ensemble: Ensemble, drive: Drive, points: int = 2001, *, variance: bool = False) -> Transient:
+    """The exact means of a run, by the renewal equation (derived; renewal form of Q5a, Q5aG and Q6).
 
-    def __init__(self, s: Reduced, grid: Array) -> None:
-        """`grid` holds every x that will be asked for; only discrete laws, with their jumps, need to know."""
-        self.reduced, self.error = s, _SPLINE if isinstance(s.law, (Gamma, PooledThresholds)) else _KINKED_SPLINE
-        self.steps = s.law.steps.size > 0
-        if self.steps:
-            self.x = np.unique(np.append(quenched.panels_between_steps(s), grid[grid > 0]))
-            nodes, weights = np.polynomial.legendre.leggauss(6)
-            edge = np.append(0.0, self.x)
-            half = 0.5 * np.diff(edge)[:, None]
-            inner = edge[:-1, None] + half * (1 + nodes)
-            values = self._solve(inner.ravel()).reshape(3, *inner.shape)
-            self._sums = [(values * inner**power * half * weights).sum(axis=2).cumsum(axis=1) for power in range(3)]
-            self.survive = self._solve(self.x)[0]
-            self._judge()
-            return
-        rarest = float(s.law.exceeded_by(quenched.rarest_that_counts(s.barrier)))
-        top = math.log(rarest / s.law.scale * max(1.0, s.aging.final))
-        # from where hardly a contact has broken: no rate exceeds omega
-        first = -max(math.log(1e15), s.barrier.log_w + math.log(1e7))
-        log_x = np.arange(top, first, -_STEP)[::-1]
-        values = self._solve(np.exp(log_x))
-        for _ in range(_MOST_ROUNDS):
-            sudden = np.abs(np.diff(values[0])) > _BROKEN
-            if not sudden.any():
-                break
-            inner = log_x[:-1][sudden, None] + np.diff(log_x)[sudden, None] * np.array([0.25, 0.5, 0.75])
-            log_x = np.sort(np.append(log_x, inner))
-            values = self._solve(np.exp(log_x))
-        self.x, self.survive = np.exp(log_x), values[0]
-        self._values = CubicSpline(log_x, values, axis=1)
-        start = self.x[0] ** np.arange(1, 4)[:, None, None] / np.arange(1, 4)[:, None, None] * values[:, :1]
-        powers = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
-        self._integrals = [lambda at, p=p, c=c: p(at) - p(log_x[:1]) + c for p, c in zip(powers, start, strict=True)]
-        self._judge()
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+        From a fresh start the transient, from a stationary one the steady values.
+    points : int
+        Number of equidistant displacements from 0 to the drive's distance.
+    variance : bool
+        Whether to solve for the variance of forces, too.
 
-    def _judge(self) -> None:
-        """C and work by another quadrature: what this one misses is part of the error."""
-        exact = solver(self.reduced).stationary(self.reduced)
-        stretch, work = (float(self.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
-        stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
-        self.error = max(self.error, stretch_error, (abs(work - exact.work) + exact.work_error) / exact.work)
+    Returns
+    -------
+    Transient
 
-    def _solve(self, x: Array) -> Array:
-        s = self.reduced
-        if not s.annealed and isinstance(s.aging, Langevin):
-            self.error = float(fokker_planck.survival(s).errors[0].max()) + _COARSE_SPLINE
-        means = solver(s).survivors
-        if self.steps or s.annealed or not isinstance(s.aging, Unaged):
-            return means(s, x)
-        return quenched.interpolated(lambda x: means(s, x), x, _SMOOTH)
-
-    @property
-    def strongest(self) -> float:
-        """The greatest m = x k1."""
-        return float((self.x * self.at(self.x)[1]).max())
-
-    def at(self, x: Array) -> Array:
-        """S, k1, k2 at x > 0, shape (3, n)."""
-        if self.steps:
-            return np.asarray(self._solve(x))
-        return np.asarray(np.where(x < self.x[-1], self._values(np.log(np.clip(x, self.x[0], self.x[-1]))), 0.0))
-
-    def integral(self, x: Array, power: int) -> Array:
-        """int_0^x y^power (S, k1, k2) dy, shape (3, n)."""
-        if self.steps:
-            index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
-            return np.where(x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0)
-        inside = np.clip(x, self.x[0], self.x[-1])
-        start = self._values(np.log(self.x[:1])) * x ** (power + 1) / (power + 1)
-        return np.asarray(np.where(x >= self.x[0], self._integrals[power](np.log(inside)), start))
-
-
-def _steady(ensemble: Ensemble, drive: Drive, points: int) -> Transient:
-    """A stationary start: nothing changes."""
-    exact = reference(ensemble, drive)
-    level = np.ones(points)
-    breaks = known(exact.pinned) / known(exact.break_stretch)
-    return Transient(
-        X=np.linspace(0.0, drive.over(ensemble), points),
-        force=known(exact.friction) * level,
-        pinned=known(exact.pinned) * level,
-        breaks=breaks * level,
-        force_error=(exact.friction.stderr or 0.0) * level,
-        pinned_error=(exact.pinned.stderr or 0.0) * level,
-    )
-
-
-class _Means(NamedTuple):
-    force: Array
-    pinned: Array
-    breaks: Array
-
-
-def transient(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Transient:
-    """F(X), pinned(X) and Gamma(X) at `points` equidistant X, from a fresh or a stationary start. Raises InputError."""
+    Raises
+    ------
+    InputError
+        For arguments out of range.
+    """
     require_drive(drive)
     require_integer("points", points, 2, 10**8)
-    if drive.start == "stationary":
-        return _steady(ensemble, drive, points)
-    s = settled(ensemble, drive.velocity).reduced
-    unit = s.law.scale
+    s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
-    profile, fine, in_step, around = grid_of(s, distance, points)
-    cells = in_step.size - 1
+    if drive.start == "stationary":
+        return _steady(ensemble, drive, points, variance)
+    cells = cells_of(s, distance, points)
+    solved = [means_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
+    X, edges = np.linspace(0.0, distance, points), cells.x[::2]
     # what the mean may be while all are in step
-    loudest = max(profile.strongest, s.drag if s.delay.mean else 0.0), 1.0 if s.delay.mean else 0.0
-    solved = [means_of(profile, fine[::step], s) for step in (2, 1)]
-    X = np.linspace(0.0, distance, points)
-    found, errors = {}, {}
-    for name, loud in zip(_Means._fields, (*loudest, 0.0), strict=True):
-        coarse, better = (np.asarray(getattr(means, name)) for means in solved)
-        if name == "breaks":  # of cells; a pair of fine ones is a coarse one
-            centres = fine[1::2]
-            found[name] = np.interp(X, centres, np.maximum((better[0::2] + better[1::2]) / 2, 0.0))
-            continue
-        best = (4 * better[::2] - coarse) / 3
-        # the difference may vanish by chance where the error does not
-        error = ndimage.maximum_filter1d(np.abs(better[::2] - coarse), cells // 20) + profile.error * np.abs(best)
-        if profile.steps:  # equal thresholds break together: near a jump the truth is somewhere between neighbours
-            near = ndimage.maximum_filter1d(coarse, 5) - ndimage.minimum_filter1d(coarse, 5)
-            # jumps that cells blur, in twice as many steps of half the length, differ by 0.083 of their height
-            error += np.maximum(near, 8 * ndimage.maximum_filter1d(np.abs(better[::2] - coarse), around))
-        error += max(float(np.ptp(best)), loud) * in_step
-        if points - 1 > cells:
+    strongest = float((cells.profile.x * cells.profile.at(cells.profile.x)[1]).max())
+    delayed = s.delay.mean > 0
+    found = []
+    for name, loudest in (("force", max(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
+        coarse, better = (getattr(means, name) for means in solved)
+        best, error = _with_error(coarse, better[::2], cells, loudest)
+        if points > edges.size:
             error += _between(best)
-        found[name] = np.interp(X, fine[::2], best)
-        errors[name] = np.interp(X, fine[::2], error)
+        found += [np.interp(X, edges, best), np.interp(X, edges, error)]
+    force, force_error, pinned, pinned_error = found
+    pairs = solved[1].breaks  # of cells; a pair of fine ones is a coarse one
+    breaks = np.interp(X, cells.x[1::2], np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0))
+    spread = None, None
+    if variance and not cells.in_step.any():
+        squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
+        spread = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
+    return Transient(X * unit, force * unit, pinned, breaks / unit, force_error * unit, pinned_error, *spread)
+
+
+def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
+    """A stationary start: nothing changes."""
+    exact, level = reference(ensemble, drive), np.ones(points)
+    force, pinned, stretch = known(exact.friction), known(exact.pinned), known(exact.break_stretch)
+    force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
+    spread = None, None
+    if variance:
+        s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
+        profile = profile_of(s)
+        square = float(profile.integral(_EVERYTHING, 2)[2, 0]) / (stretch / unit + s.delay.mean)
+        square = (square + s.drag**2 * (1.0 - pinned)) * unit**2
+        error = profile.error * square + (s.drag * unit) ** 2 * pinned_error + 2 * force * force_error
+        spread = (square - force**2) * level, error * level
     return Transient(
-        X=X * unit,
-        force=found["force"] * unit,
-        pinned=found["pinned"],
-        breaks=found["breaks"] / unit,
-        force_error=errors["force"] * unit,
-        pinned_error=errors["pinned"],
+        np.linspace(0.0, drive.over(ensemble), points),
+        force * level,
+        pinned * level,
+        pinned / stretch * level,
+        force_error * level,
+        pinned_error * level,
+        *spread,
     )
-
-
-def _between(values: Array) -> Array:
-    """A bound of what straight lines between equidistant values miss: their curvature eightfold."""
-    return np.asarray(ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3))
 
 
 class Cells(NamedTuple):
@@ -222,25 +161,23 @@ class Cells(NamedTuple):
     around: int
 
 
-def grid_of(s: Reduced, distance: float, points: int) -> Cells:
+def cells_of(s: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
     discrete = s.law.steps.size > 0
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
     # every threshold of a discrete law takes time in every cell
     finest = _FINEST // (4 * np.unique(s.law.steps).size) if discrete else _FINEST
-    profile = None if discrete else Profile(s, np.empty(0))
+    smooth = None if discrete else profile_of(s)
     while True:
         cells = int(least)
         if points - 1 <= max(finest, _MOST_CELLS):
             cells = (points - 1) * max(1, round(cells / (points - 1)))
         fine = distance / (2 * cells) * np.arange(2 * cells + 1)
-        lives = profile or Profile(s, fine)
-        in_step, around = _in_step(lives, s, fine[::2])
-        if in_step.max() <= _RESOLVED:
-            return Cells(lives, fine, np.zeros(cells + 1), around)
+        profile = smooth or profile_of(s, fine)
+        in_step, around = _in_step(profile, s, fine[::2])
         least *= _FINER
-        if least > finest:
-            return Cells(lives, fine, in_step, around)
+        if in_step.max() <= _RESOLVED or least > finest:
+            return Cells(profile, fine, in_step * (in_step.max() > _RESOLVED), around)
 
 
 def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
@@ -249,12 +186,12 @@ def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
     broken = -np.diff(profile.survive, prepend=1.0)
     quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
     cycle = s.delay.mean + slow
-    k = np.geomspace(2 * math.pi / cycle, max(100.0 / quick, 200.0 / cycle), 400 if profile.steps else 50)
+    k = np.geomspace(2 * math.pi / cycle, max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50)
     many = broken > 1e-8
     broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
     phase = np.outer(k, profile.x[many] - 0.5 * width)
     # lives that last for many waves are out of step
-    seen = (np.outer(k, width) < 1.0) | profile.steps
+    seen = (np.outer(k, width) < 1.0) | profile.jumps
     together = np.abs(np.where(seen, np.exp(1j * phase), 0.0) @ broken)
     together *= s.delay.coherence(k)
     together = np.minimum(np.maximum.accumulate(together[::-1])[::-1], 1.0)
@@ -262,14 +199,22 @@ def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
     at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
     share = together[np.minimum(at, k.size - 1)] ** m
     share[0] = 0.0
-    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (s.delay.mean + quick)))) if profile.steps else 0
-    if profile.steps and around * h < min(quick, s.delay.mean or quick):
+    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (s.delay.mean + quick)))) if profile.jumps else 0
+    if profile.jumps and around * h < min(quick, s.delay.mean or quick):
         share[:] = 0.0  # what is in step is longer than the grid blurs it
     return share, 2 * around + 1
 
 
+class _Means(NamedTuple):
+    """Force and pinned at the edges of a uniform grid of cells, breaks in each cell per unit displacement."""
+
+    force: Array
+    pinned: Array
+    breaks: Array
+
+
 def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
-    """Force and pinned at the edges `x` of a uniform grid of cells, breaks in each cell per unit displacement.
+    """Solve the renewal equation on a uniform grid of edges `x` from 0.
 
     By generating functions: with w of the chance to be still detached, d = 1 - (1 - z) w of births after a break, and D
     of survival, breaks (w + d D) is that of 1 - S, as every contact is either pinned or detached (derived). They are
@@ -296,10 +241,60 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     return _Means(force + s.drag * detached, 1.0 - detached, back(breaks) / h)
 
 
+def _squares(cells: Cells, s: Reduced, solved: list[_Means]) -> tuple[Array, Array]:
+    """Mean square of the force of a contact at the edges of the coarser grid, and its error: as the mean force, with
+    m_2(x) = x^2 k2 in the place of m = x k1 (derived)."""
+    found, profile = [], cells.profile
+    for step, means in zip((2, 1), solved, strict=True):
+        x = cells.x[::step]
+        births = means.breaks + np.diff(means.pinned) / x[1]
+        first = np.append(0.0, x[1:] ** 2 * profile.at(x[1:])[2])
+        later = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
+        found.append((first + np.append(0.0, later) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
+    best, missed = _extrapolated(*found)
+    error = missed + profile.error * np.abs(best)
+    return best, error + _near(found[0]) if profile.jumps else error
+
+
+def _extrapolated(coarse: Array, better: Array) -> tuple[Array, Array]:
+    """The value of no cell width from those at the same edges of two grids, and what the coarser one missed, nearby
+    too: the difference may vanish by chance where the error does not."""
+    missed = ndimage.maximum_filter1d(np.abs(better - coarse), (coarse.size - 1) // 20)
+    return (4 * better - coarse) / 3, missed
+
+
+def _with_error(coarse: Array, better: Array, cells: Cells, loudest: float) -> tuple[Array, Array]:
+    """A mean that may be as great as `loudest` while all contacts are in step, and its error."""
+    best, missed = _extrapolated(coarse, better)
+    error = missed + cells.profile.error * np.abs(best)
+    if cells.profile.jumps:
+        # jumps that cells blur, in twice as many steps of half the length, differ by 0.083 of their height
+        error += np.maximum(_near(coarse), 8 * ndimage.maximum_filter1d(np.abs(better - coarse), cells.around))
+    return best, error + max(float(np.ptp(best)), loudest) * cells.in_step
+
+
+def _near(values: Array) -> Array:
+    """How far neighbours differ: where equal thresholds break together the truth is somewhere between them."""
+    return np.asarray(ndimage.maximum_filter1d(values, 5) - ndimage.minimum_filter1d(values, 5))
+
+
+def _between(values: Array) -> Array:
+    """A bound of what straight lines between equidistant values miss: their curvature eightfold."""
+    return np.asarray(ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3))
+
+
 @dataclass(frozen=True)
 class Fluctuations:
-    """Stationary fluctuations of F for independent contacts: `lag` (length), and N times the autocovariance of
-    F/(N k) (length squared) at these lags; at lag 0 it is N times the variance."""
+    """Stationary fluctuations of F for independent contacts, arrays of shape (points,).
+
+    Attributes
+    ----------
+    lag : ndarray
+        Displacement between two looks at the force (length).
+    covariance, error : ndarray
+        N times the autocovariance of F/(N k) at these lags, that is the variance at lag 0, and its error estimate
+        (length^2).
+    """
 
     lag: Array
     covariance: Array
@@ -307,48 +302,60 @@ class Fluctuations:
 
 
 def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctuations:
-    """Stationary variance and autocovariance of F at `points` lags from 0 to the drive's distance. Raises InputError.
+    """Stationary variance and autocovariance of F (derived).
 
     A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or breaks after y and begins anew
     with the transient of a contact that has just broken; one found detached begins with the rest of its delay. What
     the stiffness was a while ago is not known where it follows an aging threshold: refused.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+        Lags go up to its distance.
+    points : int
+        Number of equidistant lags from 0.
+
+    Returns
+    -------
+    Fluctuations
+
+    Raises
+    ------
+    InputError
+        For arguments out of range, and for aging quenched contacts of the sqrt law.
     """
-    require_integer("points", points, 2, 10**6)
     require_drive(drive)
-    distance = drive.over(ensemble)
-    s = settled(ensemble, drive.velocity).reduced
+    require_integer("points", points, 2, 10**6)
+    s, unit, distance = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale, drive.over(ensemble)
     if not isinstance(s.aging, Unaged) and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
-    unit = s.law.scale
     exact = reference(ensemble, drive)
     cycle = known(exact.break_stretch) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
-    profile, fine, in_step, _ = grid_of(s, distance / unit, points)
-    solved = []
+    cells = cells_of(s, distance / unit, points)
+    profile, solved = cells.profile, []
     for step in (2, 1):
-        x = fine[::step]
-        h = x[1]
+        x = cells.x[::step]
         means = means_of(profile, x, s)
         # int_x^inf y^power (S, k1, k2) dy
-        rest = [profile.integral(np.array([1e90]), power) - profile.integral(x, power) for power in range(3)]
+        rest = [profile.integral(_EVERYTHING, power) - profile.integral(x, power) for power in range(3)]
         # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy, whose decrease weighs breaks by
         # the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
         carried = rest[1][1] - x * rest[0][1]
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
         after, detached = _reborn(means.force, x, s)
-        back = np.append(0.0, signal.fftconvolve(breaks, np.diff(after) / h)[: x.size - 1])
+        back = np.append(0.0, signal.fftconvolve(breaks, np.diff(after) / x[1])[: x.size - 1])
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
-    best = (4 * solved[1] - solved[0]) / 3
+    best, missed = _extrapolated(*solved)
     # kinks, which jumps of a discrete law make, are of lower order
-    missed = ndimage.maximum_filter1d(np.abs(solved[1] - solved[0]), in_step.size // 20)
-    error = missed * (3 if profile.steps else 1) + (profile.error + in_step) * np.abs(best).max()
-    if points - 1 > in_step.size - 1:
+    error = missed * (3 if profile.jumps else 1) + (profile.error + cells.in_step) * np.abs(best).max()
+    if points > best.size:
         error += _between(best)
     lag = np.linspace(0.0, distance, points)
-    found, errors = (np.interp(lag / unit, fine[::2], part) * unit**2 for part in (best, error))
-    return Fluctuations(lag, found, errors)
+    return Fluctuations(lag, *(np.interp(lag / unit, cells.x[::2], part) * unit**2 for part in (best, error)))
 
 
 def _reborn(fresh: Array, x: Array, s: Reduced) -> tuple[Array, Array]:
@@ -360,13 +367,17 @@ def _reborn(fresh: Array, x: Array, s: Reduced) -> tuple[Array, Array]:
     return _REBORN[type(s.delay)](fresh, x, total, s.delay.mean, s.drag)
 
 
-def _after_fixed(fresh: Array, x: Array, total: Integral, delay: float, drag: float) -> tuple[Array, Array]:
+def _after_fixed(
+    fresh: Array, x: Array, total: Callable[[Array], Array], delay: float, drag: float
+) -> tuple[Array, Array]:
     """`_reborn` of contacts that wait as long as each other."""
     late = total(np.maximum(x - delay, 0.0))
     return drag * np.minimum(x, delay) + late, drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
 
 
-def _after_exponential(fresh: Array, x: Array, total: Integral, delay: float, drag: float) -> tuple[Array, Array]:
+def _after_exponential(
+    fresh: Array, x: Array, total: Callable[[Array], Array], delay: float, drag: float
+) -> tuple[Array, Array]:
     """`_reborn` of contacts that attach at random."""
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh linear in each cell
     ratio = x[1] / delay

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import integrate, ndimage, signal, stats
+from scipy import integrate, stats
 
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
@@ -49,8 +49,9 @@ from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
 from eqsim.laws.aging import Aging, Flow, Unaged
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
+from eqsim.master.profile import profile_of
 from eqsim.master.steady import reference, settled
-from eqsim.master.transient import Profile, Transient, fluctuations, grid_of, means_of, transient
+from eqsim.master.transient import fluctuations, transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, births, drag_of
@@ -225,14 +226,13 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
     # near jumps of F the error is what a few cells of the grid make of it
     steps = ensemble.thresholds.steps.size
     every = max(1, _CELLS // (_EACH * max(12, steps))) if steps else 1
-    exact = transient(ensemble, whole, points=_EACH * every + 1)
-    squares, drag = _squares(ensemble, v, distance, exact), _drag(ensemble, v)
-    if squares is None:
+    exact, drag = transient(ensemble, whole, points=_EACH * every + 1, variance=True), _drag(ensemble, v)
+    if exact.force_variance is None or exact.force_variance_error is None:
         return point.without(_EACH * _TRANSIENT, "vague")
     scores: Found = []
     for i in range(1, _EACH + 1):
         level, off = float(exact.force[i * every]), float(exact.force_error[i * every])
-        variance = float(squares[0, i * every]) - level**2
+        variance = float(exact.force_variance[i * every])
         few = shown.count * _carrying(level, variance, float(exact.pinned[i * every]), drag)
         # few that have broken make the variance if all others have the same force; the law of `langevin` contacts is
         # not known well enough to say how large it is
@@ -254,7 +254,7 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
             continue
         groups = _about(level, group, drive, point.stream(i, 2))
         ours = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
-        off = float(squares[1, i * every]) + 2 * level * off
+        off = float(exact.force_variance_error[i * every])
         scores.append(point.score("transient variance", ours, Estimate(variance, off, 0), off))
     return scores
 
@@ -286,31 +286,6 @@ def _about(level: float, group: Ensemble, drive: Drive, seed: int) -> Array:
     return np.asarray((variances + (forces - level) ** 2)[:, 1])
 
 
-def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) -> Array | None:
-    """E[(force of a contact / k)^2] at the X of a transient and its error, shape (2, points), by the renewal equation
-    (derived), as the transient itself: m_2(x) = x^2 E[(k_i/k)^2; x_b > x] takes the place of m. None if the grid does
-    not resolve it."""
-    s = settled(ensemble, v).reduced
-    unit, points = s.law.scale, exact.X.size
-    profile, fine, in_step, _ = grid_of(s, distance / unit, points)
-    if in_step.any():
-        return None
-    solved = []
-    for step in (2, 1):
-        x = fine[::step]
-        means = means_of(profile, x, s)
-        reborn = means.breaks + np.diff(means.pinned) / x[1]
-        left = np.append(0.0, x[1:] ** 2 * profile.at(x[1:])[2])
-        back = signal.fftconvolve(reborn, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
-        solved.append((left + np.append(0.0, back) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
-    best, cells = (4 * solved[1] - solved[0]) / 3, in_step.size - 1
-    error = ndimage.maximum_filter1d(np.abs(solved[1] - solved[0]), cells // 20) + profile.error * np.abs(best)
-    if profile.steps:  # jumps, as in the transient itself
-        error += ndimage.maximum_filter1d(solved[0], 5) - ndimage.minimum_filter1d(solved[0], 5)
-    every = cells // (points - 1)
-    return np.stack((best, error))[:, ::every] * unit**2
-
-
 def hazards(point: Point) -> Found:
     """Integrated hazards at breaking against Exp(1), censored at each contact's own threshold, two ways.
 
@@ -329,7 +304,7 @@ def hazards(point: Point) -> Found:
     _, stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock)
     unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
     if s.aging.fluctuates:
-        return [point.uniform(Profile(s, np.empty(0)).at(stretch * unit)[0])]
+        return [point.uniform(profile_of(s).at(stretch * unit)[0])]
     xi = np.empty(u.size)
     thresholds(c.thresholds, u, xi)
     end = xi
@@ -358,7 +333,7 @@ def _pooled(s: Reduced, x: Array) -> Array:
     """Of annealed contacts: -ln of survival over J_c, just below x, where a discrete law still has the threshold x."""
     below = np.sort(x.ravel()) * (1.0 - _BELOW) if s.law.steps.size else np.sort(x.ravel())
     ahead = np.maximum(s.law.sf(below * s.law.scale), 1e-300)  # a threshold that cannot be is no survivor
-    alive = Profile(s, np.empty(0)).at(below)[0] / ahead
+    alive = profile_of(s).at(below)[0] / ahead
     found = np.empty(x.size)
     found[np.argsort(x.ravel())] = -np.log(np.clip(alive, 1e-300, 1.0))
     return found.reshape(x.shape)
@@ -373,7 +348,7 @@ def _closed(s: Reduced, xi: Array, x: Array) -> Array:
 def _along(s: Reduced, xi: Array, x: Array) -> Array:
     """Of thresholds that flow. The rate is greatest at the ends of a life, where the nodes crowd."""
     found = integrate.tanhsinh(
-        lambda y, born: flow.rate(s, y, born * flow.aged(s, y)), 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
+        lambda y, born: flow.rate(s, y, born * flow.growth(s, y)), 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
     )
     return np.asarray(found.integral)
 
