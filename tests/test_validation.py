@@ -25,7 +25,6 @@ from eqsim.validation.scores import (
     Score,
     Unscored,
     _many,
-    _squares,
     averages,
     compared,
     fluctuating,
@@ -336,8 +335,9 @@ def test_squares_of_laws_that_begin_with_a_jump():
     """E[f^2] at T = 0 of Pareto thresholds, by hand: 200 000 contacts from break to break (|z| < 4.5 in eight scores,
     false alarm 6e-5, beyond the stated error)."""
     ensemble, drive = Ensemble(Distribution(stats.pareto(6.9)), stiffness_law="uniform"), Drive(1.0, 2.4)
-    exact = transient(ensemble, drive, points=9)
-    squares, error = _squares(ensemble, drive.velocity, drive.distance, exact)
+    exact = transient(ensemble, drive, points=9, variance=True)
+    squares = exact.force_variance + exact.force**2
+    error = exact.force_variance_error - 2 * exact.force * exact.force_error
     rng = np.random.default_rng(1)
     for i in range(1, 9):
         born, force = np.zeros(200_000), np.zeros(200_000)
