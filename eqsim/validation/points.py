@@ -1,0 +1,148 @@
+"""Parameter points of a suite, by a seeded sampler.
+
+A third of the points age, from x_*f/x_*i = 0.01 to 100, and have gamma laws with n from 0 to 10. The others have tables
+of 2 to 12 thresholds over up to four decades, samples of up to 500, lognormal, Weibull, Pareto (a finite third moment)
+and uniform laws, histograms with gaps, and gamma laws. Velocities are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to
+3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from eqsim.engine.contacts import contacts
+from eqsim.engine.lanes import typical_lives
+from eqsim.errors import InputError
+from eqsim.laws.aging import RULES, Aging
+from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.delay import DELAYS, Delay
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Distribution, Gamma, Table, ThresholdLaw
+from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
+
+LAWS = ("gamma", "few", "lognorm", "sample", "weibull_min", "few", "pareto", "histogram", "uniform")  # without aging
+
+
+class Suite(NamedTuple):
+    """How many parameter points, how many of them are also tested for fluctuations, contacts and ensembles of these
+    tests in turn, and the fewest contacts of a transient, for as long as they take fewer than `lives` lives."""
+
+    points: int
+    wide: int
+    sizes: tuple[tuple[int, int], ...] = ((20, 2000), (100, 1000), (10_000, 150))
+    contacts: int = 200
+    lives: float = 1e6
+
+
+SUITES = {
+    "quick": Suite(32, 6),
+    "full": Suite(240, 18),
+    "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8),
+}
+
+
+def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tuple[int, Ensemble, float]]:
+    """Index, ensemble and velocity of points over the whole parameter space, the same for the same seed; of every m-th
+    from the i-th on, `part` = (i, m)."""
+    rng, laws, aging = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3))
+    ages = aging.permutation(count) < count // 3
+    kinds = dict(zip(laws.permutation(np.flatnonzero(~ages)).tolist(), itertools.cycle(LAWS), strict=False))
+    barriers, delays = tuple(BARRIERS), tuple(DELAYS)
+    for index in range(count):
+        v = 10 ** rng.uniform(-4, 2)
+        kT = 0.0 if index % 10 == 9 else 10 ** rng.uniform(-2, 0.5)
+        delay = 0.0 if rng.random() < 0.4 else 10 ** rng.uniform(-3, 3)  # in lives
+        law = _thresholds(kinds.get(index, "gamma"), 10 ** rng.uniform(-0.5, 0.5), laws)
+        unit = law.scale
+        ensemble = Ensemble(
+            law,
+            Thermal(kT * unit**2, 1.0, barriers[index // 2 % len(barriers)]),
+            Delay(0.0, delays[int(rng.integers(len(delays)))]),
+            stiffness_law=("sqrt", "uniform")[index // 4 % 2],
+            disorder=("quenched", "annealed")[index % 2],
+            eta=float(rng.choice([0.0, 10 ** rng.uniform(-2, 0) / v])),
+        )
+        if ages[index]:
+            ensemble = _aging(ensemble, v * unit, aging)
+        if index % part[1] != part[0]:
+            continue  # lives take time
+        if delay:
+            time = delay * typical_life(ensemble, v * unit) / (v * unit)
+            ensemble = dataclasses.replace(ensemble, delay=Delay(time, ensemble.delay.law))
+        yield index, ensemble, v * unit
+
+
+def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:
+    """A law of thresholds, `unit` wide, in numbers of four digits: few of them, some several times as likely, over up
+    to four decades; a sample of up to 500; shapes of SciPy's laws."""
+    if kind == "gamma":
+        n = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)][rng.integers(6)]
+        return Gamma(float(n), unit)
+    if kind == "few":
+        low, decades = math.log10(unit), rng.uniform(0.05, 4)
+        steps = 10 ** rng.uniform(low - decades / 2, low + decades / 2, rng.integers(2, 13))
+        return Table(np.repeat(_brief(steps), rng.integers(1, 4, steps.size) if rng.random() < 0.5 else 1))
+    if kind == "sample":
+        size = round(10 ** rng.uniform(1.3, 2.7))
+        return Table(_brief(unit * rng.lognormal(0.0, rng.uniform(0.1, 0.8), size)))
+    if kind == "histogram":
+        bins = int(rng.integers(2, 11))
+        heights = np.append(rng.integers(0, 10, bins - 1), 1 + rng.integers(10))  # with gaps
+        edges = _brief(unit * (rng.choice([0.0, 0.2, 1.0]) + np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))))
+        return Distribution(stats.rv_histogram((heights, edges), density=True))
+    scale, low = (float(x) for x in _brief(np.array([unit, rng.uniform(0.05, 0.95) * unit])))
+    if kind == "uniform":
+        return Distribution(stats.uniform(low, scale))
+    least, most = {"lognorm": (0.1, 1.2), "weibull_min": (0.7, 10.0), "pareto": (3.1, 10.0)}[kind]
+    shape = float(_brief(np.exp(rng.uniform(math.log(least), math.log(most)))))
+    return Distribution(getattr(stats, kind)(shape, scale=scale))
+
+
+def _brief(x: Array) -> Array:
+    """Rounded to four digits."""
+    return np.vectorize(lambda number: float(f"{number:.4g}"))(x)
+
+
+def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
+    """The same contacts, aging: x_*f/x_*i from 0.01 to 100, D over v and the lesser of x_*i and x_*f from 1e-3 to 10,
+    sometimes infinite; sometimes at T = 0."""
+    rules = tuple(RULES)
+    unit, rule = ensemble.thresholds.scale, rules[int(rng.integers(len(rules)))]
+    final = 10 ** rng.uniform(-2, 2) * unit
+    rate = 10 ** rng.uniform(-3, 1) * v * min(unit, final)
+    at_once, cold = rng.random() < 0.15, rng.random() < 0.25
+    if at_once and (ensemble.disorder == "annealed" or not RULES[rule].fluctuates):
+        rate, rule = math.inf, "flow"  # all the same to annealed contacts
+    thermal = dataclasses.replace(ensemble.thermal, kT=0.0) if cold else ensemble.thermal
+    return dataclasses.replace(ensemble, thermal=thermal, aging=Aging(rule, rate, final))
+
+
+def typical_life(ensemble: Ensemble, v: float) -> float:
+    """About the mean stretch at breaking; births of annealed contacts that age are those of lives as long as the mean
+    threshold, which is also the answer where there is no telling."""
+    mean = ensemble.thresholds.mean
+    try:
+        _, stretch = typical_lives(contacts(ensemble, v, mean))
+    except InputError:
+        return mean
+    return float(stretch.mean()) * ensemble.thresholds.scale
+
+
+def law_text(law: ThresholdLaw) -> str:
+    """The Python expression that makes a law of `sample`, with eqsim's names and scipy.stats as stats."""
+    if isinstance(law, Table):
+        return f"Table({law.steps.tolist()})"
+    if not isinstance(law, Distribution):
+        return repr(law)
+    frozen = law.frozen
+    if isinstance(frozen, stats.rv_histogram):
+        heights, edges = (np.asarray(part).tolist() for part in frozen._histogram)
+        return f"Distribution(stats.rv_histogram(({heights}, {edges}), density=True))"
+    shape = [*map(repr, frozen.args), *(f"{name}={value!r}" for name, value in frozen.kwds.items())]
+    return f"Distribution(stats.{frozen.dist.name}({', '.join(shape)}))"

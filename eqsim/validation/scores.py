@@ -1,0 +1,471 @@
+"""The comparisons made at one parameter point: each difference between contacts and the master equation as a score z
+in units of the quoted errors,
+
+    friction, pinned, break_stretch    steady averages, rel_error 1e-4 (of `langevin` contacts from 65 536 lives)
+    transient                          F(X) from a fresh start, every X from its own ensemble, over 5 mean thresholds
+                                       or 2 lives and delays
+    transient variance                 variance over contacts of the force of one, at the same X
+    hazard                             the integrated hazard at breaking is Exp(1): events less hazard, over its root
+    hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
+    mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at half a mean life
+
+Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is below 1e-3, which is part of the
+quoted error: it does little to scores from 65 536 lives, most of which are good to 1e-3 to 5e-3 without it, and counts
+where they are better, because thresholds hardly move. Their hazard is not known path by path; the whole law of x_b,
+S(x_b) uniform, stands in for it. Fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
+law) have no reference. Births of annealed contacts that age are found once a point, with the steady averages, and then
+held.
+
+Some quoted errors are bounds: what all randomisations may miss of a few thresholds, tables of laws whose density jumps,
+grids where F jumps, because equal thresholds break together. With them |z| is too small to be normal. A score is even
+if bounds make less than a fifth of its error, which is known without its value; uneven ones count among the largest
+only: with a bias as large as the bound |z| exceeds any t > 2 less often than a normal score does. Means are scored if
+as many as 400 contacts carry the force, squares if a pilot says that 1600 do and that no small part of them makes the
+error, as with heavy tails.
+
+Variances are taken about the master's mean, as means of squares. Their scores are the Y of a test suite of stochastic
+simulators, (s^2 - sigma^2) over the error of s^2, with that error, ((mu_4 - sigma^4)/n)^(1/2), from the scatter of the
+squares in the sample: forces of one contact, or of twenty, are far from normal.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import integrate, ndimage, signal, stats
+
+from eqsim.engine.contacts import contacts
+from eqsim.engine.lanes import lives
+from eqsim.engine.recorder import Run, Scales, moments
+from eqsim.engine.simulate import simulate
+from eqsim.engine.stationary import FRESH, stationary, thresholds, whole_lives
+from eqsim.engine.steady import Steady, steady
+from eqsim.engine.trajectory import Totals, arguments, predicted_lives, trajectory
+from eqsim.errors import InputError
+from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
+from eqsim.laws.aging import Aging, Flow, Unaged
+from eqsim.laws.stiffness import relative_stiffness
+from eqsim.master import flow
+from eqsim.master.steady import reference, settled
+from eqsim.master.transient import Profile, Transient, fluctuations, grid_of, means_of, transient
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Reduced, births, drag_of
+from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.numerics.tables import Array
+from eqsim.validation.points import Suite, law_text
+
+_EACH = 8  # displacements, each with an ensemble of its own
+_TRANSIENT = ("transient", "transient variance")
+_HAZARD, _FLUCTUATIONS = ("hazard", "hazard law"), ("mean", "variance", "covariance")
+KINDS = (*OBSERVABLES, *_TRANSIENT, *_HAZARD, *_FLUCTUATIONS)
+DECLINED = ("refused", "unreliable", "vague")
+REASONS = (*DECLINED, "few contacts", "too many lives", "no reference")
+_REL_ERROR = 1e-4
+_ENOUGH = 400  # contacts of either state that carry the force, n <f>^2/<f^2>, for a mean over them to be normal
+_ENOUGH_SQUARES = 1600  # and for a mean of squares
+_ONE = 0.2  # of the sum of squares of so many normal numbers, the largest makes more once in fifty times
+_GROUPS = 64  # of contacts, whose scatter is the error of a variance
+_SHARE = 0.2  # of a quoted error that may be a bound: scatter then makes 98 % of it
+_VAGUE = 0.1  # a bound, relative to what it bounds, that leaves nothing to compare
+_CELLS = 120_000  # of the grid of a transient, times thresholds of a table
+_BELOW = 1e-13  # a threshold of a table, relative: contacts that have it still live
+_PILOT = 400_000  # contacts, at most
+_ROUNDING = 1e-12  # of a threshold that was computed in two ways; as many lives end by heat as close to it
+_DEAR = 20  # `langevin` lives take that much longer than others, and stationary ones are found by trying
+
+
+@dataclass(frozen=True)
+class Score:
+    """One comparison: its kind, the ensemble and velocity, what the engine and the master said, and z; `even` if sigma
+    is scatter, so that z is normal; elsewhere bounds add to it, and z is small.
+
+    Of a hazard law these are the distance of Kolmogorov and Smirnov, 0, and n^(-1/2) of n lives."""
+
+    kind: str
+    ensemble: Ensemble
+    velocity: float
+    value: float
+    reference: float
+    sigma: float
+    z: float
+    even: bool = True
+
+
+class Unscored(NamedTuple):
+    """A comparison that was asked for and not made, and why: one of `REASONS`, and what the program said."""
+
+    kind: str
+    ensemble: Ensemble
+    velocity: float
+    reason: str
+    message: str = ""
+
+
+Found = list[Score | Unscored]
+
+
+class Point(NamedTuple):
+    """A point of the parameter space: its number, the ensemble, the one that the engine is shown, and a seed."""
+
+    number: int
+    ensemble: Ensemble
+    shown: Ensemble
+    velocity: float
+    seed: int
+
+    def stream(self, *numbers: int) -> int:
+        """A seed for something drawn here."""
+        return stream(self.seed, *numbers)
+
+    def drive(self, distance: float, start: Any = "fresh") -> Drive:
+        """At the velocity of this point."""
+        return Drive(self.velocity, distance, start)
+
+    def without(self, kinds: tuple[str, ...], reason: str, message: str = "") -> Found:
+        """None of these comparisons made."""
+        return [Unscored(kind, self.ensemble, self.velocity, reason, message) for kind in kinds]
+
+    def score(self, kind: str, ours: Estimate, exact: Estimate, bound: float) -> Score | Unscored:
+        """An estimate against an exact value with its error; of both quoted errors, so much is a `bound`."""
+        value, error = known(exact), exact.stderr or 0.0
+        sigma, z = math.hypot(ours.stderr or 0.0, error), z_score(ours, value, error)
+        even = bound <= _SHARE * sigma
+        if not even and bound > _VAGUE * abs(value):
+            return Unscored(kind, self.ensemble, self.velocity, "vague")
+        score = math.inf if z is None else z
+        return Score(kind, self.ensemble, self.velocity, known(ours), value, sigma, score, even)
+
+    def uniform(self, share: Array) -> Score:
+        """Whether numbers are uniform, as they should be."""
+        distance, p = stats.kstest(share, "uniform")
+        z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))  # low if it is too even
+        root = 1 / math.sqrt(share.size)
+        return Score("hazard law", self.ensemble, self.velocity, float(distance), 0.0, root, z)
+
+
+def stream(*numbers: int) -> int:
+    """A seed of its own for all that draws."""
+    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0] >> 1)
+
+
+def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
+    """All comparisons at a point."""
+    index = point.number
+    stride = plan.points // plan.wide if plan.wide else 0
+    parts: list[tuple[tuple[str, ...], Callable[[Point], Found]]] = []
+    if index % 3 == 0:
+        parts.append((_EACH * _TRANSIENT, lambda at: transients(at, plan, threads)))
+    if index % 3 == 1:
+        parts.append((_HAZARD, hazards))
+    if stride and index % stride == 2:
+        size = plan.sizes[index // stride % len(plan.sizes)]
+        parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, size)))
+    rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR  # 1.0: the first 65 536 lives will do
+    try:
+        found = steady(point.shown, Drive(point.velocity), rel_error=rel_error, seed=seed, threads=threads)
+        scores = averages(point, found)
+        point = point._replace(shown=_held(point.shown, point.velocity, found))
+    except InputError as error:
+        asked = (*OBSERVABLES, *(kind for kinds, _ in parts for kind in kinds))
+        return point.without(asked, "refused", str(error))
+    for kinds, part in parts:
+        try:
+            scores += part(point)
+        except InputError as error:
+            scores += point.without(kinds, "refused", str(error))
+    return scores
+
+
+def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
+    """The same contacts; births of annealed ones that age are held at the stretch C that was `found`."""
+    if not ensemble.self_consistent:
+        return ensemble
+    return dataclasses.replace(ensemble, thresholds=births(ensemble, v, known(found.break_stretch)), aging=Aging())
+
+
+def averages(point: Point, found: Steady) -> Found:
+    """Steady averages."""
+    exact = reference(point.ensemble, Drive(point.velocity)).averages()
+    scores: Found = []
+    for name, ours in found.averages().items():
+        theirs = exact[name]
+        if ours.stderr == theirs.stderr == 0.0:
+            continue  # pinned without delay: 1, exactly
+        if not ours.reliable:  # and says so
+            scores += point.without((name,), "unreliable")
+            continue
+        response = known(ours) * (1.0 - known(ours) if name == "pinned" else 1.0)
+        hidden, stderr = found.hidden * response, ours.stderr or 0.0
+        scatter = math.sqrt(max(stderr**2 - hidden**2, 0.0))
+        if point.shown.fluctuates and scatter > hidden:  # what steps may cost is a bound, mostly far from reached
+            ours, hidden = dataclasses.replace(ours, stderr=scatter), 0.0
+        scores.append(point.score(name, ours, theirs, math.hypot(hidden, theirs.stderr or 0.0)))
+    return scores
+
+
+def transients(point: Point, plan: Suite, threads: int) -> Found:
+    """Eight ensembles, each asked for F at one displacement of its own, and eight more for its variance: over five mean
+    thresholds, or over two lives and delays."""
+    ensemble, shown, v = point.ensemble, point.shown, point.velocity
+    typical = reference(ensemble, Drive(v))
+    distance = 5 * ensemble.thresholds.mean
+    if point.seed % 2:
+        distance = 2 * (known(typical.break_stretch) + v * ensemble.delay.time)
+    whole = point.drive(distance)
+    cost = predicted_lives(dataclasses.replace(ensemble, count=1), whole)
+    dear = _DEAR if shown.fluctuates else 1
+    least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
+    shown = dataclasses.replace(shown, count=int(min(20_000, max(least, 1e6 / dear / cost))))
+    if predicted_lives(shown, whole) > 1e8 / dear:  # very low velocity: nothing for a test of minutes
+        return point.without(_EACH * _TRANSIENT, "too many lives")
+    # near jumps of F the error is what a few cells of the grid make of it
+    steps = ensemble.thresholds.steps.size
+    every = max(1, _CELLS // (_EACH * max(12, steps))) if steps else 1
+    exact = transient(ensemble, whole, points=_EACH * every + 1)
+    squares, drag = _squares(ensemble, v, distance, exact), _drag(ensemble, v)
+    if squares is None:
+        return point.without(_EACH * _TRANSIENT, "vague")
+    scores: Found = []
+    for i in range(1, _EACH + 1):
+        level, off = float(exact.force[i * every]), float(exact.force_error[i * every])
+        variance = float(squares[0, i * every]) - level**2
+        few = shown.count * _carrying(level, variance, float(exact.pinned[i * every]), drag)
+        # few that have broken make the variance if all others have the same force; the law of `langevin` contacts is
+        # not known well enough to say how large it is
+        broken = shown.count * variance / max(level**2, 1e-300)
+        if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH:
+            scores += point.without(_TRANSIENT, "few contacts")
+            continue
+        drive = point.drive(distance * i / _EACH)
+        run = trajectory(shown, drive, points=2, seed=point.stream(i), threads=threads)
+        ours = Estimate(float(run.force[1]), float(run.force_stderr[1]), shown.count)
+        if run.force_reliable:
+            scores.append(point.score("transient", ours, Estimate(level, off, 0), off))
+        else:
+            scores += point.without(_TRANSIENT[:1], "unreliable")
+        group = dataclasses.replace(shown, count=shown.count // _GROUPS)
+        # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts
+        if min(few, broken) < _ENOUGH_SQUARES or not _many(_about(level, group, drive, point.stream(i, 1))):
+            scores += point.without(_TRANSIENT[1:], "few contacts")
+            continue
+        groups = _about(level, group, drive, point.stream(i, 2))
+        ours = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
+        off = float(squares[1, i * every]) + 2 * level * off
+        scores.append(point.score("transient variance", ours, Estimate(variance, off, 0), off))
+    return scores
+
+
+def _many(pilot: Array) -> bool:
+    """Whether many contacts make the mean of squares of which a pilot found these, in _GROUPS groups: its relative
+    error is as if _ENOUGH_SQUARES had equal parts, and is not of one group (as with tails so heavy that there is no
+    error)."""
+    off = (pilot - pilot.mean()) ** 2
+    return bool(pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0 and off.max() < _ONE * off.sum())
+
+
+def _drag(ensemble: Ensemble, v: float) -> float:
+    """What a detached contact adds to F/k, if there are any."""
+    return drag_of(ensemble, v) * ensemble.thresholds.scale if ensemble.delay.time else 0.0
+
+
+def _carrying(level: float, variance: float, pinned: float, drag: float) -> float:
+    """The share of contacts that make the mean force `level`, as if each of these did as much: <f>^2/<f^2>, f the force
+    above the `drag`, which all detached contacts carry alike. Where pinned contacts are few, or detached ones with
+    their drag, it is these that make its fluctuations."""
+    share = (level - drag) ** 2 / max((level - drag) ** 2 + variance, 1e-300)
+    return min(share, pinned, 1.0 - pinned if drag else 1.0)
+
+
+def _about(level: float, group: Ensemble, drive: Drive, seed: int) -> Array:
+    """The variance of F/k per contact about its expectation, at the end of the drive, in each of _GROUPS groups."""
+    forces, variances = _forces(group, drive, _GROUPS, seed)
+    return np.asarray((variances + (forces - level) ** 2)[:, 1])
+
+
+def _squares(ensemble: Ensemble, v: float, distance: float, exact: Transient) -> Array | None:
+    """E[(force of a contact / k)^2] at the X of a transient and its error, shape (2, points), by the renewal equation
+    (derived), as the transient itself: m_2(x) = x^2 E[(k_i/k)^2; x_b > x] takes the place of m. None if the grid does
+    not resolve it."""
+    s = settled(ensemble, v).reduced
+    unit, points = s.law.scale, exact.X.size
+    profile, fine, in_step, _ = grid_of(s, distance / unit, points)
+    if in_step.any():
+        return None
+    solved = []
+    for step in (2, 1):
+        x = fine[::step]
+        means = means_of(profile, x, s)
+        reborn = means.breaks + np.diff(means.pinned) / x[1]
+        left = np.append(0.0, x[1:] ** 2 * profile.at(x[1:])[2])
+        back = signal.fftconvolve(reborn, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
+        solved.append((left + np.append(0.0, back) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
+    best, cells = (4 * solved[1] - solved[0]) / 3, in_step.size - 1
+    error = ndimage.maximum_filter1d(np.abs(solved[1] - solved[0]), cells // 20) + profile.error * np.abs(best)
+    if profile.steps:  # jumps, as in the transient itself
+        error += ndimage.maximum_filter1d(solved[0], 5) - ndimage.minimum_filter1d(solved[0], 5)
+    every = cells // (points - 1)
+    return np.stack((best, error))[:, ::every] * unit**2
+
+
+def hazards(point: Point) -> Found:
+    """Integrated hazards at breaking against Exp(1), censored at each contact's own threshold, two ways.
+
+    A life that ends by heat counts 1; the integrated hazard it went through has the same mean, and is the variance of
+    the difference. And of the lives that heat would have ended somewhere before the threshold, a fraction
+    U = (1 - exp(-Lambda))/(1 - exp(-Lambda(xi))) ends where they did or earlier: U of those it did end is uniform.
+    Of `langevin` contacts S(x_b) is uniform, S the mean over paths.
+    """
+    s = settled(point.ensemble, point.velocity).reduced
+    if not (s.barrier.thermal or s.aging.fluctuates):
+        return []  # no hazard
+    u, clock = np.random.default_rng((point.seed, 2)).random((2, 20_000)) * (1 - 2e-16) + 1e-16
+    if not (s.aging.closed or s.aging.fluctuates):  # hazards along paths are quadratures
+        u, clock = u[:4000], clock[:4000]
+    c = contacts(point.shown, point.velocity)
+    _, stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock)
+    unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
+    if s.aging.fluctuates:
+        return [point.uniform(Profile(s, np.empty(0)).at(stretch * unit)[0])]
+    xi = np.empty(u.size)
+    thresholds(c, u, xi)
+    end = xi
+    if not (c.aging.closed or c.aging.fluctuates):
+        end = np.empty(u.size)
+        whole_lives(c, xi, end, np.empty(u.size))
+    thermal = stretch < end * (1.0 - _ROUNDING)
+    hazard, total = _integrated(s, xi * unit, np.stack((np.minimum(stretch, end), end)) * unit)
+    mean = float(hazard.sum())
+    scores: Found = []
+    if mean >= _ENOUGH:
+        ours = Estimate(float(thermal.sum()), math.sqrt(mean), u.size)
+        scores.append(point.score("hazard", ours, Estimate(mean, 0.0, 0), 0.0))
+    if thermal.any():
+        scores.append(point.uniform(np.expm1(-hazard[thermal]) / np.expm1(-total[thermal])))
+    done = [score.kind for score in scores]
+    return scores + point.without(tuple(kind for kind in _HAZARD if kind not in done), "few contacts")
+
+
+def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
+    """Integrated hazards to stretches `x` (any, n) of contacts born with thresholds `xi` (n,)."""
+    return _pooled(s, x) if s.annealed else _INTEGRATED[type(s.aging)](s, xi, x)
+
+
+def _pooled(s: Reduced, x: Array) -> Array:
+    """Of annealed contacts: -ln of survival over J_c, just below x, where a discrete law still has the threshold x."""
+    below = np.sort(x.ravel()) * (1.0 - _BELOW) if s.law.steps.size else np.sort(x.ravel())
+    ahead = np.maximum(s.law.sf(below * s.law.scale), 1e-300)  # a threshold that cannot be is no survivor
+    alive = Profile(s, np.empty(0)).at(below)[0] / ahead
+    found = np.empty(x.size)
+    found[np.argsort(x.ravel())] = -np.log(np.clip(alive, 1e-300, 1.0))
+    return found.reshape(x.shape)
+
+
+def _closed(s: Reduced, xi: Array, x: Array) -> Array:
+    """Of thresholds that stay."""
+    a = s.barrier.b * relative_stiffness(s.stiffness, xi, s.rms)
+    return np.exp(s.barrier.log_hazard(x, xi, a) + s.barrier.log_w)
+
+
+def _along(s: Reduced, xi: Array, x: Array) -> Array:
+    """Of thresholds that flow. The rate is greatest at the ends of a life, where the nodes crowd."""
+    found = integrate.tanhsinh(
+        lambda y, born: flow.rate(s, y, born * flow.aged(s, y)), 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
+    )
+    return np.asarray(found.integral)
+
+
+_INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {Unaged: _closed, Flow: _along}
+
+
+def fluctuating(point: Point, size: tuple[int, int]) -> Found:
+    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles. Raises InputError where lives are too
+    rare and too long to be found."""
+    ensemble, shown, v = point.ensemble, point.shown, point.velocity
+    s = settled(ensemble, v).reduced
+    if s.stiffness == "sqrt" and not isinstance(s.aging, Unaged):
+        return point.without(_FLUCTUATIONS, "no reference")
+    count, ensembles = size
+    if shown.fluctuates:
+        count = min(count, 40_000 // ensembles)
+    means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)
+    level, lag = known(means.friction), 0.5 * known(means.break_stretch)
+    shown = dataclasses.replace(shown, count=count)
+    if predicted_lives(shown, point.drive(lag)) * ensembles > (2e8 / _DEAR**2 if shown.fluctuates else 2e8):
+        return point.without(_FLUCTUATIONS, "too many lives")
+    exact = fluctuations(ensemble, point.drive(lag), points=2)
+    # contacts that make the force in all ensembles together, and of these the share that does after the lag
+    carry = count * ensembles * _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
+    square, product = (exact.covariance + (level - drag) ** 2).tolist()
+    of_squares = carry / _ENOUGH_SQUARES
+    enough = {"mean": carry / _ENOUGH, "variance": of_squares, "covariance": of_squares * product / square}
+    at_once = point.drive(1e-6 * lag, "stationary")
+    group = dataclasses.replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
+    if enough["variance"] >= 1.0 and not _many(_about(level, group, at_once, point.stream(1))):
+        enough["variance"] = enough["covariance"] = 0.0
+    if enough["mean"] < 1.0:
+        return point.without(_FLUCTUATIONS, "few contacts")
+    forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
+    first, second = (forces - level).T
+    held = _REL_ERROR * level if ensemble.self_consistent else 0.0  # what the error of C can do
+    scores: Found = []
+    (now, later), (now_off, later_off) = exact.covariance / count, exact.error / count
+    for kind, terms, value, error in (
+        ("mean", forces[:, 0], level, math.hypot(held, means.friction.stderr or 0.0)),
+        ("variance", first**2, float(now), float(now_off)),
+        ("covariance", first * second, float(later), float(later_off)),
+    ):
+        if enough[kind] < 1.0:
+            scores += point.without((kind,), "few contacts")
+            continue
+        ours = Estimate(float(terms.mean()), float(terms.std(ddof=1)) / math.sqrt(ensembles), ensembles)
+        scores.append(point.score(kind, ours, Estimate(value, error, 0), error))
+    return scores
+
+
+def _forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: int) -> tuple[Array, Array]:
+    """F/(N k) at the beginning and the end of the drive's distance, shape (ensembles, 2), and its variance over the
+    contacts of each ensemble."""
+    c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
+    run = Run(drive.over(ensemble) / unit, 2, drive.start == "stationary", False)
+    scales = Scales.of(c, run, n, 1, 0.0)
+    job = (c, stationary(c) if run.stationary else FRESH, run, scales, key(seed, TRAJECTORY))
+    drag = drag_of(ensemble, drive.velocity)
+    forces, variances = np.empty((2, ensembles, 2))
+    for index in range(ensembles):
+        total = Totals(2, 1)
+        simulate(*arguments(job, total), index * n, (index + 1) * n)
+        force, _, variance = moments(total.deposits, scales, run, n, drag)
+        forces[index], variances[index] = force * unit, variance * unit**2
+    return forces, variances
+
+
+def columns(scores: list[Score]) -> dict[str, list[Any]]:
+    """The scores as columns of a table, one row per comparison."""
+    rows = [
+        {
+            "kind": score.kind,
+            "disorder": (e := score.ensemble).disorder,
+            "barrier": e.thermal.barrier,
+            "stiffness_law": e.stiffness_law,
+            "thresholds": law_text(e.thresholds),
+            "kT": e.thermal.kT,
+            "aging": e.aging.rule,
+            "aging_rate": e.aging.rate,
+            "x_star_final": e.aging.x_star_final if e.aging.rule != "none" else math.nan,
+            "delay": e.delay.time,
+            "delay_law": e.delay.law,
+            "eta": e.eta,
+            "velocity": score.velocity,
+            "value": score.value,
+            "reference": score.reference,
+            "sigma": score.sigma,
+            "z": score.z,
+            "even": score.even,
+        }
+        for score in scores
+    ]
+    return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
