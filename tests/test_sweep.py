@@ -192,7 +192,7 @@ def test_another_sweep_in_the_same_folder_is_refused(small, monkeypatch):
     with pytest.raises(InputError, match=r"rel_error was 0.01, is 0.001"):
         again(GRID, rel_error=1e-3)
     old = results_version()
-    monkeypatch.setattr("eqsim.sweep.plan.results_version", lambda: "later")
+    monkeypatch.setattr(store_module, "results_version", lambda: "later")
     with pytest.raises(InputError, match=f"results version was {old}, is later"):
         again(GRID)
     assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before

@@ -1,11 +1,11 @@
 """Commands that check: validate, replay."""
 
-import dataclasses
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Shown, Threads, cores
 from eqsim.errors import require_integer
@@ -13,46 +13,47 @@ from eqsim.errors import require_integer
 if TYPE_CHECKING:
     from eqsim.workflows.replay import Replay
 
+_OUT = Path("runs/out/validation")
+
 
 def validate(
-    suite: Annotated[str, typer.Argument(help='"quick" (seconds) or "full" (minutes).')] = "quick",
-    out: Annotated[Path, typer.Option(help="Folder for the table of scores and the picture.")] = Path(
-        "runs/out/validation"
-    ),
-    seed: Annotated[int, typer.Option(help="Random seed: other parameter points, other lives.")] = 1,
+    suite: Annotated[str, Argument(help='"quick" (seconds) or "full" (minutes).')] = "quick",
+    out: Annotated[Path, Option(help="Folder for the table of scores and the picture.")] = _OUT,
+    seed: Annotated[int, Option(help="Random seed: other parameter points, other lives.")] = 1,
     threads: Threads = None,
     *,
     shown: Shown,
 ) -> None:
     """Particles against the master equation over the parameter space; exit code 1 if they disagree."""
     require_integer("--seed", seed, 0, 2**63 - 1)
-    number = cores(threads)
+    count = cores(threads)
+    from eqsim import validation
     from eqsim.io import storage
     from eqsim.io.plots import validation_png
-    from eqsim.validation import ALARM, REASONS, columns, law_text, left_out
-    from eqsim.validation import validate as run_suite
 
     storage.check_folder(out)
     with shown.bar("validating", "points") as progress:
-        result = run_suite(suite, seed=seed, threads=number, progress=progress)
-    missing = left_out(result.unscored)
+        result = validation.validate(suite, seed=seed, threads=count, progress=progress)
+    absent = validation.left_out(result.unscored)
+    refused = {(validation.law_text(one.ensemble.thresholds), one.message) for one in result.unscored if one.message}
     summary = {
         "suite": suite,
         "seed": seed,
         "passed": result.passed,
-        "verdicts": [dataclasses.asdict(verdict) for verdict in result.verdicts],
+        "verdicts": [asdict(verdict) for verdict in result.verdicts],
         "declined": result.declined,
-        "left_out": missing,
-        "refused": sorted({(law_text(one.ensemble.thresholds), one.message) for one in result.unscored if one.message}),
+        "left_out": absent,
+        "refused": sorted(refused),
         "versions": storage.versions(),
     }
-    table = storage.parquet(columns(result.scores), storage.provenance("validate", {"suite": suite}, "", seed))
+    origin = storage.provenance("validate", {"suite": suite}, "", seed)
+    table = storage.parquet(validation.columns(result.scores), origin)
     files = {"scores.parquet": table, "validation.png": validation_png(result)}
     storage.publish(out, {**files, "summary.json": storage.to_json(summary).encode()})
-    reasons = [f"{sum(of.get(reason, 0) for of in missing.values())} {reason}" for reason in REASONS]
+    reasons = [f"{sum(of.get(reason, 0) for of in absent.values())} {reason}" for reason in validation.REASONS]
     shown.report(
         summary,
-        title=f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {ALARM:g}",
+        title=f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {validation.ALARM:g}",
         columns=("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict"),
         rows=[
             (v.kind, str(v.count), f"{v.chi_square:.1f}/{v.even}", f"{v.p_chi_square:.2g}", f"{v.largest:.2f}",
@@ -62,11 +63,11 @@ def validate(
         notes=["left out: " + ", ".join(reasons), f"{out}/: scores.parquet, summary.json, validation.png"],
     )  # fmt: skip
     if not result.passed:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def replay(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="Parquet file that eqsim wrote.", show_default=False)],
+    path: Annotated[Path, Argument(metavar="FILE", help="Parquet file that eqsim wrote.")],
     threads: Threads = None,
     *,
     shown: Shown,
@@ -76,9 +77,9 @@ def replay(
 
     with shown.bar("repeating", "units") as progress:
         found = repeat(path, workers=cores(threads), progress=progress)
-    shown.report({**dataclasses.asdict(found), "same": found.same}, notes=_compared(path, found))
+    shown.report({**asdict(found), "same": found.same}, notes=_compared(path, found))
     if not found.same:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _compared(path: Path, found: "Replay") -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
+from typer import Argument, Option
 
 from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
 from eqsim.errors import InputError, require_choice
@@ -11,18 +11,19 @@ from eqsim.io import terminal
 if TYPE_CHECKING:
     from eqsim.model.ensemble import Disorder
 
+_KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
+_VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
+
 
 def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown: Shown) -> None:
     """Dimensionless groups and regime of a run file, without simulating it."""
     file = changes.load(path)
     cores(threads)
     ensemble, drive = file.ensemble(path.parent), file.driven()
+    from eqsim.engine.trajectory import predicted_lives
     from eqsim.model.reduced import groups
 
-    found = groups(ensemble, drive)
-    from eqsim.engine.trajectory import predicted_lives
-
-    lives = predicted_lives(ensemble, drive, file.output.replicas)
+    found, lives = groups(ensemble, drive), predicted_lives(ensemble, drive, file.output.replicas)
     rows = [(g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning) for g in found]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
@@ -33,18 +34,11 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
 
 
 def material(
-    name: Annotated[str, typer.Argument(metavar="NAME", help='"steel" or "octamethylcyclotetrasiloxane".')],
-    temperature: Annotated[
-        float | None, typer.Option(help="Kelvin. Default: 289.7, kT = 4e-21 J as in the paper.", show_default=False)
-    ] = None,
-    toml: Annotated[bool, typer.Option("--toml", help="Print a run file instead.")] = False,
-    disorder: Annotated[
-        str | None, typer.Option(help='Of the run file. Default: "quenched".', show_default=False)
-    ] = None,
-    velocity: Annotated[
-        float | None,
-        typer.Option(help="Of the run file, m/s. Default: v_* at 289.7 K, at any temperature.", show_default=False),
-    ] = None,
+    name: Annotated[str, Argument(metavar="NAME", help='"steel" or "octamethylcyclotetrasiloxane".')],
+    temperature: Annotated[float | None, Option(help=_KELVIN)] = None,
+    toml: Annotated[bool, Option("--toml", help="Print a run file instead.")] = False,
+    disorder: Annotated[str | None, Option(help='Of the run file. Default: "quenched".')] = None,
+    velocity: Annotated[float | None, Option(help=_VELOCITY)] = None,
     *,
     shown: Shown,
 ) -> None:

@@ -1,19 +1,18 @@
 """Options that commands share, and commands whose options come in groups."""
 
-import dataclasses
 import functools
 import inspect
 import os
 import re
 import sys
 import tomllib
-import typing
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from eqsim.errors import InputError, require_integer
 from eqsim.io import terminal
@@ -21,28 +20,19 @@ from eqsim.io import terminal
 if TYPE_CHECKING:
     from eqsim.io.runfile import RunFile
 
-RunFilePath = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file.", show_default=False)]
-Threads = Annotated[
-    int | None,
-    typer.Option(help="Threads: speed only, never a number. Default: all cores.", show_default=False),
-]
-Processes = Annotated[
-    int | None, typer.Option(help="Processes on this machine. Default: all cores.", show_default=False)
-]
-MaxLives = Annotated[float, typer.Option(help="Refuse work that needs more lives than this.", show_default="1e10")]
+RunFilePath = Annotated[Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)]
+Threads = Annotated[int | None, Option(help="Threads: speed only, never a number. Default: all cores.")]
+Processes = Annotated[int | None, Option(help="Processes on this machine. Default: all cores.")]
+MaxLives = Annotated[float, Option(help="Refuse work that needs more lives than this.", show_default="1e10")]
+_Set = Option("--set", metavar="KEY=VALUE", help="Change a key of the run file, as section.key=value; repeatable.")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Changes:
     """What the command line changes in a run file."""
 
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Change a key of the run file, as section.key=value; repeatable."
-        ),
-    ] = None
-    seed: Annotated[int | None, typer.Option(help="Random seed, instead of the run file's.", show_default=False)] = None
+    set_: Annotated[list[str] | None, _Set] = None
+    seed: Annotated[int | None, Option(help="Random seed, instead of the run file's.")] = None
 
     def given(self) -> dict[str, tuple[Any, str]]:
         """Value and option by key."""
@@ -55,10 +45,9 @@ class Changes:
                 raise InputError(f"--set {item}: must be section.key=value")
             try:
                 parsed = tomllib.loads(f"value = {text}")
-                value = parsed["value"] if len(parsed) == 1 else text
             except (ValueError, RecursionError):
-                value = text
-            changes[key.strip()] = value, f"--set {item}"
+                parsed = {}
+            changes[key.strip()] = parsed["value"] if len(parsed) == 1 else text, f"--set {item}"
         if self.seed is not None:
             require_integer("--seed", self.seed, 0, 2**63 - 1)
             changes["output.seed"] = self.seed, "--seed"
@@ -74,12 +63,12 @@ class Changes:
         return file
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Shown:
     """What of a result is shown, and how."""
 
-    json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False
+    json: Annotated[bool, Option("--json", help="Print JSON for machines.")] = False
+    quiet: Annotated[bool, Option("--quiet", help="Print errors only.")] = False
 
     def bar(self, title: str, unit: str) -> AbstractContextManager[Callable[[int, float], None]]:
         """A progress bar, unless there is nobody to see it."""
@@ -115,27 +104,18 @@ def cores(asked: int | None = None) -> int:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer, with the fields of a dataclass as options where `command` takes the dataclass."""
-    hints = typing.get_type_hints(command, include_extras=True)
-    groups = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
-    options = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        if name in groups:
-            kinds = typing.get_type_hints(groups[name], include_extras=True)
-            options += [
-                inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=kind)
-                for field in dataclasses.fields(groups[name])
-                if (kind := kinds[field.name])
-            ]
-        else:
-            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name]))
+    """A command for typer: where `command` takes a dataclass, the dataclass's fields are options."""
+    given = inspect.signature(command).parameters
+    kinds: dict[str, Any] = {name: part.annotation for name, part in given.items() if is_dataclass(part.annotation)}
+    fields = {name: inspect.signature(kind).parameters for name, kind in kinds.items()}
+    every = [option for name, part in given.items() for option in fields.get(name, {name: part}).values()]
 
     @functools.wraps(command)
     def call(**values: Any) -> None:
-        for name, kind in groups.items():
-            values[name] = kind(**{field.name: values.pop(field.name) for field in dataclasses.fields(kind)})
+        for name, kind in kinds.items():
+            values[name] = kind(**{field: values.pop(field) for field in fields[name]})
         command(**values)
 
-    call.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
-    call.__annotations__ = {option.name: option.annotation for option in options}
+    call.__signature__ = inspect.Signature([one.replace(kind=one.KEYWORD_ONLY) for one in every])  # type: ignore[attr-defined]
+    call.__annotations__ = {one.name: one.annotation for one in every}
     return call

@@ -1,11 +1,11 @@
 """Commands that compute one ensemble: run, steady, reference."""
 
-import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from eqsim.cli.options import Changes, MaxLives, RunFilePath, Shown, Threads, complain, cores
 from eqsim.errors import InputError, require_integer, require_number
@@ -15,22 +15,15 @@ if TYPE_CHECKING:
     from eqsim.sweep.workers import Workers
     from eqsim.workflows.run import RunResult
 
+_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
 
-@dataclasses.dataclass(frozen=True)
+
+@dataclass(frozen=True)
 class Split:
     """Who simulates the contacts, if not threads of this process."""
 
-    workers: Annotated[
-        int | None, typer.Option(help="Split the ensemble over so many processes: the same bits.", show_default=False)
-    ] = None
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            show_default=False,
-            help="Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits.",
-        ),
-    ] = None
+    workers: Annotated[int | None, Option(help="Split the ensemble over so many processes: the same bits.")] = None
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
 
     def chosen(self) -> "Workers | None":
         if self.workers is not None and self.dask is not None:
@@ -46,10 +39,7 @@ class Split:
 
 def run(
     path: RunFilePath,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Results folder. Default: out/NAME beside the run file.", show_default=False),
-    ] = None,
+    out: Annotated[Path | None, Option(help="Results folder. Default: out/NAME beside the run file.")] = None,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -66,11 +56,11 @@ def run(
         raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
     folder = out or path.parent / "out" / path.stem
     storage.check_folder(folder)
-    number, workers = cores(threads), split.chosen()
+    count, workers = cores(threads), split.chosen()
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
-        result = simulate(file, path.parent, threads=number, workers=workers, max_lives=max_lives, progress=progress)
+        result = simulate(file, path.parent, threads=count, workers=workers, max_lives=max_lives, progress=progress)
     storage.publish(folder, result.files(path.stem))
     shown.report(
         result.summary(),
@@ -96,18 +86,17 @@ def _remarks(result: "RunResult", folder: Path, who: str) -> Iterator[str]:
         yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
     if not found.force_reliable:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
-    yield (
-        f"{terminal.count(found.lives)} lives of {terminal.count(contacts)} contacts in {found.engine_seconds:.2f} s "
-        f"({terminal.rate(found.lives, found.engine_seconds)}), {found.threads} {who}, seed {found.seed}"
-    )
+    lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
+    yield f"{lives}, {found.threads} {who}, seed {found.seed}"
     yield f"{folder}/: trajectory.parquet, summary.json, force.png"
-    if result.no_exact:
-        yield f"no exact curve: {result.no_exact}"
+    _, reason = result.exact
+    if reason:
+        yield f"no exact curve: {reason}"
 
 
 def steady(
     path: RunFilePath,
-    rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-3,
+    rel_error: Annotated[float, Option(help="Relative standard error of all three observables.")] = 1e-3,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -116,50 +105,48 @@ def steady(
 ) -> None:
     """Steady friction, pinned fraction and stretch at breaking, to a requested relative error."""
     file = changes.load(path)
-    ensemble, drive, number = file.ensemble(path.parent), file.driven(), cores(threads)
+    ensemble, drive, count = file.ensemble(path.parent), file.driven(), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
-    from eqsim.estimate import z_score
+    from eqsim.estimate import known, z_score
     from eqsim.master.steady import reference as solve
     from eqsim.workflows.run import if_any
 
     with shown.bar("simulating", "lives") as progress:
         result = estimate_steady(
-            ensemble, drive, rel_error=rel_error, seed=file.output.seed, threads=number, max_lives=max_lives,
+            ensemble, drive, rel_error=rel_error, seed=file.output.seed, threads=count, max_lives=max_lives,
             progress=terminal.announcing(progress, shown.note),
         )  # fmt: skip
     if not result.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
     exact, reason = if_any(lambda: solve(ensemble, drive))
-    known, z = exact.averages() if exact else {}, dict.fromkeys(result.averages())
-    z |= {
-        name: z_score(found, known[name].value, known[name].stderr)
-        for name, found in result.averages().items()
-        if known
-    }
-    speed = terminal.rate(result.lives, result.engine_seconds)
-    notes = [f"{terminal.count(result.lives)} lives in {result.engine_seconds:.2f} s ({speed}), seed {result.seed}"]
+    found, levels = result.averages(), exact.averages() if exact else {}
+    values = {name: levels[name].value if exact else None for name in found}
+    z = {name: z_score(found[name], known(level), level.stderr or 0.0) for name, level in levels.items()}
     shown.report(
         {
-            **{name: found.as_dict() for name, found in result.averages().items()},
+            **{name: estimate.as_dict() for name, estimate in found.items()},
             **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
-            **{"reference": {name: known[name].value if known else None for name in z}, "z": z},
+            **{"reference": values, "z": {name: z.get(name) for name in found}},
         },
         title=file.title or path.stem,
         columns=("", "particles", "relative error", "reference", "z"),
         rows=[
-            (name, terminal.value_and_error(found), terminal.relative_error(found),
-             f"{known[name].value:.9g}" if known else "none", terminal.score(z[name]))
-            for name, found in result.averages().items()
+            (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
+             "none" if value is None else f"{value:.9g}", terminal.score(z.get(name)))
+            for name, value in values.items()
         ],
-        notes=[f"no reference: {reason}", *notes] if reason else notes,
+        notes=[
+            *([f"no reference: {reason}"] if reason else []),
+            f"{terminal.lives(result.lives, result.engine_seconds)}, seed {result.seed}",
+        ],
     )  # fmt: skip
 
 
 def reference(
     path: RunFilePath,
-    transient: Annotated[bool, typer.Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
+    transient: Annotated[bool, Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
     closure: Annotated[
-        bool, typer.Option("--closure", help="F(X) of annealed contacts whose pool of thresholds ages from newborn.")
+        bool, Option("--closure", help="F(X) of annealed contacts whose pool of thresholds ages from newborn.")
     ] = False,
     *,
     changes: Changes,
@@ -177,22 +164,19 @@ def reference(
         from eqsim.master.transient import transient as solve_transient
 
         curve = (solve_closure if closure else solve_transient)(ensemble, drive, file.output.points)
-        columns = {field.name: getattr(curve, field.name) for field in dataclasses.fields(curve)}
+        columns = {field.name: getattr(curve, field.name) for field in fields(curve)}
         shown.report(columns, notes=_tab_separated(columns))
         return
     from eqsim.master.steady import reference as solve
 
     result = solve(ensemble, drive)
     found = {**result.averages(), "f_k": result.f_k}
+    errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
-        {
-            **{name: estimate.value for name, estimate in found.items()},
-            "error": {name: estimate.stderr for name, estimate in found.items()},
-            "method": result.method,
-        },
+        {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
         title=file.title or path.stem,
         columns=("", "value", "error of the solver"),
-        rows=[(name, f"{estimate.value:.10g}", f"{estimate.stderr:.1e}") for name, estimate in found.items()],
+        rows=[(name, f"{estimate.value:.10g}", f"{errors[name]:.1e}") for name, estimate in found.items()],
         notes=[f"method: {result.method}"],
     )
 

@@ -1,11 +1,11 @@
 """Commands over many points: sweep, plot, figures."""
 
-import dataclasses
 import os
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, complain, cores, typed
 from eqsim.errors import InputError, require_integer
@@ -15,31 +15,27 @@ if TYPE_CHECKING:
     from eqsim.sweep.scheduler import Summary
     from eqsim.sweep.store import Store
 
+_SECOND_HALF = "Second half of the run's distance instead of steady averages."
+_DASK = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 
-@dataclasses.dataclass(frozen=True)
+
+@dataclass(frozen=True)
 class SweepOptions:
     """What is computed at each point, and who computes."""
 
-    rel_error: Annotated[float, typer.Option(help="Relative standard error of all three observables.")] = 1e-2
-    transient: Annotated[
-        bool, typer.Option("--transient", help="Second half of the run's distance instead of steady averages.")
-    ] = False
+    rel_error: Annotated[float, Option(help="Relative standard error of all three observables.")] = 1e-2
+    transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
     workers: Processes = None
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Scheduler (or its file) of a dask.distributed cluster to compute on."),
-    ] = None
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
 
 
 def sweep(
     path: RunFilePath,
-    out: Annotated[Path, typer.Option(help="Folder of the dataset; the same command continues it.")],
+    out: Annotated[Path, Option(help="Folder of the dataset; the same command continues it.")],
     options: SweepOptions,
     changes: Changes,
-    threads: Annotated[
-        int | None, typer.Option(help="Threads per process. Default: cores that are left.", show_default=False)
-    ] = None,
-    max_lives: Annotated[float, typer.Option(help="Most lives per point.", show_default="1e10")] = 1e10,
+    threads: Annotated[int | None, Option(help="Threads per process. Default: cores that are left.")] = None,
+    max_lives: Annotated[float, Option(help="Most lives per point.", show_default="1e10")] = 1e10,
     *,
     shown: Shown,
 ) -> None:
@@ -57,12 +53,12 @@ def sweep(
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
     asked = rows.Asked(options.rel_error, max_lives, options.transient)
-    crew = workers.Workers(count, each or (1 if options.dask else max(1, cores() // count)), options.dask)
+    who = workers.Workers(count, each or (1 if options.dask else max(1, cores() // count)), options.dask)
     stores: list[Store] = []
     try:
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(
-                plan.Plan(file, path.parent), out, asked=asked, workers=crew, progress=progress, note=shown.note,
+                plan.Plan(file, path.parent), out, asked=asked, workers=who, progress=progress, note=shown.note,
                 opened=stores.append,
             )  # fmt: skip
     except KeyboardInterrupt:
@@ -70,12 +66,12 @@ def sweep(
         kept = stores[0].kept() if stores else "this call has computed nothing"
         raise KeyboardInterrupt(f"{kept}; the same command continues") from None
     failures = found.failures[:10]
-    shown.report({**dataclasses.asdict(found), "failures": failures, "out": str(out)}, notes=_ended(found, out))
+    shown.report({**asdict(found), "failures": failures, "out": str(out)}, notes=_ended(found, out))
     for failure in failures if not shown.json else []:
         values = ", ".join(f"{key} = {value}" for key, value in failure["changes"].items())
         complain(f"point {failure['point']} ({values}) failed: {typed(failure['message'])}")
     if found.failed:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _ended(found: "Summary", out: Path) -> list[str]:
@@ -83,32 +79,23 @@ def _ended(found: "Summary", out: Path) -> list[str]:
     failed = f", {found.failed} FAILED" if found.failed else ""
     notes = [f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}"]
     if found.computed:
-        each_ms = found.point_seconds / found.computed * 1e3
-        notes.append(
-            f"{found.computed} computed in {found.seconds:.1f} s, {each_ms:.3g} ms of engine and reference each"
-        )
+        each = f"{found.point_seconds / found.computed * 1e3:.3g} ms of engine and reference each"
+        notes.append(f"{found.computed} computed in {found.seconds:.1f} s, {each}")
     return notes
 
 
+_Where = Option(metavar="KEY=VALUE", help="Only points at which a column has this value; repeatable.")
+
+
 def plot(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of Parquet files, one point a row.", show_default=False)
-    ],
-    x: Annotated[str, typer.Option(help="Column along the x axis.")] = "drive.velocity",
-    y: Annotated[str, typer.Option(help="Column along the y axis.")] = "friction",
-    by: Annotated[
-        str | None, typer.Option(help="Column of which every value is a series of its own.", show_default=False)
-    ] = None,
-    where: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Only points at which a column has this value; repeatable."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Default: DIR.png beside DIR.", show_default=False)
-    ] = None,
+    folder: Annotated[Path, Argument(metavar="DIR", help="Folder of Parquet files, one point a row.")],
+    x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
+    y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
+    by: Annotated[str | None, Option(help="Column of which every value is a series of its own.")] = None,
+    where: Annotated[list[str] | None, _Where] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.png", help="Default: DIR.png beside DIR.")] = None,
     log_x: Annotated[
-        bool | None,
-        typer.Option("--log-x/--linear-x", help="Default: logarithmic above a factor 30.", show_default=False),
+        bool | None, Option("--log-x/--linear-x", help="Default: logarithmic above a factor 30.", show_default=False)
     ] = None,
     *,
     shown: Shown,
@@ -132,23 +119,18 @@ def plot(
     points = plots.select(plots.read_points(folder), chosen)
     png, notes = plots.sweep_png(points, x, y, by, log_x, ", ".join([place.name, *(where or [])]))
     storage.publish(file.parent, {file.name: png})
-    shown.report(
-        {"file": str(file), "points": len(points), "notes": notes},
-        notes=["; ".join([os.path.relpath(file), *notes])],
-    )
+    data = {"file": str(file), "points": len(points), "notes": notes}
+    shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])
+
+
+_Names = Argument(metavar="NAME", help="Of A01, A01num, A02, A02ab, A03, A04, A05. Default: all.")
+_FIGURES = Path("runs/out/figures")
 
 
 def figures(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="NAME", help="Of A01, A01num, A02, A02ab, A03, A04, A05. Default: all."),
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = Path(
-        "runs/out/figures"
-    ),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Few points: coarse, under a minute of one core each.")
-    ] = False,
+    names: Annotated[list[str] | None, _Names] = None,
+    out: Annotated[Path, Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = _FIGURES,
+    quick: Annotated[bool, Option("--quick", help="Few points: coarse, under a minute of one core each.")] = False,
     workers: Processes = None,
     *,
     shown: Shown,

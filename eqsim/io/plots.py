@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 
 from eqsim.errors import InputError, meant
 from eqsim.estimate import OBSERVABLES, Estimate
-from eqsim.numerics.tables import Array
 
 if TYPE_CHECKING:
     from eqsim.engine.steady import Steady
@@ -26,13 +25,9 @@ Column = Any  # a pandas Series
 
 _MARKERS, _DASHES = "os^DvPX<>ph*", ("-", "--", "-.", ":")
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
-_LABELS = {
-    "drive.velocity": "driving velocity  drive.velocity  [units of the run files]",
-    **{
-        name: label + ("  [length unit of the run files]" if unit == "length" else "")
-        for name, (label, unit) in OBSERVABLES.items()
-    },
-}
+_UNITS = {"length": "  [length unit of the run files]", "": ""}
+_LABELS = {name: label + _UNITS[unit] for name, (label, unit) in OBSERVABLES.items()}
+_LABELS["drive.velocity"] = "driving velocity  drive.velocity  [units of the run files]"
 
 
 def trajectory_png(run: "Trajectory", steady: "Steady", exact: "Transient | None", title: str) -> bytes:
@@ -42,44 +37,51 @@ def trajectory_png(run: "Trajectory", steady: "Steady", exact: "Transient | None
     heights = [2.6] + [1.0] * ((exact is not None) + delayed)
     figure = Figure(figsize=(8, 2 + sum(heights)), dpi=150, layout="constrained")
     panels = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
-    _draw_force(panels[0], run, steady, exact)
-    panels[0].set_title(_plain(title), fontsize=10)
+    top, drawn = panels[0], {}
+    if run.force_replica_std is not None:
+        spread = run.force_replica_std
+        band = top.fill_between(run.X, run.force - spread, run.force + spread, color="0.85")
+        drawn["± standard deviation between replicas"] = band
+    drawn |= _compare(top, run, "force", "C0", steady.friction, exact)
+    top.set(ylabel="friction force  F / (N k)\n[length unit of the run file]")
+    top.set_ylim(bottom=0)
+    top.set_title(_plain(title), fontsize=10)
+    # forces start at 0 or stay near the steady value: the space below the curve is empty
+    top.legend(drawn.values(), drawn.keys(), loc="lower right", fontsize=8, framealpha=1)
     if exact is not None:
         sigma = np.hypot(run.force_stderr, exact.force_error)
         z = np.divide(run.force - exact.force, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+        limit = max(4.0, 1.1 * np.abs(z).max())
         panels[1].axhspan(-2, 2, color="0.9")
         panels[1].plot(run.X, z, color="C0", linewidth=0.8)
-        limit = max(4.0, 1.1 * np.abs(z).max())
         panels[1].set(ylim=(-limit, limit), ylabel="difference\n[standard errors]")
     if delayed:
-        _curve(panels[-1], run.X, run.pinned, run.pinned_stderr, "C2")
-        _level(panels[-1], steady.pinned)
-        if exact is not None:
-            panels[-1].plot(run.X, exact.pinned, color="k", linewidth=0.8, linestyle=":")
+        _compare(panels[-1], run, "pinned", "C2", steady.pinned, exact)
         panels[-1].set(ylabel="pinned fraction\nN_c / N", ylim=(0, 1.05))
-    panels[-1].set_xlabel("slider displacement  X  [length unit of the run file]")
-    panels[-1].set_xlim(run.X[0], run.X[-1])
+    panels[-1].set(xlabel="slider displacement  X  [length unit of the run file]", xlim=(run.X[0], run.X[-1]))
     figure.align_ylabels(panels)
     for panel in panels:
         panel.grid(alpha=0.3)
     return _png(figure)
 
 
-def _draw_force(axes: Axes, run: "Trajectory", steady: "Steady", exact: "Transient | None") -> None:
-    drawn: dict[str, Any] = {}
-    if run.force_replica_std is not None:
-        spread = run.force_replica_std
-        band = axes.fill_between(run.X, run.force - spread, run.force + spread, color="0.85")
-        drawn["± standard deviation between replicas"] = band
-    drawn["particles, mean ± 2 standard errors"] = _curve(axes, run.X, run.force, run.force_stderr, "C0")
-    drawn["steady value (renewal-reward) ± 2 standard errors"] = _level(axes, steady.friction)
+def _compare(
+    axes: Axes, run: "Trajectory", name: str, color: str, steady: Estimate, exact: "Transient | None"
+) -> dict[str, Any]:
+    """A curve with its error band, the steady value and the exact mean; what the legend needs."""
+    y, error = getattr(run, name), 2 * getattr(run, f"{name}_stderr")
+    value, stderr = steady.value or 0.0, steady.stderr or 0.0
+    band = axes.fill_between(run.X, y - error, y + error, color=color, alpha=0.3, linewidth=0)
+    drawn: dict[str, Any] = {
+        "particles, mean ± 2 standard errors": (band, axes.plot(run.X, y, color=color, linewidth=1)[0])
+    }
+    span = axes.axhspan(value - 2 * stderr, value + 2 * stderr, color="C3", alpha=0.25, linewidth=0)
+    level = axes.axhline(value, color="C3", linewidth=1, linestyle="--")
+    drawn["steady value (renewal-reward) ± 2 standard errors"] = span, level
     if exact is not None:
-        line = axes.plot(run.X, exact.force, color="k", linewidth=0.8, linestyle=":")[0]
+        line = axes.plot(run.X, getattr(exact, name), color="k", linewidth=0.8, linestyle=":")[0]
         drawn["exact mean (renewal equation)"] = line
-    axes.set_ylabel("friction force  F / (N k)\n[length unit of the run file]")
-    axes.set_ylim(bottom=0)
-    # forces start at 0 or stay near the steady value: the space below the curve is empty
-    axes.legend(drawn.values(), drawn.keys(), loc="lower right", fontsize=8, framealpha=1)
+    return drawn
 
 
 def validation_png(result: "Validation") -> bytes:
@@ -93,12 +95,11 @@ def validation_png(result: "Validation") -> bytes:
         x = [kinds.index(score.kind) for score in shown] + rng.uniform(-0.3, 0.3, len(shown))
         z = np.clip([score.z for score in shown], -8, 8)
         left.scatter(x, z, s=9, color=color, marker=marker, alpha=0.6, label=disorder)
-    names = [
-        "\n".join([*v.kind.split(), f"{v.count} scores", "passed" if v.passed else "FAILED"]) for v in result.verdicts
-    ]
+    said = {True: "passed", False: "FAILED"}
+    names = ["\n".join([*v.kind.split(), f"{v.count} scores", said[v.passed]]) for v in result.verdicts]
     left.set_xticks(range(len(names)), names, fontsize=8)
     left.set_ylabel("z = (engine - master) / standard error")
-    left.set_title(f"suite {result.suite}, seed {result.seed}: {'passed' if result.passed else 'FAILED'}", fontsize=10)
+    left.set_title(f"suite {result.suite}, seed {result.seed}: {said[result.passed]}", fontsize=10)
     grid = np.linspace(-8, 8, 401)
     every = np.clip([score.z for score in result.scores], -8, 8)
     right.hist(every, bins=np.arange(-8, 8.5, 0.5), density=True, orientation="horizontal", color="0.8")
@@ -147,34 +148,14 @@ def select(table: Points, where: dict[str, str]) -> Points:
 def sweep_png(
     table: Points, x: str, y: str, by: str | None = None, log_x: bool | None = None, title: str = ""
 ) -> tuple[bytes, list[str]]:
-    """A column of a sweep's points against another one.
+    """Column `y` of a sweep's points against column `x`, one series for each value of column `by`, and notes on what
+    was left out.
 
     Bars are two standard errors (column `y`_stderr), lines go through the master equation's values (`y`_reference),
-    both where there are such columns; points of `status` "unreliable" are open, those of "failed" left out.
-
-    Parameters
-    ----------
-    table : DataFrame
-        One point a row.
-    x, y : str
-        Columns along the axes.
-    by : str, optional
-        Column of which every value is a series of its own.
-    log_x : bool, optional
-        Whether the x axis is logarithmic; default: if its values span more than a factor 30.
-    title : str
-
-    Returns
-    -------
-    png : bytes
-    notes : list of str
-        What was left out.
-
-    Raises
-    ------
-    InputError
-        If a column is missing or is not of numbers, if a parameter other than `x` and `by` varies (one of `output`
-        does not count: it changes no average), or if nothing is left to draw.
+    both where there are such columns; points of `status` "unreliable" are open, those of "failed" left out. The x axis
+    is logarithmic if `log_x`, or by default if its values span more than a factor 30.
+    Raises InputError if a column is missing or is not of numbers, if a parameter other than `x` and `by` varies (one of
+    `output` does not count: it changes no average), or if nothing is left to draw.
     """
     table, notes = _drawable(table, x, y, by)
     low, high = float(table[x].min()), float(table[x].max())
@@ -190,17 +171,14 @@ def sweep_png(
     for i, (value, part) in enumerate(series):
         style: dict[str, Any] = {"color": colors[i], "marker": _MARKERS[i % len(_MARKERS)], "markersize": 5.5}
         line = _DASHES[i % len(_DASHES)] if f"{y}_reference" in part else "none"
-        _draw_series(axes, part.sort_values(x), (x, y), style, line)
+        _draw(axes, part.sort_values(x), (x, y), style, line)
         if by is not None:
             legend.append(Line2D([], [], linestyle=line, linewidth=1, label=_text(value), **style))
     legend += _explained(table, y)
     if legend:  # beside the axes, where it covers nothing
-        figure.legend(
-            handles=legend, title=by, loc="outside right upper", fontsize=8, title_fontsize=8,
-            ncols=1 + len(legend) // 26,
-        )  # fmt: skip
-    axes.set_xlabel(_LABELS.get(x, f"{x}  [units of the run files]"))
-    axes.set_ylabel(_LABELS.get(y, y))
+        look: dict[str, Any] = {"loc": "outside right upper", "fontsize": 8, "title_fontsize": 8}
+        figure.legend(handles=legend, title=by, ncols=1 + len(legend) // 26, **look)
+    axes.set(xlabel=_LABELS.get(x, f"{x}  [units of the run files]"), ylabel=_LABELS.get(y, y))
     axes.set_title("\n".join(filter(None, (_plain(title), "; ".join(notes)))), fontsize=10)
     axes.grid(alpha=0.3)
     return _png(figure), notes
@@ -228,9 +206,9 @@ def _drawable(table: Points, x: str, y: str, by: str | None) -> tuple[Points, li
     return table[shown], notes
 
 
-def _draw_series(axes: Axes, part: Points, columns: tuple[str, str], style: dict[str, Any], line: str) -> None:
-    x, y = columns
-    color = style["color"]
+def _draw(axes: Axes, part: Points, columns: tuple[str, str], style: dict[str, Any], line: str) -> None:
+    """One series."""
+    (x, y), color = columns, style["color"]
     if f"{y}_reference" in part:
         known = part.drop_duplicates(x).dropna(subset=f"{y}_reference")
         axes.plot(known[x], known[f"{y}_reference"], color=color, linewidth=1, linestyle=line, zorder=2)
@@ -243,15 +221,15 @@ def _draw_series(axes: Axes, part: Points, columns: tuple[str, str], style: dict
 
 def _explained(table: Points, y: str) -> list[Line2D]:
     """What lines, bars and open markers are, where there are any."""
-    plain: dict[str, Any] = {"color": "0.35", "linestyle": "none", "markersize": 5.5}
-    found = []
-    if f"{y}_reference" in table:
-        found.append(Line2D([], [], color="0.35", linewidth=1, label="lines: master equation"))
-    if f"{y}_stderr" in table:
-        found.append(Line2D([], [], marker="|", label="bars: ± 2 standard errors", **(plain | {"markersize": 11})))
-    if (table["status"] == "unreliable").any():
-        found.append(Line2D([], [], marker="o", markerfacecolor="white", label="open: unreliable", **plain))
-    return found
+    lines: dict[str, Any] = {"linewidth": 1, "label": "lines: master equation"}
+    bars = {"linestyle": "none", "marker": "|", "markersize": 11, "label": "bars: ± 2 standard errors"}
+    open_ = {"linestyle": "none", "marker": "o", "markersize": 5.5, "markerfacecolor": "white"}
+    looks = (
+        (f"{y}_reference" in table, lines),
+        (f"{y}_stderr" in table, bars),
+        ((table["status"] == "unreliable").any(), open_ | {"label": "open: unreliable"}),
+    )
+    return [Line2D([], [], color="0.35", **look) for present, look in looks if present]
 
 
 def _column(table: Points, name: str, option: str) -> Column:
@@ -286,14 +264,3 @@ def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": "eqsim"})
     return buffer.getvalue()
-
-
-def _curve(axes: Axes, x: Array, y: Array, stderr: Array, color: str) -> Any:
-    band = axes.fill_between(x, y - 2 * stderr, y + 2 * stderr, color=color, alpha=0.3, linewidth=0)
-    return band, axes.plot(x, y, color=color, linewidth=1)[0]
-
-
-def _level(axes: Axes, estimate: Estimate) -> Any:
-    value, stderr = estimate.value or 0.0, estimate.stderr or 0.0
-    band = axes.axhspan(value - 2 * stderr, value + 2 * stderr, color="C3", alpha=0.25, linewidth=0)
-    return band, axes.axhline(value, color="C3", linewidth=1, linestyle="--")

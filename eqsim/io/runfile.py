@@ -5,6 +5,7 @@ Structure and types are checked here; what a value may be is known to the law it
 
 import csv
 import functools
+import operator
 import stat
 import tomllib
 from pathlib import Path
@@ -12,9 +13,10 @@ from typing import Annotated, Any, Literal, TextIO, get_args
 
 import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
+from pydantic.fields import FieldInfo
 
 from eqsim.errors import NOT_NEGATIVE, InputError, meant, require_choice, require_number, shown, under
-from eqsim.laws.aging import Aging
+from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
@@ -112,7 +114,8 @@ class RunFile(_Section):
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         given, final = self.aging.model_fields_set, self.aging.x_star_final
         if given and "rule" not in given:  # contacts that do not age would be a surprise
-            raise InputError(f'aging.rule: is required with {min(given)}; must be "langevin", "flow" or "none"')
+            rules = ", ".join(f'"{rule}"' for rule in RULES)
+            raise InputError(f'aging.rule: is required with {min(given)}; must be {rules} or "none"')
         with under("aging"):
             aging = Aging(self.aging.rule, self.aging.rate, 1.0 if final is None else final)
             aging.check(law, self.disorder)
@@ -152,11 +155,8 @@ class RunFile(_Section):
             check_output(self.output.points, self.output.seed, self.output.replicas)
 
 
-_SECTIONS: dict[str, list[str]] = {
-    name: list(field.annotation.model_fields)
-    for name, field in RunFile.model_fields.items()
-    if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
-}
+_KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()}
+_SECTIONS = {name: kind for name, kind in _KINDS.items() if isinstance(kind, type) and issubclass(kind, BaseModel)}
 
 
 def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
@@ -216,31 +216,25 @@ def _read(path: Path) -> str:
 def keys() -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str."""
 
-    def kind(annotation: Any) -> type:
-        choices = [choice for choice in get_args(annotation) or (annotation,) if choice is not type(None)]
-        return choices[0] if isinstance(choices[0], type) else str  # else of a Literal
+    def kind(field: FieldInfo) -> type:
+        first, *_ = get_args(field.annotation) or (field.annotation,)  # of float | None; of a Literal it is text
+        return first if isinstance(first, type) else str
 
-    known: dict[str, type] = {}
-    for name, field in RunFile.model_fields.items():
-        if name in _SECTIONS:
-            parts: Any = field.annotation
-            known |= {f"{name}.{key}": kind(part.annotation) for key, part in parts.model_fields.items()}
-        elif name not in ("title", "sweep"):
-            known[name] = kind(field.annotation)
+    others = {"title", "sweep", *_SECTIONS}
+    known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
+    for name, section in _SECTIONS.items():
+        known |= {f"{name}.{key}": kind(field) for key, field in section.model_fields.items()}
     return known
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
-    data, found = file.model_dump(), {}
-    for key in keys():
-        section, _, name = key.rpartition(".")
-        value = (data[section] if section else data)[name]
-        found[key] = value + 0.0 if isinstance(value, float) else value  # no -0.0
+    data = file.model_dump()
+    found: dict[str, Any] = {key: functools.reduce(operator.getitem, key.split("."), data) for key in keys()}
     for key, laws in (("thresholds.x_star", ("gamma", "delta")), ("thresholds.n", ("gamma",))):
         if file.thresholds.law in laws and found[key] is None:
             found[key] = 1.0
-    return found
+    return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
 
 
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
@@ -295,9 +289,10 @@ def _explain(error: pydantic.ValidationError) -> str:
 
 def _nearest(location: list[str]) -> str:
     """Which key may have been meant, here or in another section."""
-    here = _SECTIONS.get(location[0], []) if len(location) > 1 else list(RunFile.model_fields)
-    elsewhere = [f"{name}.{key}" for name, names in _SECTIONS.items() if names != here for key in names]
-    last = location[-1]
+    section, last = RunFile if len(location) == 1 else _SECTIONS.get(location[0]), location[-1]
+    here = list(section.model_fields) if section else []
+    others = [(name, kind) for name, kind in _SECTIONS.items() if kind != section]
+    elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]
     same = [key for key in here + elsewhere if key.rpartition(".")[2].lower() == last.lower()]
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
 

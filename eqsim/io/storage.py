@@ -5,7 +5,6 @@ import json
 import math
 import os
 import platform
-import secrets
 import shutil
 import tempfile
 from importlib import metadata
@@ -86,33 +85,6 @@ def from_parquet(content: bytes, schema: Any) -> Any:
     return table if table.schema.equals(schema) else None
 
 
-def save(path: Path, content: bytes) -> None:
-    """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
-    name = path.parent / f".eqsim-{secrets.token_hex(8)}"  # tempfile's would be private
-    try:
-        try:
-            _write(name, content)
-            os.replace(name, path)
-        except BaseException:
-            name.unlink(missing_ok=True)
-            raise
-        if os.name == "posix":  # the name itself must reach the disk too
-            folder = os.open(path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
-
-
-def _write(place: Path, content: bytes) -> None:
-    with open(place, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
 def check_folder(folder: Path) -> None:
     """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
     present = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
@@ -124,22 +96,37 @@ def check_folder(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
 
 
-def publish(folder: Path, files: dict[str, bytes]) -> None:
-    """Write files, and only when all are on disk give them their names. Raises InputError."""
+def save(path: Path, content: bytes) -> None:
+    """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
+    publish(path.parent, {path.name: content}, str(path))
+
+
+def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:
+    """Write files, and only when all are on disk give them their names. Raises InputError, which names `place`."""
+    place = place or f"--out {folder}"
     for name in files:
         if (folder / name).is_dir():
-            raise InputError(f"--out {folder}: {name} is a folder there")
+            raise InputError(f"{place}: {name} is a folder there")
     made = not folder.exists()
     staging: Path | None = None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
         for name, content in files.items():
-            _write(staging / name, content)
+            with open(staging / name, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
         for name in files:
             os.replace(staging / name, folder / name)
+        if os.name == "posix":  # the names themselves must reach the disk too
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
     except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
+        raise InputError(f"{place}: cannot be written ({error.strerror})") from None
     finally:
         if staging:
             shutil.rmtree(staging, ignore_errors=True)

@@ -17,17 +17,7 @@ _LONG = 20.0  # seconds from which on the time left is announced
 
 @dataclass(frozen=True)
 class Report:
-    """The result of a command, for machines and for people.
-
-    Parameters
-    ----------
-    data : Any
-        What `--json` prints; arrays become lists, numbers that are not finite null.
-    title, columns, rows
-        A table; none without columns.
-    notes : iterable of str
-        Lines below the table.
-    """
+    """The result of a command: `data` for machines; for people a table, unless it has no columns, and lines below."""
 
     data: Any
     title: str = ""
@@ -93,9 +83,9 @@ def count(number: float) -> str:
     return f"{number:.3g}"
 
 
-def rate(number: float, seconds: float) -> str:
-    """A count per second."""
-    return f"{count(number / max(seconds, 1e-9))}/s"
+def lives(number: int, seconds: float, of: str = "") -> str:
+    """How many were simulated, and how fast."""
+    return f"{count(number)} lives{of} in {seconds:.2f} s ({count(number / max(seconds, 1e-9))}/s)"
 
 
 def duration(seconds: float) -> str:

@@ -39,13 +39,9 @@ class Plan:
     file : RunFile
     folder : Path
         Where the run file's paths start.
-    version : str, optional
-        Results version that enters the points' identities, and with it their seeds; default: `results_version()`.
-
-    Attributes
-    ----------
-    ids : list of str
-        Identities in the order of the grid, the last axis fastest.
+    ids : list of str, optional
+        Identities from an earlier plan, of which seeds are made, in the order of the grid, the last axis fastest.
+        Default: digests of parameters and `results_version()`.
 
     Raises
     ------
@@ -53,25 +49,29 @@ class Plan:
         For a table, or a point of it, that cannot be used.
     """
 
-    def __init__(self, file: RunFile, folder: Path, version: str | None = None) -> None:
-        self.file, self.folder, self.version = file, folder, version or results_version()
+    def __init__(self, file: RunFile, folder: Path, ids: list[str] | None = None) -> None:
+        self.file, self.folder = file, folder
         self.axes = _axes(file.sweep, folder)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
             raise InputError(f"sweep: has {self.size} points; at most {MOST_POINTS}")
-        self.ids: list[str] = []
+        known = ids if ids and len(ids) == self.size else None
+        self.ids = known or [self._checked(index) for index in range(self.size)]
         seen: dict[str, int] = {}
-        for index in range(self.size):
-            try:
-                point = self.at(index)
-                ensemble, _ = point.ensemble(folder), point.driven()
-                point.check_output()
-            except InputError as error:
-                raise InputError(f"sweep, point {index + 1} of {self.size}: {error}") from None
-            self.ids.append(identity(point, ensemble, self.version))
-            if seen.setdefault(self.ids[-1], index) != index:
-                first = seen[self.ids[-1]] + 1
-                raise InputError(f"sweep: points {first} and {index + 1} are the same ({_text(self.changes(index))})")
+        for index, point_id in enumerate(self.ids):
+            if seen.setdefault(point_id, index) != index:
+                same = ", ".join(f"{key} = {shown(value)}" for key, value in self.changes(index).items())
+                raise InputError(f"sweep: points {seen[point_id] + 1} and {index + 1} are the same ({same})")
+
+    def _checked(self, index: int) -> str:
+        """The identity of a point that can be computed."""
+        try:
+            point = self.at(index)
+            ensemble, _ = point.ensemble(self.folder), point.driven()
+            point.check_output()
+        except InputError as error:
+            raise InputError(f"sweep, point {index + 1} of {self.size}: {error}") from None
+        return identity(point, ensemble)
 
     def changes(self, index: int) -> dict[str, Any]:
         """What distinguishes a point from the run file."""
@@ -183,10 +183,6 @@ def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
 
-def _text(changes: dict[str, Any]) -> str:
-    return ", ".join(f"{key} = {shown(value)}" for key, value in changes.items())
-
-
 @functools.cache
 def results_version() -> str:
     """A digest of everything that numbers depend on besides a point's parameters and seed."""
@@ -200,7 +196,7 @@ def results_version() -> str:
     return digest.hexdigest()[:16]
 
 
-def identity(point: RunFile, ensemble: Ensemble, version: str) -> str:
+def identity(point: RunFile, ensemble: Ensemble) -> str:
     """SHA-256 of the sorted parameters of a point, its seed and the results version, hexadecimal. A table of
     thresholds enters with its values, wherever its file is."""
     values = parameters(point)
@@ -208,7 +204,7 @@ def identity(point: RunFile, ensemble: Ensemble, version: str) -> str:
     law = ensemble.thresholds
     if isinstance(law, Table):
         values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    text = json.dumps([values, seed, version], sort_keys=True)
+    text = json.dumps([values, seed, results_version()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import OBSERVABLES, Averages, z_score
+from eqsim.estimate import OBSERVABLES, Averages, known, z_score
 from eqsim.io.runfile import keys
 from eqsim.sweep.plan import Task, results_version
 
@@ -40,17 +40,10 @@ class Asked:
 
     Parameters
     ----------
-    rel_error : float
-        Relative standard error of steady averages.
-    max_lives : float
-        Most lives a point.
+    rel_error, max_lives : float
+        Relative standard error of steady averages, and most lives a point. Raises InputError unless both are positive.
     transient : bool
         The second half of the run's distance instead of steady averages.
-
-    Raises
-    ------
-    InputError
-        For numbers that are not positive.
     """
 
     rel_error: float = 1e-2
@@ -116,7 +109,7 @@ def _steady(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
         row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
-        row[f"{name}_z"] = z_score(found.averages()[name], level.value, level.stderr)
+        row[f"{name}_z"] = z_score(found.averages()[name], known(level), level.stderr or 0.0)
     return row
 
 

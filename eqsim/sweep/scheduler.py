@@ -11,8 +11,6 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eqsim.errors import InputError
 from eqsim.io.terminal import duration
 from eqsim.sweep.plan import Plan, results_version
@@ -55,7 +53,7 @@ def sweep(
     note: Note | None = None,
     opened: Callable[[Store], None] | None = None,
 ) -> Summary:
-    """Compute all points of a plan into a folder, or those that are not there yet.
+    """Compute all points of a plan into the folder `out`, or those that are not there yet.
 
     Parameters
     ----------
@@ -63,16 +61,11 @@ def sweep(
         `Plan(file, folder)` of a run file with a [sweep] table.
     out : Path
         Folder of the dataset (`eqsim.sweep.store`).
-    asked : Asked, optional
-        What is computed at each point; default: steady averages to 1e-2.
-    workers : Workers, optional
-        Who computes; changes speed only. Default: one process.
-    progress : callable, optional
-        `progress(done, total)` counts the points of this call.
-    note : callable, optional
-        Is told in words what to expect.
-    opened : callable, optional
-        Is given the folder's `Store` once it is there.
+    asked, workers : optional
+        What is computed at each point (default: steady averages to 1e-2), and who computes (default: one process).
+    progress, note, opened : callable, optional
+        `progress(done, total)` counts the points of this call, `note` is told what to expect, and `opened` is given the
+        folder's `Store` once it is there.
 
     Returns
     -------
@@ -143,21 +136,18 @@ class Scheduler:
                 timed = True
                 if self.recent and queue:
                     mean, slots = statistics.fmean(self.recent), self.pool.slots()
-                    self.note(
-                        f"about {duration(mean * len(queue) / slots)} to go: {mean * 1e3:.3g} ms a point, {slots} workers"
-                    )
+                    needed = duration(mean * len(queue) / slots)
+                    self.note(f"about {needed} to go: {mean * 1e3:.3g} ms a point, {slots} workers")
             self.progress(self.done, total)
         return self.seconds
 
     def _probe(self, pending: list[int]) -> deque[int]:
         """Submit batches of two from all over the grid, of which the second is timed; the points that are left."""
-        total = len(pending)
-        probes = min(self.pool.slots(), 8, -(-total // 4))
-        spread = [round(place) for place in np.linspace(0, total - 1, 2 * probes)] if total > 1 else [0]
-        chosen = list(dict.fromkeys(spread))
+        probes = min(self.pool.slots(), 8, -(-len(pending) // 4))
+        chosen = pending[:: -(-len(pending) // (2 * probes))]
         for start in range(0, len(chosen), 2):
-            self._submit([pending[place] for place in chosen[start : start + 2]])
-        return deque(index for place, index in enumerate(pending) if place not in chosen)
+            self._submit(chosen[start : start + 2])
+        return deque(index for index in pending if index not in chosen)
 
     def _fill(self, queue: deque[int]) -> None:
         """Two batches for every worker."""

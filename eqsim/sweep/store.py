@@ -20,7 +20,7 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
-from eqsim.sweep.plan import Plan, entries, seed_of
+from eqsim.sweep.plan import Plan, entries, results_version, seed_of
 from eqsim.sweep.rows import SCHEMA, Asked, schema
 
 _TABLE, _MANIFEST, _LOCK, _PARTS = "sweep.parquet", "_sweep.json", "_lock", "_parts"
@@ -28,19 +28,8 @@ _FLUSH_ROWS = 256
 
 
 class Store:
-    """The folder `out` of a sweep, held by a lock that dies with its process.
-
-    Attributes
-    ----------
-    done : set of str
-        Identities of the points whose rows are known.
-    damaged : list of str
-        Files that were found damaged, and removed.
-
-    Raises
-    ------
-    InputError
-        If the folder is in use, holds something else, or cannot be written.
+    """The folder `out` of a sweep, held by a lock that dies with its process: identities of the points that are `done`,
+    and files that were found `damaged`. Raises InputError if it is in use, holds something else, or cannot be written.
     """
 
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
@@ -48,9 +37,8 @@ class Store:
         self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
         theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))
         if theirs:  # the folder is read as one table
-            raise InputError(
-                f"--out {out}: holds files of another origin, {theirs[0].name}; must be a folder of its own"
-            )
+            name = theirs[0].name
+            raise InputError(f"--out {out}: holds files of another origin, {name}; must be a folder of its own")
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
         try:
@@ -60,11 +48,10 @@ class Store:
                 shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
             origin = storage.provenance("sweep", settings, plan.file.text, plan.file.output.seed, plan.folder)
-            origin |= {"schema": SCHEMA, "results_version": plan.version}
+            origin |= {"schema": SCHEMA, "results_version": results_version()}
             self.schema = schema().with_metadata({"eqsim": storage.to_json(origin)})
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
-            self.done: set[str] = set()
             self.damaged: list[str] = []
             self._load()
         except BaseException:
@@ -97,7 +84,7 @@ class Store:
         now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
         now |= {f"content of {name}": _digest((plan.folder / str(name)).read_bytes()) for name in names}
         now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
-        now |= {"schema": str(SCHEMA), "results version": plan.version, "order of axes": repr([*plan.file.sweep])}
+        now |= {"schema": str(SCHEMA), "results version": results_version(), "order of axes": repr([*plan.file.sweep])}
         if not path.exists():
             manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}
             storage.save(path, json.dumps(manifest, indent=2).encode())
@@ -108,9 +95,8 @@ class Store:
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{path}: is damaged; this folder cannot be continued") from None
         if changed:
-            listed = "; ".join(
-                f"{key} was {str(before.get(key, 'absent'))[:80]}, is {now.get(key, 'absent')[:80]}" for key in changed
-            )
+            pairs = [(key, str(before.get(key, "absent")), now.get(key, "absent")) for key in changed]
+            listed = "; ".join(f"{key} was {then[:80]}, is {here[:80]}" for key, then, here in pairs)
             raise InputError(f"--out {self.out}: holds another sweep, use another folder: {listed}")
 
     def _load(self) -> None:
@@ -126,12 +112,12 @@ class Store:
                 path.unlink()
                 continue
             self.tables.append(table)
-            self.done.update(table["id"].to_pylist())
-            if path == final:
-                self.complete = True
-            else:
-                self.parts.append(path)
-        self.done &= set(self.plan.ids)
+            self.parts += [path] * (path != final)
+            self.complete |= path == final
+        self.done = self._on_disk()
+
+    def _on_disk(self) -> set[str]:
+        return {point_id for table in self.tables for point_id in table["id"].to_pylist()} & set(self.plan.ids)
 
     def add(self, index: int, row: dict[str, Any]) -> None:
         """Keep the row of a point; it reaches the disk with `flush`."""
@@ -159,8 +145,7 @@ class Store:
     def kept(self) -> str:
         """Write the rows at hand, also those of a `flush` that was broken off, and say how many points are on disk."""
         self.flush()
-        found = {point_id for table in self.tables for point_id in table["id"].to_pylist()} & set(self.plan.ids)
-        return f"{len(found)} of {self.plan.size} points are on disk"
+        return f"{len(self._on_disk())} of {self.plan.size} points are on disk"
 
     def compact(self) -> Any:
         """All rows in one file, in the order of the grid, each once; a death in between loses and doubles nothing.

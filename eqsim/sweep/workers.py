@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from eqsim.errors import InputError
 from eqsim.io.signals import deferred
@@ -24,24 +24,26 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # 
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 
-class Pool(Protocol):
-    """Workers at work: what a worker that died makes the executor raise is `lost`; each uses `threads` threads."""
+class Pool:
+    """Workers at work. `lost` is what a worker that died makes the executor raise."""
 
     executor: Executor
     lost: tuple[type[Exception], ...]
-    threads: int
+    threads = 1  # of each worker
 
     def slots(self) -> int:
         """How many can work at once."""
+        raise NotImplementedError
 
     def renew(self) -> None:
-        """Replace workers that died."""
+        """Replace workers that died; a cluster does so itself."""
 
     def check(self) -> None:
         """Raise InputError unless workers are there now, all with this version of eqsim."""
 
     def close(self, hurry: bool) -> None:
         """End the workers, in a hurry whatever they are doing."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,8 @@ class Workers:
 
     Parameters
     ----------
-    count : int
-        Processes of this machine.
-    threads : int
-        Of each process.
+    count, threads : int
+        Processes of this machine, and threads of each.
     dask : str, optional
         Instead of own processes those of the dask.distributed cluster whose scheduler has this address, or has written
         this file.
@@ -66,7 +66,7 @@ class Workers:
     @contextmanager
     def pool(self) -> Iterator[Pool]:
         """The workers, for as long as the block takes; ended at once if it is broken off. Raises InputError."""
-        found: Pool = Processes(self.count) if self.dask is None else Cluster(self.dask)
+        found = Processes(self.count) if self.dask is None else Cluster(self.dask)
         found.threads = self.threads
         try:
             yield found
@@ -81,9 +81,10 @@ class Workers:
         where = "--workers" if self.dask is None else f"--dask {self.dask}"
         with self.pool() as found:
             found.check()
+            lost: tuple[type[BaseException], ...] = (*found.lost, OSError, CancelledError)
             try:
                 yield found
-            except (*found.lost, OSError, CancelledError) as error:
+            except lost as error:
                 if isinstance(error, OSError) and self.dask is None:
                     raise
                 said = ": ".join(filter(None, (type(error).__name__, str(error))))
@@ -102,12 +103,10 @@ class _Executor(ProcessPoolExecutor):
         return future
 
 
-class Processes:
+class Processes(Pool):
     """Worker processes of this machine."""
 
-    executor: Executor
-    lost: tuple[type[Exception], ...] = (BrokenExecutor, MemoryError)
-    threads = 1
+    lost = (BrokenExecutor, MemoryError)
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -122,9 +121,6 @@ class Processes:
     def renew(self) -> None:
         with deferred():
             self.executor = _Executor(self.count, multiprocessing.get_context("spawn"), initializer=_enlist)
-
-    def check(self) -> None:
-        pass
 
     def close(self, hurry: bool) -> None:
         if hurry:
@@ -153,11 +149,8 @@ def _enlist() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-class Cluster:
+class Cluster(Pool):
     """The workers of a dask.distributed cluster; `address` of its scheduler, or of a scheduler file."""
-
-    executor: Executor
-    threads = 1
 
     def __init__(self, address: str) -> None:
         try:
@@ -187,9 +180,6 @@ class Cluster:
         if now - self.counted > 1.0:
             self.counted, self.known = now, sum(self.client.nthreads().values())
         return max(1, self.known)
-
-    def renew(self) -> None:
-        """Clusters replace their own workers."""
 
     def check(self) -> None:
         try:

@@ -14,7 +14,7 @@ from eqsim.sweep.plan import Plan
 from eqsim.sweep.rows import Asked
 from eqsim.sweep.scheduler import sweep
 from eqsim.sweep.workers import Workers
-from eqsim.workflows.run import Progress, simulate
+from eqsim.workflows.run import Progress, run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
 Table = Any  # a pandas DataFrame, or columns by name
@@ -63,8 +63,10 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
     import pandas as pd
 
     try:
-        again = pd.DataFrame(_REPEAT[origin["command"]](origin, workers, progress))
-    except (KeyError, TypeError, AttributeError) as error:
+        again = pd.DataFrame(_REPEAT[origin["command"]](origin, table, workers, progress))
+    except InputError:
+        raise
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path}: its provenance is damaged ({type(error).__name__}: {error})") from None
     here = storage.versions()
     changed = {name: (then, here.get(name, "none")) for name, then in origin["versions"].items()}
@@ -122,24 +124,24 @@ def _file(settings: dict[str, Any]) -> RunFile:
     return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
 
 
-def _run(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
+def _run(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
     file, folder = _file(origin["settings"]), Path(origin["folder"])
-    return simulate(file, folder, threads=workers, max_lives=float("inf"), progress=progress).columns()
+    return run(file, folder, threads=workers, max_lives=float("inf"), progress=progress).trajectory.columns()
 
 
-def _validate(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
+def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
     from eqsim.validation import columns, validate
 
     suite = origin["settings"]["suite"]
     return columns(validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores)
 
 
-def _sweep(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
-    """By the identities of then, from which seeds are made."""
+def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
+    """With the identities of then, of which seeds are made: they change with every change of the code."""
     from pyarrow import parquet as pq
 
     settings = origin["settings"]
-    plan = Plan(_file(settings["sweep"]), Path(origin["folder"]), origin["results_version"])
+    plan = Plan(_file(settings["sweep"]), Path(origin["folder"]), table["id"].tolist())
     asked = Asked(**{field.name: settings[field.name] for field in dataclasses.fields(Asked)})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
@@ -147,7 +149,7 @@ def _sweep(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
         return pq.read_table(out / "sweep.parquet").to_pandas()
 
 
-def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
+def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
     from eqsim_figures import tabulate
 
     name, quick = origin["settings"]["figure"], origin["settings"]["quick"]
@@ -155,7 +157,7 @@ def _figures(origin: dict[str, Any], workers: int, progress: Progress) -> Table:
         return dict(tabulate([name], quick=quick, executor=pool.executor, progress=progress))[name]
 
 
-_REPEAT: dict[str, Callable[[dict[str, Any], int, Progress], Table]] = {
+_REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
     "run": _run,
     "validate": _validate,
     "sweep": _sweep,

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,7 +15,7 @@ from eqsim.io.runfile import RunFile
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.sweep.workers import Pool, Workers
+from eqsim.sweep.workers import Workers
 
 Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
@@ -22,20 +23,19 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class RunResult:
-    """A simulated run file.
-
-    `trajectory` is what was simulated, `steady` the steady averages of the ensemble; `exact` is the exact mean, or None
-    where there is none and `no_exact` says why.
-    """
+    """A run file that was simulated: `trajectory` is what was found, `steady` the steady averages of the ensemble."""
 
     file: RunFile
     folder: Path
     ensemble: Ensemble
     drive: Drive
-    trajectory: Trajectory
     steady: Steady
-    exact: Transient | None
-    no_exact: str
+    trajectory: Trajectory
+
+    @cached_property
+    def exact(self) -> tuple[Transient | None, str]:
+        """The exact mean, or None and why there is none."""
+        return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
 
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
@@ -61,7 +61,7 @@ class RunResult:
         return {
             "trajectory.parquet": storage.parquet(self.trajectory.columns(), origin),
             "summary.json": storage.to_json(self.summary()).encode(),
-            "force.png": trajectory_png(self.trajectory, self.steady, self.exact, file.title or title),
+            "force.png": trajectory_png(self.trajectory, self.steady, self.exact[0], file.title or title),
         }
 
 
@@ -74,7 +74,7 @@ def run(
     max_lives: float = 1e10,
     progress: Progress = lambda *_: None,
 ) -> RunResult:
-    """Simulate a run file, and compute the steady averages and the exact mean that belong to it.
+    """Simulate a run file, and estimate the steady averages that belong to it.
 
     Parameters
     ----------
@@ -99,34 +99,18 @@ def run(
     InputError
         If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
     """
-    ensemble, drive, seed = file.ensemble(folder), file.driven(), file.output.seed
-    expected = check_run(ensemble, drive, file.output.points, seed, file.output.replicas, max_lives)
+    ensemble, drive, output = file.ensemble(folder), file.driven(), file.output
+    expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with workers.fixed_pool() if workers else nullcontext() as pool:
         progress(0, expected)
-        level = steady(ensemble, drive, rel_error=rough, seed=seed, threads=threads, max_lives=max_lives)
-        found = simulate(file, folder, threads=threads, pool=pool, max_lives=max_lives, progress=progress)
-    exact, reason = if_any(lambda: transient(ensemble, drive, file.output.points))
-    return RunResult(file, folder, ensemble, drive, found, level, exact, reason)
-
-
-def simulate(
-    file: RunFile,
-    folder: Path,
-    *,
-    threads: int = 1,
-    pool: Pool | None = None,
-    max_lives: float = 1e10,
-    progress: Progress = lambda *_: None,
-) -> Trajectory:
-    """The trajectory of a run file, by threads of this process or by the workers of a pool; otherwise as `run`."""
-    ensemble, drive, output = file.ensemble(folder), file.driven(), file.output
-    expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
-    return trajectory(
-        ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
-        threads=(pool.executor, pool.slots()) if pool else threads,
-        progress=lambda lives: progress(lives, expected),
-    )  # fmt: skip
+        level = steady(ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives)
+        found = trajectory(
+            ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
+            threads=(pool.executor, pool.slots()) if pool else threads,
+            progress=lambda lives: progress(lives, expected),
+        )  # fmt: skip
+    return RunResult(file, folder, ensemble, drive, level, found)
 
 
 def if_any(solve: Callable[[], Result]) -> tuple[Result | None, str]:
