@@ -187,7 +187,9 @@ def test_survivors_without_aging(barrier):
 
             def term(xi, xj=xj, power=power):
                 a = 40.0 * xi / LAW.rms
-                alive = quenched.survival(barrier_of(barrier, 1.0, 8.0), np.array([xj]), np.array([xi]), np.array([a]))[0]
+                alive = quenched.survival(barrier_of(barrier, 1.0, 8.0), np.array([xj]), np.array([xi]), np.array([a]))[
+                    0
+                ]
                 return float(LAW.pdf(xi)) * float(alive) * (xi / LAW.rms) ** power
 
             edges = xj + np.append(0.0, np.geomspace(1e-4, 7.0, 60))

@@ -173,7 +173,8 @@ def test_contacts_too_strong_to_break_by_heat(stiffness, b):
         exact = sum(integrate.quad(term, *pair, epsabs=0, epsrel=1e-10)[0] for pair in itertools.pairwise(edges))
         assert exact < 1e-15
         found, off = (
-            quenched.survivors(contacts_of(Gamma(n), stiffness, "soft", near, log_w), np.array([x]))[0][0] for near in (b, 1.01 * b)
+            quenched.survivors(contacts_of(Gamma(n), stiffness, "soft", near, log_w), np.array([x]))[0][0]
+            for near in (b, 1.01 * b)
         )
         assert found == pytest.approx(exact, rel=1e-7, abs=0)
         assert off != pytest.approx(exact, rel=1e-3, abs=0)

@@ -125,7 +125,8 @@ def test_limits_of_aging(disorder, stiffness_law):
     assert cold == pytest.approx(final * (4.0 if stiffness_law == "sqrt" else 1.0), rel=1e-9, abs=0)
     if disorder == "quenched":
         forces = [
-            reference(Ensemble(aging=Aging("langevin", D, 2.0), **given), Drive(0.3)).friction.value for D in (0.3, 3.0, 30.0)
+            reference(Ensemble(aging=Aging("langevin", D, 2.0), **given), Drive(0.3)).friction.value
+            for D in (0.3, 3.0, 30.0)
         ]
         assert forces[0] > forces[1] > forces[2]
 
@@ -204,7 +205,9 @@ def test_ends_of_the_range(disorder, stiffness_law, barrier):
         for b in (1e-3, 1.0, 1e3, 1e9):
             for v in (1e-12, 1e-6, 1.0, 1e12):
                 thermal = Thermal(0.5 / b, 1.0, barrier)
-                result = reference(Ensemble(Gamma(0.5), thermal, stiffness_law=stiffness_law, disorder=disorder), Drive(v))
+                result = reference(
+                    Ensemble(Gamma(0.5), thermal, stiffness_law=stiffness_law, disorder=disorder), Drive(v)
+                )
                 assert 0 < result.friction.value < 5
                 assert result.friction.stderr <= 1e-9 * result.friction.value
                 assert result.break_stretch.stderr <= 1e-9 * result.break_stretch.value
@@ -237,7 +240,9 @@ def test_laws_agree():
             reference(theirs, Drive(0.1)).friction.value, rel=1e-8, abs=0
         )
         near = reference(Ensemble(fine, **given), Drive(0.1)).friction.value
-        assert near == pytest.approx(reference(Ensemble(Gamma(1.0), **given), Drive(0.1)).friction.value, rel=3e-3, abs=0)
+        assert near == pytest.approx(
+            reference(Ensemble(Gamma(1.0), **given), Drive(0.1)).friction.value, rel=3e-3, abs=0
+        )
     one = Ensemble(Delta(1.0), Thermal(0.1))
     assert reference(one, Drive(0.1)) == reference(Ensemble(Delta(1.0), Thermal(0.1), disorder="annealed"), Drive(0.1))
     many = Table(np.linspace(1, 2, 1001))
