@@ -8,7 +8,7 @@ import pytest
 from cases import thinned
 from scipy import integrate, interpolate, stats
 
-from eqsim import Drive, Delay, Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal, reference
+from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference
 from eqsim.engine.contacts import contacts
 from eqsim.engine.stationary import found_pinned, stationary
 from eqsim.laws.aging import Aging

@@ -152,7 +152,9 @@ class _Pool:
             if self._high == self._low or (laws > 1 and self._missed() < _INTERPOLATION):
                 break
         else:
-            raise InputError(f"x_star_final = {aging.final:g} x_star_initial: too far from it for thresholds of n = {n:g}")
+            raise InputError(
+                f"x_star_final = {aging.final:g} x_star_initial: too far from it for thresholds of n = {n:g}"
+            )
         self._rates = [self._rate(Gamma(n, scale)) for scale in self.x_star] if barrier.thermal else []
         # beyond, nothing survives
         self.top = float(Gamma(n, math.exp(0.5 * self._high)).exceeded_by(45.0))
