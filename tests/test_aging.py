@@ -56,12 +56,7 @@ def test_aging_refuses(arguments, message):
         (Aging("flow", 1.0, 1.001e3), Gamma(), "quenched", r"^x_star_final = 1001.0: must be within a factor 1000"),
         (Aging("flow", 1.0, 0.999e-3), Gamma(), "annealed", r"^x_star_final = 0.000999"),
         (Aging("flow", 1.0), Gamma(1001.0), "annealed", r"^rule: annealed contacts can age for n <= 1000; n is 1001$"),
-        (
-            Aging("langevin", 1.0),
-            Gamma(1001.0),
-            "quenched",
-            r'^rule: contacts of rule "langevin" can age for n <= 1000',
-        ),
+        (Aging("langevin", 1.0), Gamma(1001.0), "quenched", r'^rule: contacts of rule "langevin" can age for n'),
     ],
 )
 def test_ensemble_refuses(aging, law, disorder, message):

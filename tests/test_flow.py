@@ -152,8 +152,8 @@ def test_errors_cover_a_refined_result(monkeypatch):
     cases = [(*case, m) for case in WIDE[::11] for m in [flow.stationary(contacts(LAW, *case))]]
     monkeypatch.setattr(flow, "_RESOLVED", 1e-14)
     monkeypatch.setattr(flow, "_CONVERGED", 1e-14)
-    monkeypatch.setattr(flow, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
-    monkeypatch.setattr(flow, "_MOST_ROUNDS", 25)
+    monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
+    monkeypatch.setattr(flow, "_SHORTEST", 64.0**-25)
     for *case, m in cases:
         fine = flow.stationary(contacts(LAW, *case))
         assert abs(m.stretch - fine.stretch) < m.stretch_error + 2e-14 * m.stretch
@@ -186,10 +186,8 @@ def test_survivors_without_aging(barrier):
         for power in range(3):
 
             def term(xi, xj=xj, power=power):
-                a = 40.0 * xi / LAW.rms
-                alive = quenched.survival(barrier_of(barrier, 1.0, 8.0), np.array([xj]), np.array([xi]), np.array([a]))[
-                    0
-                ]
+                at = np.array([xj]), np.array([xi]), np.array([xi / LAW.rms])
+                alive = quenched.survival(barrier_of(barrier, 40.0, 8.0), *at)[0]
                 return float(LAW.pdf(xi)) * float(alive) * (xi / LAW.rms) ** power
 
             edges = xj + np.append(0.0, np.geomspace(1e-4, 7.0, 60))

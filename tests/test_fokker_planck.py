@@ -104,7 +104,7 @@ def test_without_mobility(mobility, case):
     assert abs(life.stretch / exact.stretch - 1) < life.stretch_error / life.stretch + 1e-11 + slack
     assert abs(life.work / exact.work - 1) < life.work_error / life.work + 1e-11 + slack
     inside = np.flatnonzero(life.x > 1e-6)[:-1]
-    profile = np.array(quenched.survivors(contacts(Gamma(n), *law), life.x[inside]))
+    profile = np.array(quenched.survivors_at(contacts(Gamma(n), *law), life.x[inside]))
     assert np.all(np.abs(life.values[:, inside] - profile) < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack)
 
 

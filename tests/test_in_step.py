@@ -172,9 +172,7 @@ def test_contacts_too_strong_to_break_by_heat(stiffness, b):
         edges = sorted(max(edge, math.log(x)) for edge in edges)
         exact = sum(integrate.quad(term, *pair, epsabs=0, epsrel=1e-10)[0] for pair in itertools.pairwise(edges))
         assert exact < 1e-15
-        found, off = (
-            quenched.survivors(contacts_of(Gamma(n), stiffness, "soft", near, log_w), np.array([x]))[0][0]
-            for near in (b, 1.01 * b)
-        )
+        near = [contacts_of(Gamma(n), stiffness, "soft", factor * b, log_w) for factor in (1.0, 1.01)]
+        found, off = (quenched.survivors_at(s, np.array([x]))[0][0] for s in near)
         assert found == pytest.approx(exact, rel=1e-7, abs=0)
         assert off != pytest.approx(exact, rel=1e-3, abs=0)

@@ -279,8 +279,8 @@ def test_survivors(law, barrier, stiffness):
 
     worst = 0.0
     for b, log_w, x in ((1e3, 10.0, 0.0338), (1.0, 10.0, 0.05), (1.0, 10.0, 1e-6), (30.0, 4.0, 0.6), (1e6, 30.0, 0.2)):
-        found = quenched.survivors(contacts(law, stiffness, barrier, b, log_w), np.array([x]))
-        off = quenched.survivors(contacts(law, stiffness, barrier, 1.0001 * b, log_w), np.array([x]))
+        found = quenched.survivors_at(contacts(law, stiffness, barrier, b, log_w), np.array([x]))
+        off = quenched.survivors_at(contacts(law, stiffness, barrier, 1.0001 * b, log_w), np.array([x]))
         depth = np.geomspace(1e-12, 8.0, 241)
         drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
         middle = 0.0

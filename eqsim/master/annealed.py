@@ -72,9 +72,9 @@ class _Integrals(NamedTuple):
     """Of panels of 0 < x < inf, each array of shape (panels,).
 
     Delta U gained inside; with exp(-Delta U) = 1 at the left end, the integrals of E_P and of
-    x exp(-Delta U) E[kappa; xi > x] but for thresholds beyond the panel, for which the latter is `carried`, the integral
-    of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms of later panels (0 if stiffness is uniform); the
-    highest Chebyshev coefficients of each integrand; and the rate in the middle times half the width.
+    x exp(-Delta U) E[kappa; xi > x], but for thresholds beyond the panel, for which the latter is `carried`, the
+    integral of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms of later panels (0 if stiffness is
+    uniform); the highest Chebyshev coefficients of each integrand; and the rate in the middle times half the width.
     """
 
     hazard: Array

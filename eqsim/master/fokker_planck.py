@@ -74,19 +74,23 @@ class Survival(NamedTuple):
     values, errors : ndarray, shape (3, points)
         S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x], kappa that of the current threshold, and absolute
         errors.
-    moments : Moments
-        int S dx and int x E[kappa; x_b > x] dx.
+    stretch, work, stretch_error, work_error : float
+        int S dx, int x E[kappa; x_b > x] dx, and absolute errors of both.
     """
 
     x: Array
     values: Array
     errors: Array
-    moments: Moments
+    stretch: float
+    work: float
+    stretch_error: float
+    work_error: float
 
 
 def stationary(s: Reduced) -> Moments:
     """Moments of the lives of quenched contacts whose thresholds fluctuate."""
-    return survival(s).moments
+    found = survival(s)
+    return Moments(found.stretch, found.work, found.stretch_error, found.work_error)
 
 
 def survivors(s: Reduced, x: Array) -> Array:
@@ -98,9 +102,7 @@ def survivors(s: Reduced, x: Array) -> Array:
 
 def survival(s: Reduced) -> Survival:
     """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law), remembered:
-    the solution takes a second. The rms threshold of the sqrt law is the newborn one, k_i follows the current threshold. A mobility D_v below 1e-12
-    counts as 1e-12.
-    """
+    the solution takes a second. A mobility D_v below 1e-12 counts as 1e-12."""
     if not isinstance(s.aging, Langevin):
         raise TypeError(f"these thresholds do not fluctuate: {s.aging}")
     return _survival(s.aging, s.stiffness, s.barrier)
@@ -117,11 +119,10 @@ def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Sur
     # along x a front that passes the nodes makes the error swing through 0; its neighbours know how far
     size = np.maximum(np.abs(values), 1e-300)
     errors = ndimage.maximum_filter1d(errors / size, 15, axis=1) * size
-    totals, total_errors = _extrapolated(
-        first.totals, second.totals, third.totals, halved.totals[:, ::2] - first.totals
-    )
+    halving = halved.totals[:, ::2] - first.totals
+    totals, total_errors = _extrapolated(first.totals, second.totals, third.totals, halving)
     # the worst on the way to the end, where errors may cancel by chance
-    return Survival(first.x, values, errors, Moments(*totals[:, -1].tolist(), *total_errors.max(axis=1).tolist()))
+    return Survival(first.x, values, errors, *totals[:, -1].tolist(), *total_errors.max(axis=1).tolist())
 
 
 def _extrapolated(first: Array, second: Array, third: Array, halving: Array) -> tuple[Array, Array]:

@@ -15,11 +15,8 @@ from eqsim.numerics.tables import Array
 
 _STEP = 0.015  # in ln x, of the profile, whose splines are then good to 2e-8
 _BROKEN, _MOST_ROUNDS = 0.02, 8  # most that may break in such a step, reached by so many rounds of splits in four
-_SPLINE, _KINKED_SPLINE, _COARSE_SPLINE = (
-    3e-8,
-    1e-6,
-    3e-6,
-)  # if P_c may have kinks; of the steps of a Fokker-Planck life
+_SPLINE, _KINKED_SPLINE = 3e-8, 1e-6  # what splines miss, of laws whose density may have kinks
+_COARSE_SPLINE = 3e-6  # at the steps that the Fokker-Planck equation takes
 
 
 class Profile(Protocol):

@@ -21,7 +21,14 @@ from eqsim.numerics.tables import Array
 class Reference(Averages):
     """Exact steady averages; `stderr` of each estimate is the error estimate of the solver (absolute).
 
-    `f_k` is the elastic part of the friction per pinned contact; `method` names the solver.
+    Attributes
+    ----------
+    friction, pinned, break_stretch : Estimate
+        The observables of `Averages`.
+    f_k : Estimate
+        Elastic part of the friction per pinned contact (length).
+    method : str
+        The equation that was solved.
     """
 
     f_k: Estimate
@@ -29,13 +36,15 @@ class Reference(Averages):
 
 
 class Solver(Protocol):
-    """What the module of each equation has: its name, the moments of lives, and who survives to a stretch."""
+    """What the module of each equation has."""
 
     METHOD: str
 
-    def stationary(self, s: Reduced) -> Moments: ...
+    def stationary(self, s: Reduced) -> Moments:
+        """Moments of lives."""
 
-    def survivors(self, s: Reduced, x: Array) -> Array: ...
+    def survivors(self, s: Reduced, x: Array) -> Array:
+        """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n)."""
 
 
 _SOLVERS: dict[type, Solver] = {Unaged: quenched, Flow: flow, Langevin: fokker_planck}  # of quenched contacts
@@ -76,13 +85,27 @@ def settled(ensemble: Ensemble, velocity: float) -> Settled:
 
 
 def reference(ensemble: Ensemble, drive: Drive) -> Reference:
-    """The steady averages of an ensemble at the velocity of a drive, by quadrature. Raises InputError."""
+    """The steady averages of an ensemble by quadrature (nt13, star1 and derived equations).
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Drive
+        Only its velocity counts.
+
+    Returns
+    -------
+    Reference
+
+    Raises
+    ------
+    InputError
+        If a dimensionless number is out of range, and for annealed contacts of more than 1000 different thresholds.
+    """
     require_drive(drive)
     s, sensitivity = settled(ensemble, drive.velocity)
-    equation = solver(s)
-    found = equation.stationary(s)
-    # aging annealed contacts are those of the published equation also where heat breaks none
-    method = annealed.METHOD if ensemble.disorder == "annealed" and ensemble.aging.active else equation.METHOD
+    found = solver(s).stationary(s)
+    published = ensemble.disorder == "annealed" and ensemble.aging.active  # also where heat breaks none
     unit, delay, drag = s.law.scale, s.delay.mean, s.drag
     stretch, work = found.stretch, found.work
     stretch_error, work_error = (sensitivity * error for error in (found.stretch_error, found.work_error))
@@ -96,5 +119,5 @@ def reference(ensemble: Ensemble, drive: Drive) -> Reference:
         pinned=Estimate(pinned, pinned_error, 0),
         break_stretch=Estimate(stretch * unit, stretch_error * unit, 0),
         f_k=Estimate(work / stretch * unit, work / stretch * relative * unit, 0),
-        method=method,
+        method=annealed.METHOD if published else solver(s).METHOD,
     )

@@ -19,9 +19,8 @@ is in step, and where they cannot be the share that may still be in step is part
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import fft, ndimage, signal
@@ -119,7 +118,7 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001, *, variance:
     force, force_error, pinned, pinned_error = found
     pairs = solved[1].breaks  # of cells; a pair of fine ones is a coarse one
     breaks = np.interp(X, cells.x[1::2], np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0))
-    spread = None, None
+    spread: tuple[Array | None, Array | None] = None, None
     if variance and not cells.in_step.any():
         squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
         spread = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
@@ -131,7 +130,7 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
     exact, level = reference(ensemble, drive), np.ones(points)
     force, pinned, stretch = known(exact.friction), known(exact.pinned), known(exact.break_stretch)
     force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
-    spread = None, None
+    spread: tuple[Array | None, Array | None] = None, None
     if variance:
         s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
         profile = profile_of(s)
@@ -367,18 +366,14 @@ def _reborn(fresh: Array, x: Array, s: Reduced) -> tuple[Array, Array]:
     return _REBORN[type(s.delay)](fresh, x, total, s.delay.mean, s.drag)
 
 
-def _after_fixed(
-    fresh: Array, x: Array, total: Callable[[Array], Array], delay: float, drag: float
-) -> tuple[Array, Array]:
-    """`_reborn` of contacts that wait as long as each other."""
+def _after_fixed(fresh: Array, x: Array, total: Any, delay: float, drag: float) -> tuple[Array, Array]:
+    """`_reborn` after delays of the same length; `total` is the integral of `fresh`."""
     late = total(np.maximum(x - delay, 0.0))
     return drag * np.minimum(x, delay) + late, drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
 
 
-def _after_exponential(
-    fresh: Array, x: Array, total: Callable[[Array], Array], delay: float, drag: float
-) -> tuple[Array, Array]:
-    """`_reborn` of contacts that attach at random."""
+def _after_exponential(fresh: Array, x: Array, total: Any, delay: float, drag: float) -> tuple[Array, Array]:
+    """`_reborn` after exponential delays."""
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh linear in each cell
     ratio = x[1] / delay
     keep, first = math.exp(-ratio), -math.expm1(-ratio)
