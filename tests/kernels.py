@@ -1,8 +1,24 @@
-"""Routines that only kernels call, as functions that tests can call: compiled, as in a kernel."""
+"""Routines that only kernels call, as functions that tests can call: compiled, as in a kernel.
+
+    python -m tests.kernels BARRIER-AGING-DELAY ...
+
+compiles the kernels of such contacts into the cache; `LAWS` are those of the default tests.
+"""
 
 import functools
+import sys
 
 import numba
+
+from eqsim import Aging, Delay, Drive, Ensemble, Thermal, steady, trajectory
+
+# those that take longest come first
+LAWS = [
+    f"{barrier}-{aging}-{delay}"
+    for aging in ("langevin", "flow", "none")
+    for delay in ("fixed", "exponential")
+    for barrier in ("mechanical", "soft", "stiff", *(["annealed"] if aging == "none" else []))
+]
 
 
 @functools.cache
@@ -12,3 +28,23 @@ def compiled(routine):
 
     call.__name__ = routine.__name__  # pytest names cases after it
     return numba.njit(call, error_model="numpy")
+
+
+def compile_kernels(barrier, aging, delay):
+    """By a steady estimate and a trajectory of next to nothing."""
+    contacts = Ensemble(
+        thermal=Thermal(0.0 if barrier == "mechanical" else 1.0, barrier="stiff" if barrier == "stiff" else "soft"),
+        aging=Aging(aging, 0.1, 2.0),
+        delay=Delay(1.0, delay),
+        count=1,
+        disorder="annealed" if barrier == "annealed" else "quenched",
+    )
+    steady(contacts, Drive(1.0), rel_error=1.0)
+    trajectory(contacts, Drive(1.0, 1.0, "fresh" if aging == "langevin" else "stationary"), points=2)
+    if delay == "fixed":  # plain births are compared for some laws only
+        steady(contacts, Drive(1.0), rel_error=1.0, plain=True)
+
+
+if __name__ == "__main__":
+    for laws in sys.argv[1:]:
+        compile_kernels(*laws.split("-"))
