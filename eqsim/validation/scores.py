@@ -52,7 +52,7 @@ from eqsim.master import flow
 from eqsim.master.profile import profile_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import fluctuations, transient
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
@@ -122,7 +122,7 @@ class Point(NamedTuple):
         """A seed for something drawn here."""
         return stream(self.seed, *numbers)
 
-    def drive(self, distance: float, start: Any = "fresh") -> Drive:
+    def drive(self, distance: float, start: Start = "fresh") -> Drive:
         """At the velocity of this point."""
         return Drive(self.velocity, distance, start)
 
