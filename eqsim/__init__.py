@@ -6,7 +6,7 @@ The public names are those of `eqsim.api`. They are imported when one is first u
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from eqsim.api import *
+    from eqsim.api import *  # noqa: F403
     from eqsim.api import __all__ as __all__
 
     __version__: str

@@ -397,10 +397,10 @@ MISTAKES = [
     M("validation: sign in the table", "validation/scores.py", '"z": score.z,', '"z": -score.z,',
       "test_validation.py::test_signs_of_scores"),
     # sweep
-    M("sweep: sign of a score", "sweep/scheduler.py", "z_score(getattr(found, name), level.value, level.stderr)",
+    M("sweep: sign of a score", "sweep/rows.py", "z_score(found.averages()[name], known(level), level.stderr or 0.0)",
       "(lambda z: z and -z)(z_score(getattr(found, name), level.value, level.stderr))",
       "test_sweep.py::test_rows_are_what_steady_and_reference_say"),
-    M("sweep: number of lives as degrees of freedom", "sweep/scheduler.py", 'f"{name}_dof": e.dof', 'f"{name}_dof": e.n',
+    M("sweep: number of lives as degrees of freedom", "sweep/rows.py", 'f"{name}_dof": e.dof', 'f"{name}_dof": e.n',
       "test_sweep.py::test_rows_are_what_steady_and_reference_say"),
     M("sweep: two deaths end a point", "sweep/scheduler.py", "_LOSSES = 3", "_LOSSES = 2",
       "test_sweep.py::test_a_point_that_kills_its_workers_is_found_out"),
@@ -413,7 +413,7 @@ MISTAKES = [
       "test_sweep.py::test_workers_that_never_live_end_the_sweep"),
     M("sweep: unreliable is ok", "sweep/scheduler.py", 'status = "unreliable" if problems else "ok"\n    try',
       'status = "ok"\n    try', "test_sweep.py::test_what_cannot_be_trusted_is_unreliable"),
-    M("sweep: damaged parts are taken", "sweep/scheduler.py", 'path.stem == f"part-{_digest(content)}"', "True",
+    M("sweep: damaged parts are taken", "sweep/store.py", 'path.stem == f"part-{_digest(content)}"', "True",
       "test_sweep.py::test_damaged_parts_are_named_and_computed_again"),
     # grid
     M("grid: seeds of 31 bits", "sweep/plan.py", "return int(point_id[:16], 16) >> 1", "return int(point_id[:8], 16) >> 1",

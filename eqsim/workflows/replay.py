@@ -126,7 +126,7 @@ def _file(settings: dict[str, Any]) -> RunFile:
 
 def _run(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
     file, folder = _file(origin["settings"]), Path(origin["folder"])
-    return run(file, folder, threads=workers, max_lives=float("inf"), progress=progress).trajectory.columns()
+    return run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory.columns()
 
 
 def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
