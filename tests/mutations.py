@@ -394,8 +394,8 @@ MISTAKES = [
       "2 * stats.chi2.sf(total, even.size)", "test_validation.py::test_verdict"),
     M("validation: sign of a score", "validation/scores.py", "score = math.inf if z is None else z",
       "score = math.inf if z is None else -z", "test_validation.py::test_signs_of_scores"),
-    M("validation: sign in the table", "validation/scores.py", '"z": score.z,', '"z": -score.z,',
-      "test_validation.py::test_signs_of_scores"),
+    M("validation: score for error in the table", "validation/scores.py", '"sigma": "sigma", "z": "z",',
+      '"sigma": "z", "z": "sigma",', "test_validation.py::test_signs_of_scores"),
     # sweep
     M("sweep: sign of a score", "sweep/rows.py", "z_score(found.averages()[name], known(level), level.stderr or 0.0)",
       "(lambda z: z and -z)(z_score(getattr(found, name), level.value, level.stderr))",

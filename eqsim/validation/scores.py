@@ -32,6 +32,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -418,29 +419,20 @@ def _forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: int) -> tupl
     return forces, variances
 
 
+_COLUMNS = {
+    "kind": "kind", "disorder": "ensemble.disorder", "barrier": "ensemble.thermal.barrier",
+    "stiffness_law": "ensemble.stiffness_law", "thresholds": "ensemble.thresholds", "kT": "ensemble.thermal.kT",
+    "aging": "ensemble.aging.rule", "aging_rate": "ensemble.aging.rate", "x_star_final": "ensemble.aging.x_star_final",
+    "delay": "ensemble.delay.time", "delay_law": "ensemble.delay.law", "eta": "ensemble.eta", "velocity": "velocity",
+    "value": "value", "reference": "reference", "sigma": "sigma", "z": "z", "even": "even",
+}  # fmt: skip
+
+
 def columns(scores: list[Score]) -> dict[str, list[Any]]:
     """The scores as columns of a table, one row per comparison."""
-    rows = [
-        {
-            "kind": score.kind,
-            "disorder": (e := score.ensemble).disorder,
-            "barrier": e.thermal.barrier,
-            "stiffness_law": e.stiffness_law,
-            "thresholds": law_text(e.thresholds),
-            "kT": e.thermal.kT,
-            "aging": e.aging.rule,
-            "aging_rate": e.aging.rate,
-            "x_star_final": e.aging.x_star_final if e.aging.rule != "none" else math.nan,
-            "delay": e.delay.time,
-            "delay_law": e.delay.law,
-            "eta": e.eta,
-            "velocity": score.velocity,
-            "value": score.value,
-            "reference": score.reference,
-            "sigma": score.sigma,
-            "z": score.z,
-            "even": score.even,
-        }
-        for score in scores
-    ]
-    return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
+    if not scores:
+        return {}
+    table = {name: [attrgetter(path)(score) for score in scores] for name, path in _COLUMNS.items()}
+    table["thresholds"] = [law_text(law) for law in table["thresholds"]]
+    ages = zip(table["aging"], table["x_star_final"], strict=True)
+    return table | {"x_star_final": [math.nan if rule == "none" else final for rule, final in ages]}

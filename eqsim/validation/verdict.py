@@ -82,9 +82,7 @@ class Validation:
     @property
     def p_overall(self) -> float:
         """Probability of a p-value as small as the smallest of all kinds, or an upper bound of it (Bonferroni)."""
-        return overall(
-            [p for verdict in self.verdicts if verdict.count for p in (verdict.p_chi_square, verdict.p_largest)]
-        )
+        return p_overall(self.verdicts)
 
 
 def left_out(unscored: list[Unscored]) -> dict[str, dict[str, int]]:
@@ -100,8 +98,9 @@ def declined(kind: str, scores: int, left: dict[str, dict[str, int]]) -> bool:
     return sum(left.get(kind, {}).get(reason, 0) for reason in DECLINED) > scores
 
 
-def overall(p: list[float]) -> float:
-    """Of the smallest of several p-values, however they depend on each other: an upper bound (Bonferroni)."""
+def p_overall(verdicts: list[Verdict]) -> float:
+    """`Validation.p_overall` of these verdicts."""
+    p = [p for verdict in verdicts if verdict.count for p in (verdict.p_chi_square, verdict.p_largest)]
     return min(1.0, len(p) * min(p, default=1.0))
 
 

@@ -20,7 +20,7 @@ from scipy import stats
 from eqsim.io import plots, storage
 from eqsim.validation.points import SUITES
 from eqsim.validation.scores import KINDS, REASONS, Score
-from eqsim.validation.verdict import ALARM, judge, overall
+from eqsim.validation.verdict import ALARM, judge, p_overall
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"
@@ -116,10 +116,6 @@ def publish():
             files["scores.parquet"] = storage.parquet(found.scores, {"suite": "verification", "seed": SEED})
         storage.publish(FOLDER, files)
     return found
-
-
-def p_overall(verdicts):
-    return overall([p for v in verdicts if v.count for p in (v.p_chi_square, v.p_largest)])
 
 
 def text(found):
