@@ -120,7 +120,7 @@ class Delay:
 
 
 class Waits(NamedTuple):
-    """A law of delays for kernels, one type for all: so much of the `mean` is `random` (exponential), the rest fixed."""
+    """A law of delays for kernels, one type for all: of the `mean`, `random` is exponential and the rest fixed."""
 
     mean: float
     random: float
