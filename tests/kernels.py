@@ -1,6 +1,6 @@
 """Routines that only kernels call, as functions that tests can call: compiled, as in a kernel.
 
-    python -m tests.kernels BARRIER-AGING-DELAY ...
+    python -m tests.kernels BARRIER-AGING ...
 
 compiles the kernels of such contacts into the cache; `LAWS` are those of the default tests.
 """
@@ -10,13 +10,12 @@ import sys
 
 import numba
 
-from eqsim import Aging, Delay, Drive, Ensemble, Thermal, steady, trajectory
+from eqsim import Aging, Drive, Ensemble, Thermal, steady, trajectory
 
 # those that take longest come first
 LAWS = [
-    f"{barrier}-{aging}-{delay}"
+    f"{barrier}-{aging}"
     for aging in ("langevin", "flow", "none")
-    for delay in ("fixed", "exponential")
     for barrier in ("mechanical", "soft", "stiff", *(["annealed"] if aging == "none" else []))
 ]
 
@@ -30,19 +29,17 @@ def compiled(routine):
     return numba.njit(call, error_model="numpy")
 
 
-def compile_kernels(barrier, aging, delay):
+def compile_kernels(barrier, aging):
     """By a steady estimate and a trajectory of next to nothing."""
     contacts = Ensemble(
         thermal=Thermal(0.0 if barrier == "mechanical" else 1.0, barrier="stiff" if barrier == "stiff" else "soft"),
         aging=Aging(aging, 0.1, 2.0),
-        delay=Delay(1.0, delay),
         count=1,
         disorder="annealed" if barrier == "annealed" else "quenched",
     )
     steady(contacts, Drive(1.0), rel_error=1.0)
     trajectory(contacts, Drive(1.0, 1.0, "fresh" if aging == "langevin" else "stationary"), points=2)
-    if delay == "fixed":  # plain births are compared for some laws only
-        steady(contacts, Drive(1.0), rel_error=1.0, plain=True)
+    steady(contacts, Drive(1.0), rel_error=1.0, plain=True)
 
 
 if __name__ == "__main__":

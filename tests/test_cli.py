@@ -17,6 +17,7 @@ import rich.progress
 from typer.testing import CliRunner
 from waiting import once
 
+from eqsim import Drive, load, steady
 from eqsim.cli.app import app
 from eqsim.estimate import Estimate
 from eqsim.io import terminal
@@ -109,6 +110,8 @@ def test_run_json_and_replicas(run_file, tmp_path):
     summary = json.loads(result.stdout)
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["seed"] == 3
+    other = steady(load(run_file).ensemble(run_file.parent), Drive(0.1), seed=3)
+    assert summary["steady"]["friction"] == other.friction.as_dict()
     table = pq.read_table(out / "trajectory.parquet")
     assert "force_replica_std" in table.column_names
     assert json.loads(table.schema.metadata[b"eqsim"])["settings"]["output"] == {"points": 51, "seed": 3, "replicas": 4}

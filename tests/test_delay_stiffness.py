@@ -21,7 +21,7 @@ UNIFORMS = np.random.default_rng(4).random(50_000)
 
 
 def draws(draw, law):
-    return np.array([draw(DELAYS[law](MEAN), u) for u in UNIFORMS])
+    return np.array([draw(DELAYS[law](MEAN).for_kernels(), u) for u in UNIFORMS])
 
 
 def test_exponential_delay():
@@ -38,8 +38,8 @@ def test_fixed_delay():
 @pytest.mark.parametrize("law", LAWS)
 def test_no_delay(law):
     np.testing.assert_array_equal(Delay(0.0, law).cdf(np.array([-1.0, 0.0, 1.0])), [0, 1, 1])
-    assert delay_draw(DELAYS[law](0.0), 0.3) == 0.0
-    assert residual_delay_draw(DELAYS[law](0.0), 0.3) == 0.0
+    assert delay_draw(DELAYS[law](0.0).for_kernels(), 0.3) == 0.0
+    assert residual_delay_draw(DELAYS[law](0.0).for_kernels(), 0.3) == 0.0
 
 
 @pytest.mark.parametrize("law", LAWS)

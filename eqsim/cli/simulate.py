@@ -129,7 +129,7 @@ def steady(
             **{"reference": values, "z": {name: z.get(name) for name in found}},
         },
         title=file.title or path.stem,
-        columns=("", "particles", "relative error", "reference", "z"),
+        columns=("", "contacts", "relative error", "reference", "z"),
         rows=[
             (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
              "none" if value is None else f"{value:.9g}", terminal.score(z.get(name)))

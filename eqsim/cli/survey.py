@@ -135,7 +135,7 @@ def figures(
     *,
     shown: Shown,
 ) -> None:
-    """The figures of Braun and Peyrard (2011) recomputed, with particles on them; minutes for all."""
+    """The figures of Braun and Peyrard (2011) recomputed, with simulated contacts on them; minutes for all."""
     from eqsim_figures import check, make
 
     from eqsim.io import storage
@@ -157,8 +157,8 @@ def figures(
     made.sort(key=lambda figure: wanted.index(figure.name))
     shown.report(
         {"out": str(out), "figures": [figure._asdict() for figure in made]},
-        title="figures: particles against the master equation of their ensemble",
-        columns=("", "curves", "particle estimates", "largest |z|", "chi-square p"),
+        title="figures: simulated contacts against the master equation of their ensemble",
+        columns=("", "curves", "estimates", "largest |z|", "chi-square p"),
         rows=[(f.name, str(f.curves), str(f.particles), f"{f.largest:.2f}", f"{f.p:.2g}") for f in made],
         notes=[f"{out}/: {', '.join(figure.name for figure in made)}, each .pdf, .png and .parquet"],
     )

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from eqsim.laws.barrier.pooled import Pooled, pooled_hazard_of
+from eqsim.laws.delay import Waits
 from eqsim.laws.stiffness import Springs
 from eqsim.laws.threshold import Thresholds, for_kernels
 from eqsim.model.ensemble import Ensemble
@@ -24,7 +25,7 @@ class Contacts(NamedTuple):
     aging : AgingLaw
     aging_table : ndarray
         What `laws.aging.base.work` looks up.
-    delay : Fixed | Exponential
+    delay : Waits
     """
 
     thresholds: Thresholds
@@ -33,7 +34,7 @@ class Contacts(NamedTuple):
     barrier_table: Array
     aging: Any
     aging_table: Array
-    delay: Any
+    delay: Waits
 
 
 def lower(s: Reduced) -> Contacts:
@@ -43,7 +44,9 @@ def lower(s: Reduced) -> Contacts:
         pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
     table = s.barrier.table()
-    return Contacts(for_kernels(s.law), s.springs, barrier, table, s.aging, s.aging.table(s.springs), s.delay)
+    return Contacts(
+        for_kernels(s.law), s.springs, barrier, table, s.aging, s.aging.table(s.springs), s.delay.for_kernels()
+    )
 
 
 def contacts(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Contacts:

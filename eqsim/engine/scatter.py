@@ -147,7 +147,7 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     ends = np.bincount(cell, born.share * (1.0 - at + cell), _NODES + 2)
     ends[1:] += np.bincount(cell, born.share * (at - cell), _NODES + 1)
     # a delay T is shared likewise: second differences of E[(T - x)+]
-    rest = c.delay.rest(edges)
+    rest = c.delay.law.rest(edges)
     waits = np.append(1.0 + (rest[1] - rest[0]) / step, np.diff(rest, 2) / step)
     renewals = np.convolve(ends, waits)[:_NODES]
     first = np.zeros(_NODES)
@@ -173,7 +173,7 @@ def independent(c: Contacts, born: Births, drag: float) -> tuple[float, float, f
     friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
     these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
     half of it how far Student's t is off in the mean (derived)."""
-    waits = c.delay.sample()
+    waits = c.delay.law.sample()
     share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
     stretch = np.repeat(born.stretch, waits.size)
     work = 0.5 * np.repeat(born.stiffness, waits.size) * stretch**2

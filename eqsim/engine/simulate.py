@@ -32,7 +32,7 @@ from eqsim.engine.stationary import Stationary, found_pinned
 from eqsim.laws.aging import Flow, Langevin
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.base import thermal
-from eqsim.laws.delay import delay_draw, is_random, residual_delay_draw
+from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
 from eqsim.laws.threshold import threshold_draw
 from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
 from eqsim.numerics.streams import Key, fill_words, uniform, uniforms
@@ -75,7 +75,7 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
             return
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
         draw_lives(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, full)
-        if is_random(c.delay):
+        if c.delay.random > 0.0:
             _draw_delays(c.delay, key, lanes, journey.delay, full)
         advance(c.aging, c, key, lanes, lives, alone, (active, full))
         ended = False
@@ -159,7 +159,7 @@ def _retire(distance: float, lanes: Lanes, journey: Journey, active: int) -> int
 
 
 @routine
-def _draw_delays(law: Any, key: Key, lanes: Lanes, delay: Array, count: int) -> None:
+def _draw_delays(law: Waits, key: Key, lanes: Lanes, delay: Array, count: int) -> None:
     """Delays after the next ROUNDS lives, shape (ROUNDS, lanes), where they are random."""
     words = lanes.words
     fill_words(key, lanes.contact, lanes.age, 1, words, count)
@@ -352,7 +352,7 @@ def _found_path(
             born, broke, reborn = -age, stretch - age, stretch - age + delay
             break
         if stretch + c.delay.mean > age:
-            rest = residual_delay_draw(c.delay, u_residual) if is_random(c.delay) else stretch + c.delay.mean - age
+            rest = residual_delay_draw(c.delay, u_residual) if c.delay.random > 0.0 else stretch + c.delay.mean - age
             born, broke, reborn = -age, min(stretch - age, 0.0), rest
             break
     record(recorder, batch, c.springs.constant, born, broke, reborn)

@@ -73,7 +73,7 @@ def _compare(
     value, stderr = steady.value or 0.0, steady.stderr or 0.0
     band = axes.fill_between(run.X, y - error, y + error, color=color, alpha=0.3, linewidth=0)
     drawn: dict[str, Any] = {
-        "particles, mean ± 2 standard errors": (band, axes.plot(run.X, y, color=color, linewidth=1)[0])
+        "simulated contacts, mean ± 2 standard errors": (band, axes.plot(run.X, y, color=color, linewidth=1)[0])
     }
     span = axes.axhspan(value - 2 * stderr, value + 2 * stderr, color="C3", alpha=0.25, linewidth=0)
     level = axes.axhline(value, color="C3", linewidth=1, linestyle="--")

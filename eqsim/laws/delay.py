@@ -1,7 +1,6 @@
 """Delay between the breaking of a contact and its re-attachment (section V of Braun and Peyrard, 2011).
 
-`DELAYS` lists the laws. Each is a NamedTuple of the number that kernels need, the mean as a displacement v<tau>, with
-NumPy's formulas as methods and a body of each kernel routine below.
+`DELAYS` lists the laws. Each is a NamedTuple of the mean, as a displacement v<tau>, with NumPy's formulas as methods.
 """
 
 import math
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.errors import NOT_NEGATIVE, require_choice, require_number
-from eqsim.numerics.compiled import by_law
+from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import log
 
@@ -46,6 +45,9 @@ class Fixed(NamedTuple):
         """Equally likely delays that stand for the law."""
         return np.full(1, self.mean)
 
+    def for_kernels(self) -> "Waits":
+        return Waits(self.mean, 0.0)
+
 
 class Exponential(NamedTuple):
     """Delays are exponential with mean `mean`; methods are those of `Fixed`."""
@@ -72,6 +74,9 @@ class Exponential(NamedTuple):
 
     def sample(self) -> Array:
         return self.mean * -np.log((np.arange(16) + 0.5) / 16)
+
+    def for_kernels(self) -> "Waits":
+        return Waits(self.mean, self.mean)
 
 
 DELAYS: dict[str, type[Fixed] | type[Exponential]] = {"fixed": Fixed, "exponential": Exponential}
@@ -114,34 +119,25 @@ class Delay:
         return self.reduced().residual_cdf(t)
 
 
-@by_law
-def is_random(law: Any) -> bool:
-    """Whether delays differ from each other."""
-    return True
+class Waits(NamedTuple):
+    """A law of delays for kernels, one type for all: of the `mean`, `random` is exponential and the rest fixed."""
+
+    mean: float
+    random: float
+
+    @property
+    def law(self) -> Fixed | Exponential:
+        """The law itself."""
+        return Exponential(self.mean) if self.random else Fixed(self.mean)
 
 
-@by_law
-def delay_draw(law: Any, u: float) -> float:
+@inlined
+def delay_draw(law: Waits, u: float) -> float:
     """A delay from a uniform u in (0, 1)."""
-    return law.mean
+    return law.mean - law.random - law.random * log(u)
 
 
-@by_law
-def residual_delay_draw(law: Any, u: float) -> float:
-    """The rest of a delay in the stationary state from a uniform u in (0, 1)."""
-    return law.mean * u
-
-
-@is_random.register(Fixed)
-def _fixed(law: Fixed) -> bool:
-    return False
-
-
-@delay_draw.register(Exponential)
-def _exponential(law: Exponential, u: float) -> float:
-    return -law.mean * log(u)
-
-
-@residual_delay_draw.register(Exponential)
-def _residual_exponential(law: Exponential, u: float) -> float:
-    return -law.mean * math.log(u)
+@inlined
+def residual_delay_draw(law: Waits, u: float) -> float:
+    """The rest of a delay in the stationary state, where all of it is random or none, from a uniform u in (0, 1)."""
+    return (law.mean - law.random) * u - law.random * math.log(u)

@@ -24,28 +24,6 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # 
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 
-class Pool:
-    """Workers at work. `lost` is what a worker that died makes the executor raise."""
-
-    executor: Executor
-    lost: tuple[type[Exception], ...]
-    threads = 1  # of each worker
-
-    def slots(self) -> int:
-        """How many can work at once."""
-        raise NotImplementedError
-
-    def renew(self) -> None:
-        """Replace workers that died; a cluster does so itself."""
-
-    def check(self) -> None:
-        """Raise InputError unless workers are there now, all with this version of eqsim."""
-
-    def close(self, hurry: bool) -> None:
-        """End the workers, in a hurry whatever they are doing."""
-        raise NotImplementedError
-
-
 @dataclass(frozen=True)
 class Workers:
     """Who computes. The choice changes speed, never a number.
@@ -64,9 +42,9 @@ class Workers:
     dask: str | None = None
 
     @contextmanager
-    def pool(self) -> Iterator[Pool]:
+    def pool(self) -> Iterator["Pool"]:
         """The workers, for as long as the block takes; ended at once if it is broken off. Raises InputError."""
-        found = Processes(self.count) if self.dask is None else Cluster(self.dask)
+        found: Pool = Processes(self.count) if self.dask is None else Cluster(self.dask)
         found.threads = self.threads
         try:
             yield found
@@ -76,7 +54,7 @@ class Workers:
         found.close(hurry=False)
 
     @contextmanager
-    def fixed_pool(self) -> Iterator[Pool]:
+    def fixed_pool(self) -> Iterator["Pool"]:
         """A `pool` for work that cannot go on without one of its workers: InputError if one is lost."""
         where = "--workers" if self.dask is None else f"--dask {self.dask}"
         with self.pool() as found:
@@ -103,10 +81,12 @@ class _Executor(ProcessPoolExecutor):
         return future
 
 
-class Processes(Pool):
-    """Worker processes of this machine."""
+class Processes:
+    """Worker processes of this machine; `lost` is what the executor raises when one dies."""
 
-    lost = (BrokenExecutor, MemoryError)
+    executor: Executor
+    lost: tuple[type[Exception], ...] = (BrokenExecutor, MemoryError)
+    threads = 1  # of each
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -116,13 +96,19 @@ class Processes(Pool):
         self.renew()
 
     def slots(self) -> int:
+        """How many can work at once."""
         return self.count
 
+    def check(self) -> None:
+        """Raise InputError unless workers are there now, all with this version of eqsim."""
+
     def renew(self) -> None:
+        """Replace those that died."""
         with deferred():
             self.executor = _Executor(self.count, multiprocessing.get_context("spawn"), initializer=_enlist)
 
     def close(self, hurry: bool) -> None:
+        """End them, in a hurry whatever they are doing."""
         if hurry:
             for child in set(multiprocessing.active_children()) - self.others:
                 child.kill()
@@ -149,8 +135,12 @@ def _enlist() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-class Cluster(Pool):
-    """The workers of a dask.distributed cluster; `address` of its scheduler, or of a scheduler file."""
+class Cluster:
+    """The workers of a dask.distributed cluster, as `Processes`; `address` of its scheduler, or of a scheduler file."""
+
+    executor: Executor
+    lost: tuple[type[Exception], ...]
+    threads = 1
 
     def __init__(self, address: str) -> None:
         try:
@@ -181,6 +171,9 @@ class Cluster(Pool):
             self.counted, self.known = now, sum(self.client.nthreads().values())
         return max(1, self.known)
 
+    def renew(self) -> None:
+        pass  # a cluster replaces its own workers
+
     def check(self) -> None:
         try:
             self.client.wait_for_workers(1, timeout=10)
@@ -196,3 +189,6 @@ class Cluster(Pool):
     def close(self, hurry: bool) -> None:
         self.executor.shutdown(wait=not hurry)
         self.client.close(timeout=5)
+
+
+Pool = Processes | Cluster

@@ -1,0 +1,45 @@
+"""The public names: what a type checker and a user see of them."""
+
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import eqsim
+
+ROOT = Path(__file__).parent.parent
+USER = """\
+import eqsim
+from eqsim import Drive, Ensemble, Thermal, reference, steady
+found = steady(Ensemble(thermal=Thermal(kT=0.1)), Drive(velocity=0.1)).friction.value
+reveal_type(eqsim.__version__)
+reveal_type(found)
+reveal_type(Ensemble)
+reference(Ensemble(), 0.1)
+eqsim.Ensembel
+"""
+
+
+def test_a_type_checker_sees_classes(tmp_path):
+    """Their fields and mistakes in calls, also if it is strict."""
+    (tmp_path / "user.py").write_text(USER)
+    command = [sys.executable, "-m", "mypy", "--strict", "--no-error-summary", str(tmp_path / "user.py")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    said = [line.partition("user.py:")[2] for line in done.stdout.splitlines() if "user.py" in line]
+    assert said[:2] == ['4: note: Revealed type is "str"', '5: note: Revealed type is "float | None"'], done.stdout
+    assert said[2].startswith('6: note: Revealed type is "def (thresholds: ')
+    assert said[3].startswith('7: error: Argument 2 to "reference" has incompatible type "float"; expected "Drive"')
+    assert said[4].startswith('8: error: Module has no attribute "Ensembel"')
+    assert len(said) == 5
+
+
+def test_public_names():
+    assert eqsim.__version__ == metadata.version("eqsim")
+    names: dict[str, object] = {}
+    exec("from eqsim import *", names)
+    assert set(eqsim.__all__) <= set(names)
+    assert names["run"] is eqsim.workflows.run.run
+    with pytest.raises(AttributeError, match="module 'eqsim' has no attribute 'Ensembel'"):
+        eqsim.Ensembel  # noqa: B018
