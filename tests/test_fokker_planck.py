@@ -280,3 +280,12 @@ def test_order(case):
         stops = np.sort(np.append(stops, 0.5 * (stops[1:] + stops[:-1])))
         found.append(totals(0.12, stops))
     assert np.all(np.abs(found[0] - found[1]) > 8 * np.abs(found[1] - found[2]))
+
+
+def test_laws_with_equal_numbers():
+    """Solutions are remembered, and those of a soft and a stiff barrier of the same b and log_w are not the same."""
+    case = Gamma(1.0), "uniform"
+    soft, stiff = (contacts(*case, name, 3.0, 1.0, 1.0, 4.0, fluctuates=True) for name in ("soft", "stiff"))
+    assert soft == stiff  # as tuples of numbers
+    found = [fokker_planck.survival(s).stretch for s in (soft, stiff)]
+    assert abs(found[0] / found[1] - 1) > 0.01

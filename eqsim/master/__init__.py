@@ -1,1 +1,2 @@
-"""The master room expects: it computes what the engine estimates, and shares nothing with it but the contact laws."""
+"""The reference: exact expectations of what the engine estimates, by master equations. It shares the reduction of
+parameters and the contact laws with the engine, and no solver."""

@@ -176,22 +176,13 @@ class _Life:
         """k_i/k."""
         return relative_stiffness(self.stiffness, xi, self.rms)
 
-    def gains(self, x: float, grid: "_Grid", u: Array) -> Array:
-        """S and x E[k_i/k] of the pinned contacts."""
-        share, kappa = self.pinned(x, grid, u)
-        return np.array([share.sum(), x * np.dot(share, kappa)])
-
     def survivors(self, x: float, grid: "_Grid", u: Array) -> Array:
-        """S, E[k_i/k] and E[(k_i/k)^2] of the pinned contacts."""
-        share, kappa = self.pinned(x, grid, u)
-        return np.array([share.sum(), np.dot(share, kappa), np.dot(share, kappa**2)])
-
-    def pinned(self, x: float, grid: "_Grid", u: Array) -> tuple[Array, Array]:
-        """Contacts at each node as a share of all births, and their k_i/k."""
+        """S, E[kappa; pinned] and E[kappa^2; pinned] at stretch x."""
         s = self.scale(x)
         eta = x / s + grid.y
         share = np.exp(self.log_norm + (2 * self.n + 1) * np.log(eta) - eta**2) * grid.width * u
-        return share, self.kappa(s * eta)
+        kappa = self.kappa(s * eta)
+        return np.array([share.sum(), np.dot(share, kappa), np.dot(share, kappa**2)])
 
 
 class _Grid:
@@ -265,25 +256,24 @@ class _March(NamedTuple):
 
 def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
     """u from x = 0 on: by steps that end at `stops`, or of controlled error until nothing that matters is left."""
-    u, slope = np.ones(grid.y.size), life.matrix(0.0, grid)
-    slope[0, 0] = 0.0  # it belongs to the boundary, where u = 0
-    u_slope = slope.sum(axis=0)
+    u, matrix = np.ones(grid.y.size), life.matrix(0.0, grid)
+    matrix[0, 0] = 0.0  # it belongs to the boundary, where u = 0
+    slope = matrix.sum(axis=0)
     path, values, totals = [0.0], [life.survivors(0.0, grid, u)], [np.zeros(2)]
     h = 1e-10 * min(life.end, math.exp(-life.barrier.log_w))
     for _ in range(_MOST_STEPS):
         x = path[-1]
         h = min(h, life.end - x) if stops is None else stops[len(path)] - x
-        step = _step(life, grid, x, h, u, u_slope)
-        survivors = life.survivors(x + h, grid, step.u)
+        step = _step(life, grid, x, h, (u, slope, values[-1]))
         if stops is None:
             # u never grows, neither in the mean nor anywhere, so that errors at most add up
             error = np.abs(step.u_error)
             sizes = (
-                life.survivors(x + h, grid, error) / survivors,
+                life.survivors(x + h, grid, error) / step.survivors,
                 np.abs(step.gain_error) / (totals[-1] + step.gain),
                 [0.1 * error.max() / step.u.max()],
             )
-            size = np.append(np.concatenate(sizes) / _TOLERANCE, ((values[-1][0] - survivors[0]) / _FALL) ** 4)
+            size = np.append(np.concatenate(sizes) / _TOLERANCE, ((values[-1][0] - step.survivors[0]) / _FALL) ** 4)
             worst = max(float(np.where(size >= 0.0, size, np.inf).max()), 1e-9)
             following = h * min(5.0, max(0.1, 0.9 * worst**-0.25))
             if worst > 1.0:
@@ -292,35 +282,37 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
             h, after = min(following, _STRIDE * life.end), x + h
         else:
             after = stops[len(path)]
-        u, u_slope = step.u, step.slope
+        u, slope = step.u, step.slope
         path.append(after)
-        values.append(survivors)
+        values.append(step.survivors)
         totals.append(totals[-1] + step.gain)
-        left = survivors[:2] * (life.end - after, life.end**2)
+        left = step.survivors[:2] * (life.end - after, life.end**2)
         if (np.all(left < _NEGLIGIBLE * totals[-1]) or after >= life.end) if stops is None else len(path) == stops.size:
             return _March(np.array(path), np.array(values).T, np.array(totals).T)
     raise ArithmeticError(f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}")
 
 
 class _Step(NamedTuple):
-    """u and du/dx after a step, (int S, int x E[k_i/k]) over it, and the estimated errors of u and of these."""
+    """u, du/dx and `survivors` after a step, stretch and work gained, and the estimated errors of u and of these."""
 
     u: Array
     slope: Array
+    survivors: Array
     gain: Array
     u_error: Array
     gain_error: Array
 
 
-def _step(life: _Life, grid: _Grid, x: float, h: float, u: Array, slope: Array) -> _Step:
-    """From x to x + h."""
-    slopes, rates = np.empty((6, u.size)), np.empty((6, 2))
-    slopes[0], rates[0] = slope, life.gains(x, grid, u)
+def _step(life: _Life, grid: _Grid, x: float, h: float, start: tuple[Array, Array, Array]) -> _Step:
+    """From u, du/dx and `survivors` at x to x + h."""
+    u, slope, survivors = start
+    slopes, alive, at = np.empty((6, u.size)), np.empty((6, 3)), x + _C * h
+    slopes[0], alive[0] = slope, survivors
     for i in range(1, 6):
-        at = x + _C[i] * h
         known = u + h * (_A[i, :i] @ slopes[:i])
-        lower, main, upper = life.matrix(at, grid) * (-_GAMMA * h)
+        lower, main, upper = life.matrix(at[i], grid) * (-_GAMMA * h)
         stage = linalg.lapack.dgtsv(lower[1:], 1.0 + main, upper[:-1], known)[3]
         slopes[i] = (stage - known) / (_GAMMA * h)
-        rates[i] = life.gains(at, grid, stage)
-    return _Step(stage, slopes[-1], h * (_B @ rates), h * (_B_ERROR @ slopes), h * (_B_ERROR @ rates))
+        alive[i] = life.survivors(at[i], grid, stage)
+    rates = alive[:, :2] * np.stack((np.ones(6), at), axis=1)
+    return _Step(stage, slopes[-1], alive[-1], h * (_B @ rates), h * (_B_ERROR @ slopes), h * (_B_ERROR @ rates))
