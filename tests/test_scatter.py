@@ -12,10 +12,10 @@ import scipy.stats
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, reference, trajectory
 from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
-from eqsim.engine.scatter import births, independent, known_variance, scatter
+from eqsim.engine.scatter import births, known_variance, scatter
 from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import FRESH
-from eqsim.engine.trajectory import Totals, arguments
+from eqsim.engine.trajectory import Totals, arguments, independent
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
 from eqsim.model.reduced import drag_of

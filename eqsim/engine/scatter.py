@@ -168,28 +168,6 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     return np.append(0.0, edges[:-1] + 0.5 * step), moments
 
 
-def independent(c: Contacts, born: Births, drag: float) -> tuple[float, float, float]:
-    """How many lives like those that make the scatter there are to a unit of displacement, for their averages:
-    friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
-    these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
-    half of it how far Student's t is off in the mean (derived)."""
-    waits = c.delay.law.sample()
-    share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
-    stretch = np.repeat(born.stretch, waits.size)
-    work = 0.5 * np.repeat(born.stiffness, waits.size) * stretch**2
-    cycle = stretch + wait
-
-    def alike(reward: Array, per: Array) -> float:
-        with np.errstate(all="ignore"):
-            residual = reward - np.sum(share * reward) / np.sum(share * per) * per
-            residual *= np.abs(residual) > 1e-12 * np.abs(reward)  # rounding
-            cubes = share * residual**3
-            square, cube = np.sum(share * residual**2), max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0]))
-            return float(1.0 / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
-
-    return alike(work + drag * wait, cycle), alike(stretch, cycle), alike(stretch, np.ones(stretch.size))
-
-
 def known_variance(law: Scatter, level: Scatter, sample: Array, contacts: int) -> tuple[Array, Array]:
     """Variance of the mean force of `contacts` contacts whose forces scatter with variance `sample`, and a bound on the
     probability that the mean is off by more than five times its root; `level` is the stationary state.

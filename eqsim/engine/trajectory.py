@@ -19,12 +19,12 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import rough_stretch, typical_lives
 from eqsim.engine.langevin import STEP_ERROR, step_error
 from eqsim.engine.recorder import AREA, BATCHES, BREAKS, ELAPSED, PINNED, STRETCH, Recorder, Run, Scales, moments
-from eqsim.engine.scatter import ENOUGH, Scatter, births, independent, known_variance, scatter
+from eqsim.engine.scatter import ENOUGH, Births, Scatter, births, known_variance, scatter
 from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import FRESH, Stationary, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import Averages, Estimate, drifts, known, ratio
+from eqsim.estimate import OBSERVABLES, Averages, Estimate, drifts, known, ratio
 from eqsim.model.drive import Drive, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
@@ -184,8 +184,9 @@ def trajectory(
         std = np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)) * unit
     second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    friction, pinned_fraction, _ = second_half
+    friction, pinned_fraction = second_half[:2]
     gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
+    units = [unit if shown.unit == "length" else 1.0 for shown in OBSERVABLES.values()]
     enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
     return Trajectory(
         X=grid,
@@ -199,7 +200,7 @@ def trajectory(
         averages=Averages(
             *(
                 _in(_widened(one, bias), size, gone and seen)
-                for one, size, seen in zip(second_half, (unit, 1.0, unit), enough, strict=True)
+                for one, size, seen in zip(second_half, units, enough, strict=True)
             )
         ),
         lives=total.lives,
@@ -212,7 +213,7 @@ def trajectory(
 @lru_cache(maxsize=32)
 def _expected(
     ensemble: Ensemble, velocity: float, mean_stretch: float | None, distance: float | None
-) -> tuple[Scatter, Scatter, tuple[float, float, float]]:
+) -> tuple[Scatter, Scatter, tuple[float, ...]]:
     """What the law says of the scatter of forces over a distance and in the stationary state, and of how many
     `independent` lives there are to a unit of displacement. Remembered: it takes 20 ms, and seeds share it."""
     c, drag = contacts(ensemble, velocity, mean_stretch), drag_of(ensemble, velocity)
@@ -220,6 +221,28 @@ def _expected(
     level = scatter(c, born, None, drag)
     law = level if distance is None else scatter(c, born, distance, drag)
     return law, level, independent(c, born, drag)
+
+
+def independent(c: Contacts, born: Births, drag: float) -> tuple[float, ...]:
+    """How many lives like those that make the scatter there are to a unit of displacement, for their averages:
+    friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
+    these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
+    half of it how far Student's t is off in the mean (derived)."""
+    waits = c.delay.law.sample()
+    share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
+    stretch = np.repeat(born.stretch, waits.size)
+    work = 0.5 * np.repeat(born.stiffness, waits.size) * stretch**2
+    cycle = stretch + wait
+
+    def alike(reward: Array, per: Array) -> float:
+        with np.errstate(all="ignore"):
+            residual = reward - np.sum(share * reward) / np.sum(share * per) * per
+            residual *= np.abs(residual) > 1e-12 * np.abs(reward)  # rounding
+            cubes = share * residual**3
+            square, cube = np.sum(share * residual**2), max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0]))
+            return float(1.0 / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
+
+    return alike(work + drag * wait, cycle), alike(stretch, cycle), alike(stretch, np.ones(stretch.size))
 
 
 class Totals:
@@ -335,7 +358,7 @@ def _simulate_all(
     return totals[0]
 
 
-def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tuple[Estimate, Estimate, Estimate]:
+def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tuple[Estimate, ...]:
     """Averages over the second half of the distance; unreliable if its two quarters differ by more than 4 sigma, or
     fewer contacts broke in it than there are batches."""
     columns = (AREA, PINNED, ELAPSED, BREAKS, STRETCH)
