@@ -117,7 +117,8 @@ def test_observables_are_estimated_where_it_says():
     found = re.findall(r"`([\w/.]+)`", steps)
     assert found == [
         "Averages", "eqsim/estimate.py", "_averages", "eqsim/engine/steady.py", "_second_half",
-        "eqsim/engine/trajectory.py", "independent", "eqsim/engine/trajectory.py", "reference", "eqsim/master/steady.py",
+        "eqsim/engine/trajectory.py", "independent", "eqsim/engine/trajectory.py", "reference",
+        "eqsim/master/steady.py",
     ]  # fmt: skip
     for name, path in zip(found, [*found[1:], ""], strict=True):
         if path.endswith(".py"):
