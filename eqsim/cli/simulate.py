@@ -164,7 +164,8 @@ def reference(
         from eqsim.master.transient import transient as solve_transient
 
         curve = (solve_closure if closure else solve_transient)(ensemble, drive, file.output.points)
-        columns = {field.name: getattr(curve, field.name) for field in fields(curve)}
+        every = {field.name: getattr(curve, field.name) for field in fields(curve)}
+        columns = {name: column for name, column in every.items() if column is not None}
         shown.report(columns, notes=_tab_separated(columns))
         return
     from eqsim.master.steady import reference as solve
