@@ -348,6 +348,9 @@ def test_reference_curves(tmp_path):
         columns = json.loads(result.stdout)
         assert {"X", "force", "breaks", "force_error", extra} <= set(columns)
         assert all(len(column) == 21 for column in columns.values())
+        header, *rows = CliRunner().invoke(app, ["reference", str(path), flag]).stdout.splitlines()
+        assert header.split("\t") == list(columns)
+        assert [float(row.split("\t")[1]) for row in rows] == pytest.approx(columns["force"], rel=1e-9, abs=0)
     result = CliRunner().invoke(app, ["reference", str(path), "--closure", "--set", "disorder=quenched"])
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")
