@@ -131,7 +131,7 @@ def test_pooled_law(pool):
     n, final, decay = pool
     law = PooledThresholds(Gamma(n, 2.0), 2.0 * final, decay)
     e = np.concatenate((np.geomspace(1e-12, 0.5, 12), np.geomspace(0.7, 500.0, 15)))
-    x = law.exceeded_by(e)
+    x = law.inverse_survival(e)
     assert np.all(np.diff(x) > 0)
     log_sf, log_pdf, log_cdf = mixture(n, final, decay, x / 2.0)
     exact = np.where(e < 0.6, -np.log1p(-np.exp(np.minimum(log_cdf, -0.1))), -log_sf)
@@ -162,7 +162,7 @@ def test_pooled_quantiles_far_below(n):
     """Where nobody is, too: a power of xi, as of the newborn law, without a warning."""
     law = PooledThresholds(Gamma(n), 12.0, 0.7)
     with np.errstate(all="raise"):
-        x = law.exceeded_by(np.geomspace(1e-300, 511.0, 2000))
+        x = law.inverse_survival(np.geomspace(1e-300, 511.0, 2000))
     assert np.all(np.diff(x) > 0)
     assert x[0] ** (2 * n + 2) == pytest.approx(x[1] ** (2 * n + 2) * (1e-300 / 511.0) ** (1 / 1999), rel=1e-9, abs=0)
 
@@ -174,12 +174,12 @@ def test_pooled_limits():
     e = np.geomspace(1e-10, 99.0, 50)
     for decay, like in ((1e-14, newborn), (math.inf, Gamma(1.5, 12.0))):
         law = PooledThresholds(newborn, 12.0, decay)
-        np.testing.assert_allclose(law.exceeded_by(e), like.exceeded_by(e), rtol=5e-9)
+        np.testing.assert_allclose(law.inverse_survival(e), like.inverse_survival(e), rtol=5e-9)
         assert law.mean == pytest.approx(like.mean, rel=1e-12, abs=0)
         assert (law.scale, law.rms) == (newborn.scale, newborn.rms)
     for final, decay in ((12.0, 0.7), (0.3, 20.0)):
         law = PooledThresholds(newborn, final, decay)
-        total, _ = integrate.quad(law.sf, 0.0, float(law.exceeded_by(60.0)), limit=500, epsabs=0, epsrel=1e-11)
+        total, _ = integrate.quad(law.sf, 0.0, float(law.inverse_survival(60.0)), limit=500, epsabs=0, epsrel=1e-11)
         assert law.mean == pytest.approx(total, rel=1e-9, abs=0)
     assert law.sf(0.0) == 1.0
     assert law.cdf(-1.0) == law.pdf(0.0) == 0.0
@@ -215,7 +215,7 @@ def test_pooled_table_in_any_unit(x_star):
     law = PooledThresholds(Gamma(1.0, x_star), 3.0 * x_star, 0.7)
     table, e = law.table(), np.random.default_rng(6).permutation(np.geomspace(1e-8, 99.0, 2000))
     drawn = draws(table, np.exp(-e))
-    np.testing.assert_allclose(drawn * x_star, law.exceeded_by(e), rtol=2e-7)
+    np.testing.assert_allclose(drawn * x_star, law.inverse_survival(e), rtol=2e-7)
 
 
 # ----------------------------------------------------------------------------------------------------------- flow

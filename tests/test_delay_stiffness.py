@@ -111,7 +111,7 @@ def test_sqrt_law_is_the_root_of_the_force(n):
 def test_sqrt_law_makes_forces_gamma(n):
     """f_si follows f^n exp(-f/f_*) (eq:pcf) under the sqrt law, and does not under the uniform one."""
     law = Gamma(n, 2.0)
-    xi = law.exceeded_by(-np.log(UNIFORMS))
+    xi = law.inverse_survival(-np.log(UNIFORMS))
     gamma = scipy.stats.gamma(n + 1, scale=law.rms / (n + 1))
     assert ks(relative_stiffness("sqrt", xi, law.rms) * xi, gamma.cdf) > 1e-5
     assert ks(relative_stiffness("uniform", xi, law.rms) * xi, gamma.cdf) < 1e-5  # negative control

@@ -30,7 +30,7 @@ SMOOTH = [
 def grid(ensemble, points=4001, least=1e-12):
     """Stretches, equidistant in ln x, up to one that a fraction exp(-45) of the thresholds exceeds."""
     law = ensemble.thresholds
-    return np.geomspace(least * law.scale, float(law.exceeded_by(45.0)), points)
+    return np.geomspace(least * law.scale, float(law.inverse_survival(45.0)), points)
 
 
 def cumulative(x, density):
@@ -89,7 +89,7 @@ def test_discrete_laws(law, disorder):
 def test_marginal_of_the_joint_density(ensemble, v):
     """int dxi of the joint density is Q, by adaptive quadrature to 1e-10; beyond their threshold are no contacts."""
     state, mean = StationaryState(ensemble, Drive(v)), ensemble.thresholds.mean
-    top = float(ensemble.thresholds.exceeded_by(45.0))
+    top = float(ensemble.thresholds.inverse_survival(45.0))
     for x in (0.0, 0.1 * mean, 0.9 * mean, 1.7 * mean):
         ends = np.append(x + (top - x) * np.array([0.0, 0.01, 0.05, 0.2, 0.5]), top)
         parts = [

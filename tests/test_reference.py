@@ -235,7 +235,7 @@ def test_error_estimates(disorder, monkeypatch):
 
 def test_laws_agree():
     """Weibull thresholds of shape 2 are n = 0; a fine table of quantiles is nearly the law it was taken from."""
-    fine = Table(Gamma(1.0).exceeded_by(-np.log((np.arange(800) + 0.5) / 800)))
+    fine = Table(Gamma(1.0).inverse_survival(-np.log((np.arange(800) + 0.5) / 800)))
     for disorder in ("quenched", "annealed"):
         given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
         ours, theirs = Ensemble(Gamma(0.0), **given), Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given)

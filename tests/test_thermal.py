@@ -315,7 +315,7 @@ def test_pooled_rate_of_narrow_laws(law, b):
         special.expit(-2 * np.sinh(t)),
         2 * np.cosh(t) * special.expit(2 * np.sinh(t)) * special.expit(-2 * np.sinh(t)),
     )
-    xi = law.exceeded_by(-np.log(tail)) / law.scale
+    xi = law.inverse_survival(-np.log(tail)) / law.scale
     y = np.array([0.1, 0.5]) * law.mean / law.scale
     exact = [np.sum(weight * np.exp(Soft.log_rate(v, xi, b))) * (t[1] - t[0]) for v in y]
     np.testing.assert_allclose(pooled_rate(law, "uniform", Soft, b, y), exact, rtol=ERROR["smooth"])
@@ -584,7 +584,7 @@ def survival(ensemble, velocity):
     """S(x) = P(x_b > x) of newborn contacts as a function: over thresholds by Gauss-Legendre in -ln of their rank
     (quenched), or J_c(x) exp(-(omega/v) G(x)) (annealed)."""
     law, barrier, b = ensemble.thresholds, BARRIERS[ensemble.thermal.barrier], ensemble.b
-    x = np.linspace(0.0, float(law.exceeded_by(20.0)), 300)[1:]
+    x = np.linspace(0.0, float(law.inverse_survival(20.0)), 300)[1:]
     w = ensemble.thermal.attempt_frequency / velocity
     if ensemble.disorder == "annealed":
         G = integrated_rate(law, ensemble.stiffness_law, barrier, b, x / law.scale)
@@ -593,7 +593,7 @@ def survival(ensemble, velocity):
         node, weight = np.polynomial.legendre.leggauss(60)
         start = -np.log(law.sf(x))[:, None]
         e = start + 15.0 * (node + 1) ** 2 / 4 * 2  # up to 30 beyond, denser at the beginning
-        xi = law.exceeded_by(e)
+        xi = law.inverse_survival(e)
         a = b / law.scale**2 * relative_stiffness(ensemble.stiffness_law, xi, law.rms)
         loss = w * np.exp(barrier.log_hazard(np.broadcast_to(x[:, None], xi.shape), xi, a))
         s = np.sum(weight * 15.0 * (node + 1) * np.exp(-e - loss), axis=1)
@@ -606,7 +606,7 @@ def break_stretches(ensemble, velocity, count=40_000):
     u, v = np.array([uniforms(stream, i, 0, 0) for i in range(count)]).T.copy()
     work, stretch = lives(contacts(ensemble, velocity), stream, 0, u, v)
     stiffness = 2.0 * work / stretch**2
-    xi = ensemble.thresholds.exceeded_by(-np.log(u))
+    xi = ensemble.thresholds.inverse_survival(-np.log(u))
     np.testing.assert_allclose(
         stiffness, relative_stiffness(ensemble.stiffness_law, xi, ensemble.thresholds.rms), rtol=1e-9
     )
@@ -650,7 +650,7 @@ def test_lives_spend_their_clocks(disorder, stiffness, barrier):
     ensemble = Ensemble(law, Thermal(2.0, 1.5, barrier), stiffness=0.5, stiffness_law=stiffness, disorder=disorder)
     u, v = np.random.default_rng(14).random((2, 400))
     _, x = lives(contacts(ensemble, 1.0), key(0, TRAJECTORY), 0, u, v)
-    xi, b, w = law.exceeded_by(-np.log(u)) / law.scale, ensemble.b, 1.5 * law.scale
+    xi, b, w = law.inverse_survival(-np.log(u)) / law.scale, ensemble.b, 1.5 * law.scale
     if disorder == "annealed":
         at, back = np.unique(x, return_inverse=True)
         spent = w * integrated_rate(law, stiffness, BARRIERS[barrier], b, at)[back]

@@ -79,9 +79,9 @@ def test_gamma_against_forty_digits(n):
 
 @pytest.mark.parametrize("n", SHAPES)
 def test_quantile_inverts_the_survival(n):
-    """J_c(exceeded_by(e)) = exp(-e), up to relative errors of 1e-13 in xi (d ln J_c = -xi P_c/J_c d ln xi) and in e."""
+    """J_c of it is exp(-e), up to relative errors of 1e-13 in xi (d ln J_c = -xi P_c/J_c d ln xi) and in e."""
     law, e = Gamma(n, 3.0), np.geomspace(1e-15, 500, 600)
-    xi = law.exceeded_by(e)
+    xi = law.inverse_survival(e)
     small = e < 0.7
     found = np.append(-np.log1p(-law.cdf(xi[small])), -np.log(law.sf(xi[~small])))
     assert np.all(np.abs(found - e) < 1e-13 * (e + xi * law.pdf(xi) / law.sf(xi)))
@@ -95,7 +95,7 @@ def test_discrete_laws():
     x = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
     np.testing.assert_array_equal(law.cdf(x), [0, 0.25, 0.25, 0.75, 1, 1])
     np.testing.assert_array_equal(law.sf(x), 1 - law.cdf(x))
-    np.testing.assert_array_equal(law.exceeded_by(-np.log([0.1, 0.26, 0.6, 0.8, 1.0])), [3, 2, 2, 1, 1])
+    np.testing.assert_array_equal(law.inverse_survival(-np.log([0.1, 0.26, 0.6, 0.8, 1.0])), [3, 2, 2, 1, 1])
     one = Delta(2.0)
     assert (one.mean, one.rms, one.scale, one.support) == (2.0, 2.0, 2.0, (2.0, 2.0))
     np.testing.assert_array_equal(one.sf([1.0, 2.0, 3.0]), [1, 0, 0])
@@ -130,7 +130,7 @@ def test_distribution_is_what_scipy_says(name):
     assert law.rms == pytest.approx(math.hypot(frozen.mean(), frozen.std()), rel=1e-15, abs=0)
     assert law.support == frozen.support()
     e = np.array([1e-12, 1e-3, 0.5, 0.7, 3.0, 40.0])
-    np.testing.assert_allclose(law.sf(law.exceeded_by(e)), np.exp(-e), rtol=1e-9, atol=2 * EPS)
+    np.testing.assert_allclose(law.sf(law.inverse_survival(e)), np.exp(-e), rtol=1e-9, atol=2 * EPS)
 
 
 # -------------------------------------------------------------------------------------------------- kernel side
@@ -143,7 +143,7 @@ def test_draw_is_the_quantile(n):
     u = np.concatenate((2.0 ** rng.uniform(-64, 0, 4000), -np.expm1(-(2.0 ** rng.uniform(-53, 0, 4000)))))
     u = np.concatenate((1.0 - u, u, [SMALLEST, LARGEST]))
     u = u[(u >= SMALLEST) & (u <= LARGEST)]
-    np.testing.assert_allclose(drawn(law, u), law.exceeded_by(-np.log(u)), rtol=TABLE_ERROR + 1e-13)
+    np.testing.assert_allclose(drawn(law, u), law.inverse_survival(-np.log(u)), rtol=TABLE_ERROR + 1e-13)
 
 
 @pytest.mark.parametrize("name", ["lognorm", "weibull", "beta"])
@@ -151,7 +151,7 @@ def test_draw_of_a_distribution_is_the_quantile(name):
     """The same for smooth SciPy laws, to 1e-9 where a kernel's uniforms fall."""
     law, rng = Distribution(FROZEN[name]), np.random.default_rng(4)
     u = np.concatenate((2.0 ** rng.uniform(-64, 0, 2000), 1 - 2.0 ** rng.uniform(-53, -1, 2000), [SMALLEST, LARGEST]))
-    np.testing.assert_allclose(drawn(law, u), law.exceeded_by(-np.log(u)), rtol=1e-9)
+    np.testing.assert_allclose(drawn(law, u), law.inverse_survival(-np.log(u)), rtol=1e-9)
 
 
 def test_the_table_covers_every_uniform():
@@ -175,7 +175,7 @@ def test_ranks_are_equally_likely(size):
     np.testing.assert_array_equal(drawn(law, middles), steps[::-1] / law.scale * law.scale)
     assert drawn(law, [SMALLEST])[0] == pytest.approx(size, rel=2 * EPS, abs=0)
     assert drawn(law, [LARGEST])[0] == pytest.approx(1.0, rel=2 * EPS, abs=0)
-    np.testing.assert_allclose(drawn(law, middles), law.exceeded_by(-np.log(middles)), rtol=2 * EPS)
+    np.testing.assert_allclose(drawn(law, middles), law.inverse_survival(-np.log(middles)), rtol=2 * EPS)
 
 
 # ------------------------------------------------------------------------------------------------------ by draws

@@ -250,7 +250,7 @@ def test_points_can_be_made_again():
     for _, ensemble, v, text in once:
         law = eval(text, names)
         e = np.geomspace(1e-10, 40.0, 50)
-        np.testing.assert_array_equal(law.exceeded_by(e), ensemble.thresholds.exceeded_by(e))
+        np.testing.assert_array_equal(law.inverse_survival(e), ensemble.thresholds.inverse_survival(e))
         row = columns([Score("friction", ensemble, v, 1.0, 1.0, 1.0, 0.0)])
         assert row["thresholds"] == [text]
         aging = Aging(row["aging"][0], row["aging_rate"][0], np.nan_to_num(row["x_star_final"][0], nan=1.0))

@@ -10,7 +10,7 @@ from scipy import optimize
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.laws.aging import Langevin
-from eqsim.laws.aging.base import lives as break_lives
+from eqsim.laws.aging.base import break_lives
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.barrier.base import thermal
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw

@@ -137,10 +137,10 @@ def chi_square(shape: float, square: float, product: float) -> float:
 def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u: float) -> float:
     """Chi-square of 2 shape + 1 degrees of freedom, or 0, which means to try again with another draw but the same
     uniform `u` (Marsaglia and Tsang, 2000, for the shape 1/2 + shape >= 1/2, raised by 1 if below 1)."""
-    alpha, lift = shape + 0.5, 1.0
-    if alpha < 1.0:
-        lift, alpha = exp(log(u) / alpha), alpha + 1.0
-    third = alpha - 1.0 / 3.0
+    half, lift = shape + 0.5, 1.0
+    if half < 1.0:
+        lift, half = exp(log(u) / half), half + 1.0
+    third = half - 1.0 / 3.0
     a, b, d, _ = midpoints(key, contact, life, draw)
     z, _ = normals_of(a, b)
     root = max(1.0 + z / math.sqrt(9.0 * third), 1e-30)  # so small, and below 0, it is refused

@@ -70,7 +70,7 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
     active, upcoming = np.int64(0), np.int64(first)  # typed: a literal 0 would be compiled for itself
     while True:
         if 2 * active <= LANES:
-            active, upcoming = _seed(c, stationary, recorder, key, lanes, journey, (active, upcoming, np.int64(last)))
+            active, upcoming = _start(c, stationary, recorder, key, lanes, journey, (active, upcoming, np.int64(last)))
         if active == 0 or recorder.status[1] != 0:
             return
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
@@ -114,7 +114,7 @@ def _joined(c: Contacts, recorder: Recorder) -> bool:
 
 
 @routine
-def _seed(
+def _start(
     c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, lanes: Lanes, journey: Journey,
     queue: tuple[int, int, int],
 ) -> tuple[int, int]:  # fmt: skip

@@ -1,6 +1,7 @@
 """Run files: TOML in, checked, turned into an Ensemble and a Drive.
 
-Structure and types are checked here; what a value may be is known to the law it belongs to.
+Structure and types are checked here; what a value may be is known to the law it belongs to. `workflows.run` simulates
+what comes out, and `model.reduced` makes it dimensionless.
 """
 
 import csv
@@ -107,9 +108,9 @@ class RunFile(_Section):
     def ensemble(self, folder: Path) -> Ensemble:
         """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
         with under("thermal"):
-            thermal = Thermal(**dict(self.thermal))
+            thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)
         with under("delay"):
-            delay = Delay(**dict(self.delay))
+            delay = Delay(self.delay.time, self.delay.law)
         law = self._threshold_law(folder)
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         given, final = self.aging.model_fields_set, self.aging.x_star_final
@@ -123,9 +124,19 @@ class RunFile(_Section):
                 raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
         with under("viscosity"):
             require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
-        others: dict[str, Any] = {**dict(self.contacts), "disorder": self.disorder, "eta": self.viscosity.eta}
+        many = self.contacts
         with under("contacts"):
-            return Ensemble(thresholds=law, thermal=thermal, delay=delay, aging=aging, **others)
+            return Ensemble(
+                count=many.count,
+                stiffness=many.stiffness,
+                stiffness_law=many.stiffness_law,  # type: ignore[arg-type]  # checked there
+                thresholds=law,
+                thermal=thermal,
+                delay=delay,
+                aging=aging,
+                disorder=self.disorder,  # type: ignore[arg-type]
+                eta=self.viscosity.eta,
+            )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
         given = self.thresholds
@@ -147,7 +158,7 @@ class RunFile(_Section):
         if self.drive.velocity is None:
             raise InputError("drive.velocity: is required")
         with under("drive"):
-            return Drive(**dict(self.drive))
+            return Drive(self.drive.velocity, self.drive.distance, start=self.drive.start)  # type: ignore[arg-type]
 
     def check_output(self) -> None:
         """Raise InputError unless the size and seed of a recording can be used."""

@@ -68,11 +68,11 @@ class ThresholdLaw(Protocol):
     def sf(self, x: Any) -> Array:
         """J_c(x) = P(xi > x)."""
 
-    def exceeded_by(self, e: Any) -> Array:
+    def inverse_survival(self, e: Any) -> Array:
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
 
     def table(self) -> Array:
-        """`exceeded_by` in units of `scale` for `threshold_draw`; empty for a discrete law."""
+        """`inverse_survival` in units of `scale` for `threshold_draw`; empty for a discrete law."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Gamma:
     def sf(self, x: Any) -> Array:
         return np.asarray(special.gammaincc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2))
 
-    def exceeded_by(self, e: Any) -> Array:
+    def inverse_survival(self, e: Any) -> Array:
         e = np.asarray(e, float)
         low = special.gammaincinv(self.n + 1.0, -np.expm1(-e))
         high = special.gammainccinv(self.n + 1.0, np.exp(-e))
@@ -152,7 +152,7 @@ class Gamma:
 
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
-        u = self.exceeded_by(e) / self.x_star
+        u = self.inverse_survival(e) / self.x_star
         slope = 0.5 * np.exp(u**2 - e + special.gammaln(self.n + 1.0) - (2 * self.n + 1) * np.log(u))  # J_c/P_c
         return octave_table(FIRST_OCTAVE, u, slope)
 
@@ -196,7 +196,7 @@ class _Discrete:
     def sf(self, x: Any) -> Array:
         return 1.0 - self.cdf(x)
 
-    def exceeded_by(self, e: Any) -> Array:
+    def inverse_survival(self, e: Any) -> Array:
         rank = (np.exp(-np.asarray(e, float)) * self.steps.size).astype(np.int64)
         return self.steps[self.steps.size - 1 - np.minimum(rank, self.steps.size - 1)]
 
@@ -323,13 +323,13 @@ class Distribution:
     def sf(self, x: Any) -> Array:
         return np.asarray(self.frozen.sf(x))
 
-    def exceeded_by(self, e: Any) -> Array:
+    def inverse_survival(self, e: Any) -> Array:
         e = np.asarray(e, float)
         return np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
 
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
-        xi = self.exceeded_by(e)
+        xi = self.inverse_survival(e)
         if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
             raise InputError("threshold distribution: its ppf and isf must be finite, positive and monotone")
         with np.errstate(all="ignore"):
@@ -345,7 +345,7 @@ class Distribution:
         edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
         matter = (edges[:-1] > 1e-6) & (edges[:-1] < 40.0)
         e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
-        drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.exceeded_by(e) / self.scale
+        drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.inverse_survival(e) / self.scale
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
         return sum(float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in (1, 3))
 
@@ -362,7 +362,7 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     low, high = (edge / law.scale for edge in law.support)
     left = np.maximum(x, low)[:, None]
     e = np.exp(np.linspace(-36.0, math.log(100.0), 400))  # only panels depend on this table
-    xi = np.asarray(law.exceeded_by(e)) / law.scale
+    xi = np.asarray(law.inverse_survival(e)) / law.scale
     rank = np.interp(left, xi, e)
     edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
     inside = [np.broadcast_to(law.breakpoints / law.scale, (left.size, law.breakpoints.size))]

@@ -135,7 +135,7 @@ def _judged(p: Panels) -> tuple[Array, tuple[Array, Array]]:
 def _first_edges(s: Reduced) -> Array:
     """Ends of the first panels: from lives of newborn contacts to where no threshold is left."""
     law = s.law
-    marks = np.append(law.exceeded_by(_LAW), law.breakpoints) / law.scale
+    marks = np.append(law.inverse_survival(_LAW), law.breakpoints) / law.scale
     marks = marks[(marks > 0) & np.isfinite(marks)]
     top = marks.max()
     least, greatest = (edge / law.scale for edge in law.support)

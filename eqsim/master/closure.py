@@ -157,7 +157,7 @@ class _Pool:
             )
         self._rates = [self._rate(Gamma(n, scale)) for scale in self.x_star] if barrier.thermal else []
         # beyond, nothing survives
-        self.top = float(Gamma(n, math.exp(0.5 * self._high)).exceeded_by(45.0))
+        self.top = float(Gamma(n, math.exp(0.5 * self._high)).inverse_survival(45.0))
 
     def _log_square(self, age: Array) -> Array:
         """ln x_*^2 after aging over a displacement."""
@@ -182,7 +182,9 @@ class _Pool:
         """Largest error of J_c and x P_c between the nodes."""
         probe = np.linspace(self._low, self._high, 3 * self._t.size + 1)
         scales = np.exp(0.5 * probe)
-        x = np.outer(scales[:: max(1, scales.size // 12)], Gamma(self.n).exceeded_by(np.geomspace(1e-3, 10, 7))).ravel()
+        x = np.outer(
+            scales[:: max(1, scales.size // 12)], Gamma(self.n).inverse_survival(np.geomspace(1e-3, 10, 7))
+        ).ravel()
         worst = 0.0
         for name, power in (("sf", 0), ("pdf", 1)):
             at = [np.array([getattr(Gamma(self.n, s), name)(x) * x**power for s in of]) for of in (self.x_star, scales)]
@@ -208,7 +210,7 @@ class _Pool:
 
     def _rate(self, law: Gamma) -> Callable[[Array], Array]:
         """Pooled rate h of one law (temper11, temper12) as a spline in logarithms."""
-        low, high = 1e-6, float(law.exceeded_by(60.0)) / law.scale
+        low, high = 1e-6, float(law.inverse_survival(60.0)) / law.scale
         log_y = np.linspace(math.log(low), math.log(high), 600)
         h = pooled_rate(law, "uniform", type(self.barrier), self.barrier.b * law.scale**2, np.exp(log_y))
         spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))

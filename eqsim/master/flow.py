@@ -204,7 +204,7 @@ def _hazard(s: Reduced, x: Array, xi0: Array) -> Array:
 def _births_at(s: Reduced, x: Array, least: Array) -> Array:
     """Roughly the birth whose hazard at x passes each level, shape (n, levels): only panels depend on it."""
     rarest = max(60.0, rarest_that_counts(s.barrier))
-    beyond = np.maximum(float(s.law.exceeded_by(rarest)) / s.law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
+    beyond = np.maximum(float(s.law.inverse_survival(rarest)) / s.law.scale - least, 1e-3 * least)[:, None] * _DEPTHS
     with np.errstate(divide="ignore"):
         log_hazard = np.log(_hazard(s, x, least[:, None] + beyond))
         for _ in range(2):

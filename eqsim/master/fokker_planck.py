@@ -148,7 +148,7 @@ class _Life:
         self.rms = law.rms
         self.log_norm = math.log(2.0) - special.gammaln(self.n + 1.0)
         # where lives are short by exp(-log_w), contacts as rare as that still count in the mean
-        self.top = float(law.exceeded_by(45.0 + max(barrier.log_w, 0.0)))
+        self.top = float(law.inverse_survival(45.0 + max(barrier.log_w, 0.0)))
         most = 2 * self.top * max(1.0, aging.final)
         self.end = float(optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, most))
 

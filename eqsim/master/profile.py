@@ -101,7 +101,7 @@ class _Smooth:
         self.error = _SPLINE if isinstance(s.law, (Gamma, PooledThresholds)) else _KINKED_SPLINE
         if isinstance(s.aging, Langevin):
             self.error = float(fokker_planck.survival(s).errors[0].max()) + _COARSE_SPLINE
-        rarest = float(s.law.exceeded_by(quenched.rarest_that_counts(s.barrier)))
+        rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
         top = math.log(rarest / s.law.scale * max(1.0, s.aging.final))
         # from where hardly a contact has broken: no rate exceeds omega
         first = -max(math.log(1e15), s.barrier.log_w + math.log(1e7))

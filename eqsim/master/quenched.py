@@ -122,7 +122,7 @@ def over_births(
     def evaluate(left: Array, right: Array, _: Array) -> Array:
         half = 0.5 * (right - left)[:, None]
         e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
-        found = np.array(moments(np.asarray(law.exceeded_by(e.ravel())) / law.scale)).reshape(2, 2, *e.shape)
+        found = np.array(moments(np.asarray(law.inverse_survival(e.ravel())) / law.scale)).reshape(2, 2, *e.shape)
         terms = found * (half * e * np.exp(-e))
         return np.concatenate((terms @ ClenshawCurtis.weights, np.abs(terms[:1] @ ClenshawCurtis.tail).sum(axis=3)))
 
@@ -143,7 +143,7 @@ def beyond(s: Reduced) -> Array:
     """C and work of the contacts beyond the last panel, shape (2,), not negligible where x^3 P_c is barely integrable:
     at T = 0, and as of a power law (derived)."""
     e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
-    xi = np.asarray(s.law.exceeded_by(e)) / s.law.scale
+    xi = np.asarray(s.law.inverse_survival(e)) / s.law.scale
     early, late = (np.array([xi, 0.5 * kappa_of(s, xi) * xi**2]) * np.exp(-e)).T
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = late * np.diff(e) / np.log(early / late)
@@ -190,7 +190,7 @@ def births_above(law: ThresholdLaw, x: Array, layer: Array | None, rarest: float
     edges = panels_above(law, x, layer)
     if rarest <= _COMMON:
         return edges
-    beyond = law.exceeded_by(np.arange(_COMMON, rarest, _RARER)) / law.scale + np.zeros((x.size, 1))
+    beyond = law.inverse_survival(np.arange(_COMMON, rarest, _RARER)) / law.scale + np.zeros((x.size, 1))
     if layer is not None:
         beyond = np.concatenate((layer, beyond), axis=1)
     return np.concatenate((edges, np.sort(np.maximum(beyond, edges[:, -1:]), axis=1)), axis=1)
@@ -198,7 +198,7 @@ def births_above(law: ThresholdLaw, x: Array, layer: Array | None, rarest: float
 
 def weakest(law: ThresholdLaw) -> Array:
     """Thresholds that 1e-14 to 1e-7 of the contacts stay below: edges of panels where the law rises steeply."""
-    return np.asarray(law.exceeded_by(10.0 ** np.arange(-14.0, -6.0))) / law.scale
+    return np.asarray(law.inverse_survival(10.0 ** np.arange(-14.0, -6.0))) / law.scale
 
 
 def _thresholds_at(s: Reduced, x: Array) -> Array:
@@ -208,7 +208,7 @@ def _thresholds_at(s: Reduced, x: Array) -> Array:
     """
     x = x[:, None]
     low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
-    high = np.log1p(float(s.law.exceeded_by(500.0)) / s.law.scale / x) + np.zeros_like(low)
+    high = np.log1p(float(s.law.inverse_survival(500.0)) / s.law.scale / x) + np.zeros_like(low)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         xi = x * (1.0 + np.exp(middle))

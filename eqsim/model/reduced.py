@@ -165,7 +165,7 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
     aging = ensemble.aging
     if aging.active:
         found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
-        found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "D_v, aging over sliding"))
+        found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "aging over sliding"))
     if ensemble.delay.time > 0:
         found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
     if ensemble.eta > 0:

@@ -12,8 +12,8 @@ import numpy as np
 
 from eqsim.numerics.compiled import inlined, routine
 
-TRAJECTORY = 1  # purposes: the trajectory of an ensemble
-STEADY = 2  # and the randomisations of a steady estimate
+TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
+STEADY = 2  # first purpose of a steady estimate; others are hashes of what it is an estimate of
 
 ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and more
 

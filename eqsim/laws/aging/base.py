@@ -102,8 +102,10 @@ def life(law: Any, barrier: Any, table: Array, springs: Springs, xi: float, cloc
 
 
 @by_law
-def lives(law: Any, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int) -> None:
-    """`life` of `count` contacts in the place of their thresholds `lanes.stretch[r]`, and their stiffness at birth.
+def break_lives(
+    law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int
+) -> None:
+    """`life` of `count` contacts in the place of their thresholds `lives.stretch[r]`, and their stiffness at birth.
     Clocks are overwritten, `row` is scratch."""
     raise TypeError("lives of this law of aging are paths")
 
@@ -125,11 +127,11 @@ def _life(law: Unaged, barrier: Any, table: Array, springs: Springs, xi: float, 
     return stretch(barrier, table, xi, kappa(springs, xi), clock)
 
 
-@lives.register(Unaged)
+@break_lives.register(Unaged)
 def _lives(
-    law: Unaged, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int
+    law: Unaged, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int
 ) -> None:
-    threshold, stiffness = lanes.stretch, lanes.stiffness
+    threshold, stiffness = lives.stretch, lives.stiffness
     for i in range(count):
         stiffness[r, i] = kappa(springs, threshold[r, i])
-    stretches(barrier, table, springs, r, lanes, row, count)
+    stretches(barrier, table, springs, r, lives, row, count)

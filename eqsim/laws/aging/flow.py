@@ -5,7 +5,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.aging.base import AgingLaw, change2, end, growth, life, lives, stiffness_varies, whole_hazard, work
+from eqsim.laws.aging.base import (
+    AgingLaw,
+    break_lives,
+    change2,
+    end,
+    growth,
+    life,
+    stiffness_varies,
+    whole_hazard,
+    work,
+)
 from eqsim.laws.barrier.base import height, prefactor, thermal
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import inlined, routine
@@ -191,9 +201,9 @@ def _life(law: Flow, barrier: Any, table: Array, springs: Springs, xi: float, cl
     return flow_life(law, barrier, springs, xi, clock)[0]
 
 
-@lives.register(Flow)
-def _lives(law: Flow, barrier: Any, table: Array, springs: Springs, r: int, lanes: Any, row: Array, count: int) -> None:
-    stretch, clock, stiffness = lanes.stretch, lanes.clock, lanes.stiffness
+@break_lives.register(Flow)
+def _lives(law: Flow, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int) -> None:
+    stretch, clock, stiffness = lives.stretch, lives.clock, lives.stiffness
     for i in range(count):
         xi = stretch[r, i]
         stiffness[r, i] = kappa(springs, xi)

@@ -37,7 +37,7 @@ class PooledThresholds:
         square = self.final**2 - (self.final**2 - 1.0) * age
         use = share > 1e-300
         share, square = share[use], square[use]
-        reach = np.array([unit.exceeded_by(2.0**-56), unit.exceeded_by(520.0)]) * [
+        reach = np.array([unit.inverse_survival(2.0**-56), unit.inverse_survival(520.0)]) * [
             min(1, self.final),
             max(1, self.final),
         ]
@@ -106,7 +106,7 @@ class PooledThresholds:
         """J_c(x) = P(xi > x)."""
         return np.exp(-self._e(x))
 
-    def exceeded_by(self, e: Any) -> Array:
+    def inverse_survival(self, e: Any) -> Array:
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
         log_e = np.log(np.asarray(e, float))
         inside = np.clip(log_e, *self._ranks)
@@ -114,9 +114,9 @@ class PooledThresholds:
         return np.asarray(self.scale * np.exp(self._log_x(inside) + below))
 
     def table(self) -> Array:
-        """`exceeded_by` in units of `scale` for `threshold_draw`."""
+        """`inverse_survival` in units of `scale` for `threshold_draw`."""
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
-        xi = self.exceeded_by(e)
+        xi = self.inverse_survival(e)
         return octave_table(FIRST_OCTAVE, xi / self.scale, np.exp(-e) / self.pdf(xi) / self.scale)
 
 

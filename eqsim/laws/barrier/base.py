@@ -13,12 +13,19 @@ routine below; `eqsim.laws.barrier` lists the laws.
 """
 
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
+
+
+class Numbers(NamedTuple):
+    """What is declared of `Barrier` for the laws that kernels see."""
+
+    b: float
+    log_w: float
 
 
 class Barrier:
@@ -142,9 +149,9 @@ def stretch(law: Any, table: Array, xi: float, stiffness: float, clock: float) -
 
 
 @by_law
-def stretches(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
-    """`stretch` of `lanes` contacts in the place of their thresholds `lives.stretch[r]`. Clocks are overwritten, `row`
+def stretches(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
+    """`stretch` of `count` contacts in the place of their thresholds `lives.stretch[r]`. Clocks are overwritten, `row`
     is scratch."""
     x, stiffness, clock = lives.stretch, lives.stiffness, lives.clock
-    for i in range(lanes):
+    for i in range(count):
         x[r, i] = stretch(law, table, x[r, i], stiffness[r, i], clock[r, i])

@@ -35,5 +35,5 @@ def _no_heat(law: Any) -> bool:
 
 
 @stretches.register(Mechanical)
-def _at_thresholds(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+def _at_thresholds(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
     pass

@@ -42,7 +42,7 @@ def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrie
     attempts succeed.
     """
     rms, y = law.rms / law.scale, np.asarray(y, float)
-    weak = np.append(law.exceeded_by(_WEAK) / law.scale, _steep(law))  # attempts may succeed on these
+    weak = np.append(law.inverse_survival(_WEAK) / law.scale, _steep(law))  # attempts may succeed on these
     layer = y[:, None] + _layer(stiffness, barrier, b, rms, y)
     edges = panels_above(law, y, np.concatenate((layer, np.broadcast_to(weak, (y.size, weak.size))), axis=1))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
@@ -65,7 +65,7 @@ def _steep(law: ThresholdLaw) -> Array:
     """Thresholds, in factors of 4 of their distance from the least one, of a law with so many weak contacts that its
     density may be infinite there; none of other laws."""
     low = law.support[0] / law.scale
-    least = max(float(law.exceeded_by(1e-10)) / law.scale - low, 1e-15 * low, 1e-100)
+    least = max(float(law.inverse_survival(1e-10)) / law.scale - low, 1e-15 * low, 1e-100)
     return low + 4.0 ** np.arange(math.log(least, 4.0), 0.0) if least < 1e-6 else NO_STEPS
 
 
@@ -88,7 +88,7 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barr
     if law.steps.size:
         return _pooled_steps(law, stiffness, barrier, b)
     low, high = (edge / law.scale for edge in law.support)
-    top = min(float(law.exceeded_by(60.0)) / law.scale, high)
+    top = min(float(law.inverse_survival(60.0)) / law.scale, high)
     toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)  # the ends of the support are approached from both sides
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
     first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
@@ -103,7 +103,7 @@ def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barr
     y = np.unique(np.concatenate(nodes))
     y = y[y >= first]
     if low == 0 and math.isinf(high) and not law.breakpoints.size:  # h is smooth
-        y = np.unique(np.append(y, np.asarray(law.exceeded_by(_RANKS)) / law.scale))
+        y = np.unique(np.append(y, np.asarray(law.inverse_survival(_RANKS)) / law.scale))
         y = y[(y >= first) & (y <= top)]
         h = pooled_rate(law, stiffness, barrier, b, y)
         y, h = y[h > 1e-300], h[h > 1e-300]
@@ -203,10 +203,10 @@ def _stretch(law: Pooled, table: Array, xi: float, stiffness: float, clock: floa
 
 
 @stretches.register(Pooled)
-def _stretches(law: Pooled, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+def _stretches(law: Pooled, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
     stretch, clock, x, G, slopes = lives.stretch, lives.clock, law.x, law.G, law.slopes
     per_attempt = math.exp(-law.log_w)
-    for i in range(lanes):
+    for i in range(count):
         stretch[r, i] = min(stretch[r, i], _inverse(x, G, slopes, clock[r, i] * per_attempt))
 
 

@@ -7,23 +7,18 @@
 
 import functools
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import special
 
-from eqsim.laws.barrier.base import Barrier, height, height_slope, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, Numbers, height, height_slope, stretch, stretches
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
 
-class _Numbers(NamedTuple):
-    b: float
-    log_w: float
-
-
-class Soft(_Numbers, Barrier):
+class Soft(Numbers, Barrier):
     """E = a (xi^2 - x^2), p = 1."""
 
     __slots__ = ()
@@ -131,22 +126,22 @@ def _stretch(law: Soft, table: Array, xi: float, stiffness: float, clock: float)
 
 
 @stretches.register(Soft)
-def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
     x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
     if springs.slope == 0.0:  # roots and divisions are the same for all
         root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
-        for i in range(lanes):
+        for i in range(count):
             clock[r, i] = _odds(x[r, i], root, log_w, clock[r, i])
-        for i in range(lanes):
+        for i in range(count):
             clock[r, i] = _rank(x[r, i], root, log_w, clock[r, i])
-        look_up_all(table, r, clock, row, lanes)
-        for i in range(lanes):
+        look_up_all(table, r, clock, row, count)
+        for i in range(count):
             x[r, i] = _end(x[r, i], per_root, clock[r, i])
     else:
-        for i in range(lanes):
+        for i in range(count):
             clock[r, i] = _odds(x[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
-        for i in range(lanes):
+        for i in range(count):
             clock[r, i] = _rank(x[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
-        look_up_all(table, r, clock, row, lanes)
-        for i in range(lanes):
+        look_up_all(table, r, clock, row, count)
+        for i in range(count):
             x[r, i] = _end(x[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])

@@ -7,22 +7,17 @@
 """
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, height, height_slope, path_step, prefactor, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, Numbers, height, height_slope, path_step, prefactor, stretch, stretches
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus, two_thirds_power
 
 
-class _Numbers(NamedTuple):
-    b: float
-    log_w: float
-
-
-class Stiff(_Numbers, Barrier):
+class Stiff(Numbers, Barrier):
     """E = a xi^2 (1 - x/xi)^(3/2), p = sqrt(1 - x/xi)."""
 
     __slots__ = ()
@@ -111,11 +106,11 @@ def _stretch(law: Stiff, table: Array, xi: float, stiffness: float, clock: float
 
 
 @stretches.register(Stiff)
-def _stretches(law: Stiff, table: Array, springs: Any, r: int, lives: Any, row: Array, lanes: int) -> None:
+def _stretches(law: Stiff, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
     x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
-    for i in range(lanes):  # in steps, as in `soft`
+    for i in range(count):  # in steps, as in `soft`
         clock[r, i] = _odds(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
-    for i in range(lanes):
+    for i in range(count):
         clock[r, i] = _spent(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
-    for i in range(lanes):
+    for i in range(count):
         x[r, i] = _end(x[r, i], clock[r, i])
