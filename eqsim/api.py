@@ -12,7 +12,7 @@ from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.master.closure import Closure, closure
 from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme, Segment
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import Validation, validate
 from eqsim.workflows.replay import Replay, replay
@@ -20,7 +20,7 @@ from eqsim.workflows.run import RunResult, run
 
 __all__ = [
     "OBSERVABLES", "Aging", "Closure", "Delay", "Delta", "Distribution", "Drive", "Ensemble", "Estimate",
-    "Fluctuations", "Gamma", "InputError", "Reference", "Replay", "RunFile", "RunResult", "Steady", "Table", "Thermal",
-    "Trajectory", "Transient", "Validation", "closure", "fluctuations", "load", "reference", "replay", "run", "steady",
-    "trajectory", "transient", "validate", "z_score",
+    "Fluctuations", "Gamma", "InputError", "Programme", "Reference", "Replay", "RunFile", "RunResult", "Segment",
+    "Steady", "Table", "Thermal", "Trajectory", "Transient", "Validation", "closure", "fluctuations", "load",
+    "reference", "replay", "run", "steady", "trajectory", "transient", "validate", "z_score",
 ]  # fmt: skip

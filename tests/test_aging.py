@@ -259,7 +259,7 @@ def test_flow_stretch_spends_its_clock(law, rho):
     ):
         case = law, rho**2, alpha, b, log_w, xi0
         end = flow_end(Flow(rho**2, alpha), xi0)
-        assert xi0 * growth(rho**2, alpha, end) == pytest.approx(end, rel=1e-13, abs=0)
+        assert xi0 * growth(Flow(rho**2, alpha), end) == pytest.approx(end, rel=1e-13, abs=0)
         steep = b * (1 + xi0 * max(rho, 1)) * (xi0 * max(1.0, rho)) ** 2 * (1 + alpha * end)
         before = 0.0
         for clock in (1e-6, 1e-2, 0.7, 5.0, 50.0):
@@ -288,7 +288,7 @@ def test_flow_stretch_in_an_ode(law):
             return y[0] - clock
 
         def met(x, y, case=case):
-            return case[5] * growth(case[1], case[2], x) - x
+            return case[5] * growth(Flow(case[1], case[2]), x) - x
 
         spent.terminal = met.terminal = True
         path = integrate.solve_ivp(
@@ -333,7 +333,9 @@ def test_flow_work(rho):
         for x in np.geomspace(1e-100, 1e6, 54):
             edges = [0.0, *sorted(p / alpha for p in (0.1, 1, 3, 10, 30, 1e3) if p < alpha * x), x]
             exact = sum(
-                integrate.quad(lambda y, alpha=alpha: y * growth(rho**2, alpha, y), *pair, epsabs=0, epsrel=1e-11)[0]
+                integrate.quad(
+                    lambda y, alpha=alpha: y * growth(Flow(rho**2, alpha), y), *pair, epsabs=0, epsrel=1e-11
+                )[0]
                 for pair in itertools.pairwise(edges)
             )
             assert work(Flow(rho**2, alpha), table, Springs(0.0, 1.0), 1.0, x) == pytest.approx(exact, rel=2e-8, abs=0)

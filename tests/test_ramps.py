@@ -225,7 +225,7 @@ def test_forces_that_are_no_ramps(points):
     for stiffness, born, broke, _ in rows:
         follow_growth(c, found, 0, stiffness, born, broke - born)
     stiffness = rows[:, 0]
-    grown = np.vectorize(lambda x: growth(c.aging.final2, c.aging.alpha, max(x, 0.0)))
+    grown = np.vectorize(lambda x: growth(c.aging, max(x, 0.0)))
     compare(found, False, seen(rows, run, lambda x: stiffness * grown(x) * x))
     x = np.linspace(0.0, 15.0, 30_001)
     work = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (lambda f: f[1:] + f[:-1])(grown(x) * x)))

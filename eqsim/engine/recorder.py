@@ -282,21 +282,19 @@ def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: C
 @routine
 def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float, born: float, stretch: float) -> None:
     """What a contact leaves whose stiffness, `stiffness` at birth, follows its threshold along `flow`."""
-    run, law = recorder.run, c.aging
+    run = recorder.run
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
     broke = min(born + stretch, 2.0 * run.distance)
     for j in range(max(0, math.ceil(born * per_step)), min(run.points, math.ceil(broke * per_step))):
         x = max(j * step - born, 0.0)
-        leave_force(recorder, j, stiffness * growth(law.final2, law.alpha, x) * x)
+        leave_force(recorder, j, stiffness * growth(c.aging, x) * x)
     leave_pinned(recorder, born, born + stretch)
     for quarter in range(2):
         low = max(run.distance * (0.5 + 0.25 * quarter) - born, 0.0)
         high = min(run.distance * (0.75 + 0.25 * quarter) - born, stretch)
         if high > low:
-            until, before = (
-                work_of(law, c.aging_table, c.springs, stiffness, high),
-                work_of(law, c.aging_table, c.springs, stiffness, low),
-            )
+            until = work_of(c.aging, c.aging_table, c.springs, stiffness, high)
+            before = work_of(c.aging, c.aging_table, c.springs, stiffness, low)
             recorder.batches[batch, quarter, AREA] += fixed(until - before, recorder.batch_scales[AREA])
 
 

@@ -25,7 +25,6 @@ import numpy as np
 from scipy import special
 from scipy.optimize import elementwise
 
-from eqsim.laws.aging.base import scale2
 from eqsim.master.quenched import Moments, births_above, kappa_of, over_births, rarest_that_counts
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
@@ -49,11 +48,6 @@ _DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
 _NODES, _WEIGHTS = special.roots_legendre(8)
 
 
-def growth(s: Reduced, x: Array) -> Array:
-    """s(x), by which thresholds have grown at stretch x (any shape)."""
-    return np.sqrt(scale2(s.aging.final2, s.aging.alpha * x))
-
-
 def rate(s: Reduced, x: Array, xi: Array, share: float = 1.0) -> Array:
     """Thermal breaking per unit displacement at stretch x, the current threshold being xi, arrays that broadcast; with
     a `share` of the barrier only. Without any it falls along a path."""
@@ -67,7 +61,7 @@ def rate(s: Reduced, x: Array, xi: Array, share: float = 1.0) -> Array:
 def _ends(s: Reduced, xi0: Array) -> Array:
     """Where contacts break mechanically: the root of xi0 s(x) = x."""
     bracket = (xi0 * min(1.0, s.aging.final), xi0 * max(1.0, s.aging.final))
-    found = elementwise.find_root(lambda x, xi0: np.log(xi0 * growth(s, x) / x), bracket, args=(xi0,))
+    found = elementwise.find_root(lambda x, xi0: np.log(xi0 * s.aging.growth_at(x) / x), bracket, args=(xi0,))
     return np.asarray(found.x)
 
 
@@ -93,7 +87,7 @@ def _integrals(s: Reduced, xi0: Array, end: Array, left: Array, right: Array) ->
     # x = end sin^2(phi) makes a stiff rate smooth at the threshold
     x = end * np.sin(phi) ** 2
     width = half * end * np.sin(2 * phi)
-    xi = xi0 * growth(s, x)
+    xi = xi0 * s.aging.growth_at(x)
     per_x = rate(s, x, xi)
     hazard = per_x * width
     # where the panel is too wide for its polynomial, that may be negative
@@ -172,7 +166,7 @@ def survivors(s: Reduced, x: Array) -> Array:
 def _surviving(s: Reduced, x: Array) -> Array:
     """`survivors` over births xi0 > x/s(x), by panels that end at fixed shares of the stronger contacts and where the
     hazard passes fixed levels."""
-    law, grown = s.law, growth(s, x)
+    law, grown = s.law, s.aging.growth_at(x)
     least = x / grown
     layer = _births_at(s, x, least) if s.barrier.thermal else None
     edges = births_above(law, least, layer, rarest_that_counts(s.barrier))
@@ -197,7 +191,7 @@ def _hazard(s: Reduced, x: Array, xi0: Array) -> Array:
     for i in np.flatnonzero(reach > 0):
         u = _STEP * np.arange(-math.ceil(reach[i] / _STEP), math.ceil(reach[i] / _STEP) + 1)
         y = x[i] * special.expit(u)
-        found[i] = rate(s, y, xi0[i, :, None] * growth(s, y)) @ (_STEP * y * special.expit(-u))
+        found[i] = rate(s, y, xi0[i, :, None] * s.aging.growth_at(y)) @ (_STEP * y * special.expit(-u))
     return found
 
 

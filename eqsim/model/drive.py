@@ -1,10 +1,14 @@
 """How the slider is driven, and how a run is recorded."""
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from eqsim.errors import POSITIVE, InputError, require_choice, require_integer, require_number, shown
+import numpy as np
+
+from eqsim.errors import POSITIVE, InputError, require_choice, require_integer, require_number, shown, under
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
 
 Start = Literal["fresh", "stationary"]
 
@@ -43,8 +47,132 @@ class Drive:
         return 200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
 
 
+@dataclass(frozen=True)
+class Segment:
+    """A piece of a programme at constant velocity, for a `distance` or a `time`.
+
+    Parameters
+    ----------
+    velocity : float
+        v (length/time); 0 is a hold, a negative one a reversal.
+    distance : float, optional
+        Length of the path (length), > 0 whatever the direction; not of a hold.
+    time : float, optional
+        How long (time).
+    points : int, optional
+        At how many instants after its beginning the force is recorded, by default a fair share of all.
+
+    Raises
+    ------
+    InputError
+        For a value out of range, and unless either a distance or a time is given.
+    """
+
+    velocity: float = 0.0
+    distance: float | None = None
+    time: float | None = None
+    points: int | None = None
+
+    def __post_init__(self) -> None:
+        require_number("velocity", self.velocity)
+        if self.velocity != 0:
+            require_number("|velocity|", abs(self.velocity), **POSITIVE)
+        if (self.distance is None) == (self.time is None):
+            raise InputError("distance: a segment has either a distance or a time")
+        if self.distance is not None:
+            require_number("distance", self.distance, **POSITIVE)
+            if self.velocity == 0:
+                raise InputError("velocity = 0.0: must not be 0 with a distance; a hold has a time")
+        else:
+            require_number("time", self.time or 0.0, **POSITIVE)
+        if self.points is not None:
+            require_integer("points", self.points, 1, 2 * 10**7)
+
+    @property
+    def duration(self) -> float:
+        """How long it takes (time)."""
+        return self.distance / abs(self.velocity) if self.distance is not None else self.time or 0.0
+
+    @property
+    def path(self) -> float:
+        """How far the slider moves, whatever the direction (length)."""
+        return self.distance if self.distance is not None else abs(self.velocity) * (self.time or 0.0)
+
+
+_FIRST_LOOK = 1e-5  # at a hold, of its time; then at equal ratios
+
+
+class Grid(NamedTuple):
+    """When the force is recorded: times, displacements, and the segment that each instant belongs to (it ends there, or
+    is under way), arrays (points,); the instant 0 belongs to segment 0."""
+
+    t: Array
+    X: Array
+    segment: Array
+
+
+@dataclass(frozen=True)
+class Programme:
+    """A drive in segments, each at constant velocity: steps, holds, reversals.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        One after the other, from X = 0.
+    start : str
+        "fresh": all contacts pinned and unstretched. "stationary": the steady state at `velocity`.
+    velocity : float, optional
+        Of that steady state (length/time), > 0.
+
+    Raises
+    ------
+    InputError
+        For an empty programme, and a stationary start without a velocity.
+    """
+
+    segments: tuple[Segment, ...]
+    start: Start = "fresh"
+    velocity: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "segments", tuple(self.segments))
+        if not self.segments:
+            raise InputError("programme = []: must have at least one segment")
+        require_choice("start", self.start, ("fresh", "stationary"))
+        if self.velocity is not None:
+            require_number("velocity", self.velocity, **POSITIVE)
+        elif self.start == "stationary":
+            raise InputError('velocity: is required with start = "stationary"')
+        with under("programme"):
+            require_number("time", sum(segment.duration for segment in self.segments), **POSITIVE)
+
+    def grid(self, points: int) -> Grid:
+        """About `points` instants: equidistant along a segment that moves, at equal ratios from the 1e-5th part of a
+        hold on."""
+        share = max(1, (points - 1) // len(self.segments))
+        t: list[Array] = [np.zeros(1)]
+        X: list[Array] = [np.zeros(1)]
+        number: list[Array] = [np.zeros(1, np.int64)]
+        for index, segment in enumerate(self.segments):
+            n = segment.points or share
+            elapsed: Array
+            if segment.velocity == 0:
+                elapsed = segment.duration * np.geomspace(1.0, _FIRST_LOOK, n)[::-1]
+                along = np.zeros(n)
+            else:
+                along = np.arange(1, n + 1) * (segment.path / n)
+                elapsed = along / abs(segment.velocity)
+            t.append(t[-1][-1] + elapsed)
+            X.append(X[-1][-1] + math.copysign(1.0, segment.velocity) * along)
+            number.append(np.full(n, index))
+        return Grid(np.concatenate(t), np.concatenate(X), np.concatenate(number))
+
+
 def require_drive(drive: Drive) -> None:
-    """Raise InputError for what is not a drive, such as a bare velocity."""
+    """Raise InputError for what is not a constant drive, such as a bare velocity, or a programme where no result
+    exists."""
+    if isinstance(drive, Programme):
+        raise InputError("drive: a programme has no steady state; must be a Drive, for example Drive(velocity=0.1)")
     if not isinstance(drive, Drive):
         raise InputError(f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)")
 

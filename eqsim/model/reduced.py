@@ -8,14 +8,14 @@ import functools
 import math
 from typing import NamedTuple
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
 from eqsim.laws.aging import AgingLaw, PooledThresholds, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
 from eqsim.laws.delay import Exponential, Fixed
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 
 _LEAST_B = 1e-100  # b below which the barrier is 0
@@ -88,6 +88,39 @@ def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = No
         delay=delay,
         drag=drag_of(ensemble, velocity),
     )
+
+
+class Leg(NamedTuple):
+    """A segment of a programme in dimensionless numbers.
+
+    Attributes
+    ----------
+    sign : int
+        Of the velocity; 0 in a hold.
+    pace : float
+        The velocity at which its time counts as displacement: |v|, in a hold that of a segment that moves.
+    length : float
+        Its time at that pace, in units of the threshold law's scale: how far the slider moves unless it is a hold.
+    """
+
+    sign: int
+    pace: float
+    length: float
+
+
+def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
+    """The segments of a programme. Raises InputError if one is out of range."""
+    unit, segments = ensemble.thresholds.scale, programme.segments
+    moving = [abs(segment.velocity) for segment in segments if segment.velocity]
+    idle = programme.velocity or next(iter(moving), unit / segments[0].duration)
+    found = []
+    for index, segment in enumerate(segments):
+        pace = abs(segment.velocity) or idle
+        length = (segment.path or pace * segment.duration) / unit
+        with under(f"programme.{index}"):
+            require_number("distance / threshold", length, least=1e-100, most=1e100)
+        found.append(Leg((segment.velocity > 0) - (segment.velocity < 0), pace, length))
+    return found
 
 
 def births(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> ThresholdLaw:

@@ -349,7 +349,13 @@ def _closed(s: Reduced, xi: Array, x: Array) -> Array:
 def _along(s: Reduced, xi: Array, x: Array) -> Array:
     """Of thresholds that flow. The rate is greatest at the ends of a life, where the nodes crowd."""
     found = integrate.tanhsinh(
-        lambda y, born: flow.rate(s, y, born * flow.growth(s, y)), 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
+        lambda y, born: flow.rate(s, y, born * s.aging.growth_at(y)),
+        0.0,
+        x,
+        args=(xi,),
+        atol=1e-9,
+        rtol=1e-7,
+        maxlevel=12,
     )
     return np.asarray(found.integral)
 

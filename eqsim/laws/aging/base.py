@@ -22,7 +22,7 @@ import numpy as np
 
 from eqsim.laws.barrier.base import stretch, stretches
 from eqsim.laws.stiffness import Springs, kappa
-from eqsim.numerics.compiled import by_law, inlined
+from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
 
 
@@ -34,12 +34,6 @@ def change2(final2: float, age: Any) -> Array:
 def scale2(final2: float, age: Any) -> Array:
     """x_*^2/x_*i^2 of the unbroken law, a sum of positive terms; `age` may be infinite."""
     return np.asarray(final2 + (1.0 - final2) * np.exp(-age)) if final2 < 1 else 1.0 + change2(final2, age)
-
-
-@inlined
-def growth(final2: float, alpha: float, x: float) -> float:
-    """x_*(x)/x_*i in kernels."""
-    return math.sqrt(1.0 - (final2 - 1.0) * math.expm1(-alpha * x))
 
 
 class AgingLaw:
@@ -62,6 +56,11 @@ class AgingLaw:
         """x_*f/x_*i."""
         return math.sqrt(self.final2)
 
+    def growth_at(self, x: Array) -> Array:
+        """By what factor every threshold has grown of contacts that have been pinned for `x` (any shape), where it is
+        the same for all."""
+        return np.ones_like(x)
+
     def table(self, springs: Springs) -> Array:
         """What `work` looks up, if anything."""
         return NO_TABLE
@@ -80,6 +79,12 @@ class Unaged(_NoNumbers, AgingLaw):
 
 
 # --------------------------------------------------------------------------------------------------------- kernels
+
+
+@by_law
+def growth(law: Any, x: float) -> float:
+    """`AgingLaw.growth_at` in kernels."""
+    return 1.0
 
 
 @by_law

@@ -12,6 +12,7 @@ from eqsim.laws.aging.base import (
     end,
     growth,
     life,
+    scale2,
     stiffness_varies,
     whole_hazard,
     work,
@@ -37,6 +38,9 @@ class Flow(_Numbers, AgingLaw):
         """The law from its numbers; n has no part in it."""
         return cls(final2, alpha)
 
+    def growth_at(self, x: Array) -> Array:
+        return np.sqrt(scale2(self.final2, self.alpha * x))
+
     def table(self, springs: Springs) -> Array:
         return work_table(self.final2) if springs.slope > 0.0 else NO_TABLE
 
@@ -60,6 +64,11 @@ def work_table(final2: float) -> Array:
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST = 4.0, 1.5, 37.0, 60
+
+
+@growth.register(Flow)
+def _growth(law: Flow, x: float) -> float:
+    return math.sqrt(1.0 - (law.final2 - 1.0) * math.expm1(-law.alpha * x))
 
 
 @routine
@@ -98,7 +107,7 @@ class _Flowing(NamedTuple):
 @inlined
 def _at(c: _Flowing, x: float) -> tuple[float, float]:
     """Threshold at stretch x, and the barrier there."""
-    xi = c.xi * growth(c.law.final2, c.law.alpha, x)
+    xi = c.xi * growth(c.law, x)
     return xi, height(c.barrier, xi, x, c.barrier.b * kappa(c.springs, xi))
 
 
@@ -128,7 +137,7 @@ def flow_life(law: Flow, barrier: Any, springs: Springs, xi: float, clock: float
         fine = last or (
             abs(right - left) <= _RANGE
             and (alpha * (x1 - x0) <= 1.0 or alpha * x0 > 40.0 or final2 == 1.0)
-            and now <= _GROWN * xi * growth(final2, alpha, x0)  # x_*(x)^2 vanishes at some x < 0, perhaps nearby
+            and now <= _GROWN * xi * growth(law, x0)  # x_*(x)^2 vanishes at some x < 0, perhaps nearby
         )
         if seen and fine and not last:
             for quarter in range(1, 4):  # the barrier may rise and fall inside
@@ -173,7 +182,7 @@ def flow_life(law: Flow, barrier: Any, springs: Springs, xi: float, clock: float
 def _rate(c: _Flowing, z: float) -> float:
     """Hazard per unit z."""
     x = c.end * z * (2.0 - z)
-    now = max(c.xi * growth(c.law.final2, c.law.alpha, x), x)
+    now = max(c.xi * growth(c.law, x), x)
     barrier = height(c.barrier, now, x, c.barrier.b * kappa(c.springs, now))
     return math.exp(c.barrier.log_w - barrier) * 2.0 * c.end * (1.0 - z) * prefactor(c.barrier, now, x)
 
