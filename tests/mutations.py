@@ -112,7 +112,7 @@ MISTAKES = [
     M("flow: work", "laws/aging/flow.py", "(excess(t) - 2.0 * mean) / t)", "(excess(t) - mean) / t)",
       "test_aging.py::test_flow_work"),
     M("flow: growth without its end", "laws/aging/flow.py", "(law.final2 - 1.0) * math.expm1(-law.alpha * x))",
-      "(final2 - 1.0) * -alpha * x)", "test_aging.py::test_flow_stretch_in_an_ode"),
+      "(law.final2 - 1.0) * -law.alpha * x)", "test_aging.py::test_flow_stretch_in_an_ode"),
     M("flow: cells too wide", "laws/aging/flow.py", "_DEEPEST = 4.0, 1.5", "_DEEPEST = 400.0, 1.5",
       "test_aging.py::test_flow_stretch_in_an_ode & test_aging.py::test_flow_without_aging"),
     M("flow: Jacobian of the hazard", "laws/aging/flow.py", "* 2.0 * c.end * (1.0 - z)", "* 2.0 * c.end",

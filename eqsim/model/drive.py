@@ -153,15 +153,16 @@ class Programme:
         t: list[Array] = [np.zeros(1)]
         X: list[Array] = [np.zeros(1)]
         number: list[Array] = [np.zeros(1, np.int64)]
+        elapsed: Array
+        along: Array
         for index, segment in enumerate(self.segments):
             n = segment.points or share
-            elapsed: Array
             if segment.velocity == 0:
-                elapsed = segment.duration * np.geomspace(1.0, _FIRST_LOOK, n)[::-1]
+                elapsed = segment.duration * np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
                 along = np.zeros(n)
             else:
                 along = np.arange(1, n + 1) * (segment.path / n)
-                elapsed = along / abs(segment.velocity)
+                elapsed = np.asarray(along / abs(segment.velocity))
             t.append(t[-1][-1] + elapsed)
             X.append(X[-1][-1] + math.copysign(1.0, segment.velocity) * along)
             number.append(np.full(n, index))

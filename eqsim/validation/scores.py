@@ -348,15 +348,11 @@ def _closed(s: Reduced, xi: Array, x: Array) -> Array:
 
 def _along(s: Reduced, xi: Array, x: Array) -> Array:
     """Of thresholds that flow. The rate is greatest at the ends of a life, where the nodes crowd."""
-    found = integrate.tanhsinh(
-        lambda y, born: flow.rate(s, y, born * s.aging.growth_at(y)),
-        0.0,
-        x,
-        args=(xi,),
-        atol=1e-9,
-        rtol=1e-7,
-        maxlevel=12,
-    )
+
+    def rate(y: Array, born: Array) -> Array:
+        return flow.rate(s, y, born * s.aging.growth_at(y))
+
+    found = integrate.tanhsinh(rate, 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12)
     return np.asarray(found.integral)
 
 
