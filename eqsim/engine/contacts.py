@@ -20,8 +20,8 @@ class Contacts(NamedTuple):
     thresholds : Thresholds
     springs : Springs
     barrier : a `Barrier`, or `Pooled` if attempts draw fresh thresholds
-    barrier_table : ndarray
-        What `laws.barrier.base.stretch` looks up.
+    barrier_table, hazard_table : ndarray
+        What `laws.barrier.base.stretch` and `hazard` look up.
     aging : AgingLaw
     aging_table : ndarray
         What `laws.aging.base.work` looks up.
@@ -32,6 +32,7 @@ class Contacts(NamedTuple):
     springs: Springs
     barrier: Any
     barrier_table: Array
+    hazard_table: Array
     aging: Any
     aging_table: Array
     delay: Waits
@@ -43,10 +44,10 @@ def lower(s: Reduced) -> Contacts:
     if s.annealed:
         pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
-    table = s.barrier.table()
     return Contacts(
-        for_kernels(s.law), s.springs, barrier, table, s.aging, s.aging.table(s.springs), s.delay.for_kernels()
-    )
+        for_kernels(s.law), s.springs, barrier, s.barrier.table(), s.barrier.hazard_table(), s.aging,
+        s.aging.table(s.springs), s.delay.for_kernels(),
+    )  # fmt: skip
 
 
 def contacts(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Contacts:

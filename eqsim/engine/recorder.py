@@ -16,13 +16,13 @@ import numpy as np
 
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import Lives, typical_lives
+from eqsim.engine.lanes import LANES, Lives, typical_lives
 from eqsim.engine.stationary import extremes
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import add_row, inlined, routine, take_row
+from eqsim.numerics.compiled import add_row, inlined, maker, routine, take_row
 from eqsim.numerics.tables import Array
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -213,6 +213,18 @@ class Columns(NamedTuple):
     start: Array
     end: Array
     number: Array
+
+
+@maker
+def empty_columns() -> Columns:
+    """Scratch for LANES contacts."""
+    return Columns(np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty((5, LANES), np.int64))
+
+
+@inlined
+def joined(c: Contacts, recorder: Recorder) -> bool:
+    """Whether a life begins where another ends and nothing changes there but the place of birth."""
+    return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not recorder.run.batch_by_life
 
 
 @routine

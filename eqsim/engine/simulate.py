@@ -19,10 +19,12 @@ from eqsim.engine.recorder import (
     Recorder,
     deposit,
     edge_after,
+    empty_columns,
     fixed,
     follow_growth,
     follow_path,
     join_uniform_ramps,
+    joined,
     leave,
     leave_ramps,
     leave_uniform_ramps,
@@ -33,6 +35,7 @@ from eqsim.laws.aging import Flow, Langevin
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.base import thermal
 from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
+from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
 from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
 from eqsim.numerics.streams import Key, fill_words, uniform, uniforms
@@ -64,7 +67,7 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
     when a life crosses the end of a quarter; only that life has to be divided. Contacts start together, so that they
     all write in one stretch of the grid, and new ones fill the lanes only when half of them have come to the end.
     """
-    lanes, lives, journey, columns = empty_lanes(), empty_lives(c, ROUNDS), _empty_journey(c), _empty_columns()
+    lanes, lives, journey, columns = empty_lanes(), empty_lives(c, ROUNDS), _empty_journey(c), empty_columns()
     alone = recorder.run.batch_by_life or stiffness_varies(c.aging, c.springs)  # contacts that are recorded one by one
     age, position = lanes.age, journey.position  # out of loops: numba counts references where it takes from a tuple
     active, upcoming = np.int64(0), np.int64(first)  # typed: a literal 0 would be compiled for itself
@@ -76,7 +79,7 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
         draw_lives(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, full)
         if c.delay.random > 0.0:
-            _draw_delays(c.delay, key, lanes, journey.delay, full)
+            draw_delays(c.delay, key, lanes, journey.delay, full)
         advance(c.aging, c, key, lanes, lives, alone, (active, full))
         ended = False
         for r in range(ROUNDS):
@@ -102,17 +105,6 @@ def _empty_journey(c: Contacts) -> Journey:
     return Journey(position, np.empty(LANES), np.empty(LANES), edge, since, mark, work, distance, delay)
 
 
-@maker
-def _empty_columns() -> Columns:
-    return Columns(np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty((5, LANES), np.int64))
-
-
-@inlined
-def _joined(c: Contacts, recorder: Recorder) -> bool:
-    """Whether a life begins where another ends and nothing changes there but the place of birth."""
-    return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not recorder.run.batch_by_life
-
-
 @routine
 def _start(
     c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, lanes: Lanes, journey: Journey,
@@ -133,7 +125,7 @@ def _start(
         if x > run.distance:
             position[active] = math.inf
             continue
-        if _joined(c, recorder) and x * per_step <= run.points - 1:
+        if joined(c, recorder) and x * per_step <= run.points - 1:
             leave(recorder, math.ceil(x * per_step), 1, 1.0, x)
         journey.edge[active], journey.since[active], journey.mark[active] = edge_after(run, x), x, ROUNDS * oldest
         journey.work[active], journey.distance[active] = 0.0, 0.0
@@ -159,7 +151,7 @@ def _retire(distance: float, lanes: Lanes, journey: Journey, active: int) -> int
 
 
 @routine
-def _draw_delays(law: Waits, key: Key, lanes: Lanes, delay: Array, count: int) -> None:
+def draw_delays(law: Waits, key: Key, lanes: Lanes, delay: Array, count: int) -> None:
     """Delays after the next ROUNDS lives, shape (ROUNDS, lanes), where they are random."""
     words = lanes.words
     fill_words(key, lanes.contact, lanes.age, 1, words, count)
@@ -200,7 +192,7 @@ def _record_round(
         work[i] += 0.5 * stiffness[r, i] * x * x
         broke[i] = position[i] + x
         reborn[i] = broke[i]
-    if _joined(c, recorder):
+    if joined(c, recorder):
         join_uniform_ramps(recorder, position, broke, columns, full)
     else:
         for i in range(full):
@@ -320,7 +312,8 @@ def found(
     contact and its batch; `draws`: uniforms for its state and its remaining delay, and its next delay."""
     (contact, batch), (u_state, u_residual, delay) = which, draws
     if u_state < stationary.pinned:
-        stiffness, x, ends = found_pinned(c, stationary, key, contact, u_residual)
+        xi, x, ends, _ = found_pinned(c, stationary, key, contact, u_residual)
+        stiffness = kappa(c.springs, xi)
         born, broke = -x, ends - x
         life = langevin.Path(key, contact, np.int64(0), np.int64(0), ends, 0.0, 0.0)
         _, stiffness = leave_life(law, c, recorder, batch, life, stiffness, born)

@@ -21,7 +21,6 @@ from eqsim.engine.lanes import lives
 from eqsim.engine.steady import Proposal
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import end, life, whole_hazard
-from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds, threshold_draw
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import Key, uniforms
@@ -171,8 +170,9 @@ def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
 
 
 @inlined
-def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -> tuple[Any, Any, Any]:
-    """Stiffness k_i/k, stretch now, and stretch at breaking of a pinned contact of the stationary state."""
+def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -> tuple[Any, Any, Any, Any]:
+    """Threshold at birth, stretch now, stretch at breaking and exponential clock of a pinned contact of the stationary
+    state."""
     steps = c.thresholds.steps
     if steps.size > 0:
         rank = min(int(np.searchsorted(s.share, u, side="right")), steps.size - 1)
@@ -191,7 +191,8 @@ def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -
         else:
             log_envelope = -(u_stretch / plateau - 1.0)
             x = m * math.exp(-log_envelope)
-        ends = life(c.aging, c.barrier, c.barrier_table, c.springs, xi, -math.log(u_clock) - log_envelope)
+        clock = -math.log(u_clock) - log_envelope
+        ends = life(c.aging, c.barrier, c.barrier_table, c.springs, xi, clock)
         if ends > x:
-            return kappa(c.springs, xi), x, ends
+            return xi, x, ends, clock
         draw += 1

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import stretch, stretches
+from eqsim.laws.barrier.base import hazard, is_flat, rate, stretch, stretches
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
@@ -116,6 +116,17 @@ def break_lives(
 
 
 @by_law
+def spend(
+    law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
+) -> tuple[float, float]:
+    """Along a segment of a programme: where a `contact` (threshold and relative stiffness at birth, stretch y in the
+    direction of motion, how long it has been pinned) breaks whose exponential clock has `clock` left, or infinity, and
+    what the clock has left at the end. y grows with what is slid if the slider `moves` (1), else (0) it stays. `c` is
+    an `engine.contacts.Contacts`, time displacement."""
+    raise TypeError("contacts of this law of aging follow no programme")
+
+
+@by_law
 def stiffness_varies(law: Any, springs: Springs) -> bool:
     """Whether a contact's stiffness changes while it is pinned."""
     return False
@@ -140,3 +151,31 @@ def _lives(
     for i in range(count):
         stiffness[r, i] = kappa(springs, threshold[r, i])
     stretches(barrier, table, springs, r, lives, row, count)
+
+
+@spend.register(Unaged)
+def _spend(
+    law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
+) -> tuple[float, float]:
+    xi, stiffness, y, _ = contact
+    if moves == 0:
+        per_time = rate(c.barrier, xi, stiffness, abs(y))
+        return (clock / per_time if per_time * length >= clock else math.inf), clock - per_time * length
+    end = y + length
+    if y * end >= 0.0 and abs(end) < xi and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
+        # what tables are good to may be as much as the segment is long
+        first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
+        passed = length / 6.0 * (first + 4.0 * rate(c.barrier, xi, stiffness, abs(y + 0.5 * length)) + last)
+        return (clock / passed * length if passed >= clock else math.inf), clock - passed
+    spent = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y))
+    if y < 0.0:
+        if clock < spent:  # it breaks on the way back to 0, if the way is long enough
+            at = -min(stretch(c.barrier, c.barrier_table, xi, stiffness, spent - clock), -y)
+        else:
+            at = stretch(c.barrier, c.barrier_table, xi, stiffness, clock - spent)
+    else:
+        at = max(stretch(c.barrier, c.barrier_table, xi, stiffness, spent + clock), y)
+    if at <= end:
+        return at - y, 0.0
+    passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
+    return math.inf, clock - (math.copysign(passed, end) - math.copysign(spent, y))

@@ -108,6 +108,11 @@ class Barrier:
         """What `stretch` looks up, if anything."""
         return NO_TABLE
 
+    @classmethod
+    def hazard_table(cls) -> Array:
+        """What `hazard` looks up, if anything."""
+        return NO_TABLE
+
 
 # --------------------------------------------------------------------------------------------------------- kernels
 
@@ -146,6 +151,29 @@ def path_step(law: Any) -> float:
 def stretch(law: Any, table: Array, xi: float, stiffness: float, clock: float) -> float:
     """Where a contact of threshold `xi` and relative stiffness `stiffness` breaks whose clock shows `clock`."""
     return xi
+
+
+@by_law
+def hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> float:
+    """(omega/v) H at stretch 0 <= x <= xi; the inverse of `stretch`."""
+    raise TypeError("this barrier has no hazard")
+
+
+@by_law
+def rate(law: Any, xi: float, stiffness: float, x: float) -> float:
+    """(omega/v) r at stretch 0 <= x <= xi."""
+    return math.exp(law.log_w - height(law, xi, x, law.b * stiffness)) * prefactor(law, xi, x)
+
+
+_FLAT = 1e-3  # relative change of a rate up to which Simpson's rule is exact to 1e-15
+
+
+@by_law
+def is_flat(law: Any, xi: float, stiffness: float, x: float, other: float) -> bool:
+    """Whether the rate is the same, but for _FLAT, between two stretches; never if it is none of exp(-E)."""
+    a, first, last = law.b * stiffness, rate(law, xi, stiffness, x), rate(law, xi, stiffness, other)
+    change = height(law, xi, x, a) - height(law, xi, other, a)
+    return abs(change) < _FLAT and abs(last - first) <= _FLAT * (first + last)
 
 
 @by_law

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, stretches, thermal
+from eqsim.laws.barrier.base import Barrier, hazard, is_flat, rate, stretches, thermal
 from eqsim.numerics.tables import Array
 
 
@@ -37,3 +37,18 @@ def _no_heat(law: Any) -> bool:
 @stretches.register(Mechanical)
 def _at_thresholds(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
     pass
+
+
+@hazard.register(Mechanical)
+def _no_hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> float:
+    return 0.0
+
+
+@rate.register(Mechanical)
+def _no_rate(law: Any, xi: float, stiffness: float, x: float) -> float:
+    return 0.0
+
+
+@is_flat.register(Mechanical)
+def _not_flat(law: Any, xi: float, stiffness: float, x: float, other: float) -> bool:
+    return False

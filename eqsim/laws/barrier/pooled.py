@@ -14,10 +14,10 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, hazard, is_flat, rate, stretch, stretches
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import inlined, routine
 from eqsim.numerics.tables import Array
 
 
@@ -208,6 +208,53 @@ def _stretches(law: Pooled, table: Array, springs: Any, r: int, lives: Any, row:
     per_attempt = math.exp(-law.log_w)
     for i in range(count):
         stretch[r, i] = min(stretch[r, i], _inverse(x, G, slopes, clock[r, i] * per_attempt))
+
+
+@hazard.register(Pooled)
+def _hazard(law: Pooled, table: Array, xi: float, stiffness: float, x: float) -> float:
+    return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[0]
+
+
+@rate.register(Pooled)
+def _rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
+    return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[1]
+
+
+@is_flat.register(Pooled)
+def _not_flat(law: Pooled, xi: float, stiffness: float, x: float, other: float) -> bool:
+    return False
+
+
+@routine
+def _hermite(x: Array, G: Array, slopes: Array, stretch: float) -> tuple[float, float]:
+    """G and dG/dx at a stretch: the function of which `_inverse` is the inverse."""
+    last = G.size - 1
+    if last < 0 or stretch <= x[0]:
+        return (stretch * G[0] / x[0], G[0] / x[0]) if last >= 0 else (0.0, 0.0)
+    if stretch >= x[last]:
+        return G[last], 0.0
+    low = np.searchsorted(x, stretch, side="right") - 1
+    width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
+    left, right = slopes[low, 0] * width, slopes[low, 1] * width
+    second, third = 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
+    target = math.log(stretch / x[low])
+    below, above, t = 0.0, 1.0, target / rise
+    for _ in range(60):  # Newton in a bracket
+        excess = t * (left + t * (second + t * third)) - target
+        if excess > 0.0:
+            above = t
+        else:
+            below = t
+        slope = left + t * (2.0 * second + 3.0 * t * third)
+        step = t - excess / slope if slope > 0.0 else 0.5 * (below + above)
+        if not below <= step <= above:
+            step = 0.5 * (below + above)
+        if abs(step - t) <= 1e-15:
+            break
+        t = step
+    value = G[low] * math.exp(t * width)
+    slope = left + t * (2.0 * second + 3.0 * t * third)
+    return value, value * width / max(slope, 1e-300) / stretch
 
 
 @inlined

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import special
 
-from eqsim.laws.barrier.base import Barrier, Numbers, height, height_slope, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, Numbers, hazard, height, height_slope, stretch, stretches
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
@@ -55,6 +55,10 @@ class Soft(Numbers, Barrier):
     def table(cls) -> Array:
         return erfi_inverse_table()
 
+    @classmethod
+    def hazard_table(cls) -> Array:
+        return dawson_table()
+
 
 def log_erfi(z: Any) -> Array:
     """ln erfi(z) for z > 0 of any size, through Dawson's function."""
@@ -75,6 +79,19 @@ def erfi_inverse_table() -> Array:
     for _ in range(60):  # Newton for ln erfi, whose derivative is 1/dawsn
         z = np.maximum(z - (log_erfi(z) - target) * special.dawsn(z), z / 4)
     return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
+
+
+_LEAST_Z = 2.0**-20  # below it Dawson's function is z, to 1e-12
+
+
+@functools.cache
+def dawson_table() -> Array:
+    """z/dawsn(z) as a function of z: 1 at small z, 2 z^2 at large z, up to 2^40."""
+    first, last = -20, 40
+    z = octave_edges(first, last)
+    dawson = special.dawsn(z)
+    ratio = z / dawson
+    return octave_table(first, ratio, (1.0 - ratio * (1.0 - 2.0 * z * dawson)) / dawson)
 
 
 # The inverse of (omega/v) H in steps, each of which is a loop of its own where many contacts break: a look-up between
@@ -145,3 +162,10 @@ def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: A
         look_up_all(table, r, clock, row, count)
         for i in range(count):
             x[r, i] = _end(x[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])
+
+
+@hazard.register(Soft)
+def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> float:
+    a = law.b * stiffness
+    per_dawson = look_up(table, max(math.sqrt(a) * x, _LEAST_Z))
+    return math.exp(law.log_w - a * max(xi - x, 0.0) * (xi + x)) * x / per_dawson

@@ -11,7 +11,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, Numbers, height, height_slope, path_step, prefactor, stretch, stretches
+from eqsim.laws.barrier.base import (
+    Barrier,
+    Numbers,
+    hazard,
+    height,
+    height_slope,
+    path_step,
+    prefactor,
+    stretch,
+    stretches,
+)
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus, two_thirds_power
@@ -114,3 +124,11 @@ def _stretches(law: Stiff, table: Array, springs: Any, r: int, lives: Any, row: 
         clock[r, i] = _spent(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
     for i in range(count):
         x[r, i] = _end(x[r, i], clock[r, i])
+
+
+@hazard.register(Stiff)
+def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> float:
+    a = law.b * stiffness
+    barrier = a * xi * xi
+    spent = -math.expm1(1.5 * math.log1p(-min(x / xi, 1.0)))  # 1 - (1 - x/xi)^(3/2)
+    return -math.exp(law.log_w - barrier * (1.0 - spent)) * math.expm1(-barrier * spent) / (1.5 * a * xi)
