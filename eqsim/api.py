@@ -1,7 +1,8 @@
 """The public names of eqsim."""
 
+from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.steady import Steady, steady
-from eqsim.engine.trajectory import Trajectory, trajectory
+from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
 from eqsim.io.runfile import RunFile, load
@@ -20,7 +21,8 @@ from eqsim.workflows.run import RunResult, run
 
 __all__ = [
     "OBSERVABLES", "Aging", "Closure", "Delay", "Delta", "Distribution", "Drive", "Ensemble", "Estimate",
-    "Fluctuations", "Gamma", "InputError", "Programme", "Reference", "Replay", "RunFile", "RunResult", "Segment",
-    "Steady", "Table", "Thermal", "Trajectory", "Transient", "Validation", "closure", "fluctuations", "load",
-    "reference", "replay", "run", "steady", "trajectory", "transient", "validate", "z_score",
+    "Fluctuations", "Gamma", "InputError", "Programme", "ProgrammeTrajectory", "Reference", "Replay", "RunFile",
+    "RunResult", "Segment", "Steady", "Table", "Thermal", "Trajectory", "Transient", "Validation", "closure",
+    "fluctuations", "load", "reference", "replay", "run", "steady", "trajectory", "transient", "validate",
+    "z_score",
 ]  # fmt: skip

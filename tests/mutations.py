@@ -282,7 +282,7 @@ MISTAKES = [
     M("steady: weights of the clock left out", "engine/steady.py", "terms = weight * clock_weight *",
       "terms = weight *", "test_steady.py::test_heavy_tails"),
     # trajectory
-    M("trajectory: replicas over R, not R - 1", "engine/trajectory.py", "np.maximum(spread, 0.0) / (replicas - 1)",
+    M("trajectory: replicas over R, not R - 1", "engine/blocks.py", "np.maximum(spread, 0.0) / (replicas - 1)",
       "np.maximum(spread, 0.0) / replicas", "test_trajectory.py::test_standard_deviation_of_few_replicas"),
     M("scatter: paths know how rare breaks are", "engine/scatter.py", " + contacts / law.lives)", ")",
       "test_scatter.py::test_rare_breaks_of_fluctuating_thresholds"),

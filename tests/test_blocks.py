@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from eqsim import Aging, Delay, Drive, Ensemble, Thermal, trajectory
 from eqsim.cli.app import app
-from eqsim.engine.trajectory import Totals
+from eqsim.engine.blocks import Totals
 
 ARRAYS = ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std")
 THERMAL = Ensemble(thermal=Thermal(0.1), count=3000, delay=Delay(1.0, "exponential"), eta=1.0)

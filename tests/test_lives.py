@@ -10,12 +10,12 @@ from cases import thinned
 from scipy import optimize, special
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady
+from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums
 from eqsim.engine.recorder import Run, Scales, moments
-from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import stationary
-from eqsim.engine.trajectory import Totals, arguments
+from eqsim.engine.trajectory import ConstantDrive
 from eqsim.estimate import difference
 from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 
@@ -113,7 +113,7 @@ def test_side_by_side_as_one_by_one(ensemble, start, points):
     for by_life in (False, True):
         run = Run(20.0, points, start == "stationary", by_life)
         scales, total = Scales.of(c, run, count, 1, 0.0), Totals(points, 1)
-        simulate(*arguments((c, stationary(c), run, scales, key(2, TRAJECTORY)), total), 0, count)
+        ConstantDrive(c, stationary(c), run, scales, key(2, TRAJECTORY), 0.0).simulate(total, 0, count)
         sums = total.batches.sum(axis=0) / scales.batches
         found.append((*moments(total.deposits, scales, run, count, 0.0), sums, np.array(total.lives)))
     for mine, other in zip(*found, strict=True):

@@ -478,11 +478,11 @@ def test_particles_fluctuate_as_stated(ensemble, velocity):
 
 def trajectory_sample(ensemble, drive, runs):
     """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
+    from eqsim.engine.blocks import Totals
     from eqsim.engine.contacts import contacts
     from eqsim.engine.recorder import Run, Scales, moments
-    from eqsim.engine.simulate import simulate
     from eqsim.engine.stationary import stationary
-    from eqsim.engine.trajectory import Totals, arguments
+    from eqsim.engine.trajectory import ConstantDrive
     from eqsim.numerics.streams import TRAJECTORY, key
 
     c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
@@ -493,6 +493,6 @@ def trajectory_sample(ensemble, drive, runs):
     forces = []
     for first in range(0, runs * n, n):
         total = Totals(5, 1)
-        simulate(*arguments(job, total), first, first + n)
+        ConstantDrive(*job, 0.0).simulate(total, first, first + n)
         forces.append(moments(total.deposits, scales, run, n, drag)[0] * unit)
     return np.array(forces)

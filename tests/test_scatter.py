@@ -10,12 +10,12 @@ import pytest
 import scipy.stats
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, reference, trajectory
+from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
 from eqsim.engine.scatter import births, known_variance, scatter
-from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import FRESH
-from eqsim.engine.trajectory import Totals, arguments, independent
+from eqsim.engine.trajectory import ConstantDrive, independent
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
 from eqsim.model.reduced import drag_of
@@ -200,7 +200,7 @@ def test_many_contacts_know_their_errors(ensemble):
     run = Run(8.0, 41, False, False)
     c, total = contacts(ensemble, 1.0), Totals(41, 1)
     scales = Scales.of(c, run, n, 1, drag)
-    simulate(*arguments((c, FRESH, run, scales, key(1, TRAJECTORY)), total), 0, n)
+    ConstantDrive(c, FRESH, run, scales, key(1, TRAJECTORY), 0.0).simulate(total, 0, n)
     _, _, variance = moments(total.deposits, scales, run, n, drag)
     born = births(c)
     fresh, level = scatter(c, born, 8.0, drag), scatter(c, born, None, drag)

@@ -26,11 +26,11 @@ from eqsim import (
     steady,
     trajectory,
 )
+from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
-from eqsim.engine.simulate import simulate
 from eqsim.engine.stationary import stationary
-from eqsim.engine.trajectory import Totals, arguments, predicted_lives
+from eqsim.engine.trajectory import ConstantDrive, predicted_lives
 from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.master.transient import fluctuations, transient
 from eqsim.numerics.streams import TRAJECTORY, key
@@ -294,7 +294,7 @@ def test_same_bits_for_any_blocks(start):
         np.random.default_rng(size).shuffle(firsts)
         for first in firsts:
             job = (c, table, run, scales, key(1, TRAJECTORY))
-            simulate(*arguments(job, total), first, min(first + size, 300))
+            ConstantDrive(*job, 0.0).simulate(total, first, min(first + size, 300))
         sums.append(total)
     for total in sums[1:]:
         assert total.deposits.tobytes() == sums[0].deposits.tobytes()
@@ -311,7 +311,7 @@ def test_a_contact_does_not_depend_on_the_others():
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1, 0.0)
     second = Totals(101, 1)
-    simulate(*arguments((c, stationary(c), run, scales, key(1, TRAJECTORY)), second), 1, 2)
+    ConstantDrive(c, stationary(c), run, scales, key(1, TRAJECTORY), 0.0).simulate(second, 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), rtol=0, atol=1e-12)
 

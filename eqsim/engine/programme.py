@@ -1,254 +1,230 @@
-"""One kernel for every segment of a programme: contacts come in as the last segment left them, and are handed on.
-
-Along a segment at constant velocity a contact that comes in goes on with what its exponential clock has left, and the
-lives that begin there are those of a constant drive at that speed (`engine.simulate`), in a mirror where the slider
-moves back. In a hold stretches stay what they are, and time is displacement at the pace of another segment.
-
-Stretches of a `Population` count in the direction X. Each segment has a recorder of its own, whose origin is where the
-segment begins, so that forces do not cancel over long distances.
-"""
+"""Force of an ensemble along a programme of segments, event driven: exact in time, also in holds and reversals."""
 
 import math
-from typing import Any, NamedTuple
+import time
+from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Lives, complete, draw_lives, empty_lanes, empty_lives
-from eqsim.engine.recorder import (
-    Columns,
-    Recorder,
-    empty_columns,
-    join_uniform_ramps,
-    joined,
-    leave,
-    leave_force,
-    leave_ramps,
-    leave_uniform_ramps,
-)
-from eqsim.engine.simulate import draw_delays
-from eqsim.engine.stationary import Stationary, found_pinned
-from eqsim.laws.aging.base import growth, spend, stiffness_varies
-from eqsim.laws.barrier.base import thermal
-from eqsim.laws.delay import delay_draw, residual_delay_draw
-from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import inlined, kernel, routine
-from eqsim.numerics.streams import Key, uniforms
+from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
+from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import typical_lives
+from eqsim.engine.recorder import Moments, Recorder, Run, Scales, moments
+from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, extreme
+from eqsim.engine.scatter import Scatter, births, known_variance, scatter
+from eqsim.engine.segments import Leg, Population, begin_stationary, follow, waits_at_rest
+from eqsim.engine.stationary import FRESH, Stationary, extremes, stationary
+from eqsim.errors import InputError
+from eqsim.estimate import Estimate
+from eqsim.model import reduced
+from eqsim.model.drive import Grid, Programme
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
+from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
-
-class Population(NamedTuple):
-    """Contacts between two segments, arrays (contacts,). Times are displacements at the pace of the segment before.
-
-    `rest` is the time until a contact is pinned, -1 of those that are. Of these: threshold `xi` and `stiffness` k_i/k
-    at birth, signed `stretch`, what the exponential `clock` has left, the stretch at breaking `ends` if the motion goes
-    on as before, for how long they have been pinned (`age`) and the `delay` after the break. `lives` is ROUNDS times
-    how often lives were drawn."""
-
-    rest: Array
-    xi: Array
-    stiffness: Array
-    stretch: Array
-    clock: Array
-    ends: Array
-    age: Array
-    delay: Array
-    lives: Array
-
-    @classmethod
-    def fresh(cls, contacts: int) -> "Population":
-        """All of them about to be pinned for the first time."""
-        rest, xi, stiffness, stretch, clock, ends, age, delay = np.zeros((8, contacts))
-        return cls(rest, xi, stiffness, stretch, clock, ends, age, delay, np.zeros(contacts, np.int64))
+_TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
+_RARE = 1e-4  # probability of more than five standard errors of the force
 
 
-class Leg(NamedTuple):
-    """What a kernel needs to know of a segment: 1 if the slider moves and 0 in a hold; the direction of X in which
-    stretches are positive; length (time at its pace) and pace over that of the segment before; whether the contacts
-    move as before; and instants of a hold (points + 1,) from its beginning on."""
-
-    moves: int
-    sign: float
-    length: float
-    ratio: float
-    same: bool
-    times: Array
-
-
-@kernel
-def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, p: Population) -> None:
-    """Fill a population with contacts from `first` on, as a snapshot of the steady state of `c` finds them."""
-    for i in range(p.rest.size):
-        contact = first + i
-        u_state, u_residual = uniforms(key, contact, 0, 0)
-        p.lives[i] = ROUNDS
-        if u_state >= stationary.pinned:
-            p.rest[i] = residual_delay_draw(c.delay, u_residual)
-            continue
-        xi, x, ends, clock = found_pinned(c, stationary, key, contact, u_residual)
-        stiffness = kappa(c.springs, xi)
-        _, left = spend(c.aging, c, (xi, stiffness, 0.0, 0.0), 1, x, clock)
-        p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i], p.ends[i], p.age[i] = -1.0, xi, stiffness, x, ends, x
-        p.clock[i] = left
-        p.delay[i] = delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
+def check_programme(ensemble: Ensemble) -> None:
+    """Raise InputError for contacts that follow no programme."""
+    if ensemble.disorder == "annealed" and ensemble.aging.active:
+        raise InputError(
+            "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
+            'a steady state; take disorder = "quenched" or aging.rule = "none"'
+        )
+    if ensemble.fluctuates:
+        raise InputError(
+            f'drive.programme: thresholds of rule "{ensemble.aging.rule}" are followed at constant velocity only; take '
+            'rule = "flow"'
+        )
 
 
-@kernel
-def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: Population) -> None:
-    """Follow contacts from `first` on through a segment at whose pace they are `c`, and add up what they leave."""
-    position = np.empty(p.rest.size)
-    for i in range(p.rest.size):
-        position[i] = _go_on(c, leg, recorder, p, i)
-    lanes, lives, columns = empty_lanes(), empty_lives(c, ROUNDS), empty_columns()
-    xi, clock = np.empty((ROUNDS, LANES)), np.empty((ROUNDS, LANES))
-    at, broke, delay = np.full(LANES, math.inf), np.empty(LANES), np.full((ROUNDS, LANES), c.delay.mean)
-    which = np.empty(LANES, np.int64)
-    alone = leg.moves == 0 or stiffness_varies(c.aging, c.springs)
-    contact, age = lanes.contact, lanes.age
-    active: Any = np.int64(0)  # typed: a literal 0 would be compiled for itself
-    upcoming: Any = np.int64(0)
-    while True:
-        if 2 * active <= LANES:
-            while active < LANES and upcoming < position.size:
-                if position[upcoming] <= leg.length:
-                    which[active], contact[active], age[active] = (
-                        upcoming,
-                        first + upcoming,
-                        p.lives[upcoming] // ROUNDS,
-                    )
-                    at[active] = position[upcoming]
-                    if not alone and joined(c, recorder):
-                        leave(recorder, index_of(leg, recorder, at[active]), 1, 1.0, at[active])
-                    active += 1
-                upcoming += 1
-        if active == 0 or recorder.status[1] != 0:
-            return
-        full = min(LANES, (active + 31) // 32 * 32)
-        draw_lives(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, full)
-        if c.delay.random > 0.0:
-            draw_delays(c.delay, key, lanes, delay, full)
-        for r in range(ROUNDS):
-            for i in range(full):
-                xi[r, i], clock[r, i] = lives.stretch[r, i], lives.clock[r, i]
-        if leg.moves != 0:
-            complete(c.aging, c, key, lanes, lives, full)
-        for r in range(ROUNDS):
-            if alone:
-                for i in range(active):
-                    if at[i] <= leg.length:
-                        broke[i] = _live(c, leg, recorder, lives.stretch[r, i], xi[r, i], clock[r, i], at[i])
-            else:
-                _record(c, recorder, at, broke, lives, r, columns, full)
-            for i in range(active):
-                if at[i] <= leg.length:
-                    recorder.status[0] += 1
-                    if broke[i] + delay[r, i] > leg.length:
-                        _hand_on(c, leg, p, which[i], (xi[r, i], clock[r, i], delay[r, i]), at[i], broke[i])
-                        p.lives[which[i]] = ROUNDS * (age[i] + 1)
-                    at[i] = broke[i] + delay[r, i]
-        for i in range(active):
-            age[i] += 1
-        for i in range(active - 1, -1, -1):
-            if at[i] > leg.length:
-                active -= 1
-                which[i], contact[i], age[i], at[i] = which[active], contact[active], age[active], at[active]
-                at[active] = math.inf
+class _Step(NamedTuple):
+    """A segment: its contacts, and where what they leave is recorded, from row `row` of all deposits on."""
+
+    contacts: Contacts
+    leg: Leg
+    run: Run
+    scales: Scales
+    drag: float
+    row: int
 
 
-@routine
-def index_of(leg: Leg, recorder: Recorder, s: float) -> int:
-    """The first instant of a segment at or after `s`; beyond the last one if there is none."""
-    run = recorder.run
-    if leg.moves == 0:
-        return int(np.searchsorted(leg.times, s))
-    return math.ceil(min(s * ((run.points - 1) / run.distance), float(run.points)))
+class Steps(NamedTuple):
+    """A `blocks.Job` along a programme: its segments, the contacts and tables of a stationary start if it has one, and
+    the stream of random numbers."""
+
+    steps: tuple[_Step, ...]
+    before: Contacts | None
+    stationary: Stationary
+    stream: Key
+
+    @property
+    def replica_scales(self) -> tuple[float, float]:
+        return (
+            min(step.scales.replica for step in self.steps),
+            min(step.scales.replica_square for step in self.steps),
+        )
+
+    def totals(self, replicas: int) -> Totals:
+        last = self.steps[-1]
+        rows = last.row + last.run.points
+        return Totals(rows, replicas, rows - len(self.steps) + 1)
+
+    def simulate(self, total: Totals, first: int, last: int) -> None:
+        for begin in range(first, last, _TOGETHER):
+            population = Population.fresh(min(_TOGETHER, last - begin))
+            if self.before is not None:
+                begin_stationary(self.before, self.stationary, self.stream, begin, population)
+            for step in self.steps:
+                if total.status[1]:
+                    return
+                rows = total.scratch[step.row : step.row + step.run.points]
+                scales = step.scales
+                recorder = Recorder(step.run, scales.deposits, scales.batches, rows, total.batches, total.status)
+                follow(step.contacts, step.leg, recorder, self.stream, begin, population)
+
+    def moments(self, deposits: Array, contacts: int) -> Moments:
+        parts = []
+        for step in self.steps:
+            rows = deposits[step.row : step.row + step.run.points]
+            found = moments(rows, step.scales, step.run, contacts, step.drag)
+            later = slice(1 if step.row else 0, None)  # a segment begins where another has ended
+            parts.append(Moments(step.leg.sign * found.force[later], found.pinned[later], found.variance[later]))
+        return Moments(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-@routine
-def _leave_life(
-    c: Contacts, leg: Leg, recorder: Recorder, stiffness: float, y: float, age: float, span: tuple[float, float]
-) -> None:
-    """What a contact leaves that is pinned for a `span` of a segment, with stretch `y` and `age` at its beginning."""
-    run = recorder.run
-    start, end = index_of(leg, recorder, span[0]), index_of(leg, recorder, span[1])
-    if not stiffness_varies(c.aging, c.springs):
-        if start < end and start < run.points:
-            born = span[0] - y if leg.moves != 0 else -y
-            leave(recorder, start, 1, stiffness, born)
-            if end < run.points:
-                leave(recorder, end, -1, stiffness, born)
-        return
-    step = run.distance / (run.points - 1)
-    for j in range(start, min(end, run.points)):
-        s = j * step if leg.moves != 0 else leg.times[j]
-        elapsed = max(s - span[0], 0.0)
-        leave_force(recorder, j, stiffness * growth(c.aging, age + elapsed) * (y + elapsed * leg.moves))
-        recorder.deposits[j, 0] += 1
-        if j + 1 < run.points:
-            recorder.deposits[j + 1, 0] -= 1
+def _steps(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int, seed: int) -> Steps:
+    unit, count = ensemble.thresholds.scale, ensemble.count * replicas
+    legs = reduced.legs(ensemble, programme)
+    before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
+    pace, sign = (programme.velocity, 1) if before and programme.velocity else (legs[0].pace, 0)
+    carried = extremes(before)[1] if before else 0.0
+    bounds: dict[float, float] = {}
+    steps: list[_Step] = []
+    row = 0
+    for index, leg in enumerate(legs):
+        c = contacts(ensemble, leg.pace)
+        here = np.flatnonzero(grid.segment == index)
+        begin = grid.t[here[0] - 1] if index else 0.0
+        here = here[0 if index else 1 :]
+        times = np.append(0.0, (grid.t[here] - begin) * (leg.pace / unit)) if leg.sign == 0 else np.empty(0)
+        run = Run(leg.length if leg.sign else 0.0, here.size + 1, before is not None, False)
+        drag = drag_of(ensemble, leg.pace) * abs(leg.sign)
+        scales = Scales.of(c, run, count, replicas, drag, carried)
+        if leg.pace not in bounds:
+            bounds[leg.pace] = extremes(c)[1]
+        if leg.sign:
+            carried = max(carried, bounds[leg.pace] if before or index else min(bounds[leg.pace], run.distance))
+        same = index + (before is not None) > 0 and (leg.pace, leg.sign) == (pace, sign)
+        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, times)
+        steps.append(_Step(c, moves, run, scales, drag, row))
+        row += run.points
+        pace, sign = leg.pace, leg.sign
+    table = stationary(before) if before else FRESH
+    return Steps(tuple(steps), before, table, key(seed, TRAJECTORY))
 
 
-@routine
-def _go_on(c: Contacts, leg: Leg, recorder: Recorder, p: Population, i: int) -> float:
-    """Take a contact through the segment up to the end of what it came in with; where its next life begins, or infinity
-    if that is in a later segment."""
-    if p.rest[i] >= 0.0:
-        rest = p.rest[i] * leg.ratio
-        p.rest[i] = rest - leg.length
-        return rest if rest <= leg.length else math.inf
-    y, age, delay = leg.sign * p.stretch[i], p.age[i] * leg.ratio, p.delay[i] * leg.ratio
-    contact = p.xi[i], p.stiffness[i], y, age
-    broke, left = spend(c.aging, c, contact, leg.moves, leg.length, p.clock[i])
-    if leg.same:
-        broke = p.ends[i] - y
-    _leave_life(c, leg, recorder, p.stiffness[i], y, age, (0.0, broke))
-    if broke > leg.length:
-        p.stretch[i] = leg.sign * (y + leg.moves * leg.length)
-        p.clock[i], p.age[i], p.delay[i] = left, age + leg.length, delay
-        return math.inf
-    p.rest[i] = broke + delay - leg.length
-    return broke + delay if broke + delay <= leg.length else math.inf
+def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
+    """About how many lives of a contact begin in each segment."""
+    found = []
+    for leg in reduced.legs(ensemble, programme):
+        c = contacts(ensemble, leg.pace)
+        stretch = typical_lives(c)[1] if leg.sign else waits_at_rest(c)
+        mean = float(np.mean(np.minimum(stretch + c.delay.mean, leg.length)))
+        found.append(1.0 + leg.length / mean if mean > 0 else math.inf)
+    return found
 
 
-@routine
-def _live(c: Contacts, leg: Leg, recorder: Recorder, stretch: float, xi: float, clock: float, born: float) -> float:
-    """Record a life that begins at `born` on its own, and ends at that `stretch` unless in a hold; where it ends."""
-    stiffness = kappa(c.springs, xi)
-    if leg.moves != 0:
-        broke = born + stretch
-    else:
-        spent, _ = spend(c.aging, c, (xi, stiffness, 0.0, 0.0), 0, leg.length - born, clock)
-        broke = born + spent
-    _leave_life(c, leg, recorder, stiffness, 0.0, 0.0, (born, broke))
-    return broke
+def along(
+    ensemble: Ensemble,
+    programme: Programme,
+    recorded: tuple[int, int, int],
+    threads: Threads,
+    progress: Progress | None,
+) -> ProgrammeTrajectory:
+    """`trajectory.trajectory` of a programme; `recorded` holds points, seed and replicas."""
+    points, seed, replicas = recorded
+    grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
+    job = _steps(ensemble, programme, grid, replicas, seed)
+    job.simulate(job.totals(1), 0, 1)  # compiles, so that seconds are those of the work
+    begin = time.perf_counter()
+    total = simulate_all(job, ensemble.count, replicas, threads, progress)
+    found = job.moments(total.deposits, count)
+    variance, reliable = _variance(ensemble, programme, grid, found, count)
+    pinned_variance = found.pinned * (1 - found.pinned) / count
+    if ensemble.delay.time > 0:  # what a sample does not tell of fewer than two contacts, as at constant velocity
+        pinned_variance += (2.0 / count) ** 2
+    rounding = 1e-15 * max(step.run.distance for step in job.steps)
+    force, stderr = found.force * unit, np.sqrt(variance + rounding**2) * unit
+    pinned_stderr = np.sqrt(pinned_variance)
+    if programme.start == "fresh":  # all contacts are pinned and unstretched
+        stderr[0] = pinned_stderr[0] = 0.0
+    std = total.replica_std(job, replicas)
+    return ProgrammeTrajectory(
+        X=grid.X,
+        t=grid.t,
+        force=force,
+        force_stderr=stderr,
+        force_reliable=reliable,
+        pinned=found.pinned,
+        pinned_stderr=pinned_stderr,
+        force_replica_std=None if std is None else std * unit,
+        lives=total.lives,
+        seed=seed,
+        engine_seconds=time.perf_counter() - begin,
+        threads=workers_of(threads),
+        segment=grid.segment,
+        segments=tuple(
+            _shown(programme, index, grid, force, stderr, reliable) for index in range(len(programme.segments))
+        ),
+    )
 
 
-@inlined
-def _record(
-    c: Contacts, recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
-) -> None:
-    """Record round r of the lives of all lanes; where they end."""
-    stretch = lives.stretch
-    for i in range(count):
-        broke[i] = born[i] + stretch[r, i]
-    if joined(c, recorder):
-        join_uniform_ramps(recorder, born, broke, columns, count)
-    elif c.springs.slope == 0.0:
-        leave_uniform_ramps(recorder, born, broke, columns, count)
-    else:
-        leave_ramps(recorder, born, broke, lives, r, columns, count)
+def _shown(programme: Programme, index: int, grid: Grid, force: Array, stderr: Array, reliable: bool) -> SegmentRecord:
+    segment, here = programme.segments[index], np.flatnonzero(grid.segment == index)
+    here = here if index == 0 else np.append(here[0] - 1, here)
+    along = grid.t[here] if segment.velocity == 0 else np.abs(grid.X[here] - grid.X[here[0]])
+    peak, at = extreme(along - along[0], force[here], stderr[here])
+    last = here[-1]
+    return SegmentRecord(
+        segment.velocity,
+        float(grid.t[last]),
+        float(grid.X[last]),
+        Estimate(float(force[last]), float(stderr[last]), peak.n, reliable=reliable),
+        Estimate(peak.value, peak.stderr, peak.n, reliable=reliable),
+        at,
+    )
 
 
-@routine
-def _hand_on(
-    c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float], born: float, broke: float
-) -> None:
-    """Note where a contact is at the end of the segment, whose last life was `drawn` as threshold, clock and delay."""
-    xi, clock, delay = drawn
-    if broke <= leg.length:
-        p.rest[i] = broke + delay - leg.length
-        return
-    stiffness, age = kappa(c.springs, xi), leg.length - born
-    _, left = spend(c.aging, c, (xi, stiffness, 0.0, 0.0), leg.moves, age, clock)
-    p.rest[i], p.xi[i], p.stiffness[i], p.clock[i], p.age[i], p.delay[i] = -1.0, xi, stiffness, left, age, delay
-    p.stretch[i], p.ends[i] = leg.sign * leg.moves * age, broke - born
+def _variance(ensemble: Ensemble, programme: Programme, grid: Grid, found: Moments, count: int) -> tuple[Array, bool]:
+    """Variance of the mean force in units of the thresholds' scale, and whether five standard errors mean what they
+    say: that of the sample, whose scatter is taken to have the shape (kurtosis, ...) that the law has in steady sliding
+    at the velocity where it is worst."""
+    paces = {leg.pace for leg in reduced.legs(ensemble, programme) if leg.sign}
+    levels = [_level(ensemble, pace) for pace in sorted(paces | {programme.velocity or 0.0} - {0.0})]
+    if not levels:
+        return found.variance / count, True
+    unit = ensemble.thresholds.scale
+    reach = math.inf if programme.start == "stationary" else np.maximum.accumulate(np.abs(grid.X)) / unit
+    variance, rare = np.zeros_like(found.force), 0.0
+    own = found.variance * count / (count - 1) if count > 1 else found.variance
+    for level in levels:
+        with np.errstate(all="ignore"):
+            fourth, sixth = level.fourth / level.variance**2, level.sixth / level.variance**3
+            law = level._replace(
+                X=grid.X, mean=found.force, pinned=found.pinned, variance=own, fourth=fourth * own**2,
+                sixth=sixth * own**3, most=reach**2 * np.ones_like(own),
+            )  # fmt: skip
+        here, unlikely = known_variance(law, level, found.variance, count)
+        _, always = known_variance(level, level, level.variance, count)
+        variance, rare = np.maximum(variance, here), max(rare, min(float(np.mean(unlikely)), float(always[0])))
+    return variance, bool(rare < _RARE)
+
+
+def _level(ensemble: Ensemble, pace: float) -> Scatter:
+    """What the law says of the steady state at a velocity."""
+    c = contacts(ensemble, pace)
+    return scatter(c, births(c), None, drag_of(ensemble, pace))

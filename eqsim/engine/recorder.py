@@ -57,13 +57,14 @@ class Scales(NamedTuple):
     uniform: bool
 
     @classmethod
-    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
-        """The finest that no sum over all contacts can overflow, from the longest life there can be.
+    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float, carried: float = 0.0) -> "Scales":
+        """The finest that no sum over all contacts can overflow, from the longest life there can be, or the longest
+        stretch that contacts are `carried` to the beginning with.
 
         Raises InputError if these are too coarse for the typical contact.
         """
         xi, x = extremes(c)
-        x = x if run.stationary else min(x, run.distance)
+        x = max(x if run.stationary else min(x, run.distance), carried)
         strong = c.springs.constant + c.springs.slope * xi
         reach = run.distance + x
         force = strong * x
@@ -100,8 +101,16 @@ class Recorder(NamedTuple):
     status: Array
 
 
-def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: float) -> tuple[Array, Array, Array]:
-    """Mean force, pinned fraction, and variance of the force over contacts, at every grid point."""
+class Moments(NamedTuple):
+    """Mean force, pinned fraction, and variance of the force over contacts, at every instant."""
+
+    force: Array
+    pinned: Array
+    variance: Array
+
+
+def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: float) -> Moments:
+    """What deposits say, at every grid point."""
     X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)  # squares cancel: 64 bits where there are
     total = np.cumsum(deposits, axis=0) / (scales.deposits * contacts).astype(np.longdouble)
     if scales.uniform:  # k_i/k = 1
@@ -115,7 +124,7 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
     variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
     # what rounding may hide of it, over distances so long that squares of X drown it
     lost = 4.0 * np.finfo(np.longdouble).eps * total[:, SLOPE2] * X * X + (X > 0) / scales.deposits[SQUARE]
-    return force, pinned, variance + lost.astype(float)
+    return Moments(force, pinned, variance + lost.astype(float))
 
 
 # ------------------------------------------------------------------------------------------------------- kernels

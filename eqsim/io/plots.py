@@ -15,8 +15,8 @@ from eqsim.errors import InputError, meant
 from eqsim.estimate import OBSERVABLES, Estimate
 
 if TYPE_CHECKING:
+    from eqsim.engine.records import Trajectory
     from eqsim.engine.steady import Steady
-    from eqsim.engine.trajectory import Trajectory
     from eqsim.master.transient import Transient
     from eqsim.validation import Validation
 

@@ -40,11 +40,10 @@ from scipy import integrate, stats
 
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
-from eqsim.engine.recorder import Run, Scales, moments
-from eqsim.engine.simulate import simulate
+from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.stationary import FRESH, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
-from eqsim.engine.trajectory import Totals, arguments, predicted_lives, trajectory
+from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
 from eqsim.laws.aging import Aging, Flow, Unaged
@@ -410,13 +409,13 @@ def _forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: int) -> tupl
     c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
     run = Run(drive.over(ensemble) / unit, 2, drive.start == "stationary", False)
     scales = Scales.of(c, run, n, 1, 0.0)
-    job = (c, stationary(c) if run.stationary else FRESH, run, scales, key(seed, TRAJECTORY))
-    drag = drag_of(ensemble, drive.velocity)
+    table, drag = stationary(c) if run.stationary else FRESH, drag_of(ensemble, drive.velocity)
+    job = ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag)
     forces, variances = np.empty((2, ensembles, 2))
     for index in range(ensembles):
-        total = Totals(2, 1)
-        simulate(*arguments(job, total), index * n, (index + 1) * n)
-        force, _, variance = moments(total.deposits, scales, run, n, drag)
+        total = job.totals(1)
+        job.simulate(total, index * n, (index + 1) * n)
+        force, _, variance = job.moments(total.deposits, n)
         forces[index], variances[index] = force * unit, variance * unit**2
     return forces, variances
 

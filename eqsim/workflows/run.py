@@ -7,8 +7,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+from eqsim.engine.records import Trajectory
 from eqsim.engine.steady import Steady, steady
-from eqsim.engine.trajectory import Trajectory, check_run, trajectory
+from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile

@@ -1,0 +1,140 @@
+"""Blocks of contacts, handed to threads or to the workers of an executor: integer sums that simply add up."""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from eqsim.engine.recorder import BATCHES, Moments
+from eqsim.numerics.tables import Array
+
+Progress = Callable[[int], None]
+Threads = int | tuple[Executor, int]
+_BLOCK = 128  # contacts, at least, unless there are fewer
+_SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
+
+
+class Totals:
+    """Integer sums of one thread or share of the contacts, of `rows` instants; those of several simply add up. Of
+    replicas the forces at `points` instants are noted."""
+
+    sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
+
+    def __init__(self, rows: int, replicas: int, points: int | None = None) -> None:
+        self.deposits = np.zeros((rows, 6), np.int64)
+        self.batches = np.zeros((BATCHES, 2, 5), np.int64)
+        self.status = np.zeros(2, np.int64)  # lives so far; anything but 0 stops the kernel
+        self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
+        self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)
+        self.replica_square = np.zeros_like(self.replica_sum)
+
+    @property
+    def lives(self) -> int:
+        return int(self.status[0])
+
+    def close_replica(self, job: "Job", contacts: int) -> None:
+        """Note the force of the ensemble just simulated and clear the sums for the next one."""
+        if self.scratch is self.deposits:
+            return
+        force, (scale, square) = job.moments(self.scratch, contacts).force, job.replica_scales
+        self.replica_sum += np.rint(force * scale).astype(np.int64)
+        self.replica_square += np.rint(force**2 * square).astype(np.int64)
+        self.deposits += self.scratch
+        self.scratch[:] = 0
+
+    def replica_std(self, job: "Job", replicas: int) -> Array | None:
+        """Standard deviation of the force between replicas; None if there is one."""
+        if replicas == 1:
+            return None
+        scale, square = job.replica_scales
+        spread = self.replica_square / square - (self.replica_sum / scale) ** 2 / replicas
+        return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
+
+    def add(self, other: "Totals") -> None:
+        for name in self.sums:
+            getattr(self, name)[...] += getattr(other, name)
+
+    def __getstate__(self) -> dict[str, Array]:
+        """What comes back from a worker: the sums, without scratch."""
+        return {name: getattr(self, name) for name in self.sums}
+
+
+class Job(Protocol):
+    """A run, as those see it who follow a block of its contacts."""
+
+    @property
+    def replica_scales(self) -> tuple[float, float]:
+        """Powers of 2 that turn the force of a replica, and its square, into integers."""
+
+    def totals(self, replicas: int) -> Totals:
+        """Sums of nothing yet."""
+
+    def simulate(self, total: Totals, first: int, last: int) -> None:
+        """Follow contacts first <= i < last and add up what they leave in `total.scratch` and the other sums."""
+
+    def moments(self, deposits: Array, contacts: int) -> Moments:
+        """Mean force, pinned fraction and variance of the force at every instant."""
+
+
+class _Blocks(NamedTuple):
+    """How contacts are divided: blocks of `size`, whole ensembles of `contacts` if there are replicas."""
+
+    size: int
+    contacts: int
+    replicas: int
+
+
+def _follow(job: Job, blocks: _Blocks, firsts: Iterable[int], total: Totals | None = None) -> Totals:
+    """Simulate the blocks that begin at the contacts `firsts`, in a thread or in a worker of an executor."""
+    total = total or job.totals(blocks.replicas)
+    for first in firsts:
+        if total.status[1]:
+            break
+        job.simulate(total, first, min(first + blocks.size, blocks.contacts * blocks.replicas))
+        total.close_replica(job, blocks.contacts)
+    return total
+
+
+def workers_of(threads: Threads) -> int:
+    """How many there are."""
+    return threads[1] if isinstance(threads, tuple) else max(1, threads)
+
+
+def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress: Progress | None) -> Totals:
+    """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free, or a few shares
+    of them for each worker to an executor."""
+    executor, threads = threads if isinstance(threads, tuple) else (None, max(1, threads))
+    contacts = count * replicas
+    least = _BLOCK if executor else min(_BLOCK, -(-contacts // threads))
+    size = count if replicas > 1 else max(least, min(-(-contacts // (16 * threads)), 2**20))
+    blocks, firsts = _Blocks(size, count, replicas), range(0, contacts, size)
+    totals = [job.totals(replicas) for _ in range(1 if executor else threads)]
+    running: set[Future[Totals]] = set()
+    pool = None if executor else ThreadPoolExecutor(threads)
+    with pool or nullcontext():
+        try:
+            if pool:
+                shared = iter(firsts)  # next() is atomic
+                running = {pool.submit(_follow, job, blocks, shared, total) for total in totals}
+            elif executor:
+                shares = min(_SHARES * threads, len(firsts))
+                running = {executor.submit(_follow, job, blocks, firsts[i::shares]) for i in range(shares)}
+            while running:
+                done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
+                for future in done:
+                    part = future.result()
+                    if executor:
+                        totals[0].add(part)
+                if progress:
+                    progress(sum(total.lives for total in totals))
+        except BaseException:
+            for total in totals:
+                total.status[1] = 1
+            for future in running:
+                future.cancel()
+            raise
+    for other in totals[1:]:
+        totals[0].add(other)
+    return totals[0]

@@ -1,0 +1,130 @@
+"""What a run leaves behind: force and pinned contacts along a drive, and what is read off."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eqsim.estimate import Averages, Estimate
+from eqsim.numerics.tables import Array
+
+
+@dataclass(frozen=True)
+class Record:
+    """An ensemble's force along a drive.
+
+    Attributes
+    ----------
+    X, t : ndarray, shape (points,)
+        Displacement (length) and time.
+    force, force_stderr : ndarray, shape (points,)
+        <F>/(N k) (length), averaged over replicas, and its standard error.
+    force_reliable : bool
+        False where too few contacts make the force for five standard errors to mean what they say;
+        `force_replica_std` then misses what the sample did.
+    pinned, pinned_stderr : ndarray, shape (points,)
+        <N_c>/N, averaged over replicas, and its standard error.
+    force_replica_std : ndarray, shape (points,), or None
+        Standard deviation of F/(N k) between replicas, if there are several.
+    lives : int
+        Lives of contacts that were simulated.
+    seed, engine_seconds, threads
+        How it was computed.
+    """
+
+    X: Array
+    t: Array
+    force: Array
+    force_stderr: Array
+    force_reliable: bool
+    pinned: Array
+    pinned_stderr: Array
+    force_replica_std: Array | None
+    lives: int
+    seed: int
+    engine_seconds: float
+    threads: int
+
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name, `force_replica_std` only if there are replicas."""
+        names = ("X", "t", "force", "pinned", "force_stderr", "pinned_stderr", "force_replica_std")
+        return {name: column for name in names if (column := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True)
+class Trajectory(Record):
+    """A record at constant velocity, with `averages` over the second half of the distance; these are unreliable also
+    where the law expects a transient in it, or too few of the lives that make their scatter (`engine.scatter`)."""
+
+    averages: Averages
+
+
+@dataclass(frozen=True)
+class SegmentRecord:
+    """What a segment of a programme shows.
+
+    Attributes
+    ----------
+    velocity, t, X : float
+        Velocity (length/time), and time and displacement at its end.
+    end : Estimate
+        Force at its end, <F>/(N k) (length).
+    peak : Estimate
+        The force that differs most from that at its beginning: the peak after a hold, the direct effect of a velocity
+        step, up or down (length).
+    at : Estimate
+        Where the peak is: displacement since the beginning, in a hold time.
+    """
+
+    velocity: float
+    t: float
+    X: float
+    end: Estimate
+    peak: Estimate
+    at: Estimate
+
+
+@dataclass(frozen=True)
+class ProgrammeTrajectory(Record):
+    """A record along a programme.
+
+    Attributes
+    ----------
+    segment : ndarray of int, shape (points,)
+        The segment of the programme that each instant belongs to.
+    segments : tuple of SegmentRecord
+        What each of them shows.
+    """
+
+    segment: Array
+    segments: tuple[SegmentRecord, ...]
+
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name."""
+        return {"segment": self.segment, **super().columns()}
+
+
+def extreme(x: Array, force: Array, stderr: Array) -> tuple[Estimate, Estimate]:
+    """The force that differs most from the first one, and the `x` where it is; arrays (points,).
+
+    The largest of many values with errors is too large. The vertex of a parabola through all values that cannot be told
+    from it is not, and how far the two differ is part of the error.
+    """
+    change = np.abs(force - force[0])
+    top = int(np.argmax(change))
+    near = np.abs(force - force[top]) <= 2.0 * stderr[top]
+    left, right = top, top
+    while left > 0 and near[left - 1]:
+        left -= 1
+    while right + 1 < force.size and near[right + 1]:
+        right += 1
+    n = force.size
+    best, place, spread = float(force[top]), float(x[top]), 0.5 * float(x[right] - x[left])
+    spread = max(spread, 0.5 * float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)]))
+    if right - left >= 4 and 0 < top < n - 1:
+        half = 0.5 * (x[right] - x[left])
+        a, b, c = np.polyfit((x[left : right + 1] - place) / half, force[left : right + 1], 2)
+        vertex = -0.5 * b / a if a else np.inf
+        if a * (force[top] - force[0]) < 0 and abs(vertex) <= 2.0:
+            best, place = float(c - 0.25 * b * b / a), place + float(vertex * half)
+    error = float(np.hypot(stderr[top], force[top] - best))
+    return Estimate(best, error, n), Estimate(place, spread, n)
