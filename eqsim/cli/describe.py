@@ -19,7 +19,7 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
     """Dimensionless groups and regime of a run file, without simulating it."""
     file = changes.load(path)
     cores(threads)
-    ensemble, drive = file.ensemble(path.parent), file.driven()
+    ensemble, drive = file.ensemble(path.parent), file.driven(path.parent)
     from eqsim.engine.trajectory import predicted_lives
     from eqsim.model.reduced import groups
 

@@ -13,7 +13,7 @@ from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.sweep.workers import Workers
-    from eqsim.workflows.run import RunResult
+    from eqsim.workflows.run import ProgrammeResult, RunResult
 
 _DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
 
@@ -57,6 +57,7 @@ def run(
     folder = out or path.parent / "out" / path.stem
     storage.check_folder(folder)
     count, workers = cores(threads), split.chosen()
+    from eqsim.workflows.run import RunResult
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
@@ -65,10 +66,34 @@ def run(
     shown.report(
         result.summary(),
         title=file.title or folder.name,
-        columns=("", "second half of the run", "steady value", "difference / s.e."),
-        rows=_averages(result),
+        columns=_AVERAGES if isinstance(result, RunResult) else _SEGMENTS,
+        rows=_averages(result) if isinstance(result, RunResult) else _segments(result),
         notes=_remarks(result, folder, "workers" if workers else "threads"),
     )
+
+
+_AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
+_SEGMENTS = ("", "velocity", "from t", "to t", "force at its end", "difference / s.e.", "peak", "at X (t of a hold)")
+_MOST_ROWS = 40
+
+
+def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
+    """What each segment shows; the difference is that of the force at its end from the exact mean."""
+    from eqsim.estimate import difference
+
+    exact, begin = result.exact_segments, 0.0
+    found = result.trajectory.segments
+    for index, segment in enumerate(found):
+        if index < _MOST_ROWS:
+            z = terminal.score(difference(segment.end, exact[index].end)) if exact else "none"
+            velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
+            yield (
+                str(index), velocity, f"{begin:.6g}", f"{segment.t:.6g}", terminal.value_and_error(segment.end), z,
+                terminal.value_and_error(segment.peak), terminal.value_and_error(segment.at),
+            )  # fmt: skip
+        begin = segment.t
+    if len(found) > _MOST_ROWS:
+        yield ("...", *[""] * (len(_SEGMENTS) - 1))
 
 
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
@@ -80,15 +105,16 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
         yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
 
 
-def _remarks(result: "RunResult", folder: Path, who: str) -> Iterator[str]:
+def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> Iterator[str]:
     found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
-    if not all(estimate.reliable for estimate in found.averages.averages().values()):
+    averages = getattr(found, "averages", None)
+    if averages and not all(estimate.reliable for estimate in averages.averages().values()):
         yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
     if not found.force_reliable:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"
-    yield f"{folder}/: trajectory.parquet, summary.json, force.png"
+    yield f"{folder}/: {', '.join(result.names)}"
     _, reason = result.exact
     if reason:
         yield f"no exact curve: {reason}"
@@ -105,7 +131,7 @@ def steady(
 ) -> None:
     """Steady friction, pinned fraction and stretch at breaking, to a requested relative error."""
     file = changes.load(path)
-    ensemble, drive, count = file.ensemble(path.parent), file.driven(), cores(threads)
+    ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
     from eqsim.estimate import known, z_score
     from eqsim.master.steady import reference as solve
@@ -158,19 +184,24 @@ def reference(
         raise InputError("--transient, --closure: only one of them")
     file = changes.load(path)
     cores(threads)
-    ensemble, drive = file.ensemble(path.parent), file.driven()
+    ensemble = file.ensemble(path.parent)
     if transient or closure:
         from eqsim.master.closure import closure as solve_closure
         from eqsim.master.transient import transient as solve_transient
 
-        curve = (solve_closure if closure else solve_transient)(ensemble, drive, file.output.points)
+        points = file.output.points
+        curve: Any
+        if closure:
+            curve = solve_closure(ensemble, file.constant(path.parent), points)
+        else:
+            curve = solve_transient(ensemble, file.driven(path.parent), points)
         every = {field.name: getattr(curve, field.name) for field in fields(curve)}
         columns = {name: column for name, column in every.items() if column is not None}
         shown.report(columns, notes=_tab_separated(columns))
         return
     from eqsim.master.steady import reference as solve
 
-    result = solve(ensemble, drive)
+    result = solve(ensemble, file.constant(path.parent))
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(

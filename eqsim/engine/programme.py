@@ -10,12 +10,11 @@ from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import typical_lives
 from eqsim.engine.recorder import Moments, Recorder, Run, Scales, moments
-from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, extreme
+from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.scatter import Scatter, births, known_variance, scatter
 from eqsim.engine.segments import Leg, Population, begin_stationary, follow, waits_at_rest
 from eqsim.engine.stationary import FRESH, Stationary, extremes, stationary
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate
 from eqsim.model import reduced
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -177,25 +176,7 @@ def along(
         engine_seconds=time.perf_counter() - begin,
         threads=workers_of(threads),
         segment=grid.segment,
-        segments=tuple(
-            _shown(programme, index, grid, force, stderr, reliable) for index in range(len(programme.segments))
-        ),
-    )
-
-
-def _shown(programme: Programme, index: int, grid: Grid, force: Array, stderr: Array, reliable: bool) -> SegmentRecord:
-    segment, here = programme.segments[index], np.flatnonzero(grid.segment == index)
-    here = here if index == 0 else np.append(here[0] - 1, here)
-    along = grid.t[here] if segment.velocity == 0 else np.abs(grid.X[here] - grid.X[here[0]])
-    peak, at = extreme(along - along[0], force[here], stderr[here])
-    last = here[-1]
-    return SegmentRecord(
-        segment.velocity,
-        float(grid.t[last]),
-        float(grid.X[last]),
-        Estimate(float(force[last]), float(stderr[last]), peak.n, reliable=reliable),
-        Estimate(peak.value, peak.stderr, peak.n, reliable=reliable),
-        at,
+        segments=shown_by(programme, grid, force, stderr, reliable),
     )
 
 

@@ -1,10 +1,11 @@
 """What a run leaves behind: force and pinned contacts along a drive, and what is read off."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eqsim.estimate import Averages, Estimate
+from eqsim.model.drive import Grid, Programme
 from eqsim.numerics.tables import Array
 
 
@@ -101,6 +102,31 @@ class ProgrammeTrajectory(Record):
     def columns(self) -> dict[str, Array]:
         """The arrays by name."""
         return {"segment": self.segment, **super().columns()}
+
+
+def shown_by(
+    programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True
+) -> tuple[SegmentRecord, ...]:
+    """What the segments of a programme show in a force with errors, arrays (points,) at the instants of `grid`."""
+    found = []
+    for index, segment in enumerate(programme.segments):
+        here = np.flatnonzero(grid.segment == index)
+        here = here if index == 0 else np.append(here[0] - 1, here)
+        along = grid.t[here] if segment.velocity == 0 else np.abs(grid.X[here] - grid.X[here[0]])
+        peak, at = extreme(along - along[0], force[here], stderr[here])
+        last = here[-1]
+        end = Estimate(float(force[last]), float(stderr[last]), here.size, reliable=reliable)
+        found.append(
+            SegmentRecord(
+                segment.velocity,
+                float(grid.t[last]),
+                float(grid.X[last]),
+                end,
+                replace(peak, reliable=reliable),
+                replace(at, reliable=reliable),
+            )
+        )
+    return tuple(found)
 
 
 def extreme(x: Array, force: Array, stderr: Array) -> tuple[Estimate, Estimate]:

@@ -28,7 +28,7 @@ from eqsim.engine.recorder import (
 )
 from eqsim.engine.simulate import draw_delays
 from eqsim.engine.stationary import Stationary, found_pinned
-from eqsim.laws.aging.base import growth, spend, stiffness_varies
+from eqsim.laws.aging.base import growth, spend, spent, stiffness_varies
 from eqsim.laws.barrier.base import thermal
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.stiffness import kappa
@@ -88,7 +88,7 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, 
             continue
         xi, x, ends, clock = found_pinned(c, stationary, key, contact, u_residual)
         stiffness = kappa(c.springs, xi)
-        _, left = spend(c.aging, c, (xi, stiffness, 0.0, 0.0), 1, x, clock)
+        left = max(clock - spent(c.aging, c, (xi, stiffness, 0.0, 0.0), 1, x), 0.0)
         p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i], p.ends[i], p.age[i] = -1.0, xi, stiffness, x, ends, x
         p.clock[i] = left
         p.delay[i] = delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
@@ -199,9 +199,12 @@ def _go_on(c: Contacts, leg: Leg, recorder: Recorder, p: Population, i: int) -> 
         return rest if rest <= leg.length else math.inf
     y, age, delay = leg.sign * p.stretch[i], p.age[i] * leg.ratio, p.delay[i] * leg.ratio
     contact = p.xi[i], p.stiffness[i], y, age
-    broke, left = spend(c.aging, c, contact, leg.moves, leg.length, p.clock[i])
     if leg.same:
-        broke = p.ends[i] - y
+        broke, left = p.ends[i] - y, 0.0
+        if broke > leg.length:
+            left = max(p.clock[i] - spent(c.aging, c, contact, leg.moves, leg.length), 0.0)
+    else:
+        broke, left = spend(c.aging, c, contact, leg.moves, leg.length, p.clock[i])
     _leave_life(c, leg, recorder, p.stiffness[i], y, age, (0.0, broke))
     if broke > leg.length:
         p.stretch[i] = leg.sign * (y + leg.moves * leg.length)
@@ -250,7 +253,7 @@ def _hand_on(
         p.rest[i] = broke + delay - leg.length
         return
     stiffness, age = kappa(c.springs, xi), leg.length - born
-    _, left = spend(c.aging, c, (xi, stiffness, 0.0, 0.0), leg.moves, age, clock)
+    left = max(clock - spent(c.aging, c, (xi, stiffness, 0.0, 0.0), leg.moves, age), 0.0)
     p.rest[i], p.xi[i], p.stiffness[i], p.clock[i], p.age[i], p.delay[i] = -1.0, xi, stiffness, left, age, delay
     p.stretch[i], p.ends[i] = leg.sign * leg.moves * age, broke - born
 

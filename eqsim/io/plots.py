@@ -15,7 +15,7 @@ from eqsim.errors import InputError, meant
 from eqsim.estimate import OBSERVABLES, Estimate
 
 if TYPE_CHECKING:
-    from eqsim.engine.records import Trajectory
+    from eqsim.engine.records import ProgrammeTrajectory, Trajectory
     from eqsim.engine.steady import Steady
     from eqsim.master.transient import Transient
     from eqsim.validation import Validation
@@ -24,6 +24,7 @@ Points = Any  # a pandas DataFrame, one point of a sweep a row
 Column = Any  # a pandas Series
 
 _MARKERS, _DASHES = "os^DvPX<>ph*", ("-", "--", "-.", ":")
+_MOST_HOLDS, _MOST_MARKS = 4, 60  # of a programme that are drawn in panels of their own, and marked
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
 _UNITS = {"length": "  [length unit of the run files]", "": ""}
 _LABELS = {name: label + _UNITS[unit] for name, (label, unit) in OBSERVABLES.items()}
@@ -63,6 +64,68 @@ def trajectory_png(run: "Trajectory", steady: "Steady", exact: "Transient | None
     for panel in panels:
         panel.grid(alpha=0.3)
     return _png(figure)
+
+
+def programme_png(run: "ProgrammeTrajectory", exact: "Transient | None", title: str) -> bytes:
+    """F along a programme with its error band and the exact mean, against t with the segments marked, and against X;
+    each hold in a panel of its own, where time begins anew and is logarithmic; and the difference from the exact mean
+    in standard errors."""
+    holds = [index for index, segment in enumerate(run.segments) if segment.velocity == 0][:_MOST_HOLDS]
+    rows = [2.2, 2.2] + [1.0] * (exact is not None)
+    figure = Figure(figsize=(9, 2 + sum(rows) + 2.4 * bool(holds)), dpi=150, layout="constrained")
+    upper: Any = figure
+    lower: Any = None
+    if holds:
+        parts: Any = figure.subfigures(2, 1, height_ratios=[sum(rows), 2.4])
+        upper, lower = parts
+    panels = list(upper.subplots(len(rows), 1, height_ratios=rows))
+    drawn = _band(panels[0], run.t, run, exact)
+    panels[0].legend(drawn.values(), drawn.keys(), loc="best", fontsize=8)
+    panels[0].set(xlabel="time  t", ylabel="friction force  F / (N k)", xlim=(run.t[0], run.t[-1]))
+    panels[0].set_title(_plain(title), fontsize=10)
+    _band(panels[1], run.X, run, exact)
+    panels[1].set(xlabel="slider displacement  X  [length unit of the run file]", ylabel="friction force  F / (N k)")
+    if exact is not None:
+        sigma = np.hypot(run.force_stderr, exact.force_error)
+        z = np.divide(run.force - exact.force, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+        limit = max(4.0, 1.1 * np.abs(z).max())
+        panels[2].axhspan(-2, 2, color="0.9")
+        panels[2].plot(run.t, z, color="C0", linewidth=0.8)
+        panels[2].set(
+            ylim=(-limit, limit), xlim=(run.t[0], run.t[-1]), xlabel="time  t", ylabel="difference\n[standard errors]"
+        )
+    marked = [panels[0], *panels[2:]]
+    for segment in run.segments[:-1] if len(run.segments) <= _MOST_MARKS else ():
+        for panel in marked:
+            panel.axvline(segment.t, color="0.6", linewidth=0.7)
+    below = lower.subplots(1, len(holds), squeeze=False, sharey=True)[0] if lower else ()
+    for axes, index in zip(below, holds, strict=True):
+        here = np.flatnonzero(run.segment == index)
+        begin = run.t[here[0] - 1] if index else 0.0
+        _band(axes, run.t - begin, run, exact, here)
+        axes.set_xscale("log")
+        axes.set(xlabel=f"time held, segment {index}")
+        panels.append(axes)
+    if lower:
+        panels[-len(holds)].set(ylabel="friction force  F / (N k)")
+    for panel in panels:
+        panel.grid(alpha=0.3)
+    return _png(figure)
+
+
+def _band(
+    axes: Axes, x: Any, run: "ProgrammeTrajectory", exact: "Transient | None", here: Any = slice(None)
+) -> dict[str, Any]:
+    """The force against `x` with its error band, and the exact mean; what the legend needs."""
+    force, error = run.force[here], 2 * run.force_stderr[here]
+    band = axes.fill_between(x[here], force - error, force + error, color="C0", alpha=0.3, linewidth=0)
+    line = axes.plot(x[here], force, color="C0", linewidth=1)[0]
+    drawn: dict[str, Any] = {"simulated contacts, mean ± 2 standard errors": (band, line)}
+    if exact is not None:
+        drawn["exact mean (renewal equation)"] = axes.plot(
+            x[here], exact.force[here], color="k", linewidth=0.8, linestyle=":"
+        )[0]
+    return drawn
 
 
 def _compare(

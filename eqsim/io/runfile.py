@@ -6,22 +6,23 @@ what comes out, and `model.reduced` makes it dimensionless.
 
 import csv
 import functools
-import operator
+import math
 import stat
 import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, TextIO, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from pydantic.fields import FieldInfo
 
-from eqsim.errors import NOT_NEGATIVE, InputError, meant, require_choice, require_number, shown, under
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
-from eqsim.model.drive import Drive, check_output
+from eqsim.model.drive import Drive, Programme, Segment, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 
 
@@ -30,6 +31,7 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
+Result = TypeVar("Result")
 Whole = Annotated[int, BeforeValidator(_whole)]
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 _LONGEST = 10_000_000  # characters of a run file
@@ -73,10 +75,31 @@ class Viscosity(_Section):
     eta: float = 0.0
 
 
+class SegmentSection(_Section):
+    velocity: float | None = None
+    hold: float | None = None
+    distance: float | None = None
+    time: float | None = None
+    points: Whole | None = None
+
+    def segment(self) -> Segment:
+        """Raises InputError."""
+        if (self.velocity is None) == (self.hold is None):
+            raise InputError("velocity: a segment has either a velocity or a hold, the time for which nothing moves")
+        if self.hold is not None:
+            for name in ("distance", "time"):
+                if getattr(self, name) is not None:
+                    raise InputError(f"{name} = {shown(getattr(self, name))}: not allowed with hold, which is a time")
+            require_number("hold", self.hold, **POSITIVE)
+        return Segment(self.velocity or 0.0, self.distance, self.time if self.hold is None else self.hold, self.points)
+
+
 class DriveSection(_Section):
     velocity: float | None = None
     distance: float | None = None
     start: str = "fresh"
+    programme: list[SegmentSection] | None = None
+    file: str | None = None
 
 
 class Output(_Section):
@@ -153,12 +176,35 @@ class RunFile(_Section):
         with under("thresholds"):
             return Delta(x_star) if given.law == "delta" else Gamma(1.0 if given.n is None else given.n, x_star)
 
-    def driven(self) -> Drive:
-        """How the slider moves. Raises InputError."""
-        if self.drive.velocity is None:
+    def driven(self, folder: Path) -> Drive | Programme:
+        """How the slider moves; the path of a recorded drive is relative to `folder`. Raises InputError."""
+        given = self.drive
+        if given.programme is not None or given.file is not None:
+            return self._programme(folder)
+        if given.velocity is None:
             raise InputError("drive.velocity: is required")
         with under("drive"):
-            return Drive(self.drive.velocity, self.drive.distance, start=self.drive.start)  # type: ignore[arg-type]
+            return Drive(given.velocity, given.distance, start=given.start)  # type: ignore[arg-type]  # checked there
+
+    def constant(self, folder: Path) -> Drive:
+        """How it moves where only a constant velocity has an answer. Raises InputError."""
+        return require_drive(self.driven(folder))
+
+    def _programme(self, folder: Path) -> Programme:
+        given = self.drive
+        if given.programme is not None and given.file is not None:
+            raise InputError("drive.file: not allowed with drive.programme")
+        if given.distance is not None:
+            raise InputError(f"drive.distance = {given.distance!r}: not allowed with a programme or file")
+        with under("drive"):
+            if given.file is not None:
+                segments = read_drive(folder / given.file)
+            else:
+                segments = []
+                for index, section in enumerate(given.programme or []):
+                    with under(f"programme.{index}"):
+                        segments.append(section.segment())
+            return Programme(tuple(segments), given.start, given.velocity)  # type: ignore[arg-type]  # checked there
 
     def check_output(self) -> None:
         """Raise InputError unless the size and seed of a recording can be used."""
@@ -199,11 +245,16 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
         axes, axis = data.get("sweep"), key.removeprefix("sweep.")
         if isinstance(axes, dict) and axis != key and axis in axes:
             sections, last = ["sweep"], axis
-        place = data
+        place: Any = data
         for name in sections:
-            place = place.setdefault(name, {})
-            if not isinstance(place, dict):
+            if isinstance(place, list) and name.isdecimal() and int(name) < len(place):
+                place = place[int(name)]
+            else:
+                place = place.setdefault(name, {}) if isinstance(place, dict) else None
+            if not isinstance(place, (dict, list)):
                 raise InputError(f"{key}: {name} is not a section")
+        if isinstance(place, list):
+            raise InputError(f"{key}: must name a key of a segment, as in drive.programme.0.{last}")
         place[last] = value
     file = check(data)
     file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
@@ -223,9 +274,18 @@ def _read(path: Path) -> str:
     return text
 
 
+def keys(file: RunFile | None = None) -> dict[str, type]:
+    """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str.
+    Given a `file`, also those that its programme has, such as drive.programme.1.hold."""
+    known = dict(_keys())
+    for index, segment in enumerate((file.drive.programme if file else None) or []):
+        for name in segment.model_fields_set:
+            known[f"drive.programme.{index}.{name}"] = int if name == "points" else float
+    return known
+
+
 @functools.cache
-def keys() -> dict[str, type]:
-    """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str."""
+def _keys() -> dict[str, type]:
 
     def kind(field: FieldInfo) -> type:
         first, *_ = get_args(field.annotation) or (field.annotation,)  # of float | None; of a Literal it is text
@@ -234,29 +294,39 @@ def keys() -> dict[str, type]:
     others = {"title", "sweep", *_SECTIONS}
     known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
     for name, section in _SECTIONS.items():
-        known |= {f"{name}.{key}": kind(field) for key, field in section.model_fields.items()}
+        fields = {key: field for key, field in section.model_fields.items() if key != "programme"}
+        known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
     return known
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
     data = file.model_dump()
-    found: dict[str, Any] = {key: functools.reduce(operator.getitem, key.split("."), data) for key in keys()}
+    found: dict[str, Any] = {key: functools.reduce(_part, key.split("."), data) for key in keys(file)}
     for key, laws in (("thresholds.x_star", ("gamma", "delta")), ("thresholds.n", ("gamma",))):
         if file.thresholds.law in laws and found[key] is None:
             found[key] = 1.0
     return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
 
 
+def _part(data: Any, name: str) -> Any:
+    """The content of a section, or of a segment by its number."""
+    return data[int(name)] if isinstance(data, list) else data[name]
+
+
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
     data = file.model_dump(exclude={"sweep"}, exclude_unset=True)
+    known = keys(file)
     for key, value in changes.items():
-        if key not in keys():
-            hint = meant(key, keys()) or "known are " + ", ".join(keys())
+        if key not in known:
+            hint = meant(key, known) or "known are " + ", ".join(known)
             raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
-        section, _, last = key.rpartition(".")
-        (data.setdefault(section, {}) if section else data)[last] = value
+        *sections, last = key.split(".")
+        place: Any = data
+        for name in sections:
+            place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
+        place[last] = value
     return check(data)
 
 
@@ -316,29 +386,41 @@ def read_thresholds(path: Path) -> Table:
     InputError
         With the line that cannot be used.
     """
+    return _of_file(_thresholds, f"thresholds.file = {path}", path)
+
+
+def read_drive(path: Path) -> list[Segment]:
+    """The segments of a recorded drive: a CSV file with columns `t` and `X`, piecewise linear, from 0 and 0 on.
+
+    Raises
+    ------
+    InputError
+        With the line that cannot be used.
+    """
+    return _of_file(_recorded, f"file = {path}", path)
+
+
+def _of_file(read: Callable[[Path, str, tuple[int, int] | None], Result], field: str, path: Path) -> Result:
+    """What a reader makes of a file, remembered for as long as that stays as it is."""
     try:
         found = path.stat()
         stamp = (found.st_mtime_ns, found.st_size)
     except (OSError, ValueError):  # the reader says why
-        return _read_thresholds(path, None)
+        return read(path, field, None)
     if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):  # a pipe or a device may never end
-        raise InputError(f"thresholds.file = {path}: is not a file")
-    return _read_thresholds(path, stamp)
+        raise InputError(f"{field}: is not a file")
+    return read(path, field, stamp)
 
 
 @functools.lru_cache(maxsize=8)
-def _read_thresholds(path: Path, stamp: tuple[int, int] | None) -> Table:
-    """Remembered for as long as the file stays as it is: all points of a sweep share it."""
-    field = f"thresholds.file = {path}"
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            values = _thresholds(file, field)
-    except OSError as error:
-        raise InputError(f"{field}: cannot be read ({error.strerror})") from None
-    except InputError:
-        raise
-    except (ValueError, csv.Error):  # not UTF-8, or not a path
-        raise InputError(f"thresholds.file = {str(path)!r}: is not a CSV text file") from None
+def _thresholds(path: Path, field: str, stamp: tuple[int, int] | None) -> Table:
+    """All points of a sweep share it."""
+    values = []
+    for line, (text,) in _columns(path, field, ("threshold",)):
+        value = _number(text)
+        if not 0 < value < math.inf:
+            raise InputError(f"{field}, line {line}: {text[:40]!r} must be a finite number > 0")
+        values.append(value)
     if not values:
         raise InputError(f"{field}: is empty; at least one threshold is needed")
     try:
@@ -347,24 +429,55 @@ def _read_thresholds(path: Path, stamp: tuple[int, int] | None) -> Table:
         raise InputError(f"{field}: {error}") from None
 
 
-def _thresholds(file: TextIO, field: str) -> list[float]:
-    rows = csv.DictReader(file, skipinitialspace=True, strict=True)
-    rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
-    if "threshold" not in names:
-        found = ", ".join(names)[:60] or "nothing"
-        raise InputError(f'{field}: needs a column "threshold" in its first line; found {found}')
-    if names.count("threshold") > 1:
-        raise InputError(f'{field}: has {names.count("threshold")} columns "threshold"')
-    values = []
-    for row in rows:
-        text = row["threshold"] or ""
-        try:
-            value = float(text if "_" not in text else "nan")  # Python's 1_000 is not a number elsewhere
-        except ValueError:
-            value = float("nan")
-        if not 0 < value < float("inf"):
-            raise InputError(f"{field}, line {rows.line_num}: {text[:40]!r} must be a finite number > 0")
-        if any(rest.strip() for rest in row.get(None, [])):
-            raise InputError(f"{field}, line {rows.line_num}: more values than columns (a decimal comma?)")
-        values.append(value)
-    return values
+@functools.lru_cache(maxsize=8)
+def _recorded(path: Path, field: str, stamp: tuple[int, int] | None) -> list[Segment]:
+    segments: list[Segment] = []
+    before: tuple[float, float] | None = None
+    for line, texts in _columns(path, field, ("t", "X")):
+        here, (t, X) = f"{field}, line {line}", map(_number, texts)
+        if not (math.isfinite(t) and math.isfinite(X)):
+            raise InputError(f"{here}: {', '.join(texts)[:40]!r} must be finite numbers")
+        if before is None:
+            if t != 0 or X != 0:
+                raise InputError(f"{here}: t = {t:g}, X = {X:g}; the first instant must be t = 0, X = 0")
+        else:
+            elapsed = t - before[0]
+            if not elapsed > 0:
+                raise InputError(f"{here}: t = {t:g} must be later than the {before[0]:g} before it")
+            with under(here):
+                segments.append(Segment((X - before[1]) / elapsed, time=elapsed))
+        before = t, X
+    if not segments:
+        raise InputError(f"{field}: needs two instants at least")
+    return segments
+
+
+def _columns(path: Path, field: str, wanted: tuple[str, ...]) -> Iterator[tuple[int, list[str]]]:
+    """What stands in the columns `wanted` of a CSV file, and in which lines."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.DictReader(file, skipinitialspace=True, strict=True)
+            rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
+            for name in wanted:
+                if name not in names:
+                    found = ", ".join(names)[:60] or "nothing"
+                    raise InputError(f'{field}: needs a column "{name}" in its first line; found {found}')
+                if names.count(name) > 1:
+                    raise InputError(f'{field}: has {names.count(name)} columns "{name}"')
+            for row in rows:
+                if any(rest.strip() for rest in row.get(None, [])):
+                    raise InputError(f"{field}, line {rows.line_num}: more values than columns (a decimal comma?)")
+                yield rows.line_num, [row[name] or "" for name in wanted]
+    except OSError as error:
+        raise InputError(f"{field}: cannot be read ({error.strerror})") from None
+    except InputError:
+        raise
+    except (ValueError, csv.Error):  # not UTF-8, or not a path
+        raise InputError(f"{field.partition(' = ')[0]} = {str(path)!r}: is not a CSV text file") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text if "_" not in text else "nan")  # Python's 1_000 is not a number elsewhere
+    except ValueError:
+        return math.nan

@@ -169,13 +169,13 @@ class Programme:
         return Grid(np.concatenate(t), np.concatenate(X), np.concatenate(number))
 
 
-def require_drive(drive: Drive) -> None:
-    """Raise InputError for what is not a constant drive, such as a bare velocity, or a programme where no result
-    exists."""
+def require_drive(drive: Drive | Programme) -> Drive:
+    """A constant drive; InputError for what is none, such as a bare velocity or a programme."""
     if isinstance(drive, Programme):
-        raise InputError("drive: a programme has no steady state; must be a Drive, for example Drive(velocity=0.1)")
+        raise InputError("drive.programme: has no steady state; this needs a constant drive.velocity")
     if not isinstance(drive, Drive):
         raise InputError(f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)")
+    return drive
 
 
 def check_output(points: int, seed: int, replicas: int) -> None:

@@ -173,10 +173,11 @@ class Group(NamedTuple):
     meaning: str
 
 
-def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
-    """What decides the regime of a run."""
+def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
+    """What decides the regime of a run; along a programme velocity is that of its fastest segment."""
     law, thermal = ensemble.thresholds, ensemble.thermal
-    unit, b, v = law.scale, ensemble.b, drive.velocity
+    unit, b = law.scale, ensemble.b
+    v = drive.velocity if isinstance(drive, Drive) else max(leg.pace for leg in legs(ensemble, drive))
     found = [
         Group("disorder", ensemble.disorder, "quenched: literal contacts; annealed: the published master equation"),
         Group("x_star", unit, "unit of length: x_* of the threshold law, or its mean"),
@@ -203,7 +204,14 @@ def groups(ensemble: Ensemble, drive: Drive) -> list[Group]:
         found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
     if ensemble.eta > 0:
         found.append(Group("eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"))
-    found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+    if isinstance(drive, Drive):
+        found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+    else:
+        segments, path = drive.segments, sum(segment.path for segment in drive.segments)
+        found.append(Group("segments", len(segments), "of the programme"))
+        found.append(Group("path/x_*", path / unit, "how far the run slides, there and back"))
+        slowest = min((leg.pace for leg in legs(ensemble, drive) if leg.sign), default=v)
+        found.append(Group("slowest/fastest", slowest / v, "velocities of the segments that move"))
     if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
         if ensemble.stiffness_law == "sqrt":
             text = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"

@@ -15,7 +15,7 @@ from eqsim.errors import InputError, require_integer, require_number, shown, und
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, keys, parameters
 from eqsim.laws.threshold import Table
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 
 MOST_POINTS = 1_000_000
@@ -27,7 +27,7 @@ class Task(NamedTuple):
 
     seed: int
     ensemble: Ensemble
-    drive: Drive
+    drive: Drive | Programme
     output: tuple[int, int]
 
 
@@ -51,7 +51,9 @@ class Plan:
 
     def __init__(self, file: RunFile, folder: Path, ids: list[str] | None = None) -> None:
         self.file, self.folder = file, folder
-        self.axes = _axes(file.sweep, folder)
+        if file.drive.file is not None:
+            raise InputError("drive.file: a sweep has columns for the segments of a drive.programme only")
+        self.axes = _axes(file.sweep, folder, file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
             raise InputError(f"sweep: has {self.size} points; at most {MOST_POINTS}")
@@ -67,7 +69,7 @@ class Plan:
         """The identity of a point that can be computed."""
         try:
             point = self.at(index)
-            ensemble, _ = point.ensemble(self.folder), point.driven()
+            ensemble, _ = point.ensemble(self.folder), point.driven(self.folder)
             point.check_output()
         except InputError as error:
             raise InputError(f"sweep, point {index + 1} of {self.size}: {error}") from None
@@ -89,19 +91,19 @@ class Plan:
         """The point for a worker."""
         point = self.at(index)
         output = (point.output.points, point.output.replicas)
-        return Task(seed_of(self.ids[index]), point.ensemble(self.folder), point.driven(), output)
+        return Task(seed_of(self.ids[index]), point.ensemble(self.folder), point.driven(self.folder), output)
 
 
-def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
+def _axes(sweep: dict[str, Any], folder: Path, file: RunFile) -> list[list[dict[str, Any]]]:
     """The axes of a [sweep] table: lists of what to change. Raises InputError."""
     axes = []
     for key, spec in entries(sweep):
         if key == "file":
-            axes.append(_points_file(folder, spec))
+            axes.append(_points_file(folder, spec, file))
         elif key == "zip":
-            axes += [_zipped(group) for group in (spec if isinstance(spec, list) else [spec])]
+            axes += [_zipped(group, file) for group in (spec if isinstance(spec, list) else [spec])]
         else:
-            axes.append([{key: value} for value in _axis(key, spec)])
+            axes.append([{key: value} for value in _axis(key, spec, file)])
     if not axes:
         raise InputError('sweep: the run file needs a [sweep] table, for example "drive.velocity" = [0.1, 1.0]')
     for one, other in itertools.combinations(axes, 2):
@@ -111,11 +113,11 @@ def _axes(sweep: dict[str, Any], folder: Path) -> list[list[dict[str, Any]]]:
     return axes
 
 
-def _zipped(group: Any) -> list[dict[str, Any]]:
+def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     """Axes that advance together."""
     if not isinstance(group, dict) or not group:
         raise InputError('sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]')
-    values = {name: _axis(name, part) for name, part in entries(group)}
+    values = {name: _axis(name, part, file) for name, part in entries(group)}
     if len({len(part) for part in values.values()}) > 1:
         lengths = ", ".join(f"{name} {len(part)}" for name, part in values.items())
         raise InputError(f"sweep.zip: its axes must have equal lengths; found {lengths}")
@@ -124,23 +126,29 @@ def _zipped(group: Any) -> list[dict[str, Any]]:
 
 def swept(file: RunFile, folder: Path) -> set[str]:
     """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
-    return {key for axis in _axes(file.sweep, folder) for key in set.intersection(*map(set, axis))}
+    return {key for axis in _axes(file.sweep, folder, file) for key in set.intersection(*map(set, axis))}
 
 
 def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """TOML reads the unquoted key drive.velocity as a table; take it as it was meant."""
     sections = {key.split(".")[0] for key in keys() if "." in key}
-    for key, value in table.items():
-        if key in sections and isinstance(value, dict):
-            yield from ((f"{key}.{name}", part) for name, part in value.items())
+
+    def parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+        nested = isinstance(value, dict) and (key in sections or key.startswith("drive.programme"))
+        if nested and not {"log", "linear"} & value.keys():
+            for name, part in value.items():
+                yield from parts(f"{key}.{name}", part)
         else:
             yield key, value
 
+    for key, value in table.items():
+        yield from parts(key, value)
 
-def _axis(key: str, spec: Any) -> list[Any]:
+
+def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
     """The values of one key: a list, { log = [first, last, count] } or { linear = [first, last, count] }."""
     with under("sweep"):
-        at(RunFile(), {} if key in keys() else {key: 0})  # an unknown key is refused with the nearest
+        at(file, {} if key in keys(file) else {key: 0})  # an unknown key is refused with the nearest
     if isinstance(spec, list) and spec:
         return spec
     form = next(iter(spec), "") if isinstance(spec, dict) and len(spec) == 1 else ""
@@ -150,7 +158,7 @@ def _axis(key: str, spec: Any) -> list[Any]:
     name, ends = f"sweep.{key}.{form}", spec[form]
     if not isinstance(ends, list) or len(ends) != 3:
         raise InputError(f"{name} = {shown(ends)}: must be [first, last, count]")
-    if keys()[key] is str:
+    if keys(file)[key] is str:
         raise InputError(f"{name}: this key holds text; must be a list of values")
     first, last, count = ends
     for value in (first, last):
@@ -159,10 +167,10 @@ def _axis(key: str, spec: Any) -> list[Any]:
     require_integer(f"{name}, count", whole, 2, MOST_POINTS)
     inner = (np.geomspace if form == "log" else np.linspace)(float(first), float(last), whole)[1:-1]
     values = [first, *(float(f"{x:.12g}") for x in inner), last]  # 0.1 is 0.1, on any grid and any machine
-    return [round(x) for x in values] if keys()[key] is int else values
+    return [round(x) for x in values] if keys(file)[key] is int else values
 
 
-def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
+def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]:
     """Explicit points, one per row of a Parquet file; null: as in the run file. Raises InputError."""
     import pyarrow
     from pyarrow import parquet as pq
@@ -179,7 +187,7 @@ def _points_file(folder: Path, name: Any) -> list[dict[str, Any]]:
         raise InputError(f"sweep.file = {folder / name}: has no rows; must have one a point")
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
-            at(RunFile(), {} if key in keys() else {key: 0})
+            at(file, {} if key in keys(file) else {key: 0})
     return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
 

@@ -5,12 +5,15 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     id                         SHA-256 of parameters, seed and `results_version()`
     disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
                                with their defaults filled in
-    kind                       "steady" (averages to a relative error) or "transient" (the run's second half)
+    kind                       "steady" (averages to a relative error), "transient" (the run's second half) or
+                               "programme" (its segments; averages are null)
     status, message            "ok"; "unreliable", error bars not to be trusted or larger than asked for; "failed"
     each of `OBSERVABLES`, with
       _stderr, _dof, _reliable             its standard error, degrees of freedom (null: normal) and whether to trust it
       _reference, _reference_error         what the master equation says, and the error of the solver (steady)
       _z                                   their difference as a standard-normal score; null if both errors are 0
+    of each segment of a programme, segment_0_end (force at its end), segment_0_peak (the force that differs most from
+    that at its beginning) and segment_0_at (where that is), with _stderr, _reference, _reference_error and _z
     reference_method           the solver
     lives                      lives simulated
     seed                       random seed, made from `id` alone
@@ -28,10 +31,12 @@ from typing import Any
 
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, known, z_score
-from eqsim.io.runfile import keys
+from eqsim.io.runfile import RunFile, keys
+from eqsim.model.drive import Drive, Programme
 from eqsim.sweep.plan import Task, results_version
 
 SCHEMA = 1
+_SHOWN = ("end", "peak", "at")  # of a segment
 
 
 @dataclass(frozen=True)
@@ -55,17 +60,21 @@ class Asked:
         require_number("--max-lives", self.max_lives, above=0)
 
 
-def schema() -> Any:
-    """The pyarrow schema of the dataset."""
+def schema(file: RunFile) -> Any:
+    """The pyarrow schema of the dataset of a run file's sweep."""
     import pyarrow as pa
 
     number, integer, text, truth = pa.float64(), pa.int64(), pa.string(), pa.bool_()
     types = {float: number, int: integer, str: text}
-    fields = {"id": text, **{key: types[kind] for key, kind in keys().items()}}
+    fields = {"id": text, **{key: types[kind] for key, kind in keys(file).items()}}
     fields |= {"kind": text, "status": text, "message": text}
     for name in OBSERVABLES:
         fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
         fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
+    for index in range(len(file.drive.programme or [])):
+        for name in (f"segment_{index}_{shown}" for shown in _SHOWN):
+            fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number}
+            fields |= {f"{name}_reference_error": number, f"{name}_z": number}
     fields |= {"reference_method": text, "lives": integer, "seed": integer, "seconds": number, "eqsim_version": text}
     return pa.schema(list(fields.items()))
 
@@ -84,7 +93,10 @@ def compute(tasks: list[Task], asked: Asked, threads: int, version: str) -> list
 def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     begin = time.perf_counter()
     try:
-        row = (_transient if asked.transient else _steady)(task, asked, threads)
+        if isinstance(task.drive, Programme):
+            row = _programme(task, task.drive, asked, threads)
+        else:
+            row = (_transient if asked.transient else _steady)(task, task.drive, asked, threads)
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -93,17 +105,17 @@ def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     return {**row, "seconds": time.perf_counter() - begin}
 
 
-def _steady(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
     from eqsim.engine.steady import steady
     from eqsim.master.steady import reference
 
     found = steady(
-        task.ensemble, task.drive, rel_error=asked.rel_error, seed=task.seed, threads=threads, max_lives=asked.max_lives
+        task.ensemble, drive, rel_error=asked.rel_error, seed=task.seed, threads=threads, max_lives=asked.max_lives
     )
     problems = [] if found.reached else [f"relative error {asked.rel_error:g} was not reached"]
     row = _columns(found, found.lives, problems)
     try:
-        exact = reference(task.ensemble, task.drive)
+        exact = reference(task.ensemble, drive)
     except InputError as error:
         return row | {"message": "; ".join(filter(None, (row["message"], f"no reference: {error}")))}
     row["reference_method"] = exact.method
@@ -113,15 +125,46 @@ def _steady(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     return row
 
 
-def _transient(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
     from eqsim.engine.trajectory import trajectory
 
     points, replicas = task.output
     found = trajectory(
-        task.ensemble, task.drive, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        task.ensemble, drive, points=points, replicas=replicas, seed=task.seed, threads=threads,
         max_lives=asked.max_lives,
     )  # fmt: skip
     return _columns(found.averages, found.lives, [])
+
+
+def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> dict[str, Any]:
+    from eqsim.engine.records import SegmentRecord, shown_by
+    from eqsim.engine.trajectory import trajectory
+    from eqsim.master.transient import transient
+
+    points, replicas = task.output
+    found = trajectory(
+        task.ensemble, programme, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        max_lives=asked.max_lives,
+    )  # fmt: skip
+    row: dict[str, Any] = {"lives": found.lives, "status": "ok", "message": None}
+    if not found.force_reliable:
+        row |= {"status": "unreliable", "message": "error bars of forces cannot be trusted"}
+    exact: tuple[SegmentRecord, ...] = ()
+    try:
+        means = transient(task.ensemble, programme, points)
+        exact = shown_by(programme, programme.grid(points), means.force, means.force_error)
+        row["reference_method"] = "renewal equation in two times"
+    except InputError as error:
+        row["message"] = "; ".join(filter(None, (row["message"], f"no reference: {error}")))
+    for index, segment in enumerate(found.segments):
+        for shown in _SHOWN:
+            name, ours = f"segment_{index}_{shown}", getattr(segment, shown)
+            row |= {name: ours.value, f"{name}_stderr": ours.stderr}
+            if exact:
+                level = getattr(exact[index], shown)
+                row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
+                row[f"{name}_z"] = z_score(ours, known(level), level.stderr or 0.0)
+    return row
 
 
 def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:

@@ -35,6 +35,8 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
         self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
+        if plan.file.drive.programme is not None:
+            self.kind = "programme"
         theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))
         if theirs:  # the folder is read as one table
             name = theirs[0].name
@@ -49,7 +51,7 @@ class Store:
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
             origin = storage.provenance("sweep", settings, plan.file.text, plan.file.output.seed, plan.folder)
             origin |= {"schema": SCHEMA, "results_version": results_version()}
-            self.schema = schema().with_metadata({"eqsim": storage.to_json(origin)})
+            self.schema = schema(plan.file).with_metadata({"eqsim": storage.to_json(origin)})
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
             self.damaged: list[str] = []

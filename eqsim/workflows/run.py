@@ -2,19 +2,19 @@
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from eqsim.engine.records import Trajectory
+from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, Trajectory, shown_by
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
 from eqsim.master.transient import Transient, transient
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.sweep.workers import Workers
 
@@ -32,6 +32,7 @@ class RunResult:
     drive: Drive
     steady: Steady
     trajectory: Trajectory
+    names: ClassVar[tuple[str, ...]] = ("trajectory.parquet", "summary.json", "force.png")
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
@@ -46,24 +47,73 @@ class RunResult:
             **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
             "force_reliable": found.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
-            "lives": found.lives,
-            "engine_seconds": found.engine_seconds,
-            "threads": found.threads,
-            "seed": found.seed,
-            "versions": storage.versions(),
+            **_how(found),
         }
 
     def files(self, title: str = "") -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
         from eqsim.io.plots import trajectory_png
 
-        file = self.file
-        origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, self.folder)
+        picture = trajectory_png(self.trajectory, self.steady, self.exact[0], self.file.title or title)
+        return _files(self, picture)
+
+
+@dataclass(frozen=True)
+class ProgrammeResult:
+    """A run file with a programme that was simulated."""
+
+    file: RunFile
+    folder: Path
+    ensemble: Ensemble
+    drive: Programme
+    trajectory: ProgrammeTrajectory
+    names: ClassVar[tuple[str, ...]] = RunResult.names
+
+    @cached_property
+    def exact(self) -> tuple[Transient | None, str]:
+        """The exact mean, or None and why there is none."""
+        return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
+
+    @cached_property
+    def exact_segments(self) -> tuple[SegmentRecord, ...]:
+        """What the exact mean shows of each segment; empty if there is none."""
+        exact = self.exact[0]
+        if exact is None:
+            return ()
+        grid = self.drive.grid(self.file.output.points)
+        return shown_by(self.drive, grid, exact.force, exact.force_error)
+
+    def summary(self) -> dict[str, Any]:
+        """The content of `summary.json`."""
+        found, exact = self.trajectory, self.exact_segments
+        segments = [asdict(segment) for segment in found.segments]
+        for segment, known in zip(segments, exact, strict=False):
+            segment["exact"] = {"end": known.end.value, "peak": known.peak.value, "at": known.at.value}
         return {
-            "trajectory.parquet": storage.parquet(self.trajectory.columns(), origin),
-            "summary.json": storage.to_json(self.summary()).encode(),
-            "force.png": trajectory_png(self.trajectory, self.steady, self.exact[0], file.title or title),
+            "title": self.file.title,
+            "segments": segments,
+            "force_reliable": found.force_reliable,
+            **_how(found),
         }
+
+    def files(self, title: str = "") -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        from eqsim.io.plots import programme_png
+
+        return _files(self, programme_png(self.trajectory, self.exact[0], self.file.title or title))
+
+
+def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
+    """How it was computed."""
+    names = ("lives", "engine_seconds", "threads", "seed")
+    return {**{name: getattr(found, name) for name in names}, "versions": storage.versions()}
+
+
+def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, bytes]:
+    file = result.file
+    origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, result.folder)
+    contents = storage.parquet(result.trajectory.columns(), origin), storage.to_json(result.summary()).encode(), picture
+    return dict(zip(result.names, contents, strict=True))
 
 
 def run(
@@ -74,8 +124,8 @@ def run(
     workers: Workers | None = None,
     max_lives: float = 1e10,
     progress: Progress = lambda *_: None,
-) -> RunResult:
-    """Simulate a run file, and estimate the steady averages that belong to it.
+) -> RunResult | ProgrammeResult:
+    """Simulate a run file, and at constant velocity estimate the steady averages that belong to it.
 
     Parameters
     ----------
@@ -93,24 +143,29 @@ def run(
 
     Returns
     -------
-    RunResult
+    RunResult or ProgrammeResult
 
     Raises
     ------
     InputError
         If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
     """
-    ensemble, drive, output = file.ensemble(folder), file.driven(), file.output
+    ensemble, drive, output = file.ensemble(folder), file.driven(folder), file.output
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with workers.fixed_pool() if workers else nullcontext() as pool:
         progress(0, expected)
-        level = steady(ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives)
-        found = trajectory(
+        level = None
+        if isinstance(drive, Drive):
+            level = steady(ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives)
+        found: Any = trajectory(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
             threads=(pool.executor, pool.slots()) if pool else threads,
             progress=lambda lives: progress(lives, expected),
         )  # fmt: skip
+    if isinstance(drive, Programme):
+        return ProgrammeResult(file, folder, ensemble, drive, found)
+    assert level is not None
     return RunResult(file, folder, ensemble, drive, level, found)
 
 

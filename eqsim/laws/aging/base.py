@@ -127,6 +127,12 @@ def spend(
 
 
 @by_law
+def spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float) -> float:
+    """The hazard along the segment, arguments as in `spend`, of a contact that survives it."""
+    raise TypeError("contacts of this law of aging follow no programme")
+
+
+@by_law
 def stiffness_varies(law: Any, springs: Springs) -> bool:
     """Whether a contact's stiffness changes while it is pinned."""
     return False
@@ -153,6 +159,21 @@ def _lives(
     stretches(barrier, table, springs, r, lives, row, count)
 
 
+@spent.register(Unaged)
+def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: int, length: float) -> float:
+    xi, stiffness, y, _ = contact
+    if moves == 0:
+        return rate(c.barrier, xi, stiffness, abs(y)) * length
+    end = y + length
+    if y * end >= 0.0 and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
+        # what tables are good to may be as much as the segment is long
+        first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
+        return length / 6.0 * (first + 4.0 * rate(c.barrier, xi, stiffness, abs(y + 0.5 * length)) + last)
+    passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
+    before = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y)) if y != 0.0 else 0.0
+    return math.copysign(passed, end) - math.copysign(before, y)
+
+
 @spend.register(Unaged)
 def _spend(
     law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
@@ -163,19 +184,17 @@ def _spend(
         return (clock / per_time if per_time * length >= clock else math.inf), clock - per_time * length
     end = y + length
     if y * end >= 0.0 and abs(end) < xi and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
-        # what tables are good to may be as much as the segment is long
-        first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
-        passed = length / 6.0 * (first + 4.0 * rate(c.barrier, xi, stiffness, abs(y + 0.5 * length)) + last)
+        passed = spent(law, c, contact, moves, length)
         return (clock / passed * length if passed >= clock else math.inf), clock - passed
-    spent = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y))
+    before = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y))
     if y < 0.0:
-        if clock < spent:  # it breaks on the way back to 0, if the way is long enough
-            at = -min(stretch(c.barrier, c.barrier_table, xi, stiffness, spent - clock), -y)
+        if clock < before:  # it breaks on the way back to 0, if the way is long enough
+            at = -min(stretch(c.barrier, c.barrier_table, xi, stiffness, before - clock), -y)
         else:
-            at = stretch(c.barrier, c.barrier_table, xi, stiffness, clock - spent)
+            at = stretch(c.barrier, c.barrier_table, xi, stiffness, clock - before)
     else:
-        at = max(stretch(c.barrier, c.barrier_table, xi, stiffness, spent + clock), y)
+        at = max(stretch(c.barrier, c.barrier_table, xi, stiffness, before + clock), y)
     if at <= end:
         return at - y, 0.0
     passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
-    return math.inf, clock - (math.copysign(passed, end) - math.copysign(spent, y))
+    return math.inf, clock - (math.copysign(passed, end) - math.copysign(before, y))
