@@ -182,7 +182,7 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     monkeypatch.setattr(annealed, "_UNSEEN", -60.0)
     monkeypatch.setattr(annealed, "_RISE", 2.2)
     monkeypatch.setattr(annealed, "_RESOLVED", 5e-13)
-    monkeypatch.setattr(annealed._hazard_rate, "__defaults__", (24,))
+    monkeypatch.setattr(annealed.hazard_rate, "__defaults__", (24,))
     for case, m in zip(cases, found, strict=True):
         covered(case[0], m, annealed.stationary(contacts(*case)))
 

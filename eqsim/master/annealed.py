@@ -60,7 +60,7 @@ def stationary(s: Reduced) -> Moments:
     # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
     alive, onward = _alive(p), _onward(parts)
     seen = alive > _DEAD
-    better = _hazard_rate(s, 0.5 * (p.left + p.right)[seen], _ORDER + 4) * (p.right - p.left)[seen]
+    better = hazard_rate(s, 0.5 * (p.left + p.right)[seen], _ORDER + 4) * (p.right - p.left)[seen]
     missed = np.abs(2.0 * _Integrals(*p.values).middle[seen] - better)
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
     total, rarest = parts.sum(axis=1), alive[-1] * beyond(s)
@@ -94,7 +94,7 @@ def _integrals(s: Reduced, left: Array, right: Array) -> Array:
     """`_Integrals` as rows."""
     half = 0.5 * (right - left)[:, None]
     x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
-    hazard = half * _hazard_rate(s, x.ravel()).reshape(x.shape)
+    hazard = half * hazard_rate(s, x.ravel()).reshape(x.shape)
     # where the panel is too wide for its polynomial, that may be negative
     alive = half * np.exp(-np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0))
     J = s.law.sf(x * s.law.scale)
@@ -139,14 +139,14 @@ def _first_edges(s: Reduced) -> Array:
     marks = marks[(marks > 0) & np.isfinite(marks)]
     top = marks.max()
     least, greatest = (edge / law.scale for edge in law.support)
-    newborn = _hazard_rate(s, np.zeros(1))[0]
+    newborn = hazard_rate(s, np.zeros(1))[0]
     first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(s.barrier.b))
     rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
     edges = np.unique(np.concatenate(([0.0, least, min(greatest, top)], marks, rising)))
     return edges[edges <= min(greatest, top)]
 
 
-def _hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
+def hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
     """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled` (temper11, temper12), to about 1e-13 for gamma
     laws and 1e-10 for most others.
 
@@ -207,7 +207,7 @@ def survivors(s: Reduced, x: Array) -> Array:
     at = np.append(x[0], inner)
 
     def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
-        return np.log1p(y * _hazard_rate(s, y))
+        return np.log1p(y * hazard_rate(s, y))
 
     rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
     dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))

@@ -30,9 +30,10 @@ from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
 from eqsim.laws.aging import Unaged
 from eqsim.laws.delay import Exponential, Fixed
+from eqsim.master import programme
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.steady import reference, settled
-from eqsim.model.drive import Drive, require_drive
+from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
@@ -50,19 +51,21 @@ class Transient:
 
     Attributes
     ----------
-    X : ndarray
-        Displacement (length).
+    t, X : ndarray
+        Time, and displacement (length).
     force, force_error : ndarray
         <F>/(N k) and its error estimate (length).
     pinned, pinned_error : ndarray
         Fraction of pinned contacts and its error estimate.
     breaks : ndarray
-        Gamma, breaks per contact and unit displacement (1/length).
+        Gamma, breaks per contact and unit displacement (1/length); along a programme, which may hold, per unit time
+        (1/time), and in the mean over a step of the solver.
     force_variance, force_variance_error : ndarray or None
         Variance over contacts of the force of one over k (length^2), and its error estimate; None if not asked for, or
         where contacts stay in step for longer than the grids can tell.
     """
 
+    t: Array
     X: Array
     force: Array
     pinned: Array
@@ -73,16 +76,17 @@ class Transient:
     force_variance_error: Array | None = None
 
 
-def transient(ensemble: Ensemble, drive: Drive, points: int = 2001, *, variance: bool = False) -> Transient:
-    """The exact means of a run, by the renewal equation (derived; renewal form of Q5a, Q5aG and Q6).
+def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, *, variance: bool = False) -> Transient:
+    """The exact means of a run, by the renewal equation (derived; renewal form of Q5a, Q5aG and Q6), along a programme
+    by that in two times (`master.programme`).
 
     Parameters
     ----------
     ensemble : Ensemble
-    drive : Drive
-        From a fresh start the transient, from a stationary one the steady values.
+    drive : Drive or Programme
+        Of a Drive from a fresh start the transient, from a stationary one the steady values.
     points : int
-        Number of equidistant displacements from 0 to the drive's distance.
+        Number of equidistant displacements from 0 to the drive's distance; along a programme that of `Programme.grid`.
     variance : bool
         Whether to solve for the variance of forces, too.
 
@@ -93,10 +97,17 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001, *, variance:
     Raises
     ------
     InputError
-        For arguments out of range.
+        For arguments out of range; along a programme for annealed contacts that age, the rule "langevin", and more
+        steps than can be solved for.
     """
-    require_drive(drive)
     require_integer("points", points, 2, 10**8)
+    if isinstance(drive, Programme):
+        grid = drive.grid(points)
+        means = programme.means_of(ensemble, drive, grid)
+        spread = (means.variance, means.variance_error) if variance else (None, None)
+        errors = means.force_error, means.pinned_error
+        return Transient(grid.t, grid.X, means.force, means.pinned, means.breaks, *errors, *spread)
+    require_drive(drive)
     s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
@@ -122,7 +133,16 @@ def transient(ensemble: Ensemble, drive: Drive, points: int = 2001, *, variance:
     if variance and not cells.in_step.any():
         squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
         spread = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
-    return Transient(X * unit, force * unit, pinned, breaks / unit, force_error * unit, pinned_error, *spread)
+    return Transient(
+        X * unit / drive.velocity,
+        X * unit,
+        force * unit,
+        pinned,
+        breaks / unit,
+        force_error * unit,
+        pinned_error,
+        *spread,
+    )
 
 
 def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
@@ -138,8 +158,10 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
         square = (square + s.drag**2 * (1.0 - pinned)) * unit**2
         error = profile.error * square + (s.drag * unit) ** 2 * pinned_error + 2 * force * force_error
         spread = (square - force**2) * level, error * level
+    X = np.linspace(0.0, drive.over(ensemble), points)
     return Transient(
-        np.linspace(0.0, drive.over(ensemble), points),
+        X / drive.velocity,
+        X,
         force * level,
         pinned * level,
         pinned / stretch * level,
