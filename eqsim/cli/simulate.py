@@ -73,25 +73,23 @@ def run(
 
 
 _AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
-_SEGMENTS = ("", "velocity", "from t", "to t", "force at its end", "difference / s.e.", "peak", "at X (t of a hold)")
+_SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t")
 _MOST_ROWS = 40
 
 
 def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
-    """What each segment shows; the difference is that of the force at its end from the exact mean."""
+    """What each segment shows; z is the difference of the force at its end from the exact mean in standard errors."""
     from eqsim.estimate import difference
 
-    exact, begin = result.exact_segments, 0.0
-    found = result.trajectory.segments
+    exact, found = result.exact_segments, result.trajectory.segments
     for index, segment in enumerate(found):
         if index < _MOST_ROWS:
             z = terminal.score(difference(segment.end, exact[index].end)) if exact else "none"
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
             yield (
-                str(index), velocity, f"{begin:.6g}", f"{segment.t:.6g}", terminal.value_and_error(segment.end), z,
+                str(index), velocity, f"{segment.t:.6g}", terminal.value_and_error(segment.end), z,
                 terminal.value_and_error(segment.peak), terminal.value_and_error(segment.at),
             )  # fmt: skip
-        begin = segment.t
     if len(found) > _MOST_ROWS:
         yield ("...", *[""] * (len(_SEGMENTS) - 1))
 
