@@ -47,7 +47,7 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import Totals, arguments, predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
-from eqsim.laws.aging import Aging, Flow, Unaged
+from eqsim.laws.aging import Aging, Flow, Logarithmic, Unaged
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
@@ -347,16 +347,20 @@ def _closed(s: Reduced, xi: Array, x: Array) -> Array:
 
 
 def _along(s: Reduced, xi: Array, x: Array) -> Array:
-    """Of thresholds that flow. The rate is greatest at the ends of a life, where the nodes crowd."""
+    """Of thresholds that age in a known way. The rate is greatest at the ends of a life, where the nodes crowd."""
 
     def rate(y: Array, born: Array) -> Array:
-        return flow.rate(s, y, born * s.aging.growth_at(y))
+        return flow.rate(s, y, born)
 
     found = integrate.tanhsinh(rate, 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12)
     return np.asarray(found.integral)
 
 
-_INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {Unaged: _closed, Flow: _along}
+_INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {
+    Unaged: _closed,
+    Flow: _along,
+    Logarithmic: _along,
+}
 
 
 def fluctuating(point: Point, size: tuple[int, int]) -> Found:
@@ -364,7 +368,7 @@ def fluctuating(point: Point, size: tuple[int, int]) -> Found:
     rare and too long to be found."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     s = settled(ensemble, v).reduced
-    if s.stiffness == "sqrt" and not isinstance(s.aging, Unaged):
+    if s.stiffness == "sqrt" and s.aging.stiffens:
         return point.without(_FLUCTUATIONS, "no reference")
     count, ensembles = size
     if shown.fluctuates:
