@@ -12,7 +12,7 @@ from eqsim.numerics.compiled import inlined, routine
 from eqsim.numerics.tables import Array
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
-_RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST = 4.0, 1.5, 37.0, 60
+_RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST = 4.0, 1.5, 37.0, 1000
 
 
 class _Path(NamedTuple):
