@@ -47,7 +47,7 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import Totals, arguments, predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
-from eqsim.laws.aging import Aging, Flow, Logarithmic, Unaged
+from eqsim.laws.aging import RULES, Aging, Flow, Logarithmic, Unaged
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
@@ -429,6 +429,7 @@ _COLUMNS = {
     "kind": "kind", "disorder": "ensemble.disorder", "barrier": "ensemble.thermal.barrier",
     "stiffness_law": "ensemble.stiffness_law", "thresholds": "ensemble.thresholds", "kT": "ensemble.thermal.kT",
     "aging": "ensemble.aging.rule", "aging_rate": "ensemble.aging.rate", "x_star_final": "ensemble.aging.x_star_final",
+    "beta": "ensemble.aging.beta", "cutoff_time": "ensemble.aging.cutoff_time",
     "delay": "ensemble.delay.time", "delay_law": "ensemble.delay.law", "eta": "ensemble.eta", "velocity": "velocity",
     "value": "value", "reference": "reference", "sigma": "sigma", "z": "z", "even": "even",
 }  # fmt: skip
@@ -440,5 +441,7 @@ def columns(scores: list[Score]) -> dict[str, list[Any]]:
         return {}
     table = {name: [attrgetter(path)(score) for score in scores] for name, path in _COLUMNS.items()}
     table["thresholds"] = [law_text(law) for law in table["thresholds"]]
-    ages = zip(table["aging"], table["x_star_final"], strict=True)
-    return table | {"x_star_final": [math.nan if rule == "none" else final for rule, final in ages]}
+    for name in ("x_star_final", "beta", "cutoff_time"):
+        ages = zip(table["aging"], table[name], strict=True)
+        table[name] = [value if rule in RULES and name in RULES[rule].keys else math.nan for rule, value in ages]
+    return table
