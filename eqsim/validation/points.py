@@ -117,8 +117,8 @@ def _brief(x: Array) -> Array:
 
 
 def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
-    """The same contacts, aging by drift: x_*f/x_*i from 0.01 to 100, D over v and the lesser of x_*i and x_*f from 1e-3 to
-    10, sometimes infinite; sometimes at T = 0."""
+    """The same contacts, aging by drift: x_*f/x_*i from 0.01 to 100, D over v and the lesser of x_*i and x_*f from
+    1e-3 to 10, sometimes infinite; sometimes at T = 0."""
     rules = tuple(rule for rule, law in RULES.items() if issubclass(law, Drift))
     unit, rule = ensemble.thresholds.scale, rules[int(rng.integers(len(rules)))]
     final = 10 ** rng.uniform(-2, 2) * unit
