@@ -8,7 +8,8 @@ Model (section numbers of Braun and Peyrard, Phys. Rev. E 83, 046129): threshold
 (II); k_i = k xi/xi_rms (sqrt law) or k; barriers `soft` and `stiff` (IV); delay and viscosity of detached contacts (V).
 Thresholds of pinned contacts age from x_* to x_*f at the rate D: under `langevin` xi is the length of a vector of 2n+2
 components (n a half-integer), each of which relaxes at the rate 2D/x_*f^2 to the variance x_*f^2/2; under `flow` it
-grows as the scale of that law. Annealed contacts are born with thresholds aged for an Exp(1) multiple of the mean
+grows as the scale of that law. Under `logarithmic` it grows as 1 + beta ln(1 + t/t_c), and the stiffness stays that of
+the newborn contact. Annealed contacts are born with thresholds aged for an Exp(1) multiple of the mean
 pinned time, and keep them.
 """
 
@@ -34,9 +35,11 @@ class Contacts:
     delay_law: str = "fixed"  # or "exponential"
     eta: float = 0.0
     velocity: float = 1.0
-    aging: str = "none"  # or "langevin", "flow"
+    aging: str = "none"  # or "langevin", "flow", "logarithmic"
     rate: float = 0.0  # D
     x_star_final: float = 1.0
+    beta: float = 0.0
+    cutoff_time: float = 1.0  # t_c
     pinned_time: float = 0.0  # mean, of annealed contacts that age: see `settled`
 
     def thresholds(self, rng, size):
@@ -54,29 +57,35 @@ class Contacts:
         """Thresholds xi of age `age` after one more time step."""
         if self.aging == "flow":
             return xi * self.scale(age + dt) / self.scale(age)
+        if self.aging == "logarithmic":
+            return xi * self.grown(age + dt) / self.grown(age)
         keep = np.exp(-2 * self.rate * dt / self.x_star_final**2)
         vector = np.zeros((round(2 * self.n + 2), xi.size))
         vector[0] = xi * keep
         vector += rng.normal(scale=self.x_star_final * np.sqrt((1 - keep**2) / 2), size=vector.shape)
         return np.sqrt((vector**2).sum(axis=0))
 
+    def grown(self, age):
+        """By what factor thresholds of that age have grown that grow as a logarithm, and their stiffness does not."""
+        return 1 + self.beta * np.log(1 + age / self.cutoff_time) if self.aging == "logarithmic" else 1.0
+
     def crossed(self, rng, gap, gap_after, dt):
         """Whether a fluctuating gap between threshold and stretch was closed within a step: a Brownian bridge."""
         return rng.random(gap.size) < np.exp(-gap * np.maximum(gap_after, 0.0) / (self.rate * dt))
 
-    def k(self, xi):
-        """Stiffness of contacts of thresholds xi."""
+    def k(self, xi, age):
+        """Stiffness of contacts of thresholds xi and that age."""
         if self.stiffness_law == "uniform":
             return np.full_like(xi, self.stiffness)
-        return self.stiffness * xi / (self.x_star * np.sqrt(self.n + 1.0))
+        return self.stiffness * xi / self.grown(age) / (self.x_star * np.sqrt(self.n + 1.0))
 
     def attempt_breaks(self, x, xi):
         """Probability that one thermal attempt breaks contacts of stretch x and threshold xi; 0 if xi <= x."""
         gap = np.maximum(1.0 - x / xi, 0.0)
         if self.barrier == "soft":
-            chance = np.exp(-self.k(xi) * np.maximum(xi**2 - x**2, 0.0) / (2 * self.kT))
+            chance = np.exp(-self.k(xi, x / self.velocity) * np.maximum(xi**2 - x**2, 0.0) / (2 * self.kT))
         else:
-            chance = np.sqrt(gap) * np.exp(-self.k(xi) * xi**2 * gap**1.5 / (2 * self.kT))
+            chance = np.sqrt(gap) * np.exp(-self.k(xi, x / self.velocity) * xi**2 * gap**1.5 / (2 * self.kT))
         return np.where(xi > x, chance, 0.0)
 
 
@@ -123,7 +132,7 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
         pinned[pins], x[pins], xi[pins] = True, 0.0, c.thresholds(rng, pins.sum())
 
         if i % record_every == 0:
-            force = np.where(pinned, c.k(xi) * x, c.eta * c.velocity) / c.stiffness
+            force = np.where(pinned, c.k(xi, x / c.velocity) * x, c.eta * c.velocity) / c.stiffness
             rows.append((force.mean(), force.std() / count**0.5, pinned.mean(), pinned.std() / count**0.5))
     return Record(*np.array(rows).T)
 

@@ -17,13 +17,13 @@ from reduced_cases import barrier_of
 from scipy import integrate, special
 
 from eqsim import Delta, Ensemble, Gamma, InputError, Table, Thermal
-from eqsim.laws.aging import Aging, Flow, PooledThresholds, Unaged, base, flow
+from eqsim.laws.aging import Aging, Flow, PooledThresholds, Unaged, along, base, flow
 from eqsim.laws.barrier.base import height, stretch
 from eqsim.laws.stiffness import Springs
 from eqsim.laws.threshold import NO_STEPS, Thresholds, threshold_draw
 from eqsim.model.reduced import births, reduced
 
-flow_end, flow_life, growth, work = map(compiled, (flow.flow_end, flow.flow_life, base.growth, base.work))
+flow_end, path_life, growth, work = map(compiled, (flow.flow_end, along.path_life, base.growth, base.work))
 height, stretch, threshold_draw = map(compiled, (height, stretch, threshold_draw))
 
 # ------------------------------------------------------------------------------------------------------- messages
@@ -32,7 +32,7 @@ height, stretch, threshold_draw = map(compiled, (height, stretch, threshold_draw
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"rule": "drift"}, r'^rule = \'drift\': must be one of "none", "langevin", "flow"$'),
+        ({"rule": "drift"}, r'^rule = \'drift\': must be one of "none", "langevin", "flow", "logarithmic"$'),
         ({"rule": "flow", "rate": -1.0}, r"^rate = -1.0: must be a finite number >= 0"),
         ({"rule": "flow", "rate": math.nan}, r"^rate = nan"),
         ({"rule": "flow", "rate": -math.inf}, r"^rate = -inf"),
@@ -247,7 +247,7 @@ def hazard(case, x):
 
 def stretch_of(case, clock):
     (barrier, slope, constant), final2, alpha, b, log_w, xi0 = case
-    return flow_life(Flow(final2, alpha), barrier_of(barrier, b, log_w), Springs(constant, slope), xi0, clock)
+    return path_life(Flow(final2, alpha), barrier_of(barrier, b, log_w), Springs(constant, slope), xi0, clock)
 
 
 @pytest.mark.parametrize(("rho", "law"), thinned(3, (0.05, 0.6, 1.0, 3.0, 100.0), LAWS))
@@ -307,14 +307,14 @@ def test_flow_without_aging(barrier):
         law = barrier_of(barrier, b, log_w)
         exact = stretch(law, law.table(), xi, 1.0, clock)
         for final2, alpha in ((100.0, 0.0), (100.0, 1e-16), (1.0, 5.0), (0.01, 1e-16)):
-            found, _ = flow_life(Flow(final2, alpha), law, Springs(1.0, 0.0), xi, clock)
+            found, _ = path_life(Flow(final2, alpha), law, Springs(1.0, 0.0), xi, clock)
             assert found == pytest.approx(exact, rel=1e-9 + 1e-15 * b * xi * xi, abs=0)
 
 
 def test_flow_without_attempts():
     """At T = 0 a contact breaks where threshold and stretch meet, and aging has become visible."""
     for rho, alpha, xi in itertools.product((1e-3, 0.3, 1.0, 50.0, 1e3), (0.0, 1e-3, 1.0, 1e6), (1e-4, 1.0, 7.0)):
-        x, spent = flow_life(Flow(rho**2, alpha), barrier_of(None), Springs(1.0, 0.0), xi, 1.0)
+        x, spent = path_life(Flow(rho**2, alpha), barrier_of(None), Springs(1.0, 0.0), xi, 1.0)
         assert spent == 0.0
         assert x == pytest.approx(xi * math.sqrt(rho**2 - (rho**2 - 1) * math.exp(-alpha * x)), rel=1e-12, abs=0)
 

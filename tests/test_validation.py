@@ -185,18 +185,24 @@ def test_signs_of_scores(wrong):
 
 
 def test_sample(monkeypatch):
-    """A third of the points age, in every way there is, and the others have laws of every kind; each axis is covered
+    """Thresholds drift in a third of the points, in every way there is, and the others have laws of every kind; of the
+    quenched ones of these a third grow as a logarithm; each axis is covered
     from end to end, here to a tenth of it (of 240 even numbers, none is there once in 1e10 seeds)."""
     monkeypatch.setattr(points, "typical_life", lambda ensemble, v: 1.0)
     drawn = list(sample(SUITES["full"].points, 1))
     ensembles = [ensemble for _, ensemble, _ in drawn]
-    aging = [ensemble for ensemble in ensembles if ensemble.aging.active]
+    growing = [ensemble for ensemble in ensembles if ensemble.aging.rule == "logarithmic"]
+    aging = [ensemble for ensemble in ensembles if ensemble.aging.active and ensemble not in growing]
     assert [index for index, _, _ in drawn] == list(range(len(drawn)))
     assert len(aging) == len(drawn) // 3
     for name in ("disorder", "stiffness_law"):
         assert len({(getattr(e, name), e.aging.rule, e.thermal.barrier) for e in aging}) == 8
     assert {e.thermal.kT > 0 for e in aging} == {True, False}
     assert {e.aging.rate == math.inf for e in aging} == {True, False}
+    others = sum(e.disorder == "quenched" and not e.aging.active for e in ensembles)
+    assert abs(len(growing) / (len(growing) + others) - 1 / 3) < 5 * math.sqrt(2 / 9 / (len(growing) + others))
+    assert len({(e.stiffness_law, e.thermal.barrier) for e in growing}) == 4
+    assert len({type(e.thresholds) for e in growing}) == 3
     share = np.mean([e.disorder == "quenched" for e in aging])
     assert abs(share - 0.5) < 5 * math.sqrt(0.25 / len(aging))
 
@@ -253,7 +259,9 @@ def test_points_can_be_made_again():
         np.testing.assert_array_equal(law.inverse_survival(e), ensemble.thresholds.inverse_survival(e))
         row = columns([Score("friction", ensemble, v, 1.0, 1.0, 1.0, 0.0)])
         assert row["thresholds"] == [text]
-        aging = Aging(row["aging"][0], row["aging_rate"][0], np.nan_to_num(row["x_star_final"][0], nan=1.0))
+        beta, cutoff_time = (None if math.isnan(row[name][0]) else row[name][0] for name in ("beta", "cutoff_time"))
+        final = np.nan_to_num(row["x_star_final"][0], nan=1.0)
+        aging = Aging(row["aging"][0], row["aging_rate"][0], final, beta, cutoff_time)
         again = Ensemble(
             ensemble.thresholds,
             Thermal(row["kT"][0], 1.0, row["barrier"][0]),

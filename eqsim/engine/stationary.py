@@ -136,11 +136,11 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
 
 
 def extremes(c: Contacts) -> tuple[float, float]:
-    """A threshold and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
+    """A threshold that sets a stiffness and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
     ranks = np.linspace(0.01, _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK, 2000)
     xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
     thresholds(c.thresholds, np.exp(-ranks), xi)
-    strongest = 1.1 * float(xi.max()) * max(1.0, c.aging.final)
+    strongest = 1.1 * float(xi.max()) * c.aging.most
     if c.aging.fluctuates:
         return strongest, strongest
     stretches(c, xi, np.full(ranks.size, _EXTREME_CLOCK), stretch)

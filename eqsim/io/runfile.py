@@ -64,6 +64,8 @@ class AgingSection(_Section):
     rule: str = "none"
     rate: float = 0.0
     x_star_final: float | None = None
+    beta: float | None = None
+    cutoff_time: float | None = None
 
 
 class DelaySection(_Section):
@@ -141,9 +143,11 @@ class RunFile(_Section):
             rules = ", ".join(f'"{rule}"' for rule in RULES)
             raise InputError(f'aging.rule: is required with {min(given)}; must be {rules} or "none"')
         with under("aging"):
-            aging = Aging(self.aging.rule, self.aging.rate, 1.0 if final is None else final)
+            rule, beta, cutoff_time = self.aging.rule, self.aging.beta, self.aging.cutoff_time
+            aging = Aging(rule, self.aging.rate, 1.0 if final is None else final, beta, cutoff_time)
+            aging.check_keys({key for key in given if getattr(self.aging, key) is not None})
             aging.check(law, self.disorder)
-            if final is None and aging.rule != "none":
+            if final is None and rule != "none" and "x_star_final" in RULES[rule].keys:
                 raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
         with under("viscosity"):
             require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)

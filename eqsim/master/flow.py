@@ -1,31 +1,44 @@
-"""Quenched contacts whose thresholds age by `flow` (derived), by quadrature along their paths.
+"""Quenched contacts whose thresholds age in a known way (derived), by quadrature along their paths.
 
 A contact born with threshold xi0 has, at stretch x (its displacement since birth), the deterministic threshold
+xi(x) = xi0 s(x). Under `flow`
 
-    xi(x) = xi0 s(x),   s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),   rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
+    s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),   rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
 
 in units of x_*i, the scale of the newborn law: at every age the law of unbroken thresholds is that of the Smoluchowski
-equation from P_ci to P_cf, without its fluctuations. It breaks mechanically where xi(x) = x, thermally at the rate of
-`laws.barrier` for its current threshold,
+equation from P_ci to P_cf, without its fluctuations. Under `logarithmic`, s(x) = 1 + beta ln(1 + x/(v t_c)). A contact
+breaks mechanically where xi(x) = x, thermally at the rate of `laws.barrier` for its current threshold,
 
     S(x|xi0) = exp(-(omega/v) int_0^x r(y, xi(y)) dy),
 
-and with the sqrt law its stiffness follows the threshold. C and friction are those of the joint kinetic equation,
+and with the sqrt law its stiffness follows the threshold under `flow`, and is that at birth under `logarithmic`. C and
+friction are those of the joint kinetic equation,
 
     C = E[int S dx],        friction * C = E[int (k_i(x)/k) x S dx]        (no delay).
 
-Aging is over after 1/alpha, lives may end at v/omega, and ln r may fall and then rise with slopes of 1e9; no two of
-these scales are related, and the panels of the path are found by refinement.
+Flow is over after 1/alpha, logarithms begin at v t_c, lives may end at v/omega, and ln r may fall and then rise with
+slopes of 1e9; no two of these scales are related, and the panels of the path are found by refinement.
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from scipy import special
-from scipy.optimize import elementwise
 
-from eqsim.master.quenched import Moments, births_above, kappa_of, over_births, rarest_that_counts
+from eqsim.master.quenched import (
+    Moments,
+    beyond,
+    births_above,
+    different_steps,
+    ends,
+    kappa_of,
+    over_births,
+    rarest_that_counts,
+    weakest,
+)
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
 from eqsim.numerics.tables import Array
@@ -48,21 +61,20 @@ _DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
 _NODES, _WEIGHTS = special.roots_legendre(8)
 
 
-def rate(s: Reduced, x: Array, xi: Array, share: float = 1.0) -> Array:
-    """Thermal breaking per unit displacement at stretch x, the current threshold being xi, arrays that broadcast; with
-    a `share` of the barrier only. Without any it falls along a path."""
+def kappa_along(s: Reduced, xi0: Array, xi: Array) -> Array:
+    """k_i/k of contacts born with thresholds `xi0` that are `xi` now, any shapes."""
+    return kappa_of(s, xi if s.aging.stiffens else xi0)
+
+
+def rate(s: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
+    """Thermal breaking per unit displacement at stretch x, the threshold at birth being xi0, arrays that broadcast;
+    with a `share` of the barrier only. Without any it falls along a path."""
     if not s.barrier.thermal:
-        return np.zeros(np.broadcast_shapes(x.shape, xi.shape))
-    a = share * s.barrier.b * kappa_of(s, xi)
+        return np.zeros(np.broadcast_shapes(x.shape, xi0.shape))
+    xi = xi0 * s.aging.growth_at(x)
+    a = share * s.barrier.b * kappa_along(s, xi0, xi)
     with np.errstate(divide="ignore"):  # a stiff contact at its threshold
         return np.exp(s.barrier.log_w + s.barrier.log_rate(x, np.maximum(xi, x), a))
-
-
-def _ends(s: Reduced, xi0: Array) -> Array:
-    """Where contacts break mechanically: the root of xi0 s(x) = x."""
-    bracket = (xi0 * min(1.0, s.aging.final), xi0 * max(1.0, s.aging.final))
-    found = elementwise.find_root(lambda x, xi0: np.log(xi0 * s.aging.growth_at(x) / x), bracket, args=(xi0,))
-    return np.asarray(found.x)
 
 
 class _Integrals(NamedTuple):
@@ -79,24 +91,27 @@ class _Integrals(NamedTuple):
     blind: Array
 
 
-def _integrals(s: Reduced, xi0: Array, end: Array, left: Array, right: Array) -> Array:
-    """`_Integrals`, as rows, of paths from births `xi0` to `end`, each of shape (panels,)."""
+def _on_path(s: Reduced, xi0: Array, end: Array, left: Array, right: Array) -> tuple[Array, Array, Array]:
+    """Stretch, dx/dt and rate at the nodes t of panels of paths, shape (panels, nodes)."""
     half = 0.5 * (right - left)[:, None]
     phi = left[:, None] + half * (1 + ClenshawCurtis.nodes)
-    xi0, end = xi0[:, None], end[:, None]
     # x = end sin^2(phi) makes a stiff rate smooth at the threshold
-    x = end * np.sin(phi) ** 2
-    width = half * end * np.sin(2 * phi)
-    xi = xi0 * s.aging.growth_at(x)
-    per_x = rate(s, x, xi)
-    hazard = per_x * width
+    x = end[:, None] * np.sin(phi) ** 2
+    width = half * end[:, None] * np.sin(2 * phi)
+    return x, width, rate(s, x, xi0[:, None])
+
+
+def _integrals(s: Reduced, xi0: Array, end: Array, left: Array, right: Array) -> Array:
+    """`_Integrals`, as rows, of paths from births `xi0` to `end`, each of shape (panels,)."""
+    x, width, per_x = _on_path(s, xi0, end, left, right)
+    xi0, hazard = xi0[:, None], per_x * width
     # where the panel is too wide for its polynomial, that may be negative
     passed = np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0)
     alive = np.exp(-passed) * width
-    integrands = np.array([alive, alive * kappa_of(s, xi) * x])
+    integrands = np.array([alive, alive * kappa_along(s, xi0, xi0 * s.aging.growth_at(x)) * x])
     # the least barrier on any piece of a path is at one of its ends, and that at the end of life is 0
     first = left == 0
-    peak = np.where(first, np.maximum(per_x[:, 0], per_x[:, -1]), rate(s, x[:, 0], xi[:, 0], 0.0)) * np.ptp(x, axis=1)
+    peak = np.where(first, np.maximum(per_x[:, 0], per_x[:, -1]), rate(s, x[:, 0], xi0[:, 0], 0.0)) * np.ptp(x, axis=1)
     whole = passed[:, -1]
     blind = (peak > _RARE) & ((peak > 20 * whole) | (first & (whole > 0.5)))
     blind &= first | ((right == _FIRST[-1]) & (np.cos(left) > 1e-7))
@@ -106,9 +121,6 @@ def _integrals(s: Reduced, xi0: Array, end: Array, left: Array, right: Array) ->
 
 def life_moments(s: Reduced, xi0: Array) -> tuple[Array, Array]:
     """Moments of lives along paths.
-
-    Panels are split until the highest coefficients of the hazard, times the life that is left, and of the integrands
-    are negligible.
 
     Parameters
     ----------
@@ -120,7 +132,17 @@ def life_moments(s: Reduced, xi0: Array) -> tuple[Array, Array]:
     moments, errors : ndarray, shape (2, n)
         int S dx and int kappa x S dx, and bounds of their errors.
     """
-    n, end = xi0.size, _ends(s, xi0)
+    _, found = _resolved(s, xi0, ends(s, xi0))
+    return found
+
+
+def _resolved(s: Reduced, xi0: Array, end: Array) -> tuple[Panels, tuple[Array, Array]]:
+    """The panels of paths from births `xi0` to `end`, (n,), and what `life_moments` returns.
+
+    Panels are split until the highest coefficients of the hazard, times the life that is left, and of the integrands
+    are negligible.
+    """
+    n = xi0.size
 
     def judge(p: Panels) -> tuple[Array, tuple[Array, Array]]:
         of = _Integrals(*p.values)
@@ -137,7 +159,7 @@ def life_moments(s: Reduced, xi0: Array) -> tuple[Array, Array]:
         rough |= (of.blind > 0) & (alive > _DEAD)
         return rough & (p.right > _SHORTEST), (moments, np.array([np.bincount(p.interval, e, n) for e in errors]))
 
-    _, found = refined(
+    return refined(
         lambda left, right, path: _integrals(s, xi0[path], end[path], left, right),
         judge,
         _FIRST,
@@ -145,36 +167,70 @@ def life_moments(s: Reduced, xi0: Array) -> tuple[Array, Array]:
         pieces=_EVEN,
         pieces_at_0=_TOWARDS_0,
     )
-    return found
 
 
 def stationary(s: Reduced) -> Moments:
-    """Moments of the lives of quenched contacts under flow aging (derived); the errors are what is left unresolved
-    along paths and across births."""
-    total, error = over_births(s.law, lambda xi0: life_moments(s, xi0), _CONVERGED, _NARROWEST)
+    """Moments of the lives of quenched contacts that age in a known way (derived); the errors are what is left
+    unresolved along paths and across births."""
+    if s.law.steps.size:
+        xi0, share, _ = different_steps(s)
+        total, error = (part @ share for part in life_moments(s, xi0))
+    else:
+        total, error = over_births(s.law, lambda xi0: life_moments(s, xi0), _CONVERGED, _NARROWEST)
+        rarest = beyond(s)
+        total, error = total + rarest, error + rarest
     return Moments(*total.tolist(), *(error + _ROUNDING * total).tolist())
 
 
 def survivors(s: Reduced, x: Array) -> Array:
     """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x > 0, shape (3, n), kappa now.
 
-    To about 1e-8 of the greatest value of each, and of each times x and x^2, by interpolation in ln x.
+    Of a smooth law to about 1e-8 of the greatest value of each, and of each times x and x^2, by interpolation in ln x.
     """
-    return interpolated(lambda at: _surviving(s, at), x, _SMOOTH)
+    if not s.law.steps.size:
+        return interpolated(lambda at: _surviving(s, at), x, _SMOOTH)
+    total, grown = np.zeros((3, x.size)), s.aging.growth_at(x)
+    xi0, shares, _ = different_steps(s)
+    for xi, share, alive in zip(xi0, shares, _survivals(s, xi0, x), strict=True):
+        total += share * kappa_along(s, np.full(x.size, xi), xi * grown) ** np.arange(3)[:, None] * alive
+    return total
+
+
+def _survivals(s: Reduced, xi0: Array, x: Array) -> Iterator[Array]:
+    """S(x|xi0) at x > 0 of each of some births, from the polynomials of the hazard in the panels of its path."""
+    end = ends(s, xi0)
+    p, _ = _resolved(s, xi0, end)
+    _, width, per_x = _on_path(s, xi0[p.interval], end[p.interval], p.left, p.right)
+    hazards = chebyshev.chebint(ClenshawCurtis.coefficients @ (per_x * width).T, lbnd=-1)
+    for i in range(xi0.size):
+        mine, inside = p.interval == i, x < end[i]
+        left, right, hazard = p.left[mine], p.right[mine], hazards[:, mine]
+        before = np.append(0.0, np.cumsum(hazard.sum(axis=0)))  # at 1 every Chebyshev polynomial is 1
+        phi = np.arcsin(np.sqrt(x[inside] / end[i]))
+        panel = np.clip(np.searchsorted(left, phi, side="right") - 1, 0, left.size - 1)
+        t = np.clip((2 * phi - left[panel] - right[panel]) / (right[panel] - left[panel]), -1.0, 1.0)
+        spent = before[panel] + chebyshev.chebval(t, hazard[:, panel], tensor=False)
+        alive = np.zeros(x.size)
+        alive[inside] = np.exp(-np.maximum(spent, 0.0))
+        yield alive
 
 
 def _surviving(s: Reduced, x: Array) -> Array:
-    """`survivors` over births xi0 > x/s(x), by panels that end at fixed shares of the stronger contacts and where the
-    hazard passes fixed levels."""
+    """`survivors` of a smooth law over births xi0 > x/s(x), by panels that end at fixed shares of the stronger contacts
+    and where the hazard passes fixed levels."""
     law, grown = s.law, s.aging.growth_at(x)
     least = x / grown
-    layer = _births_at(s, x, least) if s.barrier.thermal else None
+    layer = weakest(law) + np.zeros((x.size, 1))
+    if s.barrier.thermal:
+        layer = np.concatenate((layer, _births_at(s, x, least)), axis=1)
     edges = births_above(law, least, layer, rarest_that_counts(s.barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi0 = (edges[:, :-1, None] + half * (1 + _NODES)).reshape(x.size, -1)
-    weight = (half * _WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
-    weight *= np.exp(-_hazard(s, x, xi0))
-    kappa = kappa_of(s, xi0 * grown[:, None])
+    with np.errstate(invalid="ignore"):
+        weight = (half * _WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
+        weight *= np.exp(-_hazard(s, x, xi0))
+    weight = np.where(np.isfinite(weight), weight, 0.0)
+    kappa = kappa_along(s, xi0, xi0 * grown[:, None])
     return np.array([(weight * kappa**power).sum(axis=1) for power in range(3)])
 
 
@@ -191,7 +247,7 @@ def _hazard(s: Reduced, x: Array, xi0: Array) -> Array:
     for i in np.flatnonzero(reach > 0):
         u = _STEP * np.arange(-math.ceil(reach[i] / _STEP), math.ceil(reach[i] / _STEP) + 1)
         y = x[i] * special.expit(u)
-        found[i] = rate(s, y, xi0[i, :, None] * s.aging.growth_at(y)) @ (_STEP * y * special.expit(-u))
+        found[i] = rate(s, y, xi0[i, :, None]) @ (_STEP * y * special.expit(-u))
     return found
 
 

@@ -102,7 +102,7 @@ class _Smooth:
         if isinstance(s.aging, Langevin):
             self.error = float(fokker_planck.survival(s).errors[0].max()) + _COARSE_SPLINE
         rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
-        top = math.log(rarest / s.law.scale * max(1.0, s.aging.final))
+        top = math.log(s.aging.bracket(rarest / s.law.scale)[1])
         # from where hardly a contact has broken: no rate exceeds omega
         first = -max(math.log(1e15), s.barrier.log_w + math.log(1e7))
         log_x = np.arange(top, first, -_STEP)[::-1]

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import special
+from scipy.optimize import elementwise
 
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import relative_stiffness
@@ -54,6 +55,14 @@ class Moments(NamedTuple):
 def kappa_of(s: Reduced, xi: Array) -> Array:
     """k_i/k of contacts of thresholds xi, any shape."""
     return relative_stiffness(s.stiffness, xi, s.rms)
+
+
+def ends(s: Reduced, xi: Array) -> Array:
+    """Where contacts born with thresholds `xi`, any shape, break mechanically: the root of xi s(x) = x if they age."""
+    if s.aging.closed:
+        return xi
+    found = elementwise.find_root(lambda x, xi: np.log(xi * s.aging.growth_at(x) / x), s.aging.bracket(xi), args=(xi,))
+    return np.asarray(found.x)
 
 
 def different_steps(s: Reduced) -> tuple[Array, Array, Array]:
@@ -144,7 +153,8 @@ def beyond(s: Reduced) -> Array:
     at T = 0, and as of a power law (derived)."""
     e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
     xi = np.asarray(s.law.inverse_survival(e)) / s.law.scale
-    early, late = (np.array([xi, 0.5 * kappa_of(s, xi) * xi**2]) * np.exp(-e)).T
+    end = ends(s, xi)
+    early, late = (np.array([end, 0.5 * kappa_of(s, end if s.aging.stiffens else xi) * end**2]) * np.exp(-e)).T
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = late * np.diff(e) / np.log(early / late)
     return np.where(late > 0, np.where(early > late, rest, np.inf), 0.0)
@@ -219,8 +229,9 @@ def _thresholds_at(s: Reduced, x: Array) -> Array:
 
 def panels_between_steps(s: Reduced) -> Array:
     """Ascending stretches between which what happens to contacts of a discrete law is smooth: they crowd towards
-    every threshold from below and, down to a small part of it, from above, and towards 0."""
+    every stretch where contacts break from below and, down to a small part of it, from above, and towards 0."""
     xi, _, kappa = different_steps(s)
+    xi = ends(s, xi)
     rate = 2.0 * (s.barrier.b if s.barrier.thermal else 0.0) * kappa * xi
     edges = [xi[0] * 2.0 ** -np.arange(1.0, 340.0)]
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from scipy import optimize
 
 from eqsim.estimate import Averages, Estimate
-from eqsim.laws.aging import Flow, Langevin, Unaged
+from eqsim.laws.aging import Flow, Langevin, Logarithmic, Unaged
 from eqsim.master import annealed, flow, fokker_planck, quenched
 from eqsim.master.quenched import Moments
 from eqsim.model.drive import Drive, require_drive
@@ -47,7 +47,12 @@ class Solver(Protocol):
         """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n)."""
 
 
-_SOLVERS: dict[type, Solver] = {Unaged: quenched, Flow: flow, Langevin: fokker_planck}  # of quenched contacts
+_SOLVERS: dict[type, Solver] = {  # of quenched contacts
+    Unaged: quenched,
+    Flow: flow,
+    Logarithmic: flow,
+    Langevin: fokker_planck,
+}
 
 
 def solver(s: Reduced) -> Solver:

@@ -28,7 +28,6 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.aging import Unaged
 from eqsim.laws.delay import Exponential, Fixed
 from eqsim.master import programme
 from eqsim.master.profile import Profile, profile_of
@@ -344,12 +343,12 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     Raises
     ------
     InputError
-        For arguments out of range, and for aging quenched contacts of the sqrt law.
+        For arguments out of range, and for quenched contacts of the sqrt law whose stiffness follows aging thresholds.
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
     s, unit, distance = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale, drive.over(ensemble)
-    if not isinstance(s.aging, Unaged) and s.stiffness == "sqrt":
+    if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
     exact = reference(ensemble, drive)
     cycle = known(exact.break_stretch) / unit + s.delay.mean

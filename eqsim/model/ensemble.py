@@ -73,7 +73,11 @@ class Ensemble:
         unit, *law = self.thresholds.declared
         heat = thermal.barrier, thermal.kT / (self.stiffness * unit * unit), thermal.attempt_frequency * unit / velocity
         rule = "pooled" if self.disorder == "annealed" else aging.rule
-        ages = (rule, aging.rate / (unit * velocity), aging.x_star_final / unit) if aging.active else ()
+        ages: tuple[Any, ...] = ()
+        if aging.active and aging.cutoff_time is not None:  # "logarithmic"
+            ages = rule, aging.beta, aging.cutoff_time * velocity / unit
+        elif aging.active:
+            ages = rule, aging.rate / (unit * velocity), aging.x_star_final / unit
         return (self.disorder, self.stiffness_law, *law, *heat, delay.law, delay.time * velocity / unit, *ages)
 
     @property

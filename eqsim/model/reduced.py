@@ -36,7 +36,7 @@ class Reduced(NamedTuple):
     barrier : Barrier
         With b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v); `Mechanical` where heat breaks no contact.
     aging : AgingLaw
-        Of quenched contacts, with final2 = (x_*f/x_*i)^2 and alpha = 4 D x_*i/(v x_*f^2).
+        Of quenched contacts, with the numbers of its rule (`laws.aging.base`, `laws.aging.logarithmic`).
     delay : Fixed | Exponential
         With mean v<tau>/x_*.
     drag : float
@@ -74,7 +74,7 @@ def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = No
     """
     require_number("velocity", velocity, **POSITIVE)
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
-    unit, moves = law.scale, aging.active and law is ensemble.thresholds and isinstance(law, Gamma)
+    unit, newborn = law.scale, law is ensemble.thresholds
     delay = ensemble.delay.reduced(velocity, unit)
     require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
     barrier = _barrier(ensemble, velocity, unit)
@@ -84,7 +84,7 @@ def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = No
         # identical contacts cannot tell a fresh threshold from their own
         annealed=ensemble.disorder == "annealed" and law.steps.size != 1 and barrier.thermal,
         barrier=barrier,
-        aging=aging.law(unit, law.n, velocity) if moves and isinstance(law, Gamma) else Unaged(),
+        aging=aging.law(law, velocity) if newborn else Unaged(),  # births that have aged age no more
         delay=delay,
         drag=drag_of(ensemble, velocity),
     )
@@ -197,7 +197,10 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
             Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
         ]
     aging = ensemble.aging
-    if aging.active:
+    if aging.active and aging.cutoff_time is not None:
+        found.append(Group("beta", aging.beta or 0.0, "growth of thresholds per e-fold of their age"))
+        found.append(Group("v t_c/x_*", v / unit * aging.cutoff_time, "distance slid before thresholds grow"))
+    elif aging.active:
         found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
         found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "aging over sliding"))
     if ensemble.delay.time > 0:
@@ -213,9 +216,13 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
         slowest = min((leg.pace for leg in legs(ensemble, drive) if leg.sign), default=v)
         found.append(Group("slowest/fastest", slowest / v, "velocities of the segments that move"))
     if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
-        if ensemble.stiffness_law == "sqrt":
+        heavy = True
+        if aging.active and aging.cutoff_time is not None:
+            text = "at every kT: thresholds that grow as ln t outlive all attempts"
+        elif ensemble.stiffness_law == "sqrt":
             text = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"
         else:
-            text = "b >= 1/2: rare strong contacts dominate time" if b >= 0.5 else "no: b < 1/2, linear creep at low v"
-        found.append(Group("heavy tails", "yes" if b >= 0.5 or ensemble.stiffness_law == "sqrt" else "no", text))
+            heavy = b >= 0.5
+            text = "b >= 1/2: rare strong contacts dominate time" if heavy else "no: b < 1/2, linear creep at low v"
+        found.append(Group("heavy tails", "yes" if heavy else "no", text))
     return found

@@ -1,9 +1,11 @@
 """Parameter points of a suite, by a seeded sampler.
 
-A third of the points age, from x_*f/x_*i = 0.01 to 100, and have gamma laws with n from 0 to 10. The others have tables
-of 2 to 12 thresholds over up to four decades, samples of up to 500, lognormal, Weibull, Pareto (a finite third moment)
-and uniform laws, histograms with gaps, and gamma laws. Velocities are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to
-3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
+In a third of the points thresholds drift, from x_*f/x_*i = 0.01 to 100, and have gamma laws with n from 0 to 10. The
+others have tables of 2 to 12 thresholds over up to four decades, samples of up to 500, lognormal, Weibull, Pareto (a
+finite third moment) and uniform laws, histograms with gaps, and gamma laws; a third of the quenched ones among these
+grow as the logarithm of their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities are 1e-4 to 100
+omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3
+mean lives.
 """
 
 import dataclasses
@@ -19,6 +21,7 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import typical_lives
 from eqsim.errors import InputError
 from eqsim.laws.aging import RULES, Aging
+from eqsim.laws.aging.base import Drift
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import DELAYS, Delay
 from eqsim.laws.thermal import Thermal
@@ -50,7 +53,7 @@ SUITES = {
 def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tuple[int, Ensemble, float]]:
     """Index, ensemble and velocity of points over the whole parameter space, the same for the same seed; of every m-th
     from the i-th on, `part` = (i, m)."""
-    rng, laws, aging = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3))
+    rng, laws, aging, growing = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5))
     ages = aging.permutation(count) < count // 3
     kinds = dict(zip(laws.permutation(np.flatnonzero(~ages)).tolist(), itertools.cycle(LAWS), strict=False))
     barriers, delays = tuple(BARRIERS), tuple(DELAYS)
@@ -70,6 +73,10 @@ def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tu
         )
         if ages[index]:
             ensemble = _aging(ensemble, v * unit, aging)
+        elif ensemble.disorder == "quenched" and growing.random() < 1 / 3:
+            beta, slid = 10 ** growing.uniform(-3, 0.5), 10 ** growing.uniform(-6, 2)
+            grows = Aging("logarithmic", beta=beta, cutoff_time=slid / v)
+            ensemble = dataclasses.replace(ensemble, aging=grows)
         if index % part[1] != part[0]:
             continue  # lives take time
         if delay:
@@ -110,9 +117,9 @@ def _brief(x: Array) -> Array:
 
 
 def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
-    """The same contacts, aging: x_*f/x_*i from 0.01 to 100, D over v and the lesser of x_*i and x_*f from 1e-3 to 10,
-    sometimes infinite; sometimes at T = 0."""
-    rules = tuple(RULES)
+    """The same contacts, aging by drift: x_*f/x_*i from 0.01 to 100, D over v and the lesser of x_*i and x_*f from
+    1e-3 to 10, sometimes infinite; sometimes at T = 0."""
+    rules = tuple(rule for rule, law in RULES.items() if issubclass(law, Drift))
     unit, rule = ensemble.thresholds.scale, rules[int(rng.integers(len(rules)))]
     final = 10 ** rng.uniform(-2, 2) * unit
     rate = 10 ** rng.uniform(-3, 1) * v * min(unit, final)

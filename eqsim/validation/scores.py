@@ -46,7 +46,7 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
-from eqsim.laws.aging import Aging, Flow, Unaged
+from eqsim.laws.aging import RULES, Aging, Flow, Logarithmic, Unaged
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
@@ -346,16 +346,20 @@ def _closed(s: Reduced, xi: Array, x: Array) -> Array:
 
 
 def _along(s: Reduced, xi: Array, x: Array) -> Array:
-    """Of thresholds that flow. The rate is greatest at the ends of a life, where the nodes crowd."""
+    """Of thresholds that age in a known way. The rate is greatest at the ends of a life, where the nodes crowd."""
 
     def rate(y: Array, born: Array) -> Array:
-        return flow.rate(s, y, born * s.aging.growth_at(y))
+        return flow.rate(s, y, born)
 
     found = integrate.tanhsinh(rate, 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12)
     return np.asarray(found.integral)
 
 
-_INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {Unaged: _closed, Flow: _along}
+_INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {
+    Unaged: _closed,
+    Flow: _along,
+    Logarithmic: _along,
+}
 
 
 def fluctuating(point: Point, size: tuple[int, int]) -> Found:
@@ -363,7 +367,7 @@ def fluctuating(point: Point, size: tuple[int, int]) -> Found:
     rare and too long to be found."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     s = settled(ensemble, v).reduced
-    if s.stiffness == "sqrt" and not isinstance(s.aging, Unaged):
+    if s.stiffness == "sqrt" and s.aging.stiffens:
         return point.without(_FLUCTUATIONS, "no reference")
     count, ensembles = size
     if shown.fluctuates:
@@ -424,6 +428,7 @@ _COLUMNS = {
     "kind": "kind", "disorder": "ensemble.disorder", "barrier": "ensemble.thermal.barrier",
     "stiffness_law": "ensemble.stiffness_law", "thresholds": "ensemble.thresholds", "kT": "ensemble.thermal.kT",
     "aging": "ensemble.aging.rule", "aging_rate": "ensemble.aging.rate", "x_star_final": "ensemble.aging.x_star_final",
+    "beta": "ensemble.aging.beta", "cutoff_time": "ensemble.aging.cutoff_time",
     "delay": "ensemble.delay.time", "delay_law": "ensemble.delay.law", "eta": "ensemble.eta", "velocity": "velocity",
     "value": "value", "reference": "reference", "sigma": "sigma", "z": "z", "even": "even",
 }  # fmt: skip
@@ -435,5 +440,7 @@ def columns(scores: list[Score]) -> dict[str, list[Any]]:
         return {}
     table = {name: [attrgetter(path)(score) for score in scores] for name, path in _COLUMNS.items()}
     table["thresholds"] = [law_text(law) for law in table["thresholds"]]
-    ages = zip(table["aging"], table["x_star_final"], strict=True)
-    return table | {"x_star_final": [math.nan if rule == "none" else final for rule, final in ages]}
+    for name in ("x_star_final", "beta", "cutoff_time"):
+        ages = zip(table["aging"], table[name], strict=True)
+        table[name] = [value if rule in RULES and name in RULES[rule].keys else math.nan for rule, value in ages]
+    return table

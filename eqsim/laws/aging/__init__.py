@@ -1,19 +1,19 @@
 """Aging of pinned contacts: one file for each rule. This is where they are listed."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_number
 from eqsim.laws.aging.base import AgingLaw, Unaged
 from eqsim.laws.aging.flow import Flow
 from eqsim.laws.aging.langevin import Langevin
+from eqsim.laws.aging.logarithmic import Logarithmic
 from eqsim.laws.aging.pooled import PooledThresholds
-from eqsim.laws.threshold import Gamma
 
-RULES: dict[str, type[AgingLaw]] = {"langevin": Langevin, "flow": Flow}
-__all__ = ["RULES", "Aging", "AgingLaw", "Flow", "Langevin", "PooledThresholds", "Unaged"]
-_MOST_N = 1000.0  # of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the newborn law
+RULES: dict[str, type[AgingLaw]] = {"langevin": Langevin, "flow": Flow, "logarithmic": Logarithmic}
+__all__ = ["RULES", "Aging", "AgingLaw", "Flow", "Langevin", "Logarithmic", "PooledThresholds", "Unaged"]
+_MOST_BETA = 1000.0  # thresholds then grow a thousandfold per e-fold of their age
 
 
 @dataclass(frozen=True)
@@ -23,48 +23,61 @@ class Aging:
     Parameters
     ----------
     rule : str
-        "none", or for quenched contacts one of `RULES`; annealed contacts draw from `PooledThresholds` under any.
+        "none", or for quenched contacts one of `RULES`; annealed contacts draw from `PooledThresholds` under "langevin"
+        and "flow", and cannot age by "logarithmic".
     rate : float
-        D (length^2/time); may be infinite for "flow" and for annealed contacts.
+        D (length^2/time) of "langevin" and "flow"; may be infinite for "flow" and for annealed contacts.
     x_star_final : float
-        Scale x_*f of the final law (length).
+        Scale x_*f of the final law (length) of the same.
+    beta : float, optional
+        Of "logarithmic", and required there: xi(t) = xi(0) (1 + beta ln(1 + t/t_c)), from 0 to 1000.
+    cutoff_time : float, optional
+        t_c (time) of the same.
 
     Raises
     ------
     InputError
-        For an unknown rule and values out of range.
+        For an unknown rule, values out of range, and parameters of another rule.
     """
 
     rule: str = "none"
     rate: float = 0.0
     x_star_final: float = 1.0
+    beta: float | None = None
+    cutoff_time: float | None = None
 
     def __post_init__(self) -> None:
         require_choice("rule", self.rule, ("none", *RULES))
         if self.rate != math.inf:
             require_number("rate", self.rate, **NOT_NEGATIVE)
         require_number("x_star_final", self.x_star_final, **POSITIVE)
+        if self.beta is not None:
+            require_number("beta", self.beta, least=0.0, most=_MOST_BETA)
+        if self.cutoff_time is not None:
+            require_number("cutoff_time", self.cutoff_time, **POSITIVE)
+        self.check_keys({field.name for field in fields(self) if getattr(self, field.name) != field.default})
+
+    def check_keys(self, given: set[str]) -> None:
+        """Raise InputError if parameters are `given` that are not of this rule, or one is missing that has no default.
+        Without a rule nothing is asked."""
+        if self.rule == "none":
+            return
+        for field in fields(self)[1:]:
+            own = field.name in RULES[self.rule].keys
+            if field.name in given and not own:
+                raise InputError(f'{field.name}: not allowed with rule = "{self.rule}"')
+            if own and getattr(self, field.name) is None:
+                raise InputError(f'{field.name}: is required with rule = "{self.rule}"')
 
     @property
     def active(self) -> bool:
         """Whether thresholds move at all."""
-        return self.rule != "none" and self.rate > 0
+        return self.rule != "none" and (self.rate > 0 or (self.beta or 0.0) > 0)
 
     def check(self, law: Any, disorder: str) -> None:
         """Raise InputError unless contacts with these newborn thresholds can age so."""
-        if self.rule == "none":
-            return
-        if not isinstance(law, Gamma):
-            raise InputError(f'rule = "{self.rule}": needs thresholds of law "gamma"')
-        fluctuates = disorder == "quenched" and RULES[self.rule].fluctuates
-        if self.rate == math.inf and fluctuates:
-            raise InputError(f'rate = inf: must be finite with rule = "{self.rule}" and quenched disorder')
-        ratio = self.x_star_final / law.x_star
-        if not 1e-3 <= ratio <= 1e3:
-            raise InputError(f"x_star_final = {self.x_star_final!r}: must be within a factor 1000 of x_star")
-        if self.active and law.n > _MOST_N and (disorder == "annealed" or fluctuates):
-            who = "annealed contacts" if disorder == "annealed" else f'contacts of rule "{self.rule}"'
-            raise InputError(f"rule: {who} can age for n <= {_MOST_N:g}; n is {law.n:g}")
+        if self.rule != "none":
+            RULES[self.rule].check(self, law, disorder)
 
     def alpha(self, x_star: float, velocity: float) -> float:
         """4 D x_*i/(v x_*f^2), decay of x_*(t)^2 per x_*i of displacement. Raises InputError beyond 1e100."""
@@ -74,8 +87,6 @@ class Aging:
         require_number("aging rate * x_star / (velocity * x_star_final^2)", alpha, least=0, most=1e100)
         return alpha
 
-    def law(self, x_star: float, n: float, velocity: float) -> AgingLaw:
-        """What quenched contacts of newborn thresholds Gamma(n, x_star) do at `velocity`. Raises InputError."""
-        if not self.active:
-            return Unaged()
-        return RULES[self.rule].reduced((self.x_star_final / x_star) ** 2, self.alpha(x_star, velocity), n)
+    def law(self, thresholds: Any, velocity: float) -> AgingLaw:
+        """What quenched contacts of these newborn thresholds do at `velocity`. Raises InputError."""
+        return RULES[self.rule].reduced(self, thresholds, velocity) if self.active else Unaged()

@@ -9,10 +9,12 @@ the norm of a (2n+2)-dimensional Ornstein-Uhlenbeck process of rate 2D/x_*f^2 an
 
 with Z normal. There are two rules for quenched contacts: the thresholds of `langevin` follow that process; those of
 `flow` follow xi(t) = xi(0) x_*(t)/x_*i, which has the same one-time laws and no fluctuations. The annealed (published)
-ensemble draws frozen thresholds from the law of `pooled` under either rule.
+ensemble draws frozen thresholds from the law of `pooled` under either rule. A third rule, `logarithmic`, has no final
+law and nothing in common with these.
 
-Lengths are in units of x_*i and ages are displacements: `final2` is (x_*f/x_*i)^2 and `alpha` is 4 D x_*i/(v x_*f^2).
-A law is a NamedTuple of these numbers with a body of each kernel routine below.
+Lengths are in units of the newborn law's scale and ages are displacements: `final2` is (x_*f/x_*i)^2 and `alpha` is
+4 D x_*i/(v x_*f^2).
+A law is a NamedTuple of its numbers with a body of each kernel routine below.
 """
 
 import math
@@ -20,10 +22,14 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from eqsim.errors import InputError
 from eqsim.laws.barrier.base import hazard, is_flat, rate, stretch, stretches
 from eqsim.laws.stiffness import Springs, kappa
+from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
+
+_MOST_N = 1000.0  # of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the newborn law
 
 
 def change2(final2: float, age: Any) -> Array:
@@ -37,33 +43,78 @@ def scale2(final2: float, age: Any) -> Array:
 
 
 class AgingLaw:
-    """What every law of aging has: `fluctuates` if lives are paths of a random process, and `closed` if they are known
-    in closed form, without integrating a hazard or following a path."""
+    """What every law of aging has: `fluctuates` if lives are paths of a random process, `closed` if they are known in
+    closed form, without integrating a hazard or following a path, and `stiffens` if the stiffness of the sqrt law
+    follows the threshold, which else is that at birth. `keys` are the parameters of `Aging` that are its own."""
 
     __slots__ = ()
     fluctuates: ClassVar[bool] = False
     closed: ClassVar[bool] = False
-    final2: float
-    alpha: float
+    stiffens: ClassVar[bool] = False
+    keys: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
-    def reduced(cls, final2: float, alpha: float, n: float) -> "AgingLaw":
-        """The law from its numbers, of newborn thresholds Gamma(n). Raises InputError."""
+    def check(cls, aging: Any, law: Any, disorder: str) -> None:
+        """Raise InputError unless contacts of newborn thresholds `law` can age as `aging`, an `Aging`, says."""
+
+    @classmethod
+    def reduced(cls, aging: Any, law: Any, velocity: float) -> "AgingLaw":
+        """The law from an `Aging`, the law of newborn thresholds and the velocity. Raises InputError."""
         raise NotImplementedError
 
     @property
-    def final(self) -> float:
-        """x_*f/x_*i."""
-        return math.sqrt(self.final2)
+    def most(self) -> float:
+        """By what factor a threshold that sets the stiffness grows at most."""
+        return 1.0
 
     def growth_at(self, x: Array) -> Array:
         """By what factor every threshold has grown of contacts that have been pinned for `x` (any shape), where it is
         the same for all."""
         return np.ones_like(x)
 
+    def bracket(self, xi: Any) -> tuple[Any, Any]:
+        """Two stretches between which thresholds born as `xi` (any shape) meet the stretch."""
+        return xi, xi
+
     def table(self, springs: Springs) -> Array:
         """What `work` looks up, if anything."""
         return NO_TABLE
+
+
+class Drift(AgingLaw):
+    """Thresholds of a gamma law that drift to a final one, numbers as above."""
+
+    __slots__ = ()
+    stiffens: ClassVar[bool] = True
+    keys: ClassVar[tuple[str, ...]] = ("rate", "x_star_final")
+    final2: float
+    alpha: float
+
+    @classmethod
+    def check(cls, aging: Any, law: Any, disorder: str) -> None:
+        if not isinstance(law, Gamma):
+            raise InputError(f'rule = "{aging.rule}": needs thresholds of law "gamma"')
+        fluctuates = disorder == "quenched" and cls.fluctuates
+        if aging.rate == math.inf and fluctuates:
+            raise InputError(f'rate = inf: must be finite with rule = "{aging.rule}" and quenched disorder')
+        ratio = aging.x_star_final / law.x_star
+        if not 1e-3 <= ratio <= 1e3:
+            raise InputError(f"x_star_final = {aging.x_star_final!r}: must be within a factor 1000 of x_star")
+        if aging.active and law.n > _MOST_N and (disorder == "annealed" or fluctuates):
+            who = "annealed contacts" if disorder == "annealed" else f'contacts of rule "{aging.rule}"'
+            raise InputError(f"rule: {who} can age for n <= {_MOST_N:g}; n is {law.n:g}")
+
+    @property
+    def final(self) -> float:
+        """x_*f/x_*i."""
+        return math.sqrt(self.final2)
+
+    @property
+    def most(self) -> float:
+        return max(1.0, self.final)
+
+    def bracket(self, xi: Any) -> tuple[Any, Any]:
+        return xi * min(1.0, self.final), xi * max(1.0, self.final)
 
 
 class _NoNumbers(NamedTuple):
@@ -91,6 +142,18 @@ def growth(law: Any, x: float) -> float:
 def end(law: Any, xi: float) -> float:
     """Where a contact born with threshold `xi` breaks if heat does not break it before."""
     return xi
+
+
+@by_law
+def smooth(law: Any, x0: float, x1: float) -> bool:
+    """Whether growth between two stretches is well described by a polynomial of a few degrees."""
+    return True
+
+
+@by_law
+def kappa_at(law: Any, springs: Springs, born: float, now: float) -> float:
+    """k_i/k of a contact born with threshold `born`, which is `now` another."""
+    return kappa(springs, born)
 
 
 @by_law

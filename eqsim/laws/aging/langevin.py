@@ -6,7 +6,7 @@ The engine follows its paths in `engine.langevin`, the reference solves its Fokk
 from typing import Any, ClassVar, NamedTuple
 
 from eqsim.errors import require_number
-from eqsim.laws.aging.base import AgingLaw, stiffness_varies
+from eqsim.laws.aging.base import Drift, stiffness_varies
 from eqsim.laws.stiffness import Springs
 
 _MOST_ALPHA = 1e6  # relaxations while the contact slides x_*: steps, and time, grow with it
@@ -18,7 +18,7 @@ class _Numbers(NamedTuple):
     shape: float
 
 
-class Langevin(_Numbers, AgingLaw):
+class Langevin(_Numbers, Drift):
     """The norm of an Ornstein-Uhlenbeck process of 2 shape + 2 components, shape = n. The stiffness of the sqrt law
     follows it."""
 
@@ -26,10 +26,11 @@ class Langevin(_Numbers, AgingLaw):
     fluctuates: ClassVar[bool] = True
 
     @classmethod
-    def reduced(cls, final2: float, alpha: float, n: float) -> "Langevin":
-        """The law from its numbers. Raises InputError for rates that would take too many steps."""
+    def reduced(cls, aging: Any, law: Any, velocity: float) -> "Langevin":
+        """As of every law. Raises InputError for rates that would take too many steps, too."""
+        alpha = aging.alpha(law.x_star, velocity)
         require_number("4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=_MOST_ALPHA)
-        return cls(final2, alpha, n)
+        return cls((aging.x_star_final / law.x_star) ** 2, alpha, law.n)
 
 
 @stiffness_varies.register(Langevin)

@@ -1,0 +1,242 @@
+"""Lives along thresholds that grow in a known way, xi(x) = xi(0) s(x): `flow` and `logarithmic`."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eqsim.laws.aging.base import break_lives, end, growth, kappa_at, life, smooth, spend, spent, whole_hazard
+from eqsim.laws.barrier.base import height, prefactor, thermal
+from eqsim.laws.stiffness import Springs, kappa
+from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.tables import Array
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+_RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
+
+
+class _Path(NamedTuple):
+    """A contact: its laws, its threshold at birth, where the path ends, and the stretch and age where it begins. The
+    stretch `moves` (1.0) or stays (0.0)."""
+
+    law: Any
+    barrier: Any
+    springs: Springs
+    xi: float
+    end: float
+    stretch: float
+    moves: float
+    age: float
+
+
+@inlined
+def _at(c: _Path, s: float) -> tuple[float, float]:
+    """Threshold at s, and the barrier there."""
+    xi = c.xi * growth(c.law, c.age + s)
+    a = c.barrier.b * kappa_at(c.law, c.springs, c.xi, xi)
+    return xi, height(c.barrier, xi, abs(c.stretch + c.moves * s), a)
+
+
+@routine
+def path_life(law: Any, barrier: Any, springs: Springs, xi: float, clock: float) -> tuple[float, float]:
+    """Where a contact with threshold `xi` at birth breaks whose clock shows `clock`, and the hazard it has spent."""
+    return _follow(_Path(law, barrier, springs, xi, end(law, xi), 0.0, 1.0, 0.0), clock)
+
+
+@routine
+def _follow(c: _Path, clock: float) -> tuple[float, float]:
+    """The s of a path at which a contact breaks whose clock shows `clock`, or its end, and the hazard it has spent.
+
+    The hazard along a growing threshold has no closed form. It is integrated over z, s = end z (2 - z), which makes it
+    smooth where a stiff barrier vanishes, by 10 Gauss-Legendre nodes in dyadic cells. A cell is halved unless the
+    barrier and the aging vary little in it, or nothing happens in it: the barrier first rises, then falls (derived, for
+    rising thresholds; for falling ones it falls), so its least value in a cell is at an end. Where a stretch relaxes
+    under a falling threshold it may first fall: no coarse cell is skipped. Error 5e-9 of the hazard.
+    """
+    law, top, log_w = c.law, c.end, c.barrier.log_w
+    if not thermal(c.barrier):
+        return top, 0.0
+    floor = math.log(min(clock, 100.0)) - _NEGLIGIBLE
+    born, left = _at(c, 0.0)
+    coarse = _RELAXING if c.stretch < 0.0 and _at(c, top)[0] < born else 0
+    spent, level, index = 0.0, 0, 0
+    while True:
+        width = 0.5**level
+        z = index * width
+        x0, x1 = top * z * (2.0 - z), top * (z + width) * (2.0 - z - width)
+        now, right = _at(c, x1)
+        seen = log_w + math.log(2.0 * top * width) - min(left, right) > floor or level < coarse
+        last = level >= _DEEPEST or x1 - x0 <= 4e-16 * (
+            x1 + abs(c.stretch)
+        )  # rounding is all that still varies, times b perhaps a lot
+        fine = last or (
+            abs(right - left) <= _RANGE
+            and level >= coarse
+            and smooth(law, c.age + x0, c.age + x1)
+            and now <= _GROWN * c.xi * growth(law, c.age + x0)  # thresholds vanish at some x < 0, perhaps nearby
+        )
+        if seen and fine and not last:
+            for quarter in range(1, 4):  # the barrier may rise and fall inside
+                part = z + 0.25 * quarter * width
+                inner = top * part * (2.0 - part)
+                _, middle = _at(c, inner)
+                fine = fine and max(abs(middle - left), abs(middle - right)) <= _RANGE
+        if seen and not fine:
+            level, index = level + 1, 2 * index
+            continue
+        if seen:
+            whole = _hazard_in(c, z, width)
+            if spent + whole >= clock:
+                # Newton for the hazard in part of the cell, in a bracket
+                low, high, part = 0.0, width, width * (clock - spent) / whole
+                for _ in range(60):
+                    found = _hazard_in(c, z, part)
+                    excess = spent + found - clock
+                    if excess > 0.0:
+                        high = part
+                    else:
+                        low = part
+                    rate = _rate(c, z + part)
+                    step = part - excess / rate if rate > 0.0 else 0.5 * (low + high)
+                    if not low <= step <= high:
+                        step = 0.5 * (low + high)
+                    if abs(step - part) <= 1e-13 * part or abs(excess) <= 1e-14 * clock:
+                        part = step
+                        break
+                    part = step
+                z += part
+                return top * z * (2.0 - z), clock
+            spent += whole
+        left, index = right, index + 1
+        while index % 2 == 0 and level > 0:
+            level, index = level - 1, index // 2
+        if level == 0 and index == 1:
+            return top, spent
+
+
+@inlined
+def _rate(c: _Path, z: float) -> float:
+    """Hazard per unit z."""
+    s = c.end * z * (2.0 - z)
+    x = abs(c.stretch + c.moves * s)
+    now = max(c.xi * growth(c.law, c.age + s), x)
+    barrier = height(c.barrier, now, x, c.barrier.b * kappa_at(c.law, c.springs, c.xi, now))
+    return math.exp(c.barrier.log_w - barrier) * 2.0 * c.end * (1.0 - z) * prefactor(c.barrier, now, x)
+
+
+@routine
+def _hazard_in(c: _Path, z: float, width: float) -> float:
+    total = 0.0
+    for i in range(_NODES.size):
+        total += _WEIGHTS[i] * _rate(c, z + 0.5 * width * (1.0 + _NODES[i]))
+    return 0.5 * width * total
+
+
+def along_paths(law: type) -> type:
+    """A decorator for a law that has `growth`, `end` and `smooth`: its lives."""
+    whole_hazard.register(law)(_whole_hazard)
+    life.register(law)(_life)
+    break_lives.register(law)(_lives)
+    spend.register(law)(_spend)
+    spent.register(law)(_spent)
+    return law
+
+
+def _whole_hazard(law: Any, barrier: Any, springs: Springs, xi: float) -> tuple[float, float]:
+    return path_life(law, barrier, springs, xi, math.inf)
+
+
+def _life(law: Any, barrier: Any, table: Array, springs: Springs, xi: float, clock: float) -> float:
+    return path_life(law, barrier, springs, xi, clock)[0]
+
+
+def _lives(law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int) -> None:
+    stretch, clock, stiffness = lives.stretch, lives.clock, lives.stiffness
+    for i in range(count):
+        xi = stretch[r, i]
+        stiffness[r, i] = kappa(springs, xi)
+        stretch[r, i] = path_life(law, barrier, springs, xi, clock[r, i])[0]
+
+
+# -------------------------------------------------------------------------------------------- segments of a programme
+
+
+@inlined
+def _excess(law: Any, xi: float, y: float, age: float, moves: int, s: float) -> float:
+    """Threshold less stretch at s of a segment."""
+    return xi * growth(law, age + s) - abs(y + moves * s)
+
+
+@routine
+def _root(law: Any, contact: tuple[float, float, float], moves: int, low: float, high: float) -> float:
+    """Where the stretch reaches the threshold, between s where it is below and where it is not."""
+    xi, y, age = contact
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if high - low <= 2e-16 * (abs(y) + high):
+            break
+        if _excess(law, xi, y, age, moves, middle) > 0.0:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@routine
+def crossing(law: Any, contact: tuple[float, float, float], moves: int, length: float) -> float:
+    """Where in a segment of that length the stretch of a `contact` (threshold at birth, stretch in the direction of
+    motion, age) first reaches its threshold; infinity if it does not. Growth is concave and falling thresholds are
+    convex in time, so that there is one crossing where the stretch grows or stays; where it relaxes, only a falling
+    threshold can meet it, between the beginning and the least excess (derived)."""
+    xi, y, age = contact
+    turn = min(-y, length) if moves != 0 and y < 0.0 else 0.0
+    if turn > 0.0 and growth(law, age + turn) < growth(law, age):
+        low, high = 0.0, turn
+        for _ in range(80):  # the least excess, by golden sections
+            left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+            if _excess(law, xi, y, age, moves, left) < _excess(law, xi, y, age, moves, right):
+                high = right
+            else:
+                low = left
+        if _excess(law, xi, y, age, moves, 0.5 * (low + high)) <= 0.0:
+            return _root(law, contact, moves, 0.0, 0.5 * (low + high))
+    if _excess(law, xi, y, age, moves, length) > 0.0:
+        return math.inf
+    return _root(law, contact, moves, turn, length)
+
+
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+@routine
+def _along(
+    law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, end: float, clock: float
+) -> tuple[float, float]:
+    """`_follow` up to `end` of a segment, in two parts if the stretch changes its sign on the way."""
+    xi, _, y, age = contact
+    turn = -y if moves != 0 and -end < y < 0.0 else 0.0
+    before = 0.0
+    if turn > 0.0:
+        s, before = _follow(_Path(law, c.barrier, c.springs, xi, turn, y, 1.0, age), clock)
+        if s < turn:
+            return s, clock
+        y, age = 0.0, age + turn
+    if end <= turn:
+        return turn, before
+    s, after = _follow(_Path(law, c.barrier, c.springs, xi, end - turn, y, float(moves), age), clock - before)
+    return turn + s, before + after
+
+
+def _spend(
+    law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
+) -> tuple[float, float]:
+    xi, _, y, age = contact
+    ends = crossing(law, (xi, y, age), moves, length)
+    s, passed = _along(law, c, contact, moves, min(ends, length), clock)
+    if passed >= clock or ends <= length:
+        return s, 0.0
+    return math.inf, clock - passed
+
+
+def _spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float) -> float:
+    return _along(law, c, contact, moves, length, math.inf)[1]

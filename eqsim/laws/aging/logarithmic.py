@@ -1,0 +1,82 @@
+"""Thresholds that grow as the logarithm of the pinned time, as contact areas do in laboratories:
+
+    xi(t) = xi(0) (1 + beta ln(1 + t/t_c))
+
+New area joins unstressed, so that the force of a contact stays as it is: its stiffness is that at birth. Any law of
+newborn thresholds will do. At velocity v the stretch is x = v t, and `per_time` is x_*/(v t_c).
+"""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from eqsim.errors import InputError, require_number
+from eqsim.laws.aging.along import along_paths
+from eqsim.laws.aging.base import AgingLaw, end, growth, smooth
+from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.tables import Array
+
+
+class _Numbers(NamedTuple):
+    beta: float
+    per_time: float
+
+
+@along_paths
+class Logarithmic(_Numbers, AgingLaw):
+    """Growth 1 + beta ln(1 + per_time x)."""
+
+    __slots__ = ()
+    keys: ClassVar[tuple[str, ...]] = ("beta", "cutoff_time")
+
+    @classmethod
+    def check(cls, aging: Any, law: Any, disorder: str) -> None:
+        if disorder == "annealed":
+            raise InputError(
+                'rule = "logarithmic": needs disorder = "quenched"; an annealed contact has no threshold of its own '
+                "that could grow with its age"
+            )
+
+    @classmethod
+    def reduced(cls, aging: Any, law: Any, velocity: float) -> "Logarithmic":
+        """As of every law. Raises InputError unless v t_c is within 1e-100 to 1e100 of a threshold."""
+        slid = velocity / law.scale * aging.cutoff_time
+        require_number("velocity * cutoff_time / threshold", slid, least=1e-100, most=1e100)
+        return cls(aging.beta, 1.0 / slid)
+
+    def growth_at(self, x: Array) -> Array:
+        return np.asarray(1.0 + self.beta * np.log1p(self.per_time * x))
+
+    def bracket(self, xi: Any) -> tuple[Any, Any]:
+        # where the tangent of the growth has the slope 1/2, or where it is born less steep, and from there along it
+        # to twice what is on the stretch's axis (derived)
+        return xi, 2.0 * xi * (1.0 + self.beta * np.log(np.maximum(2.0 * xi * self.beta * self.per_time, 1.0)))
+
+
+@growth.register(Logarithmic)
+@inlined
+def _growth(law: Logarithmic, x: float) -> float:
+    return 1.0 + law.beta * math.log1p(law.per_time * x)
+
+
+@end.register(Logarithmic)
+@routine
+def _end(law: Logarithmic, xi: float) -> float:
+    # The growth is concave, so that Newton's method, begun beyond the only root where the excess falls (at the end of
+    # `bracket`), descends to it.
+    beta, rate = law.beta, law.per_time
+    x = 2.0 * xi * (1.0 + beta * math.log(max(2.0 * xi * beta * rate, 1.0)))
+    for _ in range(100):
+        slope = xi * beta * rate / (1.0 + rate * x)
+        step = (xi * (1.0 + beta * math.log1p(rate * x)) - slope * x) / (1.0 - slope)
+        if not step < x * (1.0 - 2e-16):
+            break
+        x = step
+    return x
+
+
+@smooth.register(Logarithmic)
+@inlined
+def _smooth(law: Logarithmic, x0: float, x1: float) -> bool:
+    return law.per_time * (x1 - x0) <= 2.0 * (1.0 + law.per_time * x0)  # ln(1 + x/(v t_c)) has an end at x = -v t_c
