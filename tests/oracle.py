@@ -41,6 +41,7 @@ class Contacts:
     beta: float = 0.0
     cutoff_time: float = 1.0  # t_c
     pinned_time: float = 0.0  # mean, of annealed contacts that age: see `settled`
+    factors: tuple = ()  # of the velocity in the intervals between two looks: 0 is a hold, a negative one a reversal
 
     def thresholds(self, rng, size):
         scale = self.x_star
@@ -99,27 +100,30 @@ class Record(NamedTuple):
 
 
 def simulate(contacts: Contacts, count: int, step: float, record_every: int, records: int, seed: int) -> Record:
-    """Slide from a fresh start (all contacts pinned, unstretched) and look at the force every `record_every` steps."""
+    """Slide from a fresh start (all contacts pinned, unstretched) and look at the force every `record_every` steps of
+    time, in which the slider moves by `step` times the factor of the interval."""
     c, rng = contacts, np.random.default_rng(seed)
     dt = step / c.velocity
-    x, wait = np.zeros(count), np.zeros(count)
+    x, age, wait = np.zeros(count), np.zeros(count), np.zeros(count)
     xi, pinned = c.thresholds(rng, count), np.ones(count, bool)
     rows = []
     for i in range(1, record_every * records + 1):
+        factor = c.factors[(i - 1) // record_every] if c.factors else 1.0
         gap = xi - x
         if c.aging != "none" and c.disorder == "quenched":
-            xi = np.where(pinned, c.aged(rng, xi, x / c.velocity, dt), xi)
-        x[pinned] += step
-        breaks = pinned & (x >= xi)
+            xi = np.where(pinned, c.aged(rng, xi, age, dt), xi)
+        x[pinned] += factor * step
+        age[pinned] += dt
+        breaks = pinned & (np.abs(x) >= xi)
         if c.aging == "langevin" and c.disorder == "quenched":
             breaks |= pinned & c.crossed(rng, gap, xi - x, dt)
         if c.kT > 0 and c.disorder == "quenched":
-            rate = c.attempt_frequency * c.attempt_breaks(x, xi)
+            rate = c.attempt_frequency * c.attempt_breaks(np.abs(x), xi)
             breaks |= pinned & (rng.random(count) < -np.expm1(-rate * dt))
         elif c.kT > 0:
             attempts = rng.poisson(c.attempt_frequency * dt, count) * pinned
             who = np.repeat(np.arange(count), attempts)
-            success = rng.random(who.size) < c.attempt_breaks(x[who], c.thresholds(rng, who.size))
+            success = rng.random(who.size) < c.attempt_breaks(np.abs(x[who]), c.thresholds(rng, who.size))
             breaks[who[success]] = True
 
         wait[~pinned] -= dt
@@ -129,10 +133,10 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
             pinned[breaks] = False
         else:
             pins |= breaks
-        pinned[pins], x[pins], xi[pins] = True, 0.0, c.thresholds(rng, pins.sum())
+        pinned[pins], x[pins], age[pins], xi[pins] = True, 0.0, 0.0, c.thresholds(rng, pins.sum())
 
         if i % record_every == 0:
-            force = np.where(pinned, c.k(xi, x / c.velocity) * x, c.eta * c.velocity) / c.stiffness
+            force = np.where(pinned, c.k(xi, age) * x, c.eta * c.velocity * factor) / c.stiffness
             rows.append((force.mean(), force.std() / count**0.5, pinned.mean(), pinned.std() / count**0.5))
     return Record(*np.array(rows).T)
 

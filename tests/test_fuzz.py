@@ -263,7 +263,7 @@ def endless(ensemble, drive):
 def use(path):
     """What `eqsim info` and the beginning of `eqsim run` do with a run file."""
     file = load(path)
-    ensemble, drive = file.ensemble(path.parent), file.driven()
+    ensemble, drive = file.ensemble(path.parent), file.driven(path.parent)
     out = file.output
     if endless(ensemble, drive):
         return file, ensemble, None
@@ -718,7 +718,7 @@ def fuzz_processes(folder, seeds):
         path.write_bytes(case(random.Random(seed)))
         with contextlib.suppress(InputError):
             file = load(path)
-            ensemble, drive = file.ensemble(folder), file.driven()
+            ensemble, drive = file.ensemble(folder), file.driven(folder)
             if endless(ensemble, drive) or ensemble.aging.rule == "langevin":
                 continue
         codes.append(judge_process(("info", "run", "steady", "reference")[seed % 4], path, folder / f"out {seed}"))

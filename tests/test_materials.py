@@ -325,7 +325,7 @@ def test_committed_run_files(name, velocity, disorder):
     assert first > 0
     assert "".join(lines[first:]) == run_file_text(material, velocity=velocity, disorder=disorder)
     file = load(path)
-    ensemble, drive = file.ensemble(RUNS), file.driven()
+    ensemble, drive = file.ensemble(RUNS), file.driven(RUNS)
     assert ensemble == material.ensemble(disorder=disorder)
     assert (drive.velocity, drive.distance) == (velocity, 20 * material.x_star)
     velocities = [point["drive.velocity"] for point in Plan(file, RUNS).axes[0]]
@@ -353,7 +353,7 @@ def test_run_file_text_loads_to_the_same_numbers(tmp_path, delay, aging):
         text = run_file_text(film, temperature, disorder=disorder, stiffness_law="sqrt", count=123)
         file = stored(tmp_path, text)
         assert file.ensemble(tmp_path) == film.ensemble(temperature, disorder=disorder, stiffness_law="sqrt", count=123)
-        assert file.driven().velocity == film.crossover_velocity()  # at room temperature
+        assert file.driven(RUNS).velocity == film.crossover_velocity()  # at room temperature
         assert film.name in file.title
     assert stored(tmp_path, text.replace("kT = ", "kT = 1")).ensemble(tmp_path) != file.ensemble(tmp_path)
 
@@ -361,10 +361,10 @@ def test_run_file_text_loads_to_the_same_numbers(tmp_path, delay, aging):
 def test_friction_depends_on_the_temperature_of_run_files(tmp_path):
     """At one velocity, that of a laboratory: v_*(T) would leave annealed friction at that of kT -> 0."""
     cold, warm = (stored(tmp_path, run_file_text(STEEL, kelvin, disorder="annealed")) for kelvin in (77.0, 400.0))
-    assert cold.driven() == warm.driven()
-    values = [reference(file.ensemble(tmp_path), file.driven()).friction.value for file in (cold, warm)]
+    assert cold.driven(RUNS) == warm.driven(RUNS)
+    values = [reference(file.ensemble(tmp_path), file.driven(RUNS)).friction.value for file in (cold, warm)]
     assert values[0] > 1.1 * values[1]
-    assert stored(tmp_path, run_file_text(STEEL, 0.0)).driven() == warm.driven()
+    assert stored(tmp_path, run_file_text(STEEL, 0.0)).driven(RUNS) == warm.driven(RUNS)
 
 
 # ---- bad input ----

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracle import Contacts, settled, simulate
 
-from eqsim import Delay, Drive, Ensemble, Gamma, Thermal, trajectory
+from eqsim import Delay, Drive, Ensemble, Gamma, Programme, Segment, Thermal, trajectory
 from eqsim.laws.aging import Aging
 
 STEP = 0.02  # finer step of the oracle, in units of x_*; the coarser one is twice as long
@@ -17,6 +17,8 @@ LIMIT = 4.5
 # with steps 2h, h, h/2 and h/4 (h = STEP) it gives errors of first order up to 1.3e-2 at step h, and of second order
 # up to 1.9e-4, falling by 3.96 to 4.02 when h is halved, after extrapolation: 0.1 of the standard errors below.
 REMAINDER = 2e-4
+
+HOLD, BACK = (1.0, 0.0, 1.0, 0.25, 0.0, 1.0), (1.0, 1.0, -1.0, -0.5, 0.0, -1.0)
 
 CASES = {
     "mechanical sqrt": Contacts(),
@@ -58,7 +60,23 @@ CASES = {
         delay=0.4, delay_law="exponential", velocity=0.5, aging="logarithmic", beta=0.1, cutoff_time=0.2
     ),
     "logarithmic sqrt, soft": Contacts(kT=0.3, velocity=0.5, aging="logarithmic", beta=0.2, cutoff_time=0.5),
-}
+    "hold and steps, soft sqrt": Contacts(kT=0.5, velocity=0.5, factors=HOLD),
+    "reversal, stiff uniform, exponential delay, viscous": Contacts(
+        n=0.0, stiffness_law="uniform", kT=0.3, barrier="stiff", delay=0.4, delay_law="exponential", eta=0.5,
+        velocity=0.6, factors=BACK,
+    ),
+    "reversal, annealed soft sqrt, fixed delay": Contacts(
+        kT=0.5, disorder="annealed", delay=0.48, velocity=0.7, factors=BACK
+    ),
+    "hold and steps, logarithmic": Contacts(
+        kT=0.3, velocity=0.5, aging="logarithmic", beta=0.2, cutoff_time=0.5, factors=HOLD
+    ),
+    "reversal, flow": Contacts(kT=0.4, velocity=0.5, aging="flow", rate=0.3, x_star_final=2.0, factors=BACK),
+    "reversal, flow, weaker": Contacts(
+        stiffness_law="uniform", kT=0.4, velocity=0.5, aging="flow", rate=0.2, x_star_final=0.4, factors=BACK
+    ),
+    "hold and steps, mechanical logarithmic": Contacts(aging="logarithmic", beta=0.3, cutoff_time=0.2, factors=HOLD),
+}  # fmt: skip
 
 
 @functools.cache
@@ -77,6 +95,9 @@ def engine(c, times=1):
         eta=c.eta,
     )
     drive = Drive(c.velocity, RECORDS * SPACING * c.x_star)
+    if c.factors:
+        time = SPACING * c.x_star / c.velocity
+        drive = Programme([Segment(factor * c.velocity, time=time, points=1) for factor in c.factors])
     return trajectory(ensemble, drive, points=RECORDS + 1, seed=17, threads=2)
 
 
@@ -119,8 +140,8 @@ def scores(simulated, result, x_star, more=0.0):
     ],
 )
 def test_engine_agrees_with_time_steps(name, times):
-    """|z| < 4.5 at every X for force and, with delay, pinned fraction: 174 scores in all cases, false alarm 7e-6
-    each, 1e-3 together. `langevin` has a remainder of 1e-3 more, for the steps of the engine's paths."""
+    """|z| < 4.5 at every X for force and, with delay, pinned fraction: 222 scores in all cases, false alarm 7e-6
+    each, 1.5e-3 together. `langevin` has a remainder of 1e-3 more, for the steps of the engine's paths."""
     c = CASES[name]
     steps = 1e-3 if c.aging == "langevin" else 0.0
     assert scores(oracle(c, times=times), engine(c, times), c.x_star, steps).max() < LIMIT
@@ -138,6 +159,9 @@ def test_engine_agrees_with_time_steps(name, times):
         ("langevin sqrt", {"aging": "flow"}),
         ("annealed aging uniform, soft", {"rate": 0.2}),
         ("logarithmic sqrt, soft", {"cutoff_time": 0.8}),
+        ("hold and steps, soft sqrt", {"factors": (1.0, 0.05, 1.0, 0.25, 0.0, 1.0)}),
+        ("hold and steps, logarithmic", {"cutoff_time": 1.0}),
+        ("reversal, annealed soft sqrt, fixed delay", {"factors": (1.0, 1.0, 1.0, 0.5, 0.0, 1.0)}),
     ],
 )
 def test_another_model_fails(name, wrong):

@@ -331,7 +331,7 @@ def a_run_file_survives_a_round_trip(content):
     assert again == file
     assert parameters(again) == parameters(file)
     assert again.ensemble(None) == file.ensemble(None)
-    assert again.driven() == file.driven()
+    assert again.driven(Path()) == file.driven(Path())
 
 
 @everywhere(60, 500, content=CONTENT)
@@ -360,7 +360,7 @@ def a_material_survives_its_run_file(name, kelvin, v, disorder):
         path.write_text(run_file_text(MATERIALS[name], kelvin, v, disorder=disorder), encoding="utf-8")
         file = load(path)
     assert file.ensemble(path.parent) == MATERIALS[name].ensemble(kelvin, disorder=disorder)
-    assert file.driven() == Drive(v, 20.0 * MATERIALS[name].x_star)
+    assert file.driven(Path()) == Drive(v, 20.0 * MATERIALS[name].x_star)
 
 
 # ---- no NaN ----

@@ -20,9 +20,9 @@ def test_defaults(tmp_path):
     assert ensemble.delay == Delay(0.0, "fixed")
     assert (ensemble.count, ensemble.stiffness, ensemble.stiffness_law) == (100_000, 1.0, "sqrt")
     assert (ensemble.disorder, ensemble.eta) == ("quenched", 0.0)
-    assert file.driven() == Drive(0.1, None, "fresh")
+    assert file.driven(tmp_path) == Drive(0.1, None, "fresh")
     assert (file.output.points, file.output.seed, file.output.replicas) == (2001, 1, 1)
-    assert file.driven().over(ensemble) == pytest.approx(200 * ensemble.thresholds.mean, rel=1e-15, abs=0)
+    assert file.driven(tmp_path).over(ensemble) == pytest.approx(200 * ensemble.thresholds.mean, rel=1e-15, abs=0)
 
 
 def test_every_key(tmp_path):
@@ -44,7 +44,7 @@ def test_every_key(tmp_path):
     assert list(ensemble.thresholds.steps) == [0.5, 1.0]
     assert ensemble.count == 1000
     assert ensemble.delay == Delay(1.5, "exponential")
-    assert check(data).driven() == Drive(2, 7, "stationary")
+    assert check(data).driven(tmp_path) == Drive(2, 7, "stationary")
     assert check({"thresholds": {"law": "delta", "x_star": 2.0}}).ensemble(tmp_path).thresholds == Delta(2.0)
 
 
@@ -98,7 +98,7 @@ BAD = [
 def test_bad_input(data, message, tmp_path):
     def use():
         file = check(data)
-        return file.ensemble(tmp_path), file.driven()
+        return file.ensemble(tmp_path), file.driven(tmp_path)
 
     with pytest.raises(InputError) as caught:
         use()

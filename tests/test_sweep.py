@@ -80,8 +80,8 @@ def test_rows_are_what_steady_and_reference_say(small):
     assert list(table["id"]) == plan.ids  # in the order of the grid
     for index in (0, 7):
         row, point = table.iloc[index], plan.at(index)
-        found = steady(point.ensemble(Path()), point.driven(), rel_error=1e-2, seed=seed_of(row["id"]))
-        exact = reference(point.ensemble(Path()), point.driven())
+        found = steady(point.ensemble(Path()), point.driven(Path()), rel_error=1e-2, seed=seed_of(row["id"]))
+        exact = reference(point.ensemble(Path()), point.driven(Path()))
         assert row["friction"] == found.friction.value
         assert row["friction_stderr"] == found.friction.stderr
         assert row["lives"] == found.lives
@@ -131,7 +131,7 @@ def test_transient(tmp_path):
     plan = plan_of(text)
     for index, row in table.iterrows():
         point, seed = plan.at(index), seed_of(row["id"])
-        found = trajectory(point.ensemble(Path()), point.driven(), points=point.output.points, seed=seed)
+        found = trajectory(point.ensemble(Path()), point.driven(Path()), points=point.output.points, seed=seed)
         for name, estimate in found.averages.averages().items():
             assert (row[name], row[f"{name}_stderr"], row[f"{name}_dof"]) == (
                 estimate.value,

@@ -108,6 +108,11 @@ def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> I
     averages = getattr(found, "averages", None)
     if averages and not all(estimate.reliable for estimate in averages.averages().values()):
         yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
+    for index, segment in enumerate(getattr(found, "segments", ())[:_MOST_ROWS]):
+        if segment.step:
+            shown = ((name, getattr(segment.step, name)) for name in ("direct", "evolution", "memory"))
+            effects = ", ".join(f"{name} {terminal.value_and_error(estimate)}" for name, estimate in shown)
+            yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
     if not found.force_reliable:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")

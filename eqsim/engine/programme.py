@@ -197,7 +197,7 @@ def _variance(ensemble: Ensemble, programme: Programme, grid: Grid, found: Momen
             fourth, sixth = level.fourth / level.variance**2, level.sixth / level.variance**3
             law = level._replace(
                 X=grid.X, mean=found.force, pinned=found.pinned, variance=own, fourth=fourth * own**2,
-                sixth=sixth * own**3, most=reach**2 * np.ones_like(own),
+                sixth=sixth * own**3, most=reach**2 * np.ones_like(own), lives=float(count),
             )  # fmt: skip
         here, unlikely = known_variance(law, level, found.variance, count)
         _, always = known_variance(level, level, level.variance, count)

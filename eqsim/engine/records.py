@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eqsim.estimate import Averages, Estimate
+from eqsim.estimate import Averages, Estimate, known
 from eqsim.model.drive import Grid, Programme
 from eqsim.numerics.tables import Array
 
@@ -60,6 +60,24 @@ class Trajectory(Record):
 
 
 @dataclass(frozen=True)
+class VelocityStep:
+    """What a step between two velocities of the same sign shows, as rate-and-state friction names it.
+
+    Attributes
+    ----------
+    direct, evolution : Estimate
+        Direct effect A and evolution effect B, the changes of force up to the peak and from there to the end of the
+        segment over ln(new velocity/old velocity) (length). Their errors are as if the two forces were independent.
+    memory : Estimate
+        Displacement from the peak to where 1/e of the second change is left (length).
+    """
+
+    direct: Estimate
+    evolution: Estimate
+    memory: Estimate
+
+
+@dataclass(frozen=True)
 class SegmentRecord:
     """What a segment of a programme shows.
 
@@ -74,6 +92,8 @@ class SegmentRecord:
         step, up or down (length).
     at : Estimate
         Where the peak is: displacement since the beginning, in a hold time.
+    step : VelocityStep or None
+        If the segment before moved in the same direction at another velocity.
     """
 
     velocity: float
@@ -82,6 +102,7 @@ class SegmentRecord:
     end: Estimate
     peak: Estimate
     at: Estimate
+    step: VelocityStep | None
 
 
 @dataclass(frozen=True)
@@ -108,24 +129,20 @@ def shown_by(
     programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True
 ) -> tuple[SegmentRecord, ...]:
     """What the segments of a programme show in a force with errors, arrays (points,) at the instants of `grid`."""
-    found = []
+    found, before = [], programme.velocity if programme.start == "stationary" else None
     for index, segment in enumerate(programme.segments):
         here = np.flatnonzero(grid.segment == index)
         here = here if index == 0 else np.append(here[0] - 1, here)
         along = grid.t[here] if segment.velocity == 0 else np.abs(grid.X[here] - grid.X[here[0]])
-        peak, at = extreme(along - along[0], force[here], stderr[here])
-        last = here[-1]
-        end = Estimate(float(force[last]), float(stderr[last]), here.size, reliable=reliable)
-        found.append(
-            SegmentRecord(
-                segment.velocity,
-                float(grid.t[last]),
-                float(grid.X[last]),
-                end,
-                replace(peak, reliable=reliable),
-                replace(at, reliable=reliable),
-            )
-        )
+        along, forces, errors = along - along[0], force[here], stderr[here]
+        peak, at = extreme(along, forces, errors)
+        end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
+        ratio = segment.velocity / before if before else 0.0
+        step = velocity_step(along, forces, errors, peak, ratio) if ratio > 0 and ratio != 1 else None
+        end, peak, at = (replace(estimate, reliable=reliable) for estimate in (end, peak, at))
+        t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
+        found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
+        before = segment.velocity
     return tuple(found)
 
 
@@ -154,3 +171,27 @@ def extreme(x: Array, force: Array, stderr: Array) -> tuple[Estimate, Estimate]:
             best, place = float(c - 0.25 * b * b / a), place + float(vertex * half)
     error = float(np.hypot(stderr[top], force[top] - best))
     return Estimate(best, error, n), Estimate(place, spread, n)
+
+
+def velocity_step(x: Array, force: Array, stderr: Array, peak: Estimate, ratio: float) -> VelocityStep:
+    """What a step of velocity by a factor `ratio` shows: force with errors against displacement since, arrays
+    (points,)."""
+    n, log_ratio, top = force.size, np.log(ratio), known(peak)
+
+    def effect(level: int) -> Estimate:
+        error = np.hypot(peak.stderr or 0.0, stderr[level])
+        return Estimate(float((top - force[level]) / log_ratio), float(error / abs(log_ratio)), n)
+
+    first = int(np.argmax(np.abs(force - force[0])))
+    left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
+    below = int(np.argmax(left <= 0.0))
+    memory = Estimate(None, None, n, reliable=False)
+    if below > 0:
+        j = first + below
+        slope = (left[below - 1] - left[below]) / (x[j] - x[j - 1])
+        place = x[j] + left[below] / slope
+        wide = max(first, j - max(1, below // 4))  # noise between neighbours makes any slope
+        steep = abs(force[j] - force[wide]) / (x[j] - x[wide])
+        error = np.hypot(stderr[j], np.hypot(peak.stderr or 0.0, stderr[-1])) / steep if steep > 0 else np.inf
+        memory = Estimate(float(place - x[first]), float(error), n)
+    return VelocityStep(effect(0), effect(-1), memory)

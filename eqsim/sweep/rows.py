@@ -12,8 +12,9 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
       _stderr, _dof, _reliable             its standard error, degrees of freedom (null: normal) and whether to trust it
       _reference, _reference_error         what the master equation says, and the error of the solver (steady)
       _z                                   their difference as a standard-normal score; null if both errors are 0
-    of each segment of a programme, segment_0_end (force at its end), segment_0_peak (the force that differs most from
-    that at its beginning) and segment_0_at (where that is), with _stderr, _reference, _reference_error and _z
+    of each segment of a programme, with _stderr, _reference, _reference_error and _z:
+    segment_0_end, _peak, _at                force at its end, that which differs most from its beginning, and where
+    segment_0_direct, _evolution, _memory    of a velocity step
     reference_method           the solver
     lives                      lives simulated
     seed                       random seed, made from `id` alone
@@ -27,16 +28,19 @@ numbers and round differently: values agree to 1e-9, and to 1e-6 where threshold
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import OBSERVABLES, Averages, known, z_score
+from eqsim.estimate import OBSERVABLES, Averages, Estimate, known, z_score
 from eqsim.io.runfile import RunFile, keys
 from eqsim.model.drive import Drive, Programme
 from eqsim.sweep.plan import Task, results_version
 
+if TYPE_CHECKING:
+    from eqsim.engine.records import SegmentRecord
+
 SCHEMA = 1
-_SHOWN = ("end", "peak", "at")  # of a segment
+_SHOWN = ("end", "peak", "at", "direct", "evolution", "memory")  # of a segment
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,7 @@ def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str
 
 
 def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> dict[str, Any]:
-    from eqsim.engine.records import SegmentRecord, shown_by
+    from eqsim.engine.records import shown_by
     from eqsim.engine.trajectory import trajectory
     from eqsim.master.transient import transient
 
@@ -158,13 +162,19 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
         row["message"] = "; ".join(filter(None, (row["message"], f"no reference: {error}")))
     for index, segment in enumerate(found.segments):
         for shown in _SHOWN:
-            name, ours = f"segment_{index}_{shown}", getattr(segment, shown)
-            row |= {name: ours.value, f"{name}_stderr": ours.stderr}
-            if exact:
-                level = getattr(exact[index], shown)
+            name, ours = f"segment_{index}_{shown}", _shown(segment, shown)
+            level = _shown(exact[index], shown) if exact else None
+            if ours:
+                row |= {name: ours.value, f"{name}_stderr": ours.stderr}
+            if ours and level and level.value is not None:
                 row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
-                row[f"{name}_z"] = z_score(ours, known(level), level.stderr or 0.0)
+                row[f"{name}_z"] = z_score(ours, level.value, level.stderr or 0.0)
     return row
+
+
+def _shown(segment: "SegmentRecord", name: str) -> Estimate | None:
+    """An observable of a segment, of a velocity step if it is one."""
+    return getattr(segment if name in ("end", "peak", "at") else segment.step, name, None)
 
 
 def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:
