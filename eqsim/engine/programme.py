@@ -110,13 +110,14 @@ def _steps(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int, 
         begin = grid.t[here[0] - 1] if index else 0.0
         here = here[0 if index else 1 :]
         times = np.append(0.0, (grid.t[here] - begin) * (leg.pace / unit)) if leg.sign == 0 else np.empty(0)
-        run = Run(leg.length if leg.sign else 0.0, here.size + 1, before is not None, False)
+        first = before is None and index == 0 and leg.sign != 0  # no stretch is beyond what has been slid
+        run = Run(leg.length if leg.sign else 0.0, here.size + 1, not first, False)
         drag = drag_of(ensemble, leg.pace) * abs(leg.sign)
         scales = Scales.of(c, run, count, replicas, drag, carried)
         if leg.pace not in bounds:
             bounds[leg.pace] = extremes(c)[1]
         if leg.sign:
-            carried = max(carried, bounds[leg.pace] if before or index else min(bounds[leg.pace], run.distance))
+            carried = max(carried, min(bounds[leg.pace], run.distance) if first else bounds[leg.pace])
         same = index + (before is not None) > 0 and (leg.pace, leg.sign) == (pace, sign)
         moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, times)
         steps.append(_Step(c, moves, run, scales, drag, row))
