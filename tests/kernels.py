@@ -15,7 +15,7 @@ from eqsim import Aging, Drive, Ensemble, Thermal, steady, trajectory
 # those that take longest come first
 LAWS = [
     f"{barrier}-{aging}"
-    for aging in ("langevin", "flow", "none")
+    for aging in ("langevin", "flow", "logarithmic", "none")
     for barrier in ("mechanical", "soft", "stiff", *(["annealed"] if aging == "none" else []))
 ]
 
@@ -33,7 +33,7 @@ def compile_kernels(barrier, aging):
     """By a steady estimate and a trajectory of next to nothing."""
     contacts = Ensemble(
         thermal=Thermal(0.0 if barrier == "mechanical" else 1.0, barrier="stiff" if barrier == "stiff" else "soft"),
-        aging=Aging(aging, 0.1, 2.0),
+        aging=Aging(aging, beta=0.1, cutoff_time=1.0) if aging == "logarithmic" else Aging(aging, 0.1, 2.0),
         count=1,
         disorder="annealed" if barrier == "annealed" else "quenched",
     )

@@ -125,6 +125,8 @@ def sensible(rng):
         rule = rng.choice(["flow", "langevin"])
         final = thresholds["x_star"] * rng.choice([0.5, 1.0, 2.0])
         data["aging"] = {"rule": rule, "rate": 0.1 * final**2, "x_star_final": final}
+    elif data["disorder"] == "quenched" and rng.random() < 0.3:
+        data["aging"] = {"rule": "logarithmic", "beta": rng.choice([0.0, 0.05, 2.0]), "cutoff_time": 0.1}
     for name in list(data):
         if rng.random() < 0.2 and name not in ("drive", "thresholds", "output", "contacts"):
             del data[name]

@@ -49,8 +49,8 @@ class Logarithmic(_Numbers, AgingLaw):
         return np.asarray(1.0 + self.beta * np.log1p(self.per_time * x))
 
     def bracket(self, xi: Any) -> tuple[Any, Any]:
-        # where the tangent of the growth has the slope 1/2, or where it is born less steep, and from there along it
-        # to twice what is on the stretch's axis (derived)
+        # The growth is concave, so below any of its tangents; that of slope 1/2, or of less where it starts flatter,
+        # meets the stretch no later than here.
         return xi, 2.0 * xi * (1.0 + self.beta * np.log(np.maximum(2.0 * xi * self.beta * self.per_time, 1.0)))
 
 
