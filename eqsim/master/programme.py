@@ -49,6 +49,7 @@ _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
 _CHANGED = 0.5  # share by which the velocity changes where steps begin anew
 _GONE, _UNSEEN = 1e-15, 40.0  # pinned shares and -ln of hazards in a step that do not count
 _AGES, _DECADES = 20_000, 16  # of the table of growth
+_RESOLVED = 2e-6  # relative, what tables and rounding miss
 
 
 class Strata(NamedTuple):
@@ -172,7 +173,7 @@ def _mean_exponential(low: float, high: float) -> float:
 
 @routine
 def _log_pooled_rate(pool: Pool, x: float) -> float:
-    i = min(max(np.searchsorted(pool.y, x, "right") - 1, 0), pool.y.size - 2)
+    i = min(int(np.searchsorted(pool.y, x, "right")), pool.y.size - 1) - 1  # y begins with 0
     width = pool.y[i + 1] - pool.y[i]
     part = min(max((x - pool.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
     return pool.log_rate[i] + part * (pool.log_rate[i + 1] - pool.log_rate[i])
@@ -180,7 +181,7 @@ def _log_pooled_rate(pool: Pool, x: float) -> float:
 
 class Move(NamedTuple):
     """A step of a cohort: duration, |stretch| and growth at its beginning and end, |stretch| in the middle, and the
-    mean of the greatest |x|/g at both."""
+    mean of the greatest |x|/g at its end."""
 
     dt: float
     x0: float
@@ -188,8 +189,7 @@ class Move(NamedTuple):
     middle: float
     g0: float
     g1: float
-    y0: float
-    y1: float
+    y: float
 
 
 @inlined
@@ -201,7 +201,7 @@ def _left(s: Strata, k: int, y: float) -> float:
 @inlined
 def _barriers(c: Contacts, move: Move, k: int) -> tuple[float, float, float]:
     """E at the beginning and the end of a step, and p in its middle, of what is left of stratum k."""
-    xi0, xi1 = _left(c.strata, k, move.y0), _left(c.strata, k, move.y1)
+    xi0 = xi1 = _left(c.strata, k, move.y)
     a0 = c.barrier.b * kappa(c.springs, xi0 * move.g0 if c.growth.varies else xi0)
     a1 = c.barrier.b * kappa(c.springs, xi1 * move.g1 if c.growth.varies else xi1)
     now0, now1 = max(xi0 * move.g0, move.x0), max(xi1 * move.g1, move.x1)
@@ -265,19 +265,18 @@ def _advance(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[flo
     cohort[_Y1] = max(cohort[_Y1], abs(X1 - cohort[_X1]) / _growth(c.growth, t1 - cohort[_T1]))
     x0, x1 = X0 - cohort[_XM], X1 - cohort[_XM]
     after = 0.5 * (cohort[_Y0] + cohort[_Y1])
-    move = Move(t1 - t0, abs(x0), abs(x1), abs(0.5 * (x0 + x1)), g0, g1, before, after)
-    for k in range(_hazards(c, move, z)):
-        alive[k] *= exp(-z[k])
+    move = Move(t1 - t0, abs(x0), abs(x1), abs(0.5 * (x0 + x1)), g0, g1, after)
     s = c.strata
     if c.pool.y.size == 0 and after > before:  # of a stratum that breaks the stronger are left, which heat broke less
-        first = np.searchsorted(s.right, after, "right")
-        for k in range(first, alive.size - 1):
+        for k in range(np.searchsorted(s.right, after, "right"), alive.size - 1):
             if s.left[k] >= after:
                 break
             xi = _left(s, k, before)
             part = (_left(s, k, after) - xi) / (s.xi[k + 1] - xi)
             if part > 0.0 and alive[k] > 1e-280 and alive[k + 1] > 0.0:
                 alive[k] *= (alive[k + 1] * s.share[k] / (alive[k] * s.share[k + 1])) ** min(part, 1.0)
+    for k in range(_hazards(c, move, z)):
+        alive[k] *= exp(-z[k])
     _weigh(c, cohort, alive, g1)
 
 
@@ -290,18 +289,30 @@ def _bear(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[float,
     g = _growth(c.growth, t1 - t0)
     x = abs(X1 - X0)
     cohort[_Y0], cohort[_Y1] = x / g, 0.0
-    move = Move(t1 - t0, 0.0, x, 0.5 * x, _growth(c.growth, 0.0), g, 0.0, 0.5 * x / g)
+    move = Move(t1 - t0, 0.0, x, 0.5 * x, _growth(c.growth, 0.0), g, 0.5 * x / g)
     for k in range(alive.size):
         alive[k] = c.strata.share[k]
-    for k in range(_hazards(c, move, z)):
+    seen = _hazards(c, move, z)
+    for k in range(seen):
         alive[k] *= _mean_exponential(0.0, min(z[k], 700.0))
     _weigh(c, cohort, alive, _growth(c.growth, 0.5 * (t1 - t0)))
+    # where most break within the step, those left are the youngest: <u> and <u^2> of ages u in units of the step
+    n = u1 = u2 = 0.0
+    for k in range(alive.size):
+        y = min(z[k], 700.0) if k < seen else 0.0
+        part, rest = alive[k] * c.strata.stiff[k], 1.0 / (exp(y) - 1.0) if y > 0.02 else 0.0
+        n += part
+        u1 += part * (1.0 / y - rest if y > 0.02 else 0.5 - y / 12.0)
+        u2 += part * (2.0 / y**2 - (1.0 + 2.0 / y) * rest if y > 0.02 else 1.0 / 3.0 - y / 12.0)
+    if n > 0.0:
+        cohort[_K1] *= 2.0 * u1 / n
+        cohort[_K2] *= 3.0 * u2 / n
 
 
 @routine
 def _joined(c: Contacts, path: Path, cohorts: Array, alive: Array, pair: tuple[int, int], now: float) -> bool:
-    """Join a cohort to the one before if both are of the same direction and together not too wide in X, as thresholds
-    have grown, in |x|/g and in time per age."""
+    """Join a cohort to the one before if both are of the same direction and about as dense in X, and together not too
+    wide in X, as thresholds have grown, in |x|/g and in time per age."""
     i, j = pair
     one, two = cohorts[i], cohorts[j]
     if (
@@ -311,7 +322,8 @@ def _joined(c: Contacts, path: Path, cohorts: Array, alive: Array, pair: tuple[i
         return False
     if abs(two[_X1] - one[_X0]) > path.width * _growth(c.growth, now - two[_T1]):
         return False
-    if (one[_X1] - one[_X0]) * (two[_X1] - two[_X0]) < 0.0:
+    first, second = (one[_X1] - one[_X0]) * two[_S], (two[_X1] - two[_X0]) * one[_S]
+    if first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first):
         return False
     both = one[_S] + two[_S]
     for column in (_XM, _TM):
@@ -329,7 +341,7 @@ def _broken_by(t: Array, broken: Array, last: int, at: float, before: float) -> 
     """Breaks up to a time, not after t[last], from `before` per unit time before 0."""
     if at <= 0.0:
         return before * at
-    i = min(np.searchsorted(t, at, "right") - 1, last - 1)
+    i = min(int(np.searchsorted(t, at, "right")), last) - 1
     return broken[i] + (broken[i + 1] - broken[i]) * (at - t[i]) / (t[i + 1] - t[i])
 
 
@@ -434,10 +446,11 @@ def march(c: Contacts, path: Path) -> Array:
                     kept += 1
             count = kept
         for i in range(count):
-            x = X[m] - cohorts[order[i], _XM]
-            found[0, m] += x * cohorts[order[i], _K1]
-            found[1, m] += cohorts[order[i], _S]
-            found[2, m] += x * x * cohorts[order[i], _K2]
+            cohort = cohorts[order[i]]
+            x = X[m] - cohort[_XM]
+            found[0, m] += x * cohort[_K1]
+            found[1, m] += cohort[_S]
+            found[2, m] += (x * x + (cohort[_X1] - cohort[_X0]) ** 2 / 12.0) * cohort[_K2]
     return found
 
 
@@ -531,8 +544,9 @@ class Course(NamedTuple):
         return np.interp(t, np.append(0.0, self.ends), np.append(0.0, X))
 
 
-def _edges(course: Course, width: float, quickest: float, tau: float) -> Array:
-    """Times of edges of steps of the coarsest grid."""
+def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[Array, Array]:
+    """Times of edges of steps of the coarsest grid, and those of kinks: ends of segments, and whole delays after them."""
+    marks: list[float] = []
     t, last, since, kinks = [0.0], course.before, 0.0, np.empty(0)
     for end, velocity in zip(course.ends, course.velocity, strict=True):
         if abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last)) or t[-1] == 0.0:
@@ -550,7 +564,8 @@ def _edges(course: Course, width: float, quickest: float, tau: float) -> Array:
             since += mark - begin
             t += (begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])).tolist()
             t[-1] = float(mark)
-    return np.array(t)
+            marks.append(t[-1])
+    return np.array(t), np.array(marks)
 
 
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
@@ -568,8 +583,9 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     return reduced(ensemble, unit / time), Course(ends, velocity * (time / unit), before * (time / unit))
 
 
-def solve(s: Reduced, course: Course) -> list[tuple[Array, Array]]:
-    """Times of edges and what `march` finds there, on three grids, each with twice the steps of the one before."""
+def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
+    before."""
     low, high = np.asarray(s.law.inverse_survival(np.array([1.8, 0.17]))) / s.law.scale  # two standard deviations
     typical = s.law.mean / s.law.scale
     width = _PATH * (min(max(0.75 * (high - low), 0.02 * typical), typical) if high > low else typical)
@@ -577,7 +593,7 @@ def solve(s: Reduced, course: Course) -> list[tuple[Array, Array]]:
     grown = np.abs(s.aging.growth_at(ages) / s.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
     quickest = [1.0, s.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
     quickest.append(math.exp(-s.barrier.log_w) if s.barrier.thermal else 1.0)
-    t = _edges(course, width, min(quickest), s.delay.mean if isinstance(s.delay, Fixed) else 0.0)
+    t, kinks = _edges(course, width, min(quickest), s.delay.mean if isinstance(s.delay, Fixed) else 0.0)
     strongest = life = float(s.law.inverse_survival(36.0)) / s.law.scale
     for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
         life = strongest * max(1.0, float(s.aging.growth_at(np.array([life / course.before]))[0]))
@@ -591,7 +607,7 @@ def solve(s: Reduced, course: Course) -> list[tuple[Array, Array]]:
         cohorts = math.ceil(life / width * fine) if course.before else 0
         path = Path(edges, course.at(edges), width / fine, _GROWTH / fine, cohorts, course.before)
         found.append((edges, march(Contacts(strata, pool, growth, s.barrier, s.springs, waits), path)))
-    return found
+    return kinks, found
 
 
 class Means(NamedTuple):
@@ -599,12 +615,12 @@ class Means(NamedTuple):
     breaks per contact and unit time."""
 
     force: Array
-    force_error: Array
     pinned: Array
+    breaks: Array
+    force_error: Array
     pinned_error: Array
     variance: Array
     variance_error: Array
-    breaks: Array
 
 
 def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
@@ -628,44 +644,46 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     """
     s, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, grid.t[-1]
-    solved = solve(s, course)
-    at = np.minimum(grid.t / time, 1.0)
-    values, errors = np.zeros((3, at.size)), np.zeros((3, at.size))
-    for j in range(3):
-        values[j], errors[j] = _extrapolated([(edges, found[j]) for edges, found in solved], course, at, grid.segment)
+    kinks, solved = solve(s, course)
+    at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
+    best, errors = _extrapolated([found[:3] for _, found in solved], s.law.steps.size > 0)
+    values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
+    first, here = 0, 0
+    for kink in kinks:  # smooth up to the next
+        last, there = np.searchsorted(edges, kink), np.searchsorted(at, kink * (1.0 + 1e-12), side="right")
+        if there > here:
+            piece, inside = slice(first, last + 1), np.clip(at[here:there], edges[first], edges[last])
+            values[:, here:there] = Akima1DInterpolator(edges[piece], best[:, piece], axis=1)(inside)
+            rate = np.diff(found[3, piece]) / np.diff(edges[piece])
+            breaks[here:there] = np.interp(inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate)
+        first, here = last, there
+    missed = np.array([np.interp(at, edges, error) for error in errors])
     force, pinned, square = values
-    drag = np.array([math.copysign(drag_of(ensemble, abs(v.velocity)), v.velocity) for v in programme.segments])
-    drag = drag[grid.segment]
-    loose = 1.0 - pinned
-    total = force + drag * loose
-    total_error = errors[0] + np.abs(drag) * errors[1]
-    variance = square + drag**2 * loose - total**2
-    variance_error = errors[2] + drag**2 * errors[1] + 2.0 * np.abs(total) * total_error
-    edges, found = solved[-1]
-    breaks = np.zeros(at.size)
-    middle, rate = 0.5 * (edges[1:] + edges[:-1]), np.diff(found[3]) / np.diff(edges)
-    for first, last, here in _pieces(edges, course.ends, grid.segment):
-        breaks[here] = np.interp(at[here], middle[first:last], rate[first:last])
-    return Means(
-        total * unit, total_error * unit, pinned, errors[1], variance * unit**2, variance_error * unit**2, breaks / time
+    drag = np.array(
+        [math.copysign(drag_of(ensemble, abs(part.velocity)), part.velocity) for part in programme.segments]
     )
+    drag = drag[grid.segment]
+    total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1]
+    variance = square + drag**2 * (1.0 - pinned) - total**2
+    variance_error = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
+    squares = variance * unit**2, variance_error * unit**2
+    return Means(total * unit, pinned, breaks / time, error * unit, missed[1], *squares)
 
 
-def _pieces(edges: Array, ends: Array, segment: Array) -> Any:
-    """The first and the last edge of each segment, and which instants belong to it."""
-    last = np.searchsorted(edges, ends - 1e-12 * ends[0])
-    here = np.searchsorted(segment, np.arange(ends.size + 1))
-    for i in range(ends.size):
-        yield last[i - 1] if i else 0, last[i], slice(here[i], here[i + 1])
+def _extrapolated(found: list[Array], jumps: bool) -> tuple[Array, Array]:
+    """The values of no step at all at the edges of the finest of three grids, and their errors, shape (means, edges).
 
-
-def _extrapolated(solved: list[tuple[Array, Array]], course: Course, at: Array, segment: Array) -> tuple[Array, Array]:
-    """The value of no step at all, at instants, and its error, from those at the edges of three grids."""
-    (rough, first), (coarse, second), (fine, third) = solved
-    once, twice = second[::2] + (second[::2] - first) / 3, third[::2] + (third[::2] - second) / 3
-    missed = ndimage.maximum_filter1d(np.abs(twice[::2] - once), 5)
-    best = third + np.interp(fine, coarse, third[::2] - second) / 3
-    value = np.zeros(at.size)
-    for begin, end, here in _pieces(fine, course.ends, segment):
-        value[here] = Akima1DInterpolator(fine[begin : end + 1], best[begin : end + 1])(at[here])
-    return value, np.interp(at, rough, missed)
+    The error is by how much an extrapolation from the two coarser grids is different, nearby too, as it may vanish by
+    chance: where the scheme is of first order that is what the finer one misses (derived).
+    """
+    rough, coarse, fine = found
+    once, twice = (4 * coarse[:, ::2] - rough) / 3, (4 * fine[:, ::2] - coarse) / 3
+    index = np.arange(fine.shape[1])
+    missed = ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)
+    best, errors = np.zeros_like(fine), np.zeros_like(fine)
+    for j in range(fine.shape[0]):
+        best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
+        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j])
+        if jumps:  # equal thresholds that break together within a step
+            errors[j] += ndimage.maximum_filter1d(np.pad(np.abs(np.diff(best[j], 2)), 1, "edge"), 9)
+    return best, errors
