@@ -6,10 +6,9 @@ pinned]. Births B and breaks Gamma per contact and unit time obey
     pinned(t) = S_0(t) + int_0^t B(s) S(t|s) ds,      friction = m_0(t) + int_0^t B(s) m(t|s) ds + (eta v/k)(1 - pinned)
     without delay pinned = 1;      fixed delay: B(t) = Gamma(t - tau);      exponential delay: B = (1 - pinned)/tau
 
-A contact of threshold xi at birth, whose threshold has grown to xi g(age), breaks mechanically where |x| = xi g, so that
-the law of thresholds itself says how many of a cohort have, given the greatest |x|/g so far; and thermally at the rate
-of `laws.barrier` for |x| and its threshold, whose exponential is integrated over a step as if the barrier were linear
-in time. Cohorts are the births of a step, spread evenly over it, and thresholds are divided into strata. Where heat
+A contact of threshold xi at birth, whose threshold has grown to xi g(age), breaks mechanically where |x| = xi g, so
+that the law of thresholds itself says how many of a cohort have, given the greatest |x|/g so far; and thermally at the
+rate of `laws.barrier` for |x| and its threshold, which is integrated over a step as if the barrier were linear in time. Cohorts are the births of a step, spread evenly over it, and thresholds are divided into strata. Where heat
 breaks no contact, and of annealed contacts, all of a cohort share one hazard and the law of thresholds does the rest.
 
 Lengths are in units of the law's scale, and time is the displacement at a pace of one unit in the whole programme. A
@@ -35,7 +34,7 @@ from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, legs, reduced
-from eqsim.numerics.compiled import inlined, kernel, routine
+from eqsim.numerics.compiled import inlined, kernel, maker, routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp, exp_less_one
 
@@ -47,8 +46,10 @@ _SIGMA = (-8.0, 8.2)  # the range of thresholds, in normal deviates
 _KINKS = 6  # delays after a change of velocity that steps end at
 _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
 _CHANGED = 0.5  # share by which the velocity changes where steps begin anew
+_PARTS = 12  # of the births of a step where thresholds grow
 _GONE, _UNSEEN = 1e-15, 40.0  # pinned shares and -ln of hazards in a step that do not count
 _AGES, _DECADES = 20_000, 16  # of the table of growth
+_CARRIED = 0.03  # least error, in units of the largest in a programme
 _RESOLVED = 2e-6  # relative, what tables and rounding miss
 
 
@@ -280,31 +281,38 @@ def _advance(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[flo
     _weigh(c, cohort, alive, g1)
 
 
-@routine
+@maker
 def _bear(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[float, float, float, float]) -> None:
-    """The births of a step, as if there were one, at its end."""
+    """The births of a step, as if there were one, at its end. Where thresholds grow, in parts by age, each twice as
+    long as the one before."""
     t0, X0, t1, X1 = step
+    dt, x = t1 - t0, abs(X1 - X0)
     cohort[_X0], cohort[_X1], cohort[_XM] = X0, X1, 0.5 * (X0 + X1)
     cohort[_T0], cohort[_T1], cohort[_TM] = t0, t1, 0.5 * (t0 + t1)
-    g = _growth(c.growth, t1 - t0)
-    x = abs(X1 - X0)
-    cohort[_Y0], cohort[_Y1] = x / g, 0.0
-    move = Move(t1 - t0, 0.0, x, 0.5 * x, _growth(c.growth, 0.0), g, 0.5 * x / g)
-    for k in range(alive.size):
-        alive[k] = c.strata.share[k]
-    seen = _hazards(c, move, z)
-    for k in range(seen):
-        alive[k] *= _mean_exponential(0.0, min(z[k], 700.0))
-    _weigh(c, cohort, alive, _growth(c.growth, 0.5 * (t1 - t0)))
-    # where most break within the step, those left are the youngest: <u> and <u^2> of ages u in units of the step
-    n = u1 = u2 = 0.0
-    for k in range(alive.size):
-        y = min(z[k], 700.0) if k < seen else 0.0
-        part, rest = alive[k] * c.strata.stiff[k], 1.0 / (exp(y) - 1.0) if y > 0.02 else 0.0
-        n += part
-        u1 += part * (1.0 / y - rest if y > 0.02 else 0.5 - y / 12.0)
-        u2 += part * (2.0 / y**2 - (1.0 + 2.0 / y) * rest if y > 0.02 else 1.0 / 3.0 - y / 12.0)
-    if n > 0.0:
+    cohort[_Y0], cohort[_Y1] = x / _growth(c.growth, dt), 0.0
+    parts = _PARTS if c.growth.values.size else 1
+    u, n, u1, u2 = 0.0, 0.0, 0.0, 0.0  # age in units of the step; of those left, E[k_i/k], E[u k_i/k], E[u^2 k_i/k]
+    left = c.strata.share.copy()
+    alive[:] = 0.0
+    for part in range(parts):
+        after = 0.5 ** (parts - 1 - part)
+        g0, g1, width = _growth(c.growth, u * dt), _growth(c.growth, after * dt), after - u
+        seen = _hazards(c, Move(width * dt, u * x, after * x, 0.5 * (u + after) * x, g0, g1, 0.5 * after * x / g1), z)
+        for k in range(left.size):
+            y = min(z[k], 700.0) if k < seen else 0.0
+            # mean survival, and where in the part those left are, u1 and u2 as above
+            mean, rest = _mean_exponential(0.0, y), 1.0 / (exp(y) - 1.0) if y > 0.02 else 0.0
+            v1 = 1.0 / y - rest if y > 0.02 else 0.5 - y / 12.0
+            v2 = 2.0 / y**2 - (1.0 + 2.0 / y) * rest if y > 0.02 else 1.0 / 3.0 - y / 12.0
+            here = left[k] * mean * width
+            alive[k] += here
+            n += here * c.strata.stiff[k]
+            u1 += here * c.strata.stiff[k] * (u + width * v1)
+            u2 += here * c.strata.stiff[k] * (u * u + 2.0 * u * width * v1 + width * width * v2)
+            left[k] *= exp(-y)
+        u = after
+    _weigh(c, cohort, alive, _growth(c.growth, 0.5 * dt))
+    if n > 0.0:  # as if all were at the middle, and spread evenly
         cohort[_K1] *= 2.0 * u1 / n
         cohort[_K2] *= 3.0 * u2 / n
 
@@ -545,7 +553,7 @@ class Course(NamedTuple):
 
 
 def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[Array, Array]:
-    """Times of edges of steps of the coarsest grid, and those of kinks: ends of segments, and whole delays after them."""
+    """Times of edges of steps of the coarsest grid, and of kinks: ends of segments, and whole delays after them."""
     marks: list[float] = []
     t, last, since, kinks = [0.0], course.before, 0.0, np.empty(0)
     for end, velocity in zip(course.ends, course.velocity, strict=True):
@@ -673,13 +681,14 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
 def _extrapolated(found: list[Array], jumps: bool) -> tuple[Array, Array]:
     """The values of no step at all at the edges of the finest of three grids, and their errors, shape (means, edges).
 
-    The error is by how much an extrapolation from the two coarser grids is different, nearby too, as it may vanish by
-    chance: where the scheme is of first order that is what the finer one misses (derived).
+    The error is twice by how much an extrapolation from the two coarser grids is different, nearby too, as it may
+    vanish by chance: were the scheme of first order, the finer one would miss half as much (derived).
     """
     rough, coarse, fine = found
     once, twice = (4 * coarse[:, ::2] - rough) / 3, (4 * fine[:, ::2] - coarse) / 3
     index = np.arange(fine.shape[1])
-    missed = ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)
+    missed = 2.0 * ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)
+    missed = np.maximum(missed, _CARRIED * missed.max(axis=1, keepdims=True))
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
     for j in range(fine.shape[0]):
         best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
