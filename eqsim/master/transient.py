@@ -19,7 +19,7 @@ is in step, and where they cannot be the share that may still be in step is part
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,11 +101,7 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     """
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
-        grid = drive.grid(points)
-        means = programme.means_of(ensemble, drive, grid)
-        spread = (means.variance, means.variance_error) if variance else (None, None)
-        errors = means.force_error, means.pinned_error
-        return Transient(grid.t, grid.X, means.force, means.pinned, means.breaks, *errors, *spread)
+        return _along(ensemble, drive, points, variance)
     require_drive(drive)
     s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
@@ -141,6 +137,16 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
         force_error * unit,
         pinned_error,
         *spread,
+    )
+
+
+def _along(ensemble: Ensemble, drive: Programme, points: int, variance: bool) -> Transient:
+    """Along a programme."""
+    grid = drive.grid(points)
+    means = programme.means_of(ensemble, drive, grid)
+    found = Transient(grid.t, grid.X, *means[:5])
+    return (
+        replace(found, force_variance=means.variance, force_variance_error=means.variance_error) if variance else found
     )
 
 

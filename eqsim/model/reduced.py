@@ -119,7 +119,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
         length = (segment.path or pace * segment.duration) / unit
         with under(f"programme.{index}"):
             require_number("distance / threshold", length, least=1e-100, most=1e100)
-        found.append(Leg((segment.velocity > 0) - (segment.velocity < 0), pace, length))
+        found.append(Leg(int(segment.velocity > 0) - int(segment.velocity < 0), pace, length))
     return found
 
 

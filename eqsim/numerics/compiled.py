@@ -26,8 +26,9 @@ _PACKAGE = Path(__file__).parent.parent
 
 def _cache_folder() -> str | None:
     digest = hashlib.sha256()
-    for part in ("numerics", "laws", "engine"):
-        for source in sorted((_PACKAGE / part).rglob("*.py")):
+    for part in ("numerics", "laws", "engine", "master/cohorts.py"):
+        path = _PACKAGE / part
+        for source in [path] if path.suffix else sorted(path.rglob("*.py")):
             digest.update(source.read_bytes())
     name = f"eqsim-kernels-{digest.hexdigest()[:16]}"
     user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
