@@ -95,7 +95,8 @@ class Steps(NamedTuple):
         return Moments(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _steps(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int, seed: int) -> Steps:
+def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int, seed: int) -> Steps:
+    """The job of a programme whose forces are recorded at the instants of `grid`."""
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
     legs = reduced.legs(ensemble, programme)
     before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
@@ -148,7 +149,7 @@ def along(
     """`trajectory.trajectory` of a programme; `recorded` holds points, seed and replicas."""
     points, seed, replicas = recorded
     grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
-    job = _steps(ensemble, programme, grid, replicas, seed)
+    job = steps_of(ensemble, programme, grid, replicas, seed)
     job.simulate(job.totals(1), 0, 1)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)

@@ -5,6 +5,7 @@ in units of the quoted errors,
     transient                          F(X) from a fresh start, every X from its own ensemble, over 5 mean thresholds
                                        or 2 lives and delays
     transient variance                 variance over contacts of the force of one, at the same X
+    programme, programme variance      the same at the ends of segments of a programme of steps, holds and reversals
     hazard                             the integrated hazard at breaking is Exp(1): events less hazard, over its root
     hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
     mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at half a mean life
@@ -38,8 +39,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import integrate, stats
 
+from eqsim.engine.blocks import Job
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
+from eqsim.engine.programme import steps_of
 from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.stationary import FRESH, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
@@ -52,7 +55,7 @@ from eqsim.master import flow
 from eqsim.master.profile import profile_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import fluctuations, transient
-from eqsim.model.drive import Drive, Start
+from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
@@ -61,8 +64,9 @@ from eqsim.validation.points import Suite, law_text
 
 _EACH = 8  # displacements, each with an ensemble of its own
 _TRANSIENT = ("transient", "transient variance")
+_PROGRAMME, _SEGMENTS = ("programme", "programme variance"), 4
 _HAZARD, _FLUCTUATIONS = ("hazard", "hazard law"), ("mean", "variance", "covariance")
-KINDS = (*OBSERVABLES, *_TRANSIENT, *_HAZARD, *_FLUCTUATIONS)
+KINDS = (*OBSERVABLES, *_TRANSIENT, *_PROGRAMME, *_HAZARD, *_FLUCTUATIONS)
 DECLINED = ("refused", "unreliable", "vague")
 REASONS = (*DECLINED, "few contacts", "too many lives", "no reference")
 _REL_ERROR = 1e-4
@@ -162,6 +166,8 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
         parts.append((_EACH * _TRANSIENT, lambda at: transients(at, plan, threads)))
     if index % 3 == 1:
         parts.append((_HAZARD, hazards))
+    if index % 6 == 2 and not (point.ensemble.self_consistent or point.ensemble.fluctuates):
+        parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
         parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, size)))
@@ -259,6 +265,62 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
     return scores
 
 
+def programme_of(point: Point) -> Programme:
+    """Steps, holds and reversals, from a fresh or stationary start: displacements of 0.2 to 3 mean lives at 0.1 to 10
+    times the velocity of the point, holds of 0.1 to 100 lives at that velocity."""
+    rng, v = np.random.default_rng((point.seed, 3)), point.velocity
+    life = known(reference(point.ensemble, Drive(v)).break_stretch)
+    segments = [Segment(v * 10 ** rng.uniform(-1, 1), distance=life * 10 ** rng.uniform(-0.5, 0.5), points=1)]
+    while len(segments) < _SEGMENTS:
+        kind = rng.choice(["hold", "reversal", "step"])
+        if kind == "hold":
+            segments.append(Segment(0.0, time=life / v * 10 ** rng.uniform(-1, 2), points=1))
+        else:
+            forward = next(segment.velocity for segment in reversed(segments) if segment.velocity) > 0
+            sign = 1 if forward == (kind == "step") else -1
+            distance = life * 10 ** rng.uniform(-0.7, 0.5)
+            segments.append(Segment(sign * v * 10 ** rng.uniform(-1, 1), distance=distance, points=1))
+    return Programme(tuple(segments), "stationary" if rng.random() < 0.5 else "fresh", v)
+
+
+def programmes(point: Point, plan: Suite, threads: int) -> Found:
+    """The end of each segment of a programme, from an ensemble of its own, and from another its variance."""
+    whole, shown = programme_of(point), point.shown
+    cost = predicted_lives(dataclasses.replace(shown, count=1), whole)
+    dear = 1 if shown.aging.rule == "none" else _DEAR
+    least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
+    shown = dataclasses.replace(shown, count=int(min(20_000, max(least, 1e6 / dear / cost))))
+    if predicted_lives(shown, whole) > 1e8 / dear:
+        return point.without(_SEGMENTS * _PROGRAMME, "too many lives")
+    exact, scores = transient(point.ensemble, whole, 2, variance=True), list[Score | Unscored]()
+    assert exact.force_variance is not None
+    assert exact.force_variance_error is not None
+    for i in range(1, _SEGMENTS + 1):
+        level, off, pinned = float(exact.force[i]), float(exact.force_error[i]), float(exact.pinned[i])
+        variance, off2 = float(exact.force_variance[i]), float(exact.force_variance_error[i])
+        velocity = whole.segments[i - 1].velocity
+        drag = math.copysign(_drag(point.ensemble, abs(velocity)), velocity)
+        few = shown.count * _carrying(level, variance, pinned, drag)
+        if not few >= _ENOUGH:
+            scores += point.without(_PROGRAMME, "few contacts")
+            continue
+        drive = dataclasses.replace(whole, segments=whole.segments[:i])
+        run = trajectory(shown, drive, points=2, seed=point.stream(i, 3), threads=threads)
+        ours = Estimate(float(run.force[i]), float(run.force_stderr[i]), shown.count)
+        if run.force_reliable:
+            scores.append(point.score(_PROGRAMME[0], ours, Estimate(level, off, 0), off))
+        else:
+            scores += point.without(_PROGRAMME[:1], "unreliable")
+        group = dataclasses.replace(shown, count=shown.count // _GROUPS)
+        if few < _ENOUGH_SQUARES or not _many(_about(level, group, drive, point.stream(i, 4))):
+            scores += point.without(_PROGRAMME[1:], "few contacts")
+            continue
+        groups = _about(level, group, drive, point.stream(i, 5))
+        ours = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
+        scores.append(point.score(_PROGRAMME[1], ours, Estimate(variance, off2, 0), off2))
+    return scores
+
+
 def _many(pilot: Array) -> bool:
     """Whether many contacts make the mean of squares of which a pilot found these, in _GROUPS groups: its relative
     error is as if _ENOUGH_SQUARES had equal parts, and is not of one group (as with tails so heavy that there is no
@@ -280,7 +342,7 @@ def _carrying(level: float, variance: float, pinned: float, drag: float) -> floa
     return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
 
-def _about(level: float, group: Ensemble, drive: Drive, seed: int) -> Array:
+def _about(level: float, group: Ensemble, drive: Drive | Programme, seed: int) -> Array:
     """The variance of F/k per contact about its expectation, at the end of the drive, in each of _GROUPS groups."""
     forces, variances = _forces(group, drive, _GROUPS, seed)
     return np.asarray((variances + (forces - level) ** 2)[:, 1])
@@ -407,21 +469,28 @@ def fluctuating(point: Point, size: tuple[int, int]) -> Found:
     return scores
 
 
-def _forces(ensemble: Ensemble, drive: Drive, ensembles: int, seed: int) -> tuple[Array, Array]:
-    """F/(N k) at the beginning and the end of the drive's distance, shape (ensembles, 2), and its variance over the
-    contacts of each ensemble."""
-    c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
-    run = Run(drive.over(ensemble) / unit, 2, drive.start == "stationary", False)
-    scales = Scales.of(c, run, n, 1, 0.0)
-    table, drag = stationary(c) if run.stationary else FRESH, drag_of(ensemble, drive.velocity)
-    job = ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag)
+def _forces(ensemble: Ensemble, drive: Drive | Programme, ensembles: int, seed: int) -> tuple[Array, Array]:
+    """F/(N k) at the beginning and the end of a drive, shape (ensembles, 2), and its variance over the contacts of each
+    ensemble."""
+    n, unit, job = ensemble.count, ensemble.thresholds.scale, _job(ensemble, drive, seed)
     forces, variances = np.empty((2, ensembles, 2))
     for index in range(ensembles):
         total = job.totals(1)
         job.simulate(total, index * n, (index + 1) * n)
         force, _, variance = job.moments(total.deposits, n)
-        forces[index], variances[index] = force * unit, variance * unit**2
+        forces[index], variances[index] = force[[0, -1]] * unit, variance[[0, -1]] * unit**2
     return forces, variances
+
+
+def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
+    """Contacts along a drive that are recorded at as few instants as possible."""
+    if isinstance(drive, Programme):
+        return steps_of(ensemble, drive, drive.grid(2), 1, seed)
+    c = contacts(ensemble, drive.velocity)
+    run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary", False)
+    table = stationary(c) if run.stationary else FRESH
+    scales = Scales.of(c, run, ensemble.count, 1, 0.0)
+    return ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))
 
 
 _COLUMNS = {
