@@ -46,7 +46,7 @@ _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
 _CHANGED = 0.5  # share by which the velocity changes where steps begin anew
 _AGES, _DECADES = 20_000, 16  # of the table of growth
 _CARRIED = 0.1  # least error, in units of the largest in a programme
-_RESOLVED = 2e-6  # relative, what tables and rounding miss
+_RESOLVED = 2e-6  # of the largest value, what tables and rounding miss
 
 
 def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
@@ -276,7 +276,7 @@ def _extrapolated(found: list[Array], jumps: bool) -> tuple[Array, Array]:
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
     for j in range(fine.shape[0]):
         best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
-        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j])
+        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j]).max()
         if jumps:  # equal thresholds that break together within a step
             errors[j] += ndimage.maximum_filter1d(np.pad(np.abs(np.diff(best[j], 2)), 1, "edge"), 9)
     return best, errors
