@@ -239,6 +239,7 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     kinks, solved = solve(s, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
     best, errors = _extrapolated([found[:3] for _, found in solved], s.law.steps.size > 0)
+    best[2] -= best[0] ** 2  # a variance, which between edges is nearer to a straight line
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
     for kink in kinks:  # smooth up to the next
@@ -250,13 +251,13 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
             breaks[here:there] = np.interp(inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate)
         first, here = last, there
     missed = np.array([np.interp(at, edges, error) for error in errors])
-    force, pinned, square = values
+    force, pinned, spread = values
     drag = np.array(
         [math.copysign(drag_of(ensemble, abs(part.velocity)), part.velocity) for part in programme.segments]
     )
     drag = drag[grid.segment]
     total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1]
-    variance = square + drag**2 * (1.0 - pinned) - total**2
+    variance = spread + drag * (1.0 - pinned) * (drag * pinned - 2.0 * force)
     variance_error = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
     squares = variance * unit**2, variance_error * unit**2
     return Means(total * unit, pinned, breaks / time, error * unit, missed[1], *squares)
