@@ -39,14 +39,14 @@ from eqsim.numerics.tables import Array
 # of the coarsest grid: displacement in a step, in units of the width of the law or of a threshold; a step over the time
 # since the velocity changed, and the first one over the shortest time of the contacts; strata and cells of tables
 _PATH, _GROWTH, _FIRST, _STRATA, _CELLS = 0.05, 0.12, 0.06, 96, 1000
-_MOST_STEPS = 200_000
+_MOST_STEPS, _MOST_COHORTS = 200_000, 5000
 _SIGMA = (-8.0, 8.2)  # the range of thresholds, in normal deviates
 _KINKS = 6  # delays after a change of velocity that steps end at
 _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
 _CHANGED = 0.5  # share by which the velocity changes where steps begin anew
 _AGES, _DECADES = 20_000, 16  # of the table of growth
 _CARRIED = 0.1  # least error, in units of the largest in a programme
-_RESOLVED = 2e-6  # relative, what tables and rounding miss
+_RESOLVED = 2e-6  # of the largest value, what tables and rounding miss
 
 
 def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
@@ -190,6 +190,11 @@ def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]
     strongest = life = float(s.law.inverse_survival(36.0)) / s.law.scale
     for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
         life = strongest * max(1.0, float(s.aging.growth_at(np.array([life / course.before]))[0]))
+    if course.before and life > _MOST_COHORTS * width:
+        raise InputError(
+            "programme: contacts whose thresholds are thousands of times the width of their law still matter, and have "
+            'no reference with start = "stationary"; start "fresh"'
+        )
     growth = _growth_of(s, 1.0 + (life / course.before if course.before else 0.0))
     stratified, waits = s.barrier.thermal and not s.annealed, s.delay.for_kernels()
     found = []
@@ -240,6 +245,7 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     kinks, solved = solve(s, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
     best, errors = _extrapolated([found[:3] for _, found in solved], s.law.steps.size > 0)
+    best[2] -= best[0] ** 2  # a variance, which between edges is nearer to a straight line
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
     for kink in kinks:  # smooth up to the next
@@ -251,13 +257,13 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
             breaks[here:there] = np.interp(inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate)
         first, here = last, there
     missed = np.array([np.interp(at, edges, error) for error in errors])
-    force, pinned, square = values
+    force, pinned, spread = values
     drag = np.array(
         [math.copysign(drag_of(ensemble, abs(part.velocity)), part.velocity) for part in programme.segments]
     )
     drag = drag[grid.segment]
     total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1]
-    variance = square + drag**2 * (1.0 - pinned) - total**2
+    variance = spread + drag * (1.0 - pinned) * (drag * pinned - 2.0 * force)
     variance_error = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
     squares = variance * unit**2, variance_error * unit**2
     return Means(total * unit, pinned, breaks / time, error * unit, missed[1], *squares)
@@ -277,7 +283,7 @@ def _extrapolated(found: list[Array], jumps: bool) -> tuple[Array, Array]:
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
     for j in range(fine.shape[0]):
         best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
-        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j])
+        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j]).max()
         if jumps:  # equal thresholds that break together within a step
             errors[j] += ndimage.maximum_filter1d(np.pad(np.abs(np.diff(best[j], 2)), 1, "edge"), 9)
     return best, errors

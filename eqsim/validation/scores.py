@@ -166,7 +166,7 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
         parts.append((_EACH * _TRANSIENT, lambda at: transients(at, plan, threads)))
     if index % 3 == 1:
         parts.append((_HAZARD, hazards))
-    if index % 6 == 2 and not (point.ensemble.self_consistent or point.ensemble.fluctuates):
+    if index % 12 in (2, 5) and not (point.ensemble.self_consistent or point.ensemble.fluctuates):
         parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
