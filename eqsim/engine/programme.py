@@ -119,7 +119,8 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
             bounds[leg.pace] = extremes(c)[1]
         if leg.sign:
             carried = max(carried, min(bounds[leg.pace], run.distance) if first else bounds[leg.pace])
-        same = index + (before is not None) > 0 and (leg.pace, leg.sign) == (pace, sign)
+        known = before is not None or index > 0
+        same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
         moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, times)
         steps.append(_Step(c, moves, run, scales, drag, row))
         row += run.points
