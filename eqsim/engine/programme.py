@@ -28,7 +28,7 @@ _RARE = 1e-4  # probability of more than five standard errors of the force
 
 def check_programme(ensemble: Ensemble) -> None:
     """Raise InputError for contacts that follow no programme."""
-    if ensemble.disorder == "annealed" and ensemble.aging.active:
+    if ensemble.self_consistent:
         raise InputError(
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'

@@ -1,5 +1,6 @@
 """What a run leaves behind: force and pinned contacts along a drive, and what is read off."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,8 +89,8 @@ class SegmentRecord:
     end : Estimate
         Force at its end, <F>/(N k) (length).
     peak : Estimate
-        The force that differs most from that at its beginning: the peak after a hold, the direct effect of a velocity
-        step, up or down (length).
+        The force that differs most from that at its beginning, as the peak after a hold; of a velocity step the
+        largest, or smallest if the slider becomes slower, in the direction of motion (length).
     at : Estimate
         Where the peak is: displacement since the beginning, in a hold time.
     step : VelocityStep or None
@@ -135,10 +136,11 @@ def shown_by(
         here = here if index == 0 else np.append(here[0] - 1, here)
         along = grid.t[here] if segment.velocity == 0 else np.abs(grid.X[here] - grid.X[here[0]])
         along, forces, errors = along - along[0], force[here], stderr[here]
-        peak, at = extreme(along, forces, errors)
-        end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
         ratio = segment.velocity / before if before else 0.0
-        step = velocity_step(along, forces, errors, peak, ratio) if ratio > 0 and ratio != 1 else None
+        stepped = ratio > 0 and ratio != 1
+        peak, at = extreme(along, forces, errors, math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0)
+        end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
+        step = velocity_step(along, forces, errors, peak, ratio) if stepped else None
         end, peak, at = (replace(estimate, reliable=reliable) for estimate in (end, peak, at))
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
         found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
@@ -146,13 +148,14 @@ def shown_by(
     return tuple(found)
 
 
-def extreme(x: Array, force: Array, stderr: Array) -> tuple[Estimate, Estimate]:
-    """The force that differs most from the first one, and the `x` where it is; arrays (points,).
+def extreme(x: Array, force: Array, stderr: Array, direction: float = 0) -> tuple[Estimate, Estimate]:
+    """The force that differs most from the first one, if a `direction` (1 or -1) is given that way, and the `x` where
+    it is; arrays (points,).
 
     The largest of many values with errors is too large. The vertex of a parabola through all values that cannot be told
     from it is not, and how far the two differ is part of the error.
     """
-    change = np.abs(force - force[0])
+    change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
     near = np.abs(force - force[top]) <= 2.0 * stderr[top]
     left, right = top, top
@@ -182,7 +185,7 @@ def velocity_step(x: Array, force: Array, stderr: Array, peak: Estimate, ratio: 
         error = np.hypot(peak.stderr or 0.0, stderr[level])
         return Estimate(float((top - force[level]) / log_ratio), float(error / abs(log_ratio)), n)
 
-    first = int(np.argmax(np.abs(force - force[0])))
+    first = int(np.argmin(np.abs(force - top)))
     left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
     below = int(np.argmax(left <= 0.0))
     memory = Estimate(None, None, n, reliable=False)

@@ -14,8 +14,9 @@ Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose b
 quoted error: it does little to scores from 65 536 lives, most of which are good to 1e-3 to 5e-3 without it, and counts
 where they are better, because thresholds hardly move. Their hazard is not known path by path; the whole law of x_b,
 S(x_b) uniform, stands in for it. Fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
-law) have no reference. Births of annealed contacts that age are found once a point, with the steady averages, and then
-held.
+law) have no reference, nor have `langevin` contacts and annealed ones that age along programmes; of discrete laws, whose
+equal thresholds break together, the renewal equation in two times says little. Births of annealed contacts that age are
+found once a point, with the steady averages, and then held.
 
 Some quoted errors are bounds: what all randomisations may miss of a few thresholds, tables of laws whose density jumps,
 grids where F jumps, because equal thresholds break together. With them |z| is too small to be normal. A score is even
@@ -166,7 +167,8 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
         parts.append((_EACH * _TRANSIENT, lambda at: transients(at, plan, threads)))
     if index % 3 == 1:
         parts.append((_HAZARD, hazards))
-    if index % 12 in (2, 5) and not (point.ensemble.self_consistent or point.ensemble.fluctuates):
+    follows = not (point.ensemble.self_consistent or point.ensemble.fluctuates)
+    if index % 3 == 2 and follows and not point.ensemble.thresholds.steps.size:
         parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
@@ -289,10 +291,15 @@ def programmes(point: Point, plan: Suite, threads: int) -> Found:
     cost = predicted_lives(dataclasses.replace(shown, count=1), whole)
     dear = 1 if shown.aging.rule == "none" else _DEAR
     least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
-    shown = dataclasses.replace(shown, count=int(min(20_000, max(least, 1e6 / dear / cost))))
+    shown = dataclasses.replace(shown, count=int(min(100_000, max(least, 4e6 / dear / cost))))
     if predicted_lives(shown, whole) > 1e8 / dear:
         return point.without(_SEGMENTS * _PROGRAMME, "too many lives")
-    exact, scores = transient(point.ensemble, whole, 2, variance=True), list[Score | Unscored]()
+    scores: Found = []
+    try:
+        exact = transient(point.ensemble, whole, 2, variance=True)
+    except InputError:  # of tails so long that a stationary start has no reference
+        whole = dataclasses.replace(whole, start="fresh")
+        exact = transient(point.ensemble, whole, 2, variance=True)
     assert exact.force_variance is not None
     assert exact.force_variance_error is not None
     for i in range(1, _SEGMENTS + 1):
