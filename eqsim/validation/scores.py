@@ -14,8 +14,8 @@ Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose b
 quoted error: it does little to scores from 65 536 lives, most of which are good to 1e-3 to 5e-3 without it, and counts
 where they are better, because thresholds hardly move. Their hazard is not known path by path; the whole law of x_b,
 S(x_b) uniform, stands in for it. Fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
-law) have no reference, nor have `langevin` contacts and annealed ones that age along programmes; of discrete laws, whose
-equal thresholds break together, the renewal equation in two times says little. Births of annealed contacts that age are
+law) have no reference, nor have `langevin` contacts and annealed ones that age along programmes; of discrete laws the
+renewal equation in two times says little, as equal thresholds break together. Births of annealed contacts that age are
 found once a point, with the steady averages, and then held.
 
 Some quoted errors are bounds: what all randomisations may miss of a few thresholds, tables of laws whose density jumps,
