@@ -5,9 +5,21 @@ import re
 
 import pytest
 
-from eqsim import Delay, Delta, Drive, Ensemble, Gamma, InputError, Thermal, load, trajectory
+from eqsim import (
+    Delay,
+    Delta,
+    Drive,
+    Ensemble,
+    Gamma,
+    InputError,
+    Programme,
+    Segment,
+    Thermal,
+    load,
+    trajectory,
+)
 from eqsim.errors import require_integer, require_number
-from eqsim.io.runfile import check, read_thresholds
+from eqsim.io.runfile import at, check, keys, parameters, read_thresholds
 
 
 def test_defaults(tmp_path):
@@ -46,6 +58,10 @@ def test_every_key(tmp_path):
     assert ensemble.delay == Delay(1.5, "exponential")
     assert check(data).driven(tmp_path) == Drive(2, 7, "stationary")
     assert check({"thresholds": {"law": "delta", "x_star": 2.0}}).ensemble(tmp_path).thresholds == Delta(2.0)
+
+
+def programme(*segments, **more):
+    return {"drive": {"programme": list(segments), **more}}
 
 
 BAD = [
@@ -91,6 +107,23 @@ BAD = [
     ({"drive": {"velocity": 10**400}}, "drive.velocity"),
     ({"drive": {"velocity": 1.0, "distance": 0.0}}, "drive.distance = 0.0: must be a finite number > 0"),
     ({"drive": {"velocity": 1.0, "start": "warm"}}, "drive.start = 'warm': must be one of"),
+    (programme(), "drive.programme = []: must have at least one segment"),
+    (programme({"velocity": 1.0}), "drive.programme.0.distance: a segment has either a distance or a time"),
+    (programme({"velocity": 1.0, "distance": 1.0, "time": 1.0}), "drive.programme.0.distance: a segment has either"),
+    (programme({"distance": 1.0}), "drive.programme.0.velocity: a segment has either a velocity or a hold"),
+    (programme({"hold": 1.0}, {"hold": 1.0, "velocity": 1.0}), "drive.programme.1.velocity: a segment has either"),
+    (programme({"hold": 1.0, "time": 2.0}), "drive.programme.0.time = 2.0: not allowed with hold"),
+    (programme({"hold": 0.0}), "drive.programme.0.hold = 0.0: must be a finite number > 0"),
+    (programme({"hold": math.inf}), "drive.programme.0.hold = inf: must be a finite number > 0"),
+    (programme({"velocity": 0.0, "distance": 1.0}), "drive.programme.0.velocity = 0.0: must not be 0 with a distance"),
+    (programme({"velocity": math.nan, "time": 1.0}), "drive.programme.0.velocity = nan: must be a finite number"),
+    (programme({"velocity": 1.0, "time": -1.0}), "drive.programme.0.time = -1.0: must be a finite number > 0"),
+    (programme({"velocity": 1.0, "tiem": 1.0}), 'drive.programme.0.tiem: unknown key; did you mean "time"?'),
+    (programme({"velocity": 1.0, "time": 1.0, "points": 0}), "drive.programme.0.points = 0: must be an integer from 1"),
+    (programme({"hold": 1.0}, start="stationary"), 'drive.velocity: is required with start = "stationary"'),
+    (programme({"hold": 1.0}, distance=1.0), "drive.distance = 1.0: not allowed with a programme or file"),
+    (programme({"hold": 1.0}, file="x.csv"), "drive.file: not allowed with drive.programme"),
+    ({"drive": {"programme": 3}}, "drive.programme = 3: must be a valid list"),
 ]
 
 
@@ -195,3 +228,63 @@ def test_no_count_of_contacts_is_true():
     for call in (lambda: Ensemble(count=True), lambda: trajectory(Ensemble(count=5), Drive(1.0, 1.0), replicas=True)):
         with pytest.raises(InputError, match=r" = True: must be an integer from 1"):
             call()
+
+
+def test_a_programme_in_a_run_file(tmp_path):
+    data = programme(
+        {"velocity": 0.1, "distance": 5}, {"hold": 1e3, "points": 7}, {"velocity": -1, "time": 2}, velocity=2
+    )
+    expected = Programme([Segment(0.1, 5.0), Segment(0.0, None, 1e3, 7), Segment(-1.0, None, 2.0)], "fresh", 2.0)
+    assert check(data).driven(tmp_path) == expected
+
+
+def test_a_recorded_drive(tmp_path):
+    """Piecewise linear: velocities and times of segments; a first line with a byte-order mark, more columns."""
+    (tmp_path / "x.csv").write_text("\ufefft, X ,temperature\n0,0,1\n2,1,1\n5,1,1\n6,0.5,1\n", encoding="utf-8")
+    drive = check({"drive": {"file": "x.csv"}}).driven(tmp_path)
+    assert [(segment.velocity, segment.time) for segment in drive.segments] == [(0.5, 2.0), (0.0, 3.0), (-0.5, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t\n0\n", 'needs a column "X" in its first line; found t'),
+        ("t,X\n0,0\n1,1\n1,2\n", "line 4: t = 1 must be later than the 1 before it"),
+        ("t,X\n0,0\n1,1\n0.5,2\n", "line 4: t = 0.5 must be later than the 1 before it"),
+        ("t,X\n0,1\n1,1\n", "line 2: t = 0, X = 1; the first instant must be t = 0, X = 0"),
+        ("t,X\n0,0\n1,nan\n", "line 3: '1, nan' must be finite numbers"),
+        ("t,X\n0,0\n1,much\n", "line 3: '1, much' must be finite numbers"),
+        ("t,X\n0,0\n", "needs two instants at least"),
+        ("t,X,X\n0,0,0\n", 'has 2 columns "X"'),
+        ("t,X\n0,0\n1,5,3\n", "line 3: more values than columns"),
+    ],
+)
+def test_bad_recorded_drives(tmp_path, text, message):
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(InputError) as caught:
+        check({"drive": {"file": "x.csv"}}).driven(tmp_path)
+    assert str(caught.value).startswith("drive.file = ")
+    assert message in str(caught.value)
+    with pytest.raises(InputError, match="cannot be read"):
+        check({"drive": {"file": "absent.csv"}}).driven(tmp_path)
+
+
+def test_keys_of_a_programme():
+    """Keys of segments, which sweeps and --set change, are those that are given."""
+    file = check(programme({"velocity": 0.1, "distance": 5.0}, {"hold": 1e3}))
+    found = {key: kind for key, kind in keys(file).items() if "programme" in key}
+    expected = ["drive.programme.0.velocity", "drive.programme.0.distance", "drive.programme.1.hold"]
+    assert found == dict.fromkeys(expected, float)
+    assert parameters(file)["drive.programme.1.hold"] == 1e3
+    assert at(file, {"drive.programme.1.hold": 2.0}).drive.programme[1].hold == 2.0
+    with pytest.raises(InputError, match="is not a key that can change"):
+        at(file, {"drive.programme.1.velocity": 2.0})
+
+
+def test_changes_of_a_programme(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text("[drive]\nprogramme = [{ velocity = 1.0, distance = 5.0 }, { hold = 1e3 }]\n")
+    assert load(path, {"drive.programme.1.hold": 2.0}).drive.programme[1].hold == 2.0
+    for key in ("drive.programme.2.hold", "drive.programme.hold.1", "drive.programme.1"):
+        with pytest.raises(InputError, match=r"drive\.programme"):
+            load(path, {key: 2.0})

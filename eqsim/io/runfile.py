@@ -375,6 +375,8 @@ def _explain(error: pydantic.ValidationError) -> str:
 def _nearest(location: list[str]) -> str:
     """Which key may have been meant, here or in another section."""
     section, last = RunFile if len(location) == 1 else _SECTIONS.get(location[0]), location[-1]
+    if location[:2] == ["drive", "programme"]:
+        return meant(last, SegmentSection.model_fields) or "known here: " + ", ".join(SegmentSection.model_fields)
     here = list(section.model_fields) if section else []
     others = [(name, kind) for name, kind in _SECTIONS.items() if kind != section]
     elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]
