@@ -1,4 +1,5 @@
-"""Jobs without rivals: fluctuating thresholds, reference solves, and how long the program takes to start."""
+"""Jobs without rivals: fluctuating thresholds, programmes, reference solves, and how long the program takes to
+start."""
 
 import os
 import subprocess
@@ -11,7 +12,7 @@ from typing import Any
 
 from analysis.benchmarks.cases import CASES, VELOCITY, Case, Sizes
 from analysis.benchmarks.jobs import Outcome, interleaved, plain, ratios, speed
-from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, transient
+from eqsim import Aging, Drive, Ensemble, Gamma, Programme, Segment, Thermal, reference, trajectory, transient
 
 ROOT = Path(__file__).parents[2]
 NOTHING = Outcome(0.0, 0.0)  # a job that is not about friction
@@ -34,6 +35,37 @@ def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]
             case = f"{f'soft kT={kT:g}' if kT else 'T=0'}, {law} k"
             gain = ratios("threads", rounds, "eqsim, threads", "eqsim")
             rows.append({"job": "langevin lives, D_v = 0.1", "case": case} | speed(rounds, "eqsim", "") | gain)
+    return rows
+
+
+def time_programmes(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
+    """A programme of ten segments: steps, two holds, two reversals, as far in all as the constant drive it is compared
+    with, per life."""
+    pace, part = 10 * VELOCITY, 0.125 * sizes.distance
+    velocities = (pace, 0.0, 10 * pace, -pace, pace, 0.0, 10 * pace, -pace, pace, 0.1 * pace)
+    segments = [Segment(v, distance=part) if v else Segment(0.0, time=10.0 / VELOCITY) for v in velocities]
+    rows = []
+    for case in (case for case in CASES if case.kT):
+        ensemble = case.ensemble(sizes.contacts)
+
+        def run(seed: int, drive: Drive | Programme, threads: int = 1, ensemble: Ensemble = ensemble) -> Outcome:
+            found = trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads)
+            return Outcome(0.0, 0.0, found.lives)
+
+        programme, constant = Programme(tuple(segments)), Drive(pace, sizes.distance)
+        contenders = {
+            "eqsim": lambda seed, run=run, drive=programme: run(seed, drive),
+            "eqsim, threads": lambda seed, run=run, drive=programme: run(seed, drive, threads),
+            "constant": lambda seed, run=run, drive=constant: run(seed, drive),
+        }
+        for contender in contenders.values():
+            contender(seed)  # compiles
+        rounds = interleaved(contenders, sizes.repeats, seed)
+        cost = {name: [(seconds / found.lives, found) for seconds, found in of] for name, of in rounds.items()}
+        row = speed(rounds, "eqsim", "") | ratios("threads", rounds, "eqsim, threads", "eqsim")
+        rows.append(
+            {"job": "programme of ten segments", "case": case.name} | row | ratios("P", cost, "eqsim", "constant")
+        )
     return rows
 
 

@@ -39,6 +39,7 @@ COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {  # heading: a fig
     "s": column("seconds", "{:.3g}".format),
     "ns": column("ns_per_life", short),
     "thr.": column("threads", "{:.2f}".format),
+    "P": column("P", "{:.2f}".format),
     "A": column("A", short),
     "B": column("B", short),
     "C": column("C", "{:.2f}".format),
@@ -72,6 +73,7 @@ def notes(sizes: Sizes, threads: int) -> str:
         "machine. wanted: least C.\n"
         f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} threads over seconds on one "
         f"({1 / threads:.2f} is ideal).\n"
+        "P: time per life of a programme over that of a constant drive.\n"
         "C on thr.: seconds of C per second of eqsim, both on so many threads.\n"
         "bias, z: of the rival's friction against eqsim's."
     )

@@ -283,8 +283,9 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
     Given a `file`, also those that its programme has, such as drive.programme.1.hold."""
     known = dict(_keys())
     for index, segment in enumerate((file.drive.programme if file else None) or []):
-        for name in segment.model_fields_set:
-            known[f"drive.programme.{index}.{name}"] = int if name == "points" else float
+        for name, value in segment:
+            if value is not None:
+                known[f"drive.programme.{index}.{name}"] = int if name == "points" else float
     return known
 
 

@@ -1,0 +1,191 @@
+"""Programmes from the command line: run, replay, sweep, plot, info, reference."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import signal
+from typer.testing import CliRunner
+
+from eqsim import Programme, Segment, Thermal, load
+from eqsim.cli.app import app
+from eqsim.engine.records import extreme, velocity_step
+from eqsim.master.transient import transient
+from eqsim.model.ensemble import Ensemble
+
+RUN_FILE = """
+title = "Steps and a hold"
+[contacts]
+count = 3000
+stiffness_law = "uniform"
+[thermal]
+kT = 0.1
+[drive]
+start = "stationary"
+velocity = 0.1
+programme = [
+    { velocity = 0.1, distance = 1.0, points = 20 },
+    { velocity = 1.0, distance = 4.0, points = 80 },
+    { hold = 100.0, points = 20 },
+    { velocity = 1.0, distance = 2.0, points = 40 },
+]
+[output]
+points = 161
+[sweep]
+"drive.programme.2.hold" = [1.0, 100.0]
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text(RUN_FILE)
+    return file
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(part) for part in arguments])
+
+
+def test_run_and_replay(path, tmp_path):
+    """Table, files and JSON of a programme; split over processes, and run again: the same bits."""
+    out = tmp_path / "out"
+    result = call("run", path, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "hold" in result.output
+    assert "velocity step of segment 1" in result.output
+    columns = pd.read_parquet(out / "trajectory.parquet")
+    assert list(columns) == ["segment", "X", "t", "force", "pinned", "force_stderr", "pinned_stderr"]
+    assert columns.groupby("segment").size().tolist() == [21, 80, 20, 40]
+    summary = json.loads((out / "summary.json").read_text())
+    assert [segment["velocity"] for segment in summary["segments"]] == [0.1, 1.0, 0.0, 1.0]
+    for segment in summary["segments"]:
+        assert abs(segment["end"]["value"] - segment["exact"]["end"]) < 4.5 * segment["end"]["stderr"]
+    assert (out / "force.png").stat().st_size > 10_000
+    shared = json.loads(call("run", path, "--out", tmp_path / "shared", "--workers", 2, "--json").output)
+    assert shared["segments"] == summary["segments"]
+    again = call("replay", out / "trajectory.parquet")
+    assert again.exit_code == 0, again.output
+
+
+def test_sweep_and_plot(path, tmp_path):
+    """One row per hold time, every segment beside its reference; the peak grows with the hold."""
+    out = tmp_path / "healing"
+    assert call("sweep", path, "--out", out).exit_code == 0
+    table = pd.read_parquet(out / "sweep.parquet")
+    assert table["kind"].tolist() == ["programme"] * 2
+    assert table["drive.programme.2.hold"].tolist() == [1.0, 100.0]
+    for name in ("end", "peak"):
+        z = table[[f"segment_{index}_{name}_z" for index in range(4)]]
+        assert np.abs(z.to_numpy()).max() < 4.5
+    assert table["segment_1_direct"].notna().all()
+    assert table["segment_3_direct"].isna().all()
+    short, long = table["segment_3_peak"]
+    assert long - short > 5 * table["segment_3_peak_stderr"].max()
+    plotted = call("plot", out, "--x", "drive.programme.2.hold", "--y", "segment_3_peak")
+    assert plotted.exit_code == 0, plotted.output
+    assert call("replay", out / "sweep.parquet").exit_code == 0
+
+
+def test_reference_and_info(path):
+    curve = json.loads(call("reference", path, "--transient", "--json").output)
+    assert len(curve["force"]) == len(curve["t"]) == 161
+    groups = json.loads(call("info", path, "--json").output)
+    assert groups["segments"] == 4
+    assert groups["slowest/fastest"] == pytest.approx(0.1, rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize("command", [("steady",), ("reference",), ("reference", "--closure")])
+def test_what_has_no_steady_state(path, command):
+    result = call(command[0], path, *command[1:])
+    assert result.exit_code == 2
+    assert "drive.programme: has no steady state; this needs a constant drive.velocity" in result.output
+
+
+def test_bad_programmes_leave_nothing(path, tmp_path):
+    out = tmp_path / "out"
+    for change, message in (
+        ("drive.programme.1.velocity=0.0", "drive.programme.1.velocity = 0.0: must not be 0 with a distance"),
+        ("drive.programme.2.hold=-1.0", "drive.programme.2.hold = -1.0: must be a finite number > 0"),
+        ("drive.programme.7.hold=1.0", "drive.programme.7.hold"),
+        ('disorder="annealed"', None),
+    ):
+        result = call("run", path, "--out", out, "--set", change)
+        if message is None:
+            assert result.exit_code == 0, result.output
+            continue
+        assert result.exit_code == 2
+        assert message in " ".join(result.output.split())
+        assert not out.exists()
+    result = call("run", path, "--out", tmp_path / "never", "--max-lives", 10)
+    assert result.exit_code == 2
+    assert "more than --max-lives = 10" in result.output
+
+
+def test_recorded_drive(path, tmp_path):
+    t = np.linspace(0.0, 20.0, 41)
+    pd.DataFrame({"t": t, "X": np.sin(t)}).to_csv(tmp_path / "drive.csv", index=False)
+    start, end = RUN_FILE.index("programme = ["), RUN_FILE.index("[output]")
+    path.write_text(RUN_FILE[:start] + 'file = "drive.csv"\n' + RUN_FILE[end:])
+    result = call("run", path, "--out", tmp_path / "out", "--set", "sweep={}", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)["segments"]
+    assert len(found) == 40
+    assert found[-1]["X"] == pytest.approx(np.sin(20.0), rel=0, abs=1e-12)
+    worst = max(abs(s["end"]["value"] - s["exact"]["end"]) / s["end"]["stderr"] for s in found)
+    assert worst < 5  # 40 scores
+
+
+def test_effects_of_velocity_steps():
+    """Direct effect, evolution effect and memory length of the exact means: numbers of a solution by another program,
+    quenched contacts, kT = 0.1, soft; also where friction falls with velocity by more than the direct effect."""
+    known = {
+        ("uniform", 0.1, 1.0): (0.01588, 0.01357),
+        ("uniform", 1.0, 0.1): (0.01585, 0.01354),
+        ("sqrt", 0.1, 1.0): (0.01353, 0.02967),
+        ("sqrt", 1.0, 0.1): (0.01380, 0.02993),
+    }
+    for (law, before, after), (direct, evolution) in known.items():
+        ensemble = Ensemble(thermal=Thermal(0.1), stiffness_law=law)
+        programme = Programme([Segment(after, distance=8.0)], "stationary", before)
+        exact = transient(ensemble, programme, 1601)
+        from eqsim.engine.records import shown_by
+
+        (segment,) = shown_by(programme, programme.grid(1601), exact.force, exact.force_error)
+        allowed = 1e-5 + 2 * exact.force_error.max() / np.log(10)
+        assert segment.step.direct.value == pytest.approx(direct, rel=0, abs=allowed)
+        assert segment.step.evolution.value == pytest.approx(evolution, rel=0, abs=allowed)
+        assert 0.4 < segment.step.memory.value < 0.8
+
+
+@pytest.mark.parametrize("sigma", [0.005, 0.05])
+def test_peaks_of_noise_are_not_too_high(sigma):
+    """Peaks of 1000 noisy copies of a parabola, whose noise wanders over 0.7 as that of contacts does: the mean is off
+    by less than a quarter of the quoted error, the largest value itself by more, and the scatter is what is quoted."""
+    rng, x = np.random.default_rng(1), np.linspace(0.0, 2.0, 81)
+    truth, keep = 1.0 - 0.5 * (x - 1.2) ** 2, np.exp(-x[1] / 0.7)
+    steps = rng.normal(size=(1000, x.size)) * np.append(1.0, np.full(x.size - 1, np.sqrt(1.0 - keep**2)))
+    noise = sigma * signal.lfilter([1.0], [1.0, -keep], steps)
+    peaks = [extreme(x, truth + one, np.full(x.size, sigma))[0] for one in noise]
+    value, quoted = np.array([peak.value for peak in peaks]), np.mean([peak.stderr for peak in peaks])
+    off = abs(value.mean() - 1.0)
+    assert off < 0.25 * quoted
+    assert off < 0.5 * ((truth + noise).max(axis=1).mean() - 1.0)
+    # 1000 scores of rms 1: within 4.5 of its scatter 1/sqrt(2000), and what the parabola may add to an error
+    assert 0.85 < np.sqrt(np.mean((value - 1.0) ** 2)) / quoted < 1.1
+
+
+def test_memory_of_an_exponential():
+    """A peak that relaxes with length 0.7: read off to a grid's step, and its effects."""
+    x = np.linspace(0.0, 8.0, 801)
+    force = 1.0 - 0.1 * np.log(10) + 0.2 * np.log(10) * np.where(x > 0, np.exp(-x / 0.7), 0.0)
+    peak, _ = extreme(x, force, np.full(x.size, 1e-9), 1.0)
+    step = velocity_step(x, force, np.full(x.size, 1e-9), peak, 10.0)
+    assert step.memory.value == pytest.approx(0.7, rel=0, abs=0.01)
+
+
+def test_run_files_of_the_repository(tmp_path):
+    for name in ("velocity-step", "slide-hold-slide", "reversal"):
+        file = load(__import__("pathlib").Path(__file__).parent.parent / "runs" / f"{name}.toml")
+        assert isinstance(file.driven(tmp_path), Programme)
