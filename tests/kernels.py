@@ -10,7 +10,7 @@ import sys
 
 import numba
 
-from eqsim import Aging, Drive, Ensemble, Thermal, steady, trajectory
+from eqsim import Aging, Drive, Ensemble, Programme, Segment, Thermal, steady, trajectory, transient
 
 # those that take longest come first
 LAWS = [
@@ -39,6 +39,11 @@ def compile_kernels(barrier, aging):
     )
     steady(contacts, Drive(1.0), rel_error=1.0)
     trajectory(contacts, Drive(1.0, 1.0, "fresh" if aging == "langevin" else "stationary"), points=2)
+    if aging != "langevin" and (aging == "none" or barrier == "soft"):
+        programme = Programme([Segment(1.0, distance=1.0)], "stationary", 1.0)
+        trajectory(contacts, programme, points=2)
+        if aging == "none":
+            transient(contacts, programme, 2)
     steady(contacts, Drive(1.0), rel_error=1.0, plain=True)
 
 

@@ -12,6 +12,7 @@ from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError
 from eqsim.engine.contacts import contacts
 from eqsim.engine.stationary import found_pinned, stationary
 from eqsim.laws.aging import Aging
+from eqsim.laws.stiffness import kappa
 from eqsim.master.closed_forms import Published
 from eqsim.master.curves import StationaryState
 from eqsim.numerics.compiled import kernel
@@ -103,7 +104,8 @@ def test_marginal_of_the_joint_density(ensemble, v):
 @kernel
 def snapshot(c, table, words, x, stiffness):
     for i in range(x.size):
-        stiffness[i], x[i], _ = found_pinned(c, table, words, i, uniforms(words, i, 0, 0)[1])
+        xi, x[i], _, _ = found_pinned(c, table, words, i, uniforms(words, i, 0, 0)[1])
+        stiffness[i] = kappa(c.springs, xi)
 
 
 @pytest.mark.parametrize(

@@ -410,7 +410,7 @@ def fuzz_tables(folder, seeds):
     for seed in seeds:
         path.unlink(missing_ok=True)
         path.write_bytes(table_case(random.Random(seed)))
-        read_thresholds.__globals__["_read_thresholds"].cache_clear()  # may be as long and as old as the one before
+        read_thresholds.__globals__["_thresholds"].cache_clear()  # may be as long and as old as the one before
         try:
             with limited():
                 steps = read_thresholds(path).steps
@@ -526,7 +526,7 @@ def fuzz_points(folder, seeds):
 
 
 def test_points_files(tmp_path):
-    assert 5 < fuzz_points(tmp_path, range(200)) < 190
+    assert 2 < fuzz_points(tmp_path, range(200)) < 190
 
 
 @pytest.mark.long

@@ -6,6 +6,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+from cases import thinned
 from kernels import compiled
 
 from eqsim import (
@@ -32,7 +33,7 @@ from eqsim.laws.barrier.pooled import Pooled
 
 SOFT, STIFF = Thermal(0.1), Thermal(0.1, barrier="stiff")
 LOGARITHMIC, FLOW = Aging("logarithmic", beta=0.05, cutoff_time=0.1), Aging("flow", 0.1, 2.0)
-UNIFORM = {"stiffness_law": "uniform"}
+UNIFORM, STARTS = {"stiffness_law": "uniform"}, ("fresh", "stationary")
 MIXED = (
     Segment(0.1, distance=2.0, points=20),
     Segment(0.0, time=30.0, points=10),
@@ -57,8 +58,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("start", ["fresh", "stationary"])
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(("name", "start"), thinned(3, LAWS, STARTS))
 def test_one_segment_has_the_bits_of_a_constant_drive(name, start):
     ensemble = Ensemble(count=3000, **LAWS[name])
     expected = trajectory(ensemble, Drive(0.1, 6.0, start), points=121, seed=3, replicas=2)
@@ -73,8 +73,7 @@ def bits(ensemble, **how):
     return {name: column.tobytes() for name, column in run.columns().items()}, run.segments, run.lives
 
 
-@pytest.mark.parametrize("replicas", [1, 5])
-@pytest.mark.parametrize("name", ["soft sqrt, exponential delay", "logarithmic uniform"])
+@pytest.mark.parametrize(("name", "replicas"), [("soft sqrt, exponential delay", 5), ("logarithmic uniform", 1)])
 def test_same_bits_on_anything(name, replicas):
     """Threads, processes, and blocks of contacts of any size."""
     ensemble = Ensemble(count=700, **LAWS[name])
@@ -93,8 +92,7 @@ def scores(found, exact):
     return np.append(force, pinned)
 
 
-@pytest.mark.parametrize("start", ["fresh", "stationary"])
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(("name", "start"), thinned(2, LAWS, STARTS))
 def test_agrees_with_the_renewal_equation(name, start):
     """|z| < 4.5 for force and pinned fraction at the ends of eight segments, 320 scores: false alarm 2e-3 together."""
     ensemble = Ensemble(count=40_000, **LAWS[name])
@@ -150,9 +148,8 @@ def test_without_heat_a_hold_changes_nothing():
     run = trajectory(ensemble, Programme(segments), points=401)
     assert run.force[run.segment == 0] == pytest.approx(0.0, abs=0)
     held = run.force[run.segment == 2]
-    plain = trajectory(ensemble, Programme(segments[1:2]), points=101)
     # each segment adds up in fixed point of its own, of 40 bits and more
-    assert held == pytest.approx(plain.force[-1], rel=0, abs=1e-12)
+    assert held == pytest.approx(run.force[run.segment == 1][-1], rel=0, abs=1e-12)
 
 
 @pytest.mark.parametrize("law", ["soft", "stiff", "annealed"])
@@ -161,7 +158,7 @@ def test_hazard_is_the_inverse_of_the_stretch(law):
     there, back, slope = compiled(stretch), compiled(hazard), compiled(rate)
     rng = np.random.default_rng(1)
     tried = 0
-    for _ in range(400):
+    for _ in range(100 if law == "annealed" else 400):
         kT, omega = 10 ** rng.uniform(-4, 2), 10 ** rng.uniform(-4, 4)
         ensemble = Ensemble(
             thermal=Thermal(kT, omega, "stiff" if law == "stiff" else "soft"),
@@ -190,7 +187,7 @@ def test_hazard_is_the_inverse_of_the_stretch(law):
             assert (after - before) / (2 * small) == pytest.approx(
                 slope(c.barrier, xi, stiffness, x), rel=2e-3 if law == "annealed" else 1e-4, abs=0
             )
-    assert tried > 60
+    assert tried > 20
 
 
 @pytest.mark.parametrize("law", [Flow(4.0, 0.7), Flow(0.1, 5.0), Flow(0.01, 300.0), Logarithmic(0.3, 50.0)])

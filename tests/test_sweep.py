@@ -30,7 +30,7 @@ from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
-from eqsim.io.runfile import keys, load
+from eqsim.io.runfile import RunFile, keys, load
 from eqsim.io.storage import publish
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
@@ -74,7 +74,7 @@ def small(tmp_path_factory):
 def test_rows_are_what_steady_and_reference_say(small):
     table = pd.read_parquet(small / "one")
     assert len(table) == 12
-    assert list(table.columns) == schema().names
+    assert list(table.columns) == schema(RunFile()).names
     assert set(keys()) <= set(table.columns)
     plan = plan_of(GRID)
     assert list(table["id"]) == plan.ids  # in the order of the grid

@@ -50,8 +50,8 @@ class Transient:
 
     Attributes
     ----------
-    t, X : ndarray
-        Time, and displacement (length).
+    X, t : ndarray
+        Displacement (length) and time.
     force, force_error : ndarray
         <F>/(N k) and its error estimate (length).
     pinned, pinned_error : ndarray
@@ -64,13 +64,13 @@ class Transient:
         where contacts stay in step for longer than the grids can tell.
     """
 
-    t: Array
     X: Array
     force: Array
     pinned: Array
     breaks: Array
     force_error: Array
     pinned_error: Array
+    t: Array
     force_variance: Array | None = None
     force_variance_error: Array | None = None
 
@@ -129,13 +129,13 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
         squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
         spread = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
     return Transient(
-        X * unit / drive.velocity,
         X * unit,
         force * unit,
         pinned,
         breaks / unit,
         force_error * unit,
         pinned_error,
+        X * unit / drive.velocity,
         *spread,
     )
 
@@ -144,7 +144,7 @@ def _along(ensemble: Ensemble, drive: Programme, points: int, variance: bool) ->
     """Along a programme."""
     grid = drive.grid(points)
     means = programme.means_of(ensemble, drive, grid)
-    found = Transient(grid.t, grid.X, *means[:5])
+    found = Transient(grid.X, *means[:5], grid.t)
     return (
         replace(found, force_variance=means.variance, force_variance_error=means.variance_error) if variance else found
     )
@@ -165,13 +165,13 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
         spread = (square - force**2) * level, error * level
     X = np.linspace(0.0, drive.over(ensemble), points)
     return Transient(
-        X / drive.velocity,
         X,
         force * level,
         pinned * level,
         pinned / stretch * level,
         force_error * level,
         pinned_error * level,
+        X / drive.velocity,
         *spread,
     )
 
