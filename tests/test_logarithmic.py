@@ -195,7 +195,7 @@ def check_lives(law, path, b, log_w, xi0):
             assert spent == pytest.approx(found, rel=5e-9 + 4e-15 * steep, abs=1e-13 * clock)
 
 
-@pytest.mark.parametrize(("path", "beta"), thinned(3, PATHS, (1e-3, 0.05, 1.0, 30.0)))
+@pytest.mark.parametrize(("path", "beta"), thinned(7, PATHS, (1e-3, 0.05, 1.0, 30.0)))
 def test_lives_spend_their_clocks(path, beta):
     """A contact breaks where its hazard is its clock, or at its threshold with hazard to spare, to the documented 5e-9
     and rounding; v t_c from 1e-100 to 1e100 and lives down to 1e-70 of x_*."""

@@ -135,7 +135,7 @@ def scores(simulated, result, x_star, more=0.0):
 @pytest.mark.parametrize(
     ("times", "name"),
     [
-        *((1, name) for name in [*CASES][::3]),
+        *((1, name) for name in [*[*CASES][:-7:3], "hold and steps, soft sqrt", "reversal, flow"]),
         *(pytest.param(4, name, marks=pytest.mark.verification) for name in CASES),
     ],
 )
@@ -160,7 +160,6 @@ def test_engine_agrees_with_time_steps(name, times):
         ("annealed aging uniform, soft", {"rate": 0.2}),
         ("logarithmic sqrt, soft", {"cutoff_time": 0.8}),
         ("hold and steps, soft sqrt", {"factors": (1.0, 0.05, 1.0, 0.25, 0.0, 1.0)}),
-        ("hold and steps, logarithmic", {"cutoff_time": 1.0}),
         ("reversal, annealed soft sqrt, fixed delay", {"factors": (1.0, 1.0, 1.0, 0.5, 0.0, 1.0)}),
     ],
 )
