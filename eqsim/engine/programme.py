@@ -23,6 +23,7 @@ from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
+_LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
 _RARE = 1e-4  # probability of more than five standard errors of the force
 
 
@@ -102,6 +103,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
     before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
     pace, sign = (programme.velocity, 1) if before and programme.velocity else (legs[0].pace, 0)
     carried = extremes(before)[1] if before else 0.0
+    elapsed = carried / pace if before else 0.0  # the longest that contacts may have been pinned
     bounds: dict[float, float] = {}
     steps: list[_Step] = []
     row = 0
@@ -114,10 +116,14 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         first = before is None and index == 0 and leg.sign != 0  # no stretch is beyond what has been slid
         run = Run(leg.length if leg.sign else 0.0, here.size + 1, not first, False)
         drag = drag_of(ensemble, leg.pace) * abs(leg.sign)
-        scales = Scales.of(c, run, count, replicas, drag, carried)
+        elapsed += leg.length / leg.pace
+        grown = float(c.aging.growth_at(np.array(elapsed * leg.pace))) if index else 1.0
         if leg.pace not in bounds:
             bounds[leg.pace] = extremes(c)[1]
-        if leg.sign:
+        if leg.sign and index:
+            carried = max(carried, bounds[leg.pace] * max(grown, 1.0))
+        scales = Scales.of(c, run, count, replicas, drag, carried)
+        if leg.sign and not index:
             carried = max(carried, min(bounds[leg.pace], run.distance) if first else bounds[leg.pace])
         known = before is not None or index > 0
         same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
@@ -186,11 +192,13 @@ def along(
 def _variance(ensemble: Ensemble, programme: Programme, grid: Grid, found: Moments, count: int) -> tuple[Array, bool]:
     """Variance of the mean force in units of the thresholds' scale, and whether five standard errors mean what they
     say: that of the sample, whose scatter is taken to have the shape (kurtosis, ...) that the law has in steady sliding
-    at the velocity where it is worst."""
+    at the velocity where it is worst, of some from the slowest to the fastest."""
     paces = {leg.pace for leg in reduced.legs(ensemble, programme) if leg.sign}
-    levels = [_level(ensemble, pace) for pace in sorted(paces | {programme.velocity or 0.0} - {0.0})]
-    if not levels:
+    every = sorted(paces | {programme.velocity or 0.0} - {0.0})
+    if not every:  # nothing moves, and nothing has
         return found.variance / count, True
+    some = {every[round(i * (len(every) - 1) / (_LEVELS - 1))] for i in range(_LEVELS)}
+    levels = [_level(ensemble, pace) for pace in sorted(some)]
     unit = ensemble.thresholds.scale
     reach = math.inf if programme.start == "stationary" else np.maximum.accumulate(np.abs(grid.X)) / unit
     variance, rare = np.zeros_like(found.force), 0.0
