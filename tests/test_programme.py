@@ -2,12 +2,14 @@
 
 import math
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
 import pytest
 from cases import thinned
 from kernels import compiled
+from test_programme_reference import HEALING, HOLDS, KINDS, STEPS
 
 from eqsim import (
     Aging,
@@ -276,3 +278,55 @@ def test_predicted_lives():
     programme = Programme([Segment(0.1, distance=20.0), Segment(0.0, time=1e3), Segment(-1.0, distance=20.0)])
     lives = trajectory(ensemble, programme).lives
     assert lives == pytest.approx(predicted_lives(ensemble, programme), rel=0.2, abs=0)
+
+
+def z_of(found, known, stated):
+    """Difference from a number with a stated error, beyond it, in the quoted error."""
+    return max(abs(found.value - known) - stated, 0.0) / found.stderr
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize(("kind", "hold"), HOLDS)
+def test_checked_numbers_of_holds(kind, hold):
+    """A million contacts: the force at the end of a hold and the peak after it, |z| < 4.5; maxima over a coarse grid
+    may be 2e-4 low, that of quenched sqrt contacts after 1e4 by 1e-3."""
+    end, peak, stated, _ = HOLDS[kind, hold]
+    ensemble = replace(KINDS[kind], count=1_000_000)
+    segments = [Segment(0.0, time=float(hold), points=4), Segment(0.1, distance=3.0, points=300)]
+    held, slid = trajectory(ensemble, Programme(segments, "stationary", 0.1), seed=7, threads=2).segments
+    low = 1e-3 if (kind, hold) == ("quenched sqrt", 1e4) else 2e-4
+    assert z_of(held.end, end, 2.5e-5) < 4.5
+    assert z_of(slid.peak, peak + 0.5 * low, stated + 0.5 * low) < 4.5
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize(("kind", "before", "after", "extreme", "a", "b"), [(*case[:4], *case[5:7]) for case in STEPS])
+def test_checked_numbers_of_steps(kind, before, after, extreme, a, b):
+    ensemble = replace(KINDS[kind], count=1_000_000)
+    programme = Programme([Segment(after, distance=8.0, points=400)], "stationary", before)
+    (found,) = trajectory(ensemble, programme, seed=8, threads=2).segments
+    assert z_of(found.peak, extreme, 2.5e-5) < 4.5
+    assert z_of(found.step.direct, a, 3e-5) < 4.5
+    assert z_of(found.step.evolution, b, 3e-5) < 4.5
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize(
+    ("law", "kT", "v", "hold", "end", "peak", "stated"),
+    [
+        *(("uniform", 0.0, 1.0, hold, 0.8677195, peak, 1e-5) for hold, (peak, _) in HEALING.items()),
+        *(("sqrt", 0.0, 1.0, hold, 1.0274171, peak, 1e-5) for hold, (_, peak) in HEALING.items()),
+        ("uniform", 0.1, 0.1, 10.0, 0.82985, 0.99494, 2e-4),
+        ("uniform", 0.1, 0.1, 1e3, 0.73605, 1.26331, 3e-4),
+        ("sqrt", 0.1, 0.1, 10.0, 1.06597, 1.23305, 3e-4),
+        ("sqrt", 0.1, 0.1, 1e3, 0.98668, 1.57632, 4e-4),
+    ],
+)
+def test_checked_numbers_of_logarithmic_aging(law, kT, v, hold, end, peak, stated):
+    """A million contacts at T = 0, 200 000 with heat; maxima over a grid may be 2e-4 low."""
+    count = 200_000 if kT else 1_000_000
+    ensemble = Ensemble(thermal=Thermal(kT), aging=LOGARITHMIC, stiffness_law=law, count=count)
+    segments = [Segment(0.0, time=hold, points=4), Segment(v, distance=3.0, points=150)]
+    held, slid = trajectory(ensemble, Programme(segments, "stationary", v), seed=9, threads=2).segments
+    assert z_of(held.end, end, 2e-5) < 4.5
+    assert z_of(slid.peak, peak + 1e-4, stated + 1e-4) < 4.5

@@ -11,7 +11,20 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
-from eqsim import Aging, Delay, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference, steady
+from eqsim import (
+    Aging,
+    Delay,
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    InputError,
+    Table,
+    Thermal,
+    reference,
+    steady,
+    trajectory,
+)
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
 from eqsim.master.transient import transient
@@ -29,6 +42,7 @@ from eqsim.validation.scores import (
     compared,
     fluctuating,
     hazards,
+    programmes,
     transients,
 )
 from eqsim.validation.verdict import Validation, judge
@@ -378,3 +392,34 @@ def test_squares_of_a_few_contacts_are_no_sample():
     assert not _many((rng.standard_normal((64, 10)) ** 2).mean(axis=1))
     heavy = [_many((1.0 + rng.pareto(1.5, (64, 5000))).mean(axis=1)) for _ in range(40)]
     assert np.mean(heavy) < 0.4
+
+
+GROWING = Ensemble(thermal=Thermal(0.1), aging=Aging("logarithmic", beta=0.2, cutoff_time=0.1), stiffness_law="uniform")
+
+
+def programme_scores(ensemble, shown=None):
+    """Of two programmes of steps, holds and reversals."""
+    found = [programmes(at(ensemble, 0.1, shown, seed), SUITES["quick"], 2) for seed in (2, 3)]
+    return np.array([abs(score.z) for one in found for score in one if isinstance(score, Score)])
+
+
+def test_programmes():
+    """Scores of a right engine; and of one that is shown another cutoff time, or whose holds break no contact."""
+    right = programme_scores(GROWING)
+    assert right.size >= 10
+    assert right.max() < 4.5
+    aging = dataclasses.replace(GROWING.aging, cutoff_time=1.0)
+    assert programme_scores(GROWING, dataclasses.replace(GROWING, aging=aging)).max() > 10
+
+
+def test_programmes_without_breaks_in_holds(monkeypatch):
+    """A negative control: holds that are over at once."""
+    soft = Ensemble(thermal=Thermal(0.1), stiffness_law="uniform")
+    assert programme_scores(soft).max() < 4.5
+
+    def hurried(ensemble, drive, **how):
+        segments = [dataclasses.replace(s, time=1e-6 * s.time) if s.velocity == 0 else s for s in drive.segments]
+        return trajectory(ensemble, dataclasses.replace(drive, segments=tuple(segments)), **how)
+
+    monkeypatch.setattr("eqsim.validation.scores.trajectory", hurried)
+    assert programme_scores(soft).max() > 10
