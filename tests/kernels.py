@@ -15,9 +15,10 @@ from eqsim import Aging, Drive, Ensemble, Programme, Segment, Thermal, steady, t
 # those that take longest come first
 LAWS = [
     f"{barrier}-{aging}"
-    for aging in ("langevin", "flow", "logarithmic", "none")
+    for aging in ("langevin", "flow", "none")
     for barrier in ("mechanical", "soft", "stiff", *(["annealed"] if aging == "none" else []))
 ]
+LAWS.insert(3, "soft-logarithmic")
 
 
 @functools.cache

@@ -386,7 +386,8 @@ def test_ends_of_the_ranges():
 # ------------------------------------------------------------------------------------------------------ the engine
 
 
-@pytest.mark.parametrize(("law", "v"), thinned(3, ("uniform", "sqrt"), (1e-4, 0.1, 10.0)))
+@pytest.mark.verification
+@pytest.mark.parametrize(("law", "v"), [*itertools.product(("uniform", "sqrt"), (1e-4, 0.1, 10.0))])
 def test_steady_cold(law, v):
     """Friction and C of the table by `steady` to 1e-4: |z| < 4.5, errors beside which its seven digits are exact."""
     found = steady(Ensemble(aging=aging(), stiffness_law=law), Drive(v), rel_error=1e-4)
@@ -441,7 +442,7 @@ def scores(result, exact):
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize("name", thinned(2, RUNS))
+@pytest.mark.parametrize("name", thinned(4, RUNS))
 def test_fresh_start(name):
     """Force and pinned fraction at 20 points against the renewal equation; a wrong t_c, or beta, does not pass."""
     drive = Drive(0.5, 4.0)
@@ -451,7 +452,7 @@ def test_fresh_start(name):
         assert scores(run(name, "fresh"), transient(replace(RUNS[name], aging=wrong), drive, points=21)).max() > 10
 
 
-@pytest.mark.parametrize("name", thinned(2, RUNS))
+@pytest.mark.parametrize("name", thinned(4, RUNS))
 def test_stationary_start(name):
     """Level from X = 0 on, and in the averages over the second half; and not the level of contacts that do not age."""
     drive = Drive(0.5, 4.0, "stationary")

@@ -75,7 +75,13 @@ def bits(ensemble, **how):
     return {name: column.tobytes() for name, column in run.columns().items()}, run.segments, run.lives
 
 
-@pytest.mark.parametrize(("name", "replicas"), [("soft sqrt, exponential delay", 5), ("logarithmic uniform", 1)])
+@pytest.mark.parametrize(
+    ("name", "replicas"),
+    [
+        ("soft sqrt, exponential delay", 5),
+        pytest.param("logarithmic uniform", 1, marks=pytest.mark.verification),
+    ],
+)
 def test_same_bits_on_anything(name, replicas):
     """Threads, processes, and blocks of contacts of any size."""
     ensemble = Ensemble(count=700, **LAWS[name])
