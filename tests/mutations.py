@@ -300,7 +300,7 @@ MISTAKES = [
       "return (clock / per_time if per_time * length >= clock else math.inf), clock - per_time * length",
       "return math.inf, clock", "test_programme.py::test_agrees_with_the_renewal_equation"),
     M("programme: clocks of the way back", "laws/aging/base.py", "stiffness, before - clock), -y)",
-      "stiffness, clock), -y)", "test_programme.py::test_agrees_with_the_renewal_equation"),
+      "stiffness, clock), -y)", "test_programme.py::test_clocks_along_a_segment"),
     M("programme: a hold goes on", "engine/programme.py", "known and leg.sign != 0 and", "known and",
       "test_programme.py::test_agrees_with_the_renewal_equation"),
     M("programme: no reversal of stretches", "engine/segments.py", "leg.sign * p.stretch[i]", "p.stretch[i]",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cases import thinned
 from kernels import compiled
+from scipy import integrate
 from test_programme_reference import HEALING, HOLDS, KINDS, STEPS
 
 from eqsim import (
@@ -29,9 +30,11 @@ from eqsim import (
 from eqsim.engine.contacts import contacts
 from eqsim.laws.aging import Flow, Logarithmic
 from eqsim.laws.aging.along import crossing
+from eqsim.laws.aging.base import spend, spent
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.base import hazard, rate, stretch
 from eqsim.laws.barrier.pooled import Pooled
+from eqsim.laws.stiffness import kappa
 
 SOFT, STIFF = Thermal(0.1), Thermal(0.1, barrier="stiff")
 LOGARITHMIC, FLOW = Aging("logarithmic", beta=0.05, cutoff_time=0.1), Aging("flow", 0.1, 2.0)
@@ -196,6 +199,45 @@ def test_hazard_is_the_inverse_of_the_stretch(law):
                 slope(c.barrier, xi, stiffness, x), rel=2e-3 if law == "annealed" else 1e-4, abs=0
             )
     assert tried > 20
+
+
+@pytest.mark.parametrize("barrier", ["soft", "stiff"])
+def test_clocks_along_a_segment(barrier):
+    """Where a contact breaks, or what its clock has left, against the hazard added up in 20 000 trapezoids; to 1e-5 of
+    it, as a rate that changes by less than 1e-4 counts as a straight line. On the way back to 0, across it, away from
+    it, and at rest."""
+    follow, passed = compiled(spend), compiled(spent)
+    rng = np.random.default_rng(3)
+    seen = {"way back": 0, "beyond": 0, "threshold": 0, "survived": 0}
+    for _ in range(300):
+        c = contacts(
+            Ensemble(thermal=Thermal(10 ** rng.uniform(-1.5, 0.5), 1.0, barrier)), 10 ** rng.uniform(-1.5, 0.5)
+        )
+        xi, length = rng.uniform(0.3, 2.0), 10 ** rng.uniform(-2, 0.5)
+        stiffness, y, moves = kappa(c.springs, xi), rng.uniform(-0.99, 0.99) * xi, int(rng.random() < 0.8)
+        s = np.linspace(0.0, min(length, xi - y) if moves else length, 20_001)
+        law = BARRIERS[barrier](c.barrier.b, c.barrier.log_w)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exponent = law.log_rate(np.minimum(np.abs(y + moves * s), xi), xi, law.b * stiffness)
+        rates = np.exp(law.log_w + np.nan_to_num(exponent, nan=-np.inf))
+        hazards = integrate.cumulative_trapezoid(rates, s, initial=0.0)
+        clock = rng.uniform(0.0, 1.5) * hazards[-1]
+        broke, left = follow(c.aging, c, (xi, stiffness, y, 0.0), moves, length, clock)
+        slack = 1e-6 + 1e-5 * hazards[-1] + 2.0 * np.abs(np.diff(rates)).max() * s[1]
+        if clock < hazards[-1] - slack:
+            assert np.interp(broke, s, hazards) == pytest.approx(clock, rel=0, abs=slack)
+            seen["way back" if moves and y + broke < 0 else "beyond"] += 1
+        elif moves and length > xi - y and clock > hazards[-1] + slack:
+            assert broke == pytest.approx(xi - y, rel=0, abs=1e-9)
+            seen["threshold"] += 1
+        elif clock > hazards[-1] + slack:
+            assert broke == math.inf
+            assert left == pytest.approx(clock - hazards[-1], rel=0, abs=slack)
+            assert passed(c.aging, c, (xi, stiffness, y, 0.0), moves, length) == pytest.approx(
+                hazards[-1], rel=0, abs=slack
+            )
+            seen["survived"] += 1
+    assert min(seen.values()) > 15
 
 
 @pytest.mark.parametrize("law", [Flow(4.0, 0.7), Flow(0.1, 5.0), Flow(0.01, 300.0), Logarithmic(0.3, 50.0)])

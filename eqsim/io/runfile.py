@@ -55,21 +55,21 @@ class Thresholds(_Section):
 
 
 class ThermalSection(_Section):
-    kT: float = 0.0
-    attempt_frequency: float = 1.0
+    kT: float = 0.0  # b = k x_*^2/(2 kT): `Ensemble.b`; field b of a barrier
+    attempt_frequency: float = 1.0  # log_w: `model.reduced._barrier`; field log_w of a barrier
     barrier: str = "soft"
 
 
 class AgingSection(_Section):
     rule: str = "none"
-    rate: float = 0.0
+    rate: float = 0.0  # 4 D x_*i/(v x_*f^2): `Aging.alpha`; field alpha of a law of aging
     x_star_final: float | None = None
     beta: float | None = None
     cutoff_time: float | None = None
 
 
 class DelaySection(_Section):
-    time: float = 0.0
+    time: float = 0.0  # v tau/x_*: `Delay.reduced`; `laws.delay.Waits.mean` in kernels
     law: str = "fixed"
 
 
@@ -106,7 +106,7 @@ class DriveSection(_Section):
 
 class Output(_Section):
     points: Whole = 2001
-    seed: Whole = 1
+    seed: Whole = 1  # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
     replicas: Whole = 1
 
 

@@ -1,4 +1,5 @@
-"""Where ensemble and drive become dimensionless numbers: the only place, for the engine and the reference alike.
+"""Where ensemble and drive become dimensionless numbers: the only place, for the engine and the reference alike. The
+formulas of b, v tau and alpha are those of `Ensemble.b`, `Delay.reduced` and `Aging.alpha`.
 
 Lengths are in units of the threshold law's scale (x_* of a gamma law, else the mean threshold), time is displacement,
 stiffness is in units of k and energy in units of kT.

@@ -169,6 +169,7 @@ def life(law: Any, barrier: Any, table: Array, springs: Springs, xi: float, cloc
     raise TypeError("lives of this law of aging are paths")
 
 
+# bodies: Unaged below, laws that grow in `laws.aging.along`; langevin has paths, in `engine.langevin`
 @by_law
 def break_lives(
     law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int
@@ -248,7 +249,11 @@ def _spend(
     end = y + length
     if y * end >= 0.0 and abs(end) < xi and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
         passed = spent(law, c, contact, moves, length)
-        return (clock / passed * length if passed >= clock else math.inf), clock - passed
+        if passed < clock:
+            return math.inf, clock - passed
+        first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
+        root = math.sqrt(max(first * first + 2.0 * (last - first) / length * clock, 0.0))
+        return min(2.0 * clock / (first + root), length), 0.0  # of a rate that changes in proportion
     before = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y))
     if y < 0.0:
         if clock < before:  # it breaks on the way back to 0, if the way is long enough

@@ -165,7 +165,7 @@ def rate(law: Any, xi: float, stiffness: float, x: float) -> float:
     return math.exp(law.log_w - height(law, xi, x, law.b * stiffness)) * prefactor(law, xi, x)
 
 
-_FLAT = 1e-3  # relative change of a rate up to which Simpson's rule is exact to 1e-15
+_FLAT = 1e-4  # relative change of a rate up to which it is a straight line, to 1e-5
 
 
 @by_law
