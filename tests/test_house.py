@@ -22,9 +22,9 @@ def run(*command):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("hook", HOOKS, ids=lambda hook: hook["id"])
+@pytest.mark.parametrize("hook", [hook for hook in HOOKS if hook["id"] != "mypy"], ids=lambda hook: hook["id"])
 def test_linters(hook):
-    """Those of pre-commit: style, types, and the direction of imports."""
+    """Those of pre-commit: style, and the direction of imports; types are those of test_api.py."""
     name, *arguments = shlex.split(hook["entry"])
     run(Path(sys.executable).with_name(name), *arguments)
 
