@@ -1,6 +1,6 @@
 """The public names of eqsim."""
 
-from eqsim.engine.records import ProgrammeTrajectory, Trajectory
+from eqsim.engine.records import ProgrammeTrajectory, Slip, SliderTrajectory, Trajectory
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
@@ -13,7 +13,7 @@ from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.master.closure import Closure, closure
 from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
-from eqsim.model.drive import Drive, Programme, Segment
+from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import Validation, validate
 from eqsim.workflows.replay import Replay, replay
@@ -22,7 +22,7 @@ from eqsim.workflows.run import RunResult, run
 __all__ = [
     "OBSERVABLES", "Aging", "Closure", "Delay", "Delta", "Distribution", "Drive", "Ensemble", "Estimate",
     "Fluctuations", "Gamma", "InputError", "Programme", "ProgrammeTrajectory", "Reference", "Replay", "RunFile",
-    "RunResult", "Segment", "Steady", "Table", "Thermal", "Trajectory", "Transient", "Validation", "closure",
+    "RunResult", "Segment", "Slip", "SliderTrajectory", "Stage", "Steady", "Table", "Thermal", "Trajectory", "Transient", "Validation", "closure",
     "fluctuations", "load", "reference", "replay", "run", "steady", "trajectory", "transient", "validate",
     "z_score",
 ]  # fmt: skip

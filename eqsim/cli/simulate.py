@@ -13,7 +13,7 @@ from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.sweep.workers import Workers
-    from eqsim.workflows.run import ProgrammeResult, RunResult
+    from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
 
 _DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
 
@@ -57,7 +57,6 @@ def run(
     folder = out or path.parent / "out" / path.stem
     storage.check_folder(folder)
     count, workers = cores(threads), split.chosen()
-    from eqsim.workflows.run import RunResult
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
@@ -66,14 +65,25 @@ def run(
     shown.report(
         result.summary(),
         title=file.title or folder.name,
-        columns=_AVERAGES if isinstance(result, RunResult) else _SEGMENTS,
-        rows=_averages(result) if isinstance(result, RunResult) else _segments(result),
+        **_table(result),
         notes=_remarks(result, folder, "workers" if workers else "threads"),
     )
 
 
+def _table(result: "RunResult | ProgrammeResult") -> dict[str, Any]:
+    """Columns and rows of what a run shows."""
+    from eqsim.workflows.run import RunResult, SliderResult
+
+    if isinstance(result, RunResult):
+        return {"columns": _AVERAGES, "rows": _averages(result)}
+    if isinstance(result, SliderResult):
+        return {"columns": _SLIPS, "rows": _slips(result)}
+    return {"columns": _SEGMENTS, "rows": _segments(result)}
+
+
 _AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
 _SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t")
+_SLIPS = ("slip", "at t", "at X", "drop of the force", "takes", "over")
 _MOST_ROWS = 40
 
 
@@ -92,6 +102,18 @@ def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
             )  # fmt: skip
     if len(found) > _MOST_ROWS:
         yield ("...", *[""] * (len(_SEGMENTS) - 1))
+
+
+def _slips(result: "SliderResult") -> Iterator[tuple[str, ...]]:
+    """Each slip, and means of all but the first."""
+    found = result.trajectory
+    for index, slip in enumerate(found.slips[:_MOST_ROWS]):
+        numbers = slip.t, slip.X, slip.drop, slip.duration, slip.distance
+        yield str(index), *(f"{number:.6g}" for number in numbers)
+    if len(found.slips) > _MOST_ROWS:
+        yield "...", *[""] * (len(_SLIPS) - 1)
+    if found.period.value is not None:
+        yield "mean", "every " + terminal.value_and_error(found.period), "", terminal.value_and_error(found.drop), "", ""
 
 
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
@@ -113,7 +135,12 @@ def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> I
             shown = ((name, getattr(segment.step, name)) for name in ("direct", "evolution", "memory"))
             effects = ", ".join(f"{name} {terminal.value_and_error(estimate)}" for name, estimate in shown)
             yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
-    if not found.force_reliable:
+    slips = getattr(found, "slips", None)
+    if slips is not None:
+        yield f"{len(slips)} slips" + ("" if slips else ": the slider follows the stage")
+        if not found.force_reliable:
+            yield "force_stderr: that of contacts at this X; how far X differs between ensembles takes 8 replicas"
+    elif not found.force_reliable:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"

@@ -13,10 +13,11 @@ from eqsim.laws.aging import Langevin
 from eqsim.laws.aging.base import break_lives
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.barrier.base import thermal
+from eqsim.laws.delay import delay_draw
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import by_law, kernel, maker, routine
-from eqsim.numerics.streams import ROUGH, Key, fill_words, fine_product, product, uniform
+from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
 from eqsim.numerics.vector_math import log
@@ -96,6 +97,27 @@ def draw_lives(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Li
         if thermal:
             for i in range(count):
                 clock[r, i] = -log(uniform(words[2, i], words[3, i]))
+
+
+@routine
+def draw_life(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float]:
+    """Threshold and clock of a contact's life, the same bits as by `draw_lives`, and the delay after it."""
+    heat, turn, half = thermal(c.barrier), number // ROUNDS, number % ROUNDS
+    row = number if heat else turn
+    a, b, d, e = bits(key, contact, row, 0)
+    low, high = (d, e) if half == 1 and not heat else (a, b)
+    if c.thresholds.exponentials == 2:
+        u = product(low, high)
+        if u < ROUGH:
+            u = fine_product(key, contact, row, 2 + (0 if heat else half), low, high)
+    else:
+        u = uniform(low, high)
+    xi = exponential_threshold(u) if c.thresholds.exponentials > 0 else threshold_draw(c.thresholds, u)
+    clock, delay = -log(uniform(d, e)) if heat else math.inf, c.delay.mean
+    if c.delay.random > 0.0:
+        v, w = uniforms(key, contact, turn, 1)
+        delay = delay_draw(c.delay, v if half == 0 else w)
+    return xi, clock, delay
 
 
 @routine

@@ -1,6 +1,8 @@
 """What a run leaves behind: force and pinned contacts along a drive, and what is read off."""
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,6 +126,113 @@ class ProgrammeTrajectory(Record):
     def columns(self) -> dict[str, Array]:
         """The arrays by name."""
         return {"segment": self.segment, **super().columns()}
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A slip of a slider that a stage pulls: its spring relaxes faster than the stage loads it.
+
+    Attributes
+    ----------
+    t, X : float
+        Time when half of the drop is done, and displacement of the slider then (length).
+    drop : float
+        By how much the force of the spring, over N k, falls from its largest to its least value (length).
+    duration, distance : float
+        For how long it falls (time), and how far the slider moves meanwhile (length).
+    replica : int
+        Which of the independent ensembles slips.
+    """
+
+    t: float
+    X: float
+    drop: float
+    duration: float
+    distance: float
+    replica: int = 0
+
+
+@dataclass(frozen=True)
+class SliderTrajectory(ProgrammeTrajectory):
+    """A record of a slider that a stage pulls; X is found, not given.
+
+    Forces and displacements are means over replicas, errors are from their scatter. Of a single ensemble
+    `force_stderr` is what independent contacts at the same X would have, and `force_reliable` is False: it does not
+    know how far this X(t) is from that of other ensembles.
+
+    Attributes
+    ----------
+    stage, spring : ndarray, shape (points,)
+        Displacement of the stage's end of the spring, and the force of the spring, kappa_s (stage - X) (length).
+    X_replica_std : ndarray, shape (points,), or None
+        Standard deviation of X between replicas, if there are several (length).
+    energy : ndarray, shape (points, 4)
+        Over N k (length squared), means over replicas: work of the stage so far; what spring, slider and contacts
+        store, less that at the beginning; what broken contacts, damping and viscosity have taken; and what is missing
+        because steps are finite.
+    slips : tuple of Slip
+    """
+
+    stage: Array
+    spring: Array
+    X_replica_std: Array | None
+    energy: Array
+    slips: tuple[Slip, ...]
+
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name."""
+        found = {**super().columns(), "stage": self.stage, "spring": self.spring}
+        if self.X_replica_std is not None:
+            found["X_replica_std"] = self.X_replica_std
+        return found | dict(zip(("work", "stored", "dissipated", "missing"), self.energy.T, strict=True))
+
+    def _over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
+        """The mean of what each replica's slips, but for the first, which depends on the start, are worth."""
+        values: list[float] = []
+        for replica in sorted({slip.replica for slip in self.slips}):
+            values += of([slip for slip in self.slips if slip.replica == replica][1:])
+        n = len(values)
+        if n < 2:
+            return Estimate(values[0] if values else None, None, n, reliable=False)
+        return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(n)), n, n - 1, n >= _FEW)
+
+    @property
+    def period(self) -> Estimate:
+        """Mean time from one slip to the next, but for the first."""
+        return self._over_slips(lambda slips: [b.t - a.t for a, b in itertools.pairwise(slips)])
+
+    @property
+    def drop(self) -> Estimate:
+        """Mean drop of the spring's force in a slip, but for the first (length)."""
+        return self._over_slips(lambda slips: [slip.drop for slip in slips])
+
+
+_FEW = 5  # slips, from which on the scatter of a sample says something about its mean
+
+
+def slips_of(t: Array, X: Array, spring: Array, least: float, fastest: float, replica: int = 0) -> list[Slip]:
+    """The slips in a record, arrays (points,): the force of the spring falls by `least` or more before it rises by as
+    much, and the slider goes more than twice as fast as the stage at its `fastest` meanwhile."""
+    found, high, low = [], 0, -1  # where the force is largest, and, once it has fallen, least
+    for i in range(t.size + 1):
+        done = i == t.size
+        if low < 0:
+            if not done and spring[i] > spring[high]:
+                high = i
+            elif not done and spring[high] - spring[i] > least:
+                low = i
+        elif not done and spring[i] < spring[low]:
+            low = i
+        elif done or spring[i] - spring[low] > least:
+            time, distance = float(t[low] - t[high]), float(X[low] - X[high])
+            if abs(distance) > 2.0 * fastest * time and not (done and low == t.size - 1):
+                half = 0.5 * (spring[high] + spring[low])
+                j = high + 1 + int(np.argmax(spring[high + 1 : low + 1] <= half))
+                part = (spring[j - 1] - half) / (spring[j - 1] - spring[j])
+                middle, place = (float(y[j - 1] + part * (y[j] - y[j - 1])) for y in (t, X))
+                found.append(Slip(middle, place, float(spring[high] - spring[low]), time, distance, replica))
+            high, low = min(i, t.size - 1), -1
+    return found
 
 
 def shown_by(

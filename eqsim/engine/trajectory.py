@@ -33,6 +33,7 @@ from eqsim.engine.recorder import (
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.scatter import ENOUGH, Births, Scatter, births, known_variance, scatter
 from eqsim.engine.simulate import simulate
+from eqsim.engine.slider import pulled
 from eqsim.engine.stationary import FRESH, Stationary, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
@@ -128,6 +129,8 @@ def trajectory(
         predicted. What a lost worker makes an executor raise is passed on.
     """
     check_run(ensemble, drive, points, seed, replicas, max_lives)
+    if isinstance(drive, Programme) and drive.stage:
+        return pulled(ensemble, drive, (points, seed, replicas), threads, progress)
     if isinstance(drive, Programme):
         return along(ensemble, drive, (points, seed, replicas), threads, progress)
     workers = workers_of(threads)

@@ -15,7 +15,7 @@ from eqsim.errors import InputError, meant
 from eqsim.estimate import OBSERVABLES, Estimate
 
 if TYPE_CHECKING:
-    from eqsim.engine.records import ProgrammeTrajectory, Trajectory
+    from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
     from eqsim.engine.steady import Steady
     from eqsim.master.transient import Transient
     from eqsim.validation import Validation
@@ -109,6 +109,36 @@ def programme_png(run: "ProgrammeTrajectory", exact: "Transient | None", title: 
     if lower:
         panels[-len(holds)].set(ylabel="friction force  F / (N k)")
     for panel in panels:
+        panel.grid(alpha=0.3)
+    return _png(figure)
+
+
+def slider_png(run: "SliderTrajectory", exact: "Transient | None", title: str) -> bytes:
+    """The force of the spring and friction against t, with slips marked; slider and stage against t; and the force of
+    the spring against the velocity of the slider."""
+    figure = Figure(figsize=(9, 8.5), dpi=150, layout="constrained")
+    force, place, phase = figure.subplots(3, 1, height_ratios=[1.2, 1.0, 1.2])
+    force.fill_between(
+        run.t, run.force - 2 * run.force_stderr, run.force + 2 * run.force_stderr, color="C0", alpha=0.3, linewidth=0
+    )
+    force.plot(run.t, run.force, color="C0", linewidth=1, label="friction of the contacts, ± 2 standard errors")
+    force.plot(run.t, run.spring, color="C1", linewidth=1, label="spring")
+    if exact is not None:
+        force.plot(run.t, exact.force, color="k", linewidth=0.8, linestyle=":", label="friction, mean field")
+    if len(run.slips) <= _MOST_MARKS:
+        for slip in run.slips:
+            force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
+    force.legend(loc="best", fontsize=8)
+    force.set(xlabel="time  t", ylabel="force / (N k)\n[length unit of the run file]", xlim=(run.t[0], run.t[-1]))
+    force.set_title(_plain(title), fontsize=10)
+    place.plot(run.t, run.stage, color="C1", linewidth=1, label="stage")
+    place.plot(run.t, run.X, color="C0", linewidth=1, label="slider")
+    place.legend(loc="best", fontsize=8)
+    place.set(xlabel="time  t", ylabel="displacement\n[length unit of the run file]", xlim=(run.t[0], run.t[-1]))
+    phase.plot(np.gradient(run.X, run.t), run.spring, color="C0", linewidth=0.7)
+    phase.set(xlabel="velocity of the slider, between two records", ylabel="force of the spring / (N k)")
+    phase.set_xscale("symlog", linthresh=max(np.abs(np.diff(run.stage) / np.diff(run.t)).max(), 1e-300))
+    for panel in (force, place, phase):
         panel.grid(alpha=0.3)
     return _png(figure)
 

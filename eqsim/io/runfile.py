@@ -22,7 +22,7 @@ from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
-from eqsim.model.drive import Drive, Programme, Segment, check_output, require_drive
+from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 
 
@@ -96,12 +96,21 @@ class SegmentSection(_Section):
         return Segment(self.velocity or 0.0, self.distance, self.time if self.hold is None else self.hold, self.points)
 
 
+class StageSection(_Section):
+    stiffness: float
+    damping: float = 0.0
+    mass: float = 0.0
+    preload: float | None = None
+    tolerance: float = 1e-4
+
+
 class DriveSection(_Section):
     velocity: float | None = None
     distance: float | None = None
     start: str = "fresh"
     programme: list[SegmentSection] | None = None
     file: str | None = None
+    stage: StageSection | None = None
 
 
 class Output(_Section):
@@ -183,7 +192,7 @@ class RunFile(_Section):
     def driven(self, folder: Path) -> Drive | Programme:
         """How the slider moves; the path of a recorded drive is relative to `folder`. Raises InputError."""
         given = self.drive
-        if given.programme is not None or given.file is not None:
+        if given.programme is not None or given.file is not None or given.stage is not None:
             return self._programme(folder)
         if given.velocity is None:
             raise InputError("drive.velocity: is required")
@@ -198,17 +207,25 @@ class RunFile(_Section):
         given = self.drive
         if given.programme is not None and given.file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
-        if given.distance is not None:
+        alone = given.programme is None and given.file is None
+        if given.distance is not None and not alone:
             raise InputError(f"drive.distance = {given.distance!r}: not allowed with a programme or file")
+        if alone and given.velocity is None:
+            raise InputError("drive.velocity: is required")
+        stage, segments = None, []
         with under("drive"):
+            if given.stage is not None:
+                with under("stage"):
+                    stage = Stage(**given.stage.model_dump())
             if given.file is not None:
                 segments = read_drive(folder / given.file)
-            else:
-                segments = []
-                for index, section in enumerate(given.programme or []):
-                    with under(f"programme.{index}"):
-                        segments.append(section.segment())
-            return Programme(tuple(segments), given.start, given.velocity)  # type: ignore[arg-type]  # checked there
+            elif alone:
+                distance = 200.0 * self._threshold_law(folder).mean if given.distance is None else given.distance
+                segments = [Segment(given.velocity or 0.0, distance)]
+            for index, section in enumerate(given.programme or []):
+                with under(f"programme.{index}"):
+                    segments.append(section.segment())
+            return Programme(tuple(segments), given.start, given.velocity, stage)  # type: ignore[arg-type]  # checked there
 
     def check_output(self) -> None:
         """Raise InputError unless the size and seed of a recording can be used."""
@@ -280,8 +297,10 @@ def _read(path: Path) -> str:
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str.
-    Given a `file`, also those that its programme has, such as drive.programme.1.hold."""
+    Given a `file`, also those that its programme or stage has, such as drive.programme.1.hold."""
     known = dict(_keys())
+    if file and file.drive.stage:
+        known |= {f"drive.stage.{name}": float for name in StageSection.model_fields}
     for index, segment in enumerate((file.drive.programme if file else None) or []):
         for name, value in segment:
             if value is not None:
@@ -299,7 +318,7 @@ def _keys() -> dict[str, type]:
     others = {"title", "sweep", *_SECTIONS}
     known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
     for name, section in _SECTIONS.items():
-        fields = {key: field for key, field in section.model_fields.items() if key != "programme"}
+        fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
         known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
     return known
 
@@ -376,8 +395,9 @@ def _explain(error: pydantic.ValidationError) -> str:
 def _nearest(location: list[str]) -> str:
     """Which key may have been meant, here or in another section."""
     section, last = RunFile if len(location) == 1 else _SECTIONS.get(location[0]), location[-1]
-    if location[:2] == ["drive", "programme"]:
-        return meant(last, SegmentSection.model_fields) or "known here: " + ", ".join(SegmentSection.model_fields)
+    for name, part in (("programme", SegmentSection), ("stage", StageSection)):
+        if location[:2] == ["drive", name]:
+            return meant(last, part.model_fields) or "known here: " + ", ".join(part.model_fields)
     here = list(section.model_fields) if section else []
     others = [(name, kind) for name, kind in _SECTIONS.items() if kind != section]
     elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from eqsim.errors import POSITIVE, InputError, require_choice, require_integer, require_number, shown, under
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_integer, require_number, shown, under
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
@@ -99,6 +99,49 @@ class Segment:
         return self.distance if self.distance is not None else abs(self.velocity) * (self.time or 0.0)
 
 
+@dataclass(frozen=True)
+class Stage:
+    """A stage that follows a programme and pulls the slider through a spring:
+
+        m X'' + eta_s X' = kappa_s (Y - X) - F,
+
+    all per N k, with Y the position of the stage and of the spring's end, and F = <F>/(N k) (derived).
+
+    Parameters
+    ----------
+    stiffness : float
+        kappa_s = K/(N k), > 0.
+    damping : float
+        eta_s/(N k) (time).
+    mass : float
+        m/(N k) (time squared).
+    preload : float, optional
+        Stretch of the spring at t = 0 (length); by default none of a fresh start, and of a stationary one that which
+        balances friction.
+    tolerance : float
+        By how much the force may miss its course between two steps (in units of the mean threshold).
+
+    Raises
+    ------
+    InputError
+        For a value out of range.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    mass: float = 0.0
+    preload: float | None = None
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        require_number("stiffness", self.stiffness, **POSITIVE)
+        require_number("damping", self.damping, **NOT_NEGATIVE)
+        require_number("mass", self.mass, **NOT_NEGATIVE)
+        if self.preload is not None:
+            require_number("preload", self.preload)
+        require_number("tolerance", self.tolerance, least=1e-8, most=1e-2)
+
+
 _FIRST_LOOK = 1e-5  # at a hold, of its time; then at equal ratios
 
 
@@ -123,6 +166,8 @@ class Programme:
         "fresh": all contacts pinned and unstretched. "stationary": the steady state at `velocity`.
     velocity : float, optional
         Of that steady state (length/time), > 0.
+    stage : Stage, optional
+        The programme is that of a stage that pulls the slider through a spring; else of the slider itself.
 
     Raises
     ------
@@ -133,6 +178,7 @@ class Programme:
     segments: tuple[Segment, ...]
     start: Start = "fresh"
     velocity: float | None = None
+    stage: Stage | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
@@ -172,7 +218,8 @@ class Programme:
 def require_drive(drive: Drive | Programme) -> Drive:
     """A constant drive; InputError for what is none, such as a bare velocity or a programme."""
     if isinstance(drive, Programme):
-        raise InputError("drive.programme: has no steady state; this needs a constant drive.velocity")
+        what = "drive.stage: a slider that a spring pulls" if drive.stage else "drive.programme:"
+        raise InputError(f"{what} has no steady state; this needs a constant drive.velocity of the slider itself")
     if not isinstance(drive, Drive):
         raise InputError(f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)")
     return drive

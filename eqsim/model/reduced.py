@@ -124,6 +124,47 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     return found
 
 
+class Pull(NamedTuple):
+    """A stage, its spring and the slider in dimensionless numbers: time is displacement at `pace` (length/time).
+
+    Attributes
+    ----------
+    pace : float
+        That of the fastest segment.
+    stiffness, damping, mass : float
+        kappa_s, eta_s v/x_* and m v^2/x_*^2 at that pace.
+    ends : tuple of float
+        When segments end.
+    speeds : tuple of float
+        Of the stage in each, in units of the pace.
+    """
+
+    pace: float
+    stiffness: float
+    damping: float
+    mass: float
+    ends: tuple[float, ...]
+    speeds: tuple[float, ...]
+
+
+def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
+    """The stage of a programme. Raises InputError if it has none, or a number is out of range."""
+    stage, unit = programme.stage, ensemble.thresholds.scale
+    if stage is None:
+        raise InputError("drive.stage: is required")
+    pace = max(leg.pace for leg in legs(ensemble, programme))
+    damping, mass = stage.damping * pace / unit, stage.mass * (pace / unit) ** 2
+    with under("stage"):
+        require_number("damping * velocity / threshold", damping, least=0, most=1e100)
+        require_number("mass * velocity^2 / threshold^2", mass, least=0, most=1e100)
+    ends, elapsed = [], 0.0
+    for segment in programme.segments:
+        elapsed += segment.duration * pace / unit
+        ends.append(elapsed)
+    speeds = tuple(segment.velocity / pace for segment in programme.segments)
+    return Pull(pace, stage.stiffness, damping, mass, tuple(ends), speeds)
+
+
 def births(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> ThresholdLaw:
     """Law of thresholds at birth: newborn ones, final ones if they age at once, or those of star1 for annealed contacts
     of mean stretch C at breaking (length). Raises InputError."""

@@ -90,11 +90,17 @@ def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: 
 
 
 @inlined
-def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
-    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw < 2^16."""
+def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, Any]:
+    """The four words behind `uniforms`."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
-    a, b, d, e = philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
+    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
+
+
+@inlined
+def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
+    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw < 2^16."""
+    a, b, d, e = bits(key, contact, life, draw)
     return uniform(a, b), uniform(d, e)
 
 

@@ -134,7 +134,7 @@ def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     sections = {key.split(".")[0] for key in keys() if "." in key}
 
     def parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-        nested = isinstance(value, dict) and (key in sections or key.startswith("drive.programme"))
+        nested = isinstance(value, dict) and (key in sections or key.startswith(("drive.programme", "drive.stage")))
         if nested and not {"log", "linear"} & value.keys():
             for name, part in value.items():
                 yield from parts(f"{key}.{name}", part)

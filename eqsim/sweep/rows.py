@@ -6,7 +6,7 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
                                with their defaults filled in
     kind                       "steady" (averages to a relative error), "transient" (the run's second half) or
-                               "programme" (its segments; averages are null)
+                               "programme" (its segments or slips; averages are null)
     status, message            "ok"; "unreliable", error bars not to be trusted or larger than asked for; "failed"
     each of `OBSERVABLES`, with
       _stderr, _dof, _reliable             its standard error, degrees of freedom (null: normal) and whether to trust it
@@ -15,6 +15,7 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     of each segment of a programme, with _stderr, _reference, _reference_error and _z:
     segment_0_end, _peak, _at                force at its end, that which differs most from its beginning, and where
     segment_0_direct, _evolution, _memory    of a velocity step
+    slips, period, drop        of a slider that a stage pulls: how many, mean time between them, mean drop of the force
     reference_method           the solver
     lives                      lives simulated
     seed                       random seed, made from `id` alone
@@ -37,7 +38,7 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.sweep.plan import Task, results_version
 
 if TYPE_CHECKING:
-    from eqsim.engine.records import SegmentRecord
+    from eqsim.engine.records import SegmentRecord, SliderTrajectory
 
 SCHEMA = 1
 _SHOWN = ("end", "peak", "at", "direct", "evolution", "memory")  # of a segment
@@ -75,7 +76,9 @@ def schema(file: RunFile) -> Any:
     for name in OBSERVABLES:
         fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
         fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
-    for index in range(len(file.drive.programme or [])):
+    if file.drive.stage:
+        fields |= {"slips": integer, "period": number, "period_stderr": number, "drop": number, "drop_stderr": number}
+    for index in range(0 if file.drive.stage else len(file.drive.programme or [])):
         for name in (f"segment_{index}_{shown}" for shown in _SHOWN):
             fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number}
             fields |= {f"{name}_reference_error": number, f"{name}_z": number}
@@ -141,7 +144,7 @@ def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str
 
 
 def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> dict[str, Any]:
-    from eqsim.engine.records import shown_by
+    from eqsim.engine.records import SliderTrajectory, shown_by
     from eqsim.engine.trajectory import trajectory
     from eqsim.master.transient import transient
 
@@ -153,6 +156,8 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
     row: dict[str, Any] = {"lives": found.lives, "status": "ok", "message": None}
     if not found.force_reliable:
         row |= {"status": "unreliable", "message": "error bars of forces cannot be trusted"}
+    if isinstance(found, SliderTrajectory):
+        return row | _slips(found)
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, points)
@@ -170,6 +175,21 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
                 row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
                 row[f"{name}_z"] = z_score(ours, level.value, level.stderr or 0.0)
     return row
+
+
+def _slips(found: "SliderTrajectory") -> dict[str, Any]:
+    """How a slider that a stage pulls slips; its forces are not asked for."""
+    period, drop = found.period, found.drop
+    problem = None if period.reliable or not found.slips else "few slips"
+    return {
+        "status": "unreliable" if problem else "ok",
+        "message": problem,
+        "slips": len(found.slips),
+        "period": period.value,
+        "period_stderr": period.stderr,
+        "drop": drop.value,
+        "drop_stderr": drop.stderr,
+    }
 
 
 def _shown(segment: "SegmentRecord", name: str) -> Estimate | None:

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, Trajectory, shown_by
+from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTrajectory, Trajectory, shown_by
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
@@ -103,6 +103,25 @@ class ProgrammeResult:
         return _files(self, programme_png(self.trajectory, self.exact[0], self.file.title or title))
 
 
+@dataclass(frozen=True)
+class SliderResult(ProgrammeResult):
+    """A run file with a stage that was simulated."""
+
+    trajectory: SliderTrajectory
+
+    def summary(self) -> dict[str, Any]:
+        """The content of `summary.json`."""
+        found = self.trajectory
+        slips = {"slips": [asdict(slip) for slip in found.slips]}
+        return super().summary() | {"period": found.period.as_dict(), "drop": found.drop.as_dict()} | slips
+
+    def files(self, title: str = "") -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        from eqsim.io.plots import slider_png
+
+        return _files(self, slider_png(self.trajectory, self.exact[0], self.file.title or title))
+
+
 def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
     """How it was computed."""
     names = ("lives", "engine_seconds", "threads", "seed")
@@ -163,6 +182,8 @@ def run(
             threads=(pool.executor, pool.slots()) if pool else threads,
             progress=lambda lives: progress(lives, expected),
         )  # fmt: skip
+    if isinstance(drive, Programme) and drive.stage:
+        return SliderResult(file, folder, ensemble, drive, found)
     if isinstance(drive, Programme):
         return ProgrammeResult(file, folder, ensemble, drive, found)
     assert level is not None

@@ -17,7 +17,7 @@ _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
 
 class _Path(NamedTuple):
     """A contact: its laws, its threshold at birth, where the path ends, and the stretch and age where it begins. The
-    stretch `moves` (1.0) or stays (0.0)."""
+    stretch grows by `moves` s."""
 
     law: Any
     barrier: Any
@@ -162,13 +162,13 @@ def _lives(law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives
 
 
 @inlined
-def _excess(law: Any, xi: float, y: float, age: float, moves: int, s: float) -> float:
+def _excess(law: Any, xi: float, y: float, age: float, moves: float, s: float) -> float:
     """Threshold less stretch at s of a segment."""
     return xi * growth(law, age + s) - abs(y + moves * s)
 
 
 @routine
-def _root(law: Any, contact: tuple[float, float, float], moves: int, low: float, high: float) -> float:
+def _root(law: Any, contact: tuple[float, float, float], moves: float, low: float, high: float) -> float:
     """Where the stretch reaches the threshold, between s where it is below and where it is not."""
     xi, y, age = contact
     for _ in range(200):
@@ -183,13 +183,13 @@ def _root(law: Any, contact: tuple[float, float, float], moves: int, low: float,
 
 
 @routine
-def crossing(law: Any, contact: tuple[float, float, float], moves: int, length: float) -> float:
+def crossing(law: Any, contact: tuple[float, float, float], moves: float, length: float) -> float:
     """Where in a segment of that length the stretch of a `contact` (threshold at birth, stretch in the direction of
     motion, age) first reaches its threshold; infinity if it does not. Growth is concave and falling thresholds are
     convex in time, so that there is one crossing where the stretch grows or stays; where it relaxes, only a falling
     threshold can meet it, between the beginning and the least excess (derived)."""
     xi, y, age = contact
-    turn = min(-y, length) if moves != 0 and y < 0.0 else 0.0
+    turn = min(-y / moves, length) if moves != 0 and y < 0.0 else 0.0
     if turn > 0.0 and growth(law, age + turn) < growth(law, age):
         low, high = 0.0, turn
         for _ in range(80):  # the least excess, by golden sections
@@ -210,14 +210,14 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 @routine
 def _along(
-    law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, end: float, clock: float
+    law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, end: float, clock: float
 ) -> tuple[float, float]:
     """`_follow` up to `end` of a segment, in two parts if the stretch changes its sign on the way."""
     xi, _, y, age = contact
-    turn = -y if moves != 0 and -end < y < 0.0 else 0.0
+    turn = -y / moves if moves != 0 and -end * moves < y < 0.0 else 0.0
     before = 0.0
     if turn > 0.0:
-        s, before = _follow(_Path(law, c.barrier, c.springs, xi, turn, y, 1.0, age), clock)
+        s, before = _follow(_Path(law, c.barrier, c.springs, xi, turn, y, float(moves), age), clock)
         if s < turn:
             return s, clock
         y, age = 0.0, age + turn
@@ -228,7 +228,7 @@ def _along(
 
 
 def _spend(
-    law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
+    law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
 ) -> tuple[float, float]:
     xi, _, y, age = contact
     ends = crossing(law, (xi, y, age), moves, length)
@@ -238,5 +238,5 @@ def _spend(
     return math.inf, clock - passed
 
 
-def _spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float) -> float:
+def _spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
     return _along(law, c, contact, moves, length, math.inf)[1]

@@ -181,17 +181,17 @@ def break_lives(
 
 @by_law
 def spend(
-    law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
+    law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
 ) -> tuple[float, float]:
     """Along a segment of a programme: where a `contact` (threshold and relative stiffness at birth, stretch y in the
     direction of motion, how long it has been pinned) breaks whose exponential clock has `clock` left, or infinity, and
-    what the clock has left at the end. y grows with what is slid if the slider `moves` (1), else (0) it stays. `c` is
-    an `engine.contacts.Contacts`, time displacement."""
+    what the clock has left at the end. Time is displacement at the pace of `c`, an `engine.contacts.Contacts`, and the
+    slider `moves` at so many times that pace: 1 along a segment of a programme, 0 in a hold."""
     raise TypeError("contacts of this law of aging follow no programme")
 
 
 @by_law
-def spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: int, length: float) -> float:
+def spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
     """The hazard along the segment, arguments as in `spend`, of a contact that survives it."""
     raise TypeError("contacts of this law of aging follow no programme")
 
@@ -224,29 +224,29 @@ def _lives(
 
 
 @spent.register(Unaged)
-def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: int, length: float) -> float:
+def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
     xi, stiffness, y, _ = contact
     if moves == 0:
         return rate(c.barrier, xi, stiffness, abs(y)) * length
-    end = y + length
+    end = y + moves * length
     if y * end >= 0.0 and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
         # what tables are good to may be as much as the segment is long
         first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
-        return length / 6.0 * (first + 4.0 * rate(c.barrier, xi, stiffness, abs(y + 0.5 * length)) + last)
+        return length / 6.0 * (first + 4.0 * rate(c.barrier, xi, stiffness, abs(y + 0.5 * moves * length)) + last)
     passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
     before = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y)) if y != 0.0 else 0.0
-    return math.copysign(passed, end) - math.copysign(before, y)
+    return (math.copysign(passed, end) - math.copysign(before, y)) / moves
 
 
 @spend.register(Unaged)
 def _spend(
-    law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: int, length: float, clock: float
+    law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
 ) -> tuple[float, float]:
     xi, stiffness, y, _ = contact
     if moves == 0:
         per_time = rate(c.barrier, xi, stiffness, abs(y))
         return (clock / per_time if per_time * length >= clock else math.inf), clock - per_time * length
-    end = y + length
+    end = y + moves * length
     if y * end >= 0.0 and abs(end) < xi and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
         passed = spent(law, c, contact, moves, length)
         if passed < clock:
@@ -254,15 +254,15 @@ def _spend(
         first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
         root = math.sqrt(max(first * first + 2.0 * (last - first) / length * clock, 0.0))
         return min(2.0 * clock / (first + root), length), 0.0  # of a rate that changes in proportion
-    before = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y))
+    before, ahead = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y)), moves * clock
     if y < 0.0:
-        if clock < before:  # it breaks on the way back to 0, if the way is long enough
-            at = -min(stretch(c.barrier, c.barrier_table, xi, stiffness, before - clock), -y)
+        if ahead < before:  # it breaks on the way back to 0, if the way is long enough
+            at = -min(stretch(c.barrier, c.barrier_table, xi, stiffness, before - ahead), -y)
         else:
-            at = stretch(c.barrier, c.barrier_table, xi, stiffness, clock - before)
+            at = stretch(c.barrier, c.barrier_table, xi, stiffness, ahead - before)
     else:
-        at = max(stretch(c.barrier, c.barrier_table, xi, stiffness, before + clock), y)
+        at = max(stretch(c.barrier, c.barrier_table, xi, stiffness, before + ahead), y)
     if at <= end:
-        return at - y, 0.0
+        return (at - y) / moves, 0.0
     passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
-    return math.inf, clock - (math.copysign(passed, end) - math.copysign(before, y))
+    return math.inf, clock - (math.copysign(passed, end) - math.copysign(before, y)) / moves

@@ -1,0 +1,365 @@
+"""A slider that a stage pulls through a spring: all contacts, exactly, along X(t) made of short straight pieces.
+
+In a step the spring, damping and mass are balanced with the force in the middle of it (derived, of second order):
+
+    dX = [kappa (Y(t + dt/2) - X) - F - r dt/2 + m V/(theta dt)] /
+         [m/(theta dt^2) + eta/dt + (kappa + A + rho)/2]
+
+with A the stiffness of all pinned contacts, and rho and r what breaks add to F by motion, per dX, and by heat, per time,
+as in the last breaks. Then every contact is followed along the piece, so F is exact for the X(t) that was found, and
+what the estimate missed is made good in the next step. theta is 1/2, and 1 where the slider's own vibration is faster
+than a step. Steps are so short that the estimate misses F by less than the tolerance, beyond the scatter of the breaks
+themselves, and that no step is longer than its square root; a slip takes as many steps as it needs. Where nothing holds
+it back, neither damping nor mass nor time, it takes place at an instant.
+
+Lengths are in units of the threshold law's scale, time is displacement at the pace of `model.reduced.Pull`.
+"""
+
+import itertools
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from eqsim.engine.blocks import Progress, Threads, workers_of
+from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import draw_life
+from eqsim.engine.records import Slip, SliderTrajectory, shown_by, slips_of
+from eqsim.engine.segments import Population, begin_stationary
+from eqsim.engine.stationary import stationary
+from eqsim.laws.aging.base import growth, spend, stiffness_varies
+from eqsim.laws.stiffness import kappa
+from eqsim.model.drive import Grid, Programme
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Pull, drag_of, pull_of
+from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.numerics.tables import Array
+
+_BLOCK = 2048  # contacts whose sums are added up before those of others: the same bits whoever adds them
+_BREAKS = 30.0  # that say at what rate contacts break
+_FIRST = 1e-6  # first step, of the first segment
+_SHORTEST = 1e-9  # step over displacement below which a slip takes place at an instant
+_INSTANT = 1e-12  # time of a piece that takes none, over its displacement
+_FEW_REPLICAS = 8  # whose scatter tells the error of their mean
+_NOISE = 2.0  # standard errors of what breaks in a step that no shorter step would make better
+
+# sums over contacts at the end of a piece: pinned, stiffness, force, its square, stored energy; and of the breaks in it:
+# force by motion and by heat, its square, energy, and how many
+PINNED, STIFFNESS, FORCE, SQUARE, STORED, MOTION, HEAT, SCATTER, LOST, BREAKS = range(10)
+
+
+class Piece(NamedTuple):
+    """How long a piece takes, at how many times the pace the slider moves, and in which direction."""
+
+    length: float
+    moves: float
+    sign: float
+
+
+@kernel
+def advance(c: Contacts, piece: Piece, stream: Key, first: int, p: Population, blocks: tuple[int, int], sums: Array) -> None:
+    """Follow the contacts of some blocks along a piece; `sums` (all blocks, 10). The first of all is `first`."""
+    for block in range(blocks[0], blocks[1]):
+        sums[block] = 0.0
+        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, p.rest.size)):
+            _follow(c, piece, stream, first, p, i, sums[block])
+
+
+@inlined
+def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Population, i: int, total: Array) -> None:
+    """Follow contact i along a piece."""
+    left = piece.length
+    while True:
+        if p.rest[i] >= 0.0:
+            if p.rest[i] > left:
+                p.rest[i] -= left
+                return
+            left -= p.rest[i]
+            xi, clock, delay = draw_life(c, stream, first + i, p.lives[i])
+            p.xi[i], p.clock[i], p.delay[i], p.stiffness[i] = xi, clock, delay, kappa(c.springs, xi)
+            p.stretch[i], p.age[i], p.rest[i] = 0.0, 0.0, -1.0
+            p.lives[i] += 1
+        y = piece.sign * p.stretch[i]
+        contact = p.xi[i], p.stiffness[i], y, p.age[i]
+        broke, clock = spend(c.aging, c, contact, piece.moves, left, p.clock[i])
+        if broke > left:
+            break
+        x, age = y + piece.moves * broke, p.age[i] + broke
+        grown = growth(c.aging, age)
+        force = p.stiffness[i] * (grown if stiffness_varies(c.aging, c.springs) else 1.0) * x * piece.sign
+        by_motion = abs(x) >= p.xi[i] * grown * (1.0 - 1e-9)
+        total[MOTION if by_motion else HEAT] += force
+        total[SCATTER] += force * force
+        total[LOST] += 0.5 * force * x * piece.sign
+        total[BREAKS] += 1.0
+        p.rest[i] = p.delay[i]
+        left = max(left - broke, 0.0)
+    p.clock[i] = clock
+    p.age[i] += left
+    p.stretch[i] = piece.sign * (y + piece.moves * left)
+    _add(c, p, i, total)
+
+
+@inlined
+def _add(c: Contacts, p: Population, i: int, total: Array) -> None:
+    stiffness = p.stiffness[i] * (growth(c.aging, p.age[i]) if stiffness_varies(c.aging, c.springs) else 1.0)
+    force = stiffness * p.stretch[i]
+    total[PINNED] += 1.0
+    total[STIFFNESS] += stiffness
+    total[FORCE] += force
+    total[SQUARE] += force * force
+    total[STORED] += 0.5 * force * p.stretch[i]
+
+
+class State(NamedTuple):
+    """Between two steps: time, displacement of slider and stage, velocity of the slider, sums over contacts (10,) per
+    contact; and the work so far of the stage, against damping, what broken contacts have lost, and what estimates of F
+    have missed."""
+
+    s: float
+    X: float
+    Y: float
+    V: float
+    sums: Array
+    stage: float = 0.0
+    damped: float = 0.0
+    lost: float = 0.0
+    missed: float = 0.0
+
+
+class _Breaks:
+    """How fast breaks change F, by motion (rho) and by heat (r), as the last `_BREAKS` of them say, or those of the
+    last step where there are more."""
+
+    def __init__(self, least: float) -> None:
+        self.least, self.sign = least, 1.0
+        self.moved = self.waited = self.by_motion = self.by_heat = 0.0
+
+    def add(self, dX: float, dt: float, sums: Array, contacts: int) -> None:
+        kept, sign = math.exp(-sums[BREAKS] * contacts / _BREAKS), math.copysign(1.0, dX)
+        if sign != self.sign:
+            self.sign, self.moved, self.by_motion = sign, 0.0, 0.0
+        self.moved, self.by_motion = kept * self.moved + abs(dX), kept * self.by_motion + sign * sums[MOTION]
+        self.waited, self.by_heat = kept * self.waited + dt, kept * self.by_heat + sums[HEAT]
+
+    @property
+    def rho(self) -> float:
+        return -self.by_motion / max(self.moved, self.least)
+
+    @property
+    def r(self) -> float:
+        return -self.by_heat / self.waited if self.waited > 0.0 else 0.0
+
+
+class Slider:
+    """The contacts of an ensemble from `first` on and the slider they hold, pulled by the stage of `programme`."""
+
+    def __init__(self, ensemble: Ensemble, programme: Programme, seed: int, first: int, threads: int) -> None:
+        assert programme.stage is not None
+        self.pull, unit, law = pull_of(ensemble, programme), ensemble.thresholds.scale, ensemble.thresholds
+        self.c, self.drag = contacts(ensemble, self.pull.pace), drag_of(ensemble, self.pull.pace)
+        self.stream, self.first, self.count = key(seed, TRAJECTORY), first, ensemble.count
+        self.population = Population.fresh(ensemble.count)
+        blocks = -(-ensemble.count // _BLOCK)
+        threads = max(1, min(threads, blocks))
+        self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
+        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.found = np.zeros((blocks, 10))
+        low, high = np.asarray(law.inverse_survival(np.array([0.17, 1.8]))) / unit  # two standard deviations
+        typical = law.mean / unit
+        self.width = min(max(high - low, 0.02 * typical), typical)
+        self.longest = math.sqrt(programme.stage.tolerance) * self.width
+        self.tolerance = programme.stage.tolerance * typical
+        self.breaks, self.dt = _Breaks(0.1 * self.longest), _FIRST * self.pull.ends[0]
+        stretch, speed = (programme.stage.preload or 0.0) / unit, 0.0
+        if programme.start == "stationary" and programme.velocity:
+            before, speed = contacts(ensemble, programme.velocity), programme.velocity / self.pull.pace
+            begin_stationary(before, stationary(before), self.stream, first, self.population)
+            for times in (self.population.age, self.population.delay, self.population.rest):
+                times[times > 0.0] /= speed
+        sums = self._follow(Piece(0.0, 0.0, 1.0))
+        if speed and programme.stage.preload is None:
+            stretch = (sums[FORCE] + self._damping(sums) * speed) / self.pull.stiffness
+        self.state = State(0.0, 0.0, stretch, speed, sums)
+
+    def __enter__(self) -> "Slider":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.pool:
+            self.pool.shutdown()
+
+    def _damping(self, sums: Array) -> float:
+        """Of the slider and of all detached contacts."""
+        return self.pull.damping + self.drag * (1.0 - float(sums[PINNED]))
+
+    def _follow(self, piece: Piece) -> Array:
+        """Sums per contact after a piece."""
+        arguments = self.c, piece, self.stream, self.first, self.population
+        if self.pool:
+            for done in [self.pool.submit(advance, *arguments, share, self.found) for share in self.shares]:
+                done.result()
+        else:
+            advance(*arguments, self.shares[0], self.found)
+        return np.asarray(self.found.sum(axis=0) / self.count)
+
+    def _estimate(self, dt: float, speed: float) -> tuple[float, float]:
+        """Displacement in a step and theta; infinite displacement where the slider is unstable and nothing holds it."""
+        now, pull = self.state, self.pull
+        stiffness = pull.stiffness + float(now.sums[STIFFNESS])
+        theta = 0.5 if dt * dt * stiffness < pull.mass else 1.0
+        inertia = pull.mass / (theta * dt * dt)
+        held = inertia + self._damping(now.sums) / dt + 0.5 * (stiffness + self.breaks.rho)
+        net = pull.stiffness * (now.Y + 0.5 * speed * dt - now.X) - float(now.sums[FORCE]) - 0.5 * self.breaks.r * dt
+        return (net + inertia * now.V * dt) / held if held > 0.0 else math.inf, theta
+
+    def step(self, until: float, speed: float) -> State:
+        """One step, not beyond a time, while the stage moves at `speed`."""
+        now, left = self.state, until - self.state.s
+        dt = left if 1.2 * self.dt >= left else self.dt
+        dX, theta = self._estimate(dt, speed)
+        while abs(dX) > 1.5 * self.longest and dt > _SHORTEST * self.longest:
+            dt *= 0.5
+            dX, theta = self._estimate(dt, speed)
+        if abs(dX) > 1.5 * self.longest:
+            return self._slip()
+        rate = dX / dt
+        V = now.V + (rate - now.V) / theta if self.pull.mass else rate
+        sums = self._follow(Piece(dt, abs(rate), math.copysign(1.0, dX)))
+        damping = 0.5 * (self._damping(now.sums) + self._damping(sums))
+        self._account(dt, dX, speed * dt, V, sums, damping * rate * dX)
+        off = abs(sums[FORCE] - now.sums[FORCE] - (now.sums[STIFFNESS] + self.breaks.rho) * dX - self.breaks.r * dt)
+        off = max(off - _NOISE * math.sqrt(sums[SCATTER] / self.count), 0.0)
+        grown = dt * min(max(0.9 * math.sqrt(self.tolerance / off), 0.3), 2.0) if off > 0.0 else 2.0 * dt
+        self.dt = max(grown, self.dt) if dt == left and off < self.tolerance else grown
+        self.breaks.add(dX, dt, sums, self.count)
+        if dt == left:
+            self.state = self.state._replace(s=until)
+        return self.state
+
+    def _slip(self) -> State:
+        """A piece that takes no time, towards balance."""
+        now, pull = self.state, self.pull
+        net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE])
+        held = pull.stiffness + float(now.sums[STIFFNESS]) + self.breaks.rho
+        size = min(self.longest, abs(net) / held) if held > 0.0 else self.longest
+        dX, dt = math.copysign(size, net), _INSTANT * size
+        sums = self._follow(Piece(dt, 1.0 / _INSTANT, math.copysign(1.0, net)))
+        work = pull.stiffness * (now.Y - now.X - 0.5 * dX) * dX
+        self._account(dt, dX, 0.0, 0.0, sums, work - float(sums[STORED] - now.sums[STORED] + sums[LOST]))
+        self.breaks.add(dX, dt, sums, self.count)
+        return self.state
+
+    def _account(self, dt: float, dX: float, dY: float, V: float, sums: Array, damped: float) -> None:
+        """Take a step, and note where its energy goes."""
+        now, pull = self.state, self.pull
+        mean = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
+        kinetic = 0.5 * pull.mass * (V * V - now.V * now.V)
+        lost = float(sums[LOST])
+        missed = mean * dX - kinetic - damped - float(sums[STORED] - now.sums[STORED]) - lost
+        self.state = State(
+            now.s + dt, now.X + dX, now.Y + dY, V, sums, now.stage + mean * dY, now.damped + damped, now.lost + lost,
+            now.missed + missed,
+        )  # fmt: skip
+
+
+class _Replica(NamedTuple):
+    """What an ensemble leaves at the instants of a grid, shape (points, 10), and how it slips."""
+
+    values: Array
+    slips: list[Slip]
+    lives: int
+
+
+# columns of `_Replica.values`
+_X, _STAGE, _FRICTION, _BOUND, _VARIANCE, _WORK, _KEPT, _TAKEN, _MISSING = range(9)
+
+
+def _row(slider: Slider, now: State, before: float) -> tuple[float, ...]:
+    """Of a state; `before` is what was stored at the beginning."""
+    pull, sums, stretch = slider.pull, now.sums, now.Y - now.X
+    stored = 0.5 * pull.stiffness * stretch**2 + 0.5 * pull.mass * now.V**2 + float(sums[STORED])
+    force, pinned = float(sums[FORCE]), float(sums[PINNED])
+    friction = force + slider.drag * (1.0 - pinned) * now.V
+    variance = max(float(sums[SQUARE]) - force**2, 0.0) / slider.count
+    return now.X, now.Y, friction, pinned, variance, now.stage, stored - before, now.lost + now.damped, now.missed
+
+
+def _simulate(slider: Slider, instants: Array, replica: int, progress: Progress | None) -> _Replica:
+    """Pull a slider through its programme; `instants` (points,) are recorded."""
+    _, _, _, _, _, _, before, *_ = _row(slider, slider.state, 0.0)
+    rows, course, lives = [_row(slider, slider.state, before)], [slider.state[:3]], float(slider.count)
+    at = 1
+    for end, speed in zip(slider.pull.ends, slider.pull.speeds, strict=True):
+        while at < instants.size and instants[at] <= end * (1.0 + 1e-12):
+            until = min(float(instants[at]), end)
+            while slider.state.s < until:
+                now = slider.step(until, speed)
+                course.append(now[:3])
+                lives += now.sums[BREAKS] * slider.count
+                if progress and len(course) % 64 == 0:
+                    progress(int(lives))
+            rows.append(_row(slider, slider.state, before))
+            at += 1
+    values, (s, X, Y) = np.array(rows), np.array(course).T
+    noise = 6.0 * math.sqrt(values[:, _VARIANCE].max())  # of the force at a given X
+    least = max(0.25 * slider.width * slider.pull.stiffness, noise)
+    slips = slips_of(s, X, slider.pull.stiffness * (Y - X), least, max(map(abs, slider.pull.speeds)), replica)
+    return _Replica(values, slips, round(lives))
+
+
+def pulled(
+    ensemble: Ensemble,
+    programme: Programme,
+    recorded: tuple[int, int, int],
+    threads: Threads,
+    progress: Progress | None,
+) -> SliderTrajectory:
+    """`trajectory.trajectory` of a slider that a stage pulls; `recorded` holds points, seed and replicas."""
+    points, seed, replicas = recorded
+    grid, unit, pull = programme.grid(points), ensemble.thresholds.scale, pull_of(ensemble, programme)
+    instants, per_time = grid.t * (pull.pace / unit), pull.pace / unit
+    begin, found, lives = time.perf_counter(), [], 0
+    workers = 1 if isinstance(threads, tuple) else workers_of(threads)
+    for replica in range(replicas):
+        with Slider(ensemble, programme, seed, replica * ensemble.count, workers) as slider:
+            so_far = lives
+            found.append(
+                _simulate(slider, instants, replica, progress and (lambda n, so_far=so_far: progress(so_far + n)))
+            )
+        lives += found[-1].lives
+    values = np.mean([one.values for one in found], axis=0)
+    spread = np.std([one.values for one in found], axis=0, ddof=1) if replicas > 1 else None
+    stderr = np.sqrt(values[:, _VARIANCE] if spread is None else spread[:, _FRICTION] ** 2 / replicas)
+    detached = np.sqrt(values[:, _BOUND] * (1.0 - values[:, _BOUND]) / ensemble.count)
+    X, force = values[:, _X] * unit, values[:, _FRICTION] * unit
+    slips = [
+        Slip(s.t / per_time, s.X * unit, s.drop * unit, s.duration / per_time, s.distance * unit, s.replica)
+        for s in itertools.chain.from_iterable(one.slips for one in found)
+    ]
+    reliable = replicas >= _FEW_REPLICAS
+    shown = shown_by(programme, Grid(grid.t, X, grid.segment), force, stderr * unit, reliable)
+    return SliderTrajectory(
+        X=X,
+        t=grid.t,
+        force=force,
+        force_stderr=stderr * unit,
+        force_reliable=reliable,
+        pinned=values[:, _BOUND],
+        pinned_stderr=detached if spread is None else spread[:, _BOUND] / math.sqrt(replicas),
+        force_replica_std=None if spread is None else spread[:, _FRICTION] * unit,
+        lives=lives,
+        seed=seed,
+        engine_seconds=time.perf_counter() - begin,
+        threads=workers,
+        segment=grid.segment,
+        segments=shown,
+        stage=values[:, _STAGE] * unit,
+        spring=pull.stiffness * (values[:, _STAGE] - values[:, _X]) * unit,
+        X_replica_std=None if spread is None else spread[:, _X] * unit,
+        energy=values[:, [_WORK, _KEPT, _TAKEN, _MISSING]] * unit**2,
+        slips=tuple(slips),
+    )
