@@ -179,13 +179,13 @@ def _barriers(c: Contacts, move: Move, k: int) -> tuple[float, float, float]:
 
 
 @routine
-def _hazards(c: Contacts, move: Move, z: Array) -> int:
-    """Integrated hazard of each stratum in a step; returns how many strata, the weakest, it is worth while for."""
+def _hazards(c: Contacts, move: Move, first: int, z: Array) -> int:
+    """Integrated hazard in a step of each stratum from `first` on; returns up to which it is worth while."""
     if c.pool.y.size:
         low, high = -_log_pooled_rate(c.pool, move.x0), -_log_pooled_rate(c.pool, move.x1)
         z[0] = move.dt * _mean_exponential(low, high) if min(low, high) < 700.0 else 0.0
         return 1
-    seen, above = 0, z.size  # stronger contacts are safer
+    seen, above = first, z.size  # stronger contacts are safer
     limit = c.barrier.log_w + math.log(move.dt) + _UNSEEN
     while seen < above:
         k = (seen + above) // 2
@@ -194,7 +194,7 @@ def _hazards(c: Contacts, move: Move, z: Array) -> int:
             seen = k + 1
         else:
             above = k
-    for k in range(seen):
+    for k in range(first, seen):
         low, high, p = _barriers(c, move, k)
         z[k] = move.dt * p * _mean_exponential(low - c.barrier.log_w, high - c.barrier.log_w)
     return seen
@@ -244,7 +244,9 @@ def _advance(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[flo
             part = (_left(s, k, after) - xi) / (s.xi[k + 1] - xi)
             if part > 0.0 and alive[k] > 1e-280 and alive[k + 1] > 0.0:
                 alive[k] *= (alive[k + 1] * s.share[k] / (alive[k] * s.share[k + 1])) ** min(part, 1.0)
-    for k in range(_hazards(c, move, z)):
+    # strata below have broken
+    first = 0 if c.pool.y.size else np.searchsorted(s.right, min(cohort[_Y0], cohort[_Y1]), "right")
+    for k in range(first, _hazards(c, move, first, z)):
         alive[k] *= exp(-z[k])
     _weigh(c, cohort, alive, g1)
 
@@ -265,7 +267,7 @@ def _bear(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[float,
     for part in range(parts):
         after = 0.5 ** (parts - 1 - part)
         g0, g1, width = _growth(c.growth, u * dt), _growth(c.growth, after * dt), after - u
-        seen = _hazards(c, Move(width * dt, u * x, after * x, 0.5 * (u + after) * x, g0, g1, 0.5 * after * x / g1), z)
+        seen = _hazards(c, Move(width * dt, u * x, after * x, 0.5 * (u + after) * x, g0, g1, 0.5 * after * x / g1), 0, z)
         for k in range(left.size):
             y = min(z[k], 700.0) if k < seen else 0.0
             # mean survival, and where in the part those left are, u1 and u2 as above
