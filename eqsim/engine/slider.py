@@ -1,14 +1,13 @@
 """A slider that a stage pulls through a spring: all contacts, exactly, along X(t) made of short straight pieces.
 
-In a step the spring, damping and mass are balanced with the force in the middle of it (derived, of second order):
+In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of all pinned contacts, and rho and r what breaks
+add to it by motion, per dX, and by heat, per time, as in the last breaks (derived, of second order). Without a mass
 
-    dX = [kappa (Y(t + dt/2) - X) - F - r dt/2 + m V/(theta dt)] /
-         [m/(theta dt^2) + eta/dt + (kappa + A + rho)/2]
+    eta X' = kappa (Y - X) - F
 
-with A the stiffness of all pinned contacts, and rho and r what breaks add to F by motion, per dX, and by heat, per time,
-as in the last breaks. Then every contact is followed along the piece, so F is exact for the X(t) that was found, and
-what the estimate missed is made good in the next step. theta is 1/2, and 1 where the slider's own vibration is faster
-than a step. Steps are so short that the estimate misses F by less than the tolerance, beyond the scatter of the breaks
+has a closed form then; with one forces are balanced in the middle of the step, or, where the slider's own vibration is
+faster than a step, at its end. Then every contact is followed along the piece, so F is exact for the X(t) that was
+found, and what the estimate missed is made good in the next step. Steps are so short that the estimate misses F by less than the tolerance, beyond the scatter of the breaks
 themselves, and that no step is longer than its square root; a slip takes as many steps as it needs. Where nothing holds
 it back, neither damping nor mass nor time, it takes place at an instant.
 
@@ -154,6 +153,19 @@ class _Breaks:
         return -self.by_heat / self.waited if self.waited > 0.0 else 0.0
 
 
+def _relaxed(forces: tuple[float, float, float], damping: float, dt: float) -> float:
+    """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from X = 0; `forces` are these."""
+    net, gain, stiffness = forces
+    if damping == 0.0:
+        return (net + gain * dt) / stiffness if stiffness > 0.0 else math.inf
+    w = -stiffness * dt / damping
+    if w > 700.0:
+        return math.inf
+    first = math.expm1(w) / w if abs(w) > 1e-5 else 1.0 + 0.5 * w
+    second = (first - 1.0) / w if abs(w) > 1e-3 else 0.5 + w / 6.0 + w * w / 24.0
+    return dt / damping * (net * first + gain * dt * second)
+
+
 class Slider:
     """The contacts of an ensemble from `first` on and the slider they hold, pulled by the stage of `programme`."""
 
@@ -207,31 +219,34 @@ class Slider:
         return np.asarray(self.found.sum(axis=0) / self.count)
 
     def _estimate(self, dt: float, speed: float) -> tuple[float, float]:
-        """Displacement in a step and theta; infinite displacement where the slider is unstable and nothing holds it."""
-        now, pull = self.state, self.pull
-        stiffness = pull.stiffness + float(now.sums[STIFFNESS])
-        theta = 0.5 if dt * dt * stiffness < pull.mass else 1.0
+        """Displacement in a step, infinite where the slider is unstable and nothing holds it, and velocity then."""
+        now, pull, damping = self.state, self.pull, self._damping(self.state.sums)
+        elastic = pull.stiffness + float(now.sums[STIFFNESS])
+        net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE])
+        gain = pull.stiffness * speed - self.breaks.r
+        if pull.mass == 0.0:
+            dX = _relaxed((net, gain, elastic + self.breaks.rho), damping, dt)
+            return dX, dX / dt
+        theta = 0.5 if dt * dt * elastic < pull.mass else 1.0
         inertia = pull.mass / (theta * dt * dt)
-        held = inertia + self._damping(now.sums) / dt + 0.5 * (stiffness + self.breaks.rho)
-        net = pull.stiffness * (now.Y + 0.5 * speed * dt - now.X) - float(now.sums[FORCE]) - 0.5 * self.breaks.r * dt
-        return (net + inertia * now.V * dt) / held if held > 0.0 else math.inf, theta
+        held = inertia + damping / dt + 0.5 * (elastic + self.breaks.rho)
+        dX = (net + 0.5 * gain * dt + inertia * now.V * dt) / held if held > 0.0 else math.inf
+        return dX, now.V + (dX / dt - now.V) / theta
 
     def step(self, until: float, speed: float) -> State:
         """One step, not beyond a time, while the stage moves at `speed`."""
         now, left = self.state, until - self.state.s
         dt = left if 1.2 * self.dt >= left else self.dt
-        dX, theta = self._estimate(dt, speed)
+        dX, V = self._estimate(dt, speed)
         while abs(dX) > 1.5 * self.longest and dt > _SHORTEST * self.longest:
             dt *= 0.5
-            dX, theta = self._estimate(dt, speed)
+            dX, V = self._estimate(dt, speed)
         if abs(dX) > 1.5 * self.longest:
             return self._slip()
-        rate = dX / dt
-        V = now.V + (rate - now.V) / theta if self.pull.mass else rate
-        sums = self._follow(Piece(dt, abs(rate), math.copysign(1.0, dX)))
-        damping = 0.5 * (self._damping(now.sums) + self._damping(sums))
-        self._account(dt, dX, speed * dt, V, sums, damping * rate * dX)
-        off = abs(sums[FORCE] - now.sums[FORCE] - (now.sums[STIFFNESS] + self.breaks.rho) * dX - self.breaks.r * dt)
+        sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
+        change = float(now.sums[STIFFNESS] + self.breaks.rho) * dX + self.breaks.r * dt
+        self._account(dt, dX, speed * dt, V, sums, float(now.sums[FORCE]) + 0.5 * change)
+        off = abs(float(sums[FORCE] - now.sums[FORCE]) - change)
         off = max(off - _NOISE * math.sqrt(sums[SCATTER] / self.count), 0.0)
         grown = dt * min(max(0.9 * math.sqrt(self.tolerance / off), 0.3), 2.0) if off > 0.0 else 2.0 * dt
         self.dt = max(grown, self.dt) if dt == left and off < self.tolerance else grown
@@ -248,18 +263,19 @@ class Slider:
         size = min(self.longest, abs(net) / held) if held > 0.0 else self.longest
         dX, dt = math.copysign(size, net), _INSTANT * size
         sums = self._follow(Piece(dt, 1.0 / _INSTANT, math.copysign(1.0, net)))
-        work = pull.stiffness * (now.Y - now.X - 0.5 * dX) * dX
-        self._account(dt, dX, 0.0, 0.0, sums, work - float(sums[STORED] - now.sums[STORED] + sums[LOST]))
+        work = float(sums[STORED] - now.sums[STORED] + sums[LOST])
+        self._account(dt, dX, 0.0, 0.0, sums, work / dX)
         self.breaks.add(dX, dt, sums, self.count)
         return self.state
 
-    def _account(self, dt: float, dX: float, dY: float, V: float, sums: Array, damped: float) -> None:
-        """Take a step, and note where its energy goes."""
+    def _account(self, dt: float, dX: float, dY: float, V: float, sums: Array, force: float) -> None:
+        """Take a step in which F is taken for `force` in the mean, and note where its energy goes: to damping what is
+        left of the work of the spring."""
         now, pull = self.state, self.pull
         mean = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
-        kinetic = 0.5 * pull.mass * (V * V - now.V * now.V)
+        damped = (mean - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)
         lost = float(sums[LOST])
-        missed = mean * dX - kinetic - damped - float(sums[STORED] - now.sums[STORED]) - lost
+        missed = force * dX - float(sums[STORED] - now.sums[STORED]) - lost
         self.state = State(
             now.s + dt, now.X + dX, now.Y + dY, V, sums, now.stage + mean * dY, now.damped + damped, now.lost + lost,
             now.missed + missed,

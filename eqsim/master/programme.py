@@ -39,7 +39,7 @@ from eqsim.numerics.tables import Array
 # of the coarsest grid: displacement in a step, in units of the width of the law or of a threshold; a step over the time
 # since the velocity changed, and the first one over the shortest time of the contacts; strata and cells of tables
 _PATH, _GROWTH, _FIRST, _STRATA, _CELLS = 0.05, 0.15, 0.1, 96, 1000
-_MOST_STEPS, _MOST_COHORTS = 200_000, 5000
+MOST_STEPS, _MOST_COHORTS = 200_000, 5000
 _SIGMA, _CROWD = 8.2, 2.0  # the range of thresholds, in normal deviates; strata in the middle are 1.8 times narrower
 _KINKS = 6  # delays after a change of velocity that steps end at
 _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
@@ -152,8 +152,8 @@ def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[A
             while elapsed[-1] < (mark - begin) * (1.0 - 1e-9):
                 step = min(max(_FIRST * quickest, _GROWTH * (since + elapsed[-1])), longest)
                 elapsed.append(elapsed[-1] + step)
-                if len(t) + len(elapsed) > _MOST_STEPS:
-                    raise InputError(f"programme: takes more than {_MOST_STEPS} steps of the renewal equation")
+                if len(t) + len(elapsed) > MOST_STEPS:
+                    raise InputError(f"programme: takes more than {MOST_STEPS} steps of the renewal equation")
             since += mark - begin
             t += (begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])).tolist()
             t[-1] = float(mark)
@@ -176,17 +176,34 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     return reduced(ensemble, unit / time), Course(ends, velocity * (time / unit), before * (time / unit))
 
 
-def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
-    before."""
-    low, high = np.asarray(s.law.inverse_survival(np.array([1.8, 0.17]))) / s.law.scale  # two standard deviations
+class Numerics(NamedTuple):
+    """How finely an ensemble is resolved: the longest displacement in a step of the coarsest grid, the longest life in
+    a stationary state at velocity `before`, and how thresholds grow."""
+
+    s: Reduced
+    width: float
+    life: float
+    before: float
+    growth: Growth
+
+    def contacts(self, fine: int) -> Contacts:
+        """For kernels, `fine` times as many strata or cells."""
+        s, stratified = self.s, self.s.barrier.thermal and not self.s.annealed
+        strata = _strata(s, fine * _STRATA) if stratified else _ONE_STRATUM
+        pool = _NO_POOL if stratified else _pool(s, fine * _CELLS)
+        return Contacts(strata, pool, self.growth, s.barrier, s.springs, s.delay.for_kernels())
+
+    def path(self, t: Array, X: Array, fine: int) -> Path:
+        """Through edges, arrays (edges,)."""
+        cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
+        return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before)
+
+
+def numerics_of(s: Reduced, course: Course) -> Numerics:
+    """Raises InputError for contacts whose lives are too different for a stationary start."""
+    low, high = np.asarray(s.law.inverse_survival(np.array([0.17, 1.8]))) / s.law.scale  # two standard deviations
     typical = s.law.mean / s.law.scale
-    width = _PATH * (min(max(0.75 * (high - low), 0.02 * typical), typical) if high > low else typical)
-    ages = np.geomspace(1e-15, 1.0, 1000)
-    grown = np.abs(s.aging.growth_at(ages) / s.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
-    quickest = [1.0, s.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
-    quickest.append(math.exp(-s.barrier.log_w) if s.barrier.thermal else 1.0)
-    t, kinks = _edges(course, width, min(quickest), s.delay.mean if isinstance(s.delay, Fixed) else 0.0)
+    width = _PATH * (min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical)
     strongest = life = float(s.law.inverse_survival(36.0)) / s.law.scale
     for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
         life = strongest * max(1.0, float(s.aging.growth_at(np.array([life / course.before]))[0]))
@@ -196,15 +213,21 @@ def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]
             'no reference with start = "stationary"; start "fresh"'
         )
     growth = _growth_of(s, 1.0 + (life / course.before if course.before else 0.0))
-    stratified, waits = s.barrier.thermal and not s.annealed, s.delay.for_kernels()
+    return Numerics(s, width, life, course.before, growth)
+
+
+def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
+    before."""
+    numerics, ages = numerics_of(s, course), np.geomspace(1e-15, 1.0, 1000)
+    grown = np.abs(s.aging.growth_at(ages) / s.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
+    quickest = [1.0, s.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
+    quickest.append(math.exp(-s.barrier.log_w) if s.barrier.thermal else 1.0)
+    t, kinks = _edges(course, numerics.width, min(quickest), s.delay.mean if isinstance(s.delay, Fixed) else 0.0)
     found = []
     for fine in (1, 2, 4):
-        strata = _strata(s, fine * _STRATA) if stratified else _ONE_STRATUM
-        pool = _NO_POOL if stratified else _pool(s, fine * _CELLS)
         edges = np.interp(np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t)
-        cohorts = math.ceil(life / width * fine) if course.before else 0
-        path = Path(edges, course.at(edges), width / fine, _GROWTH / fine, cohorts, course.before)
-        found.append((edges, march(Contacts(strata, pool, growth, s.barrier, s.springs, waits), path)))
+        found.append((edges, march(numerics.contacts(fine), numerics.path(edges, course.at(edges), fine))))
     return kinks, found
 
 

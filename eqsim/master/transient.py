@@ -29,7 +29,7 @@ from scipy.interpolate import CubicSpline
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
 from eqsim.laws.delay import Exponential, Fixed
-from eqsim.master import programme
+from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, require_drive
@@ -62,6 +62,9 @@ class Transient:
     force_variance, force_variance_error : ndarray or None
         Variance over contacts of the force of one over k (length^2), and its error estimate; None if not asked for, or
         where contacts stay in step for longer than the grids can tell.
+    stage, X_error : ndarray or None
+        Of a slider that a stage pulls, in mean field: displacement of the stage's end of the spring, and the error
+        estimate of X, which is found with it (length).
     """
 
     X: Array
@@ -73,11 +76,13 @@ class Transient:
     t: Array
     force_variance: Array | None = None
     force_variance_error: Array | None = None
+    stage: Array | None = None
+    X_error: Array | None = None
 
 
 def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, *, variance: bool = False) -> Transient:
     """The exact means of a run, by the renewal equation (derived; renewal form of Q5a, Q5aG and Q6), along a programme
-    by that in two times (`master.programme`).
+    by that in two times (`master.programme`), and of a slider that a stage pulls in mean field (`master.slider`).
 
     Parameters
     ----------
@@ -143,8 +148,13 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
 def _along(ensemble: Ensemble, drive: Programme, points: int, variance: bool) -> Transient:
     """Along a programme."""
     grid = drive.grid(points)
-    means = programme.means_of(ensemble, drive, grid)
-    found = Transient(grid.X, *means[:5], grid.t)
+    if drive.stage:
+        pulled = slider.pulled_of(ensemble, drive, grid)
+        means = pulled.means
+        found = Transient(pulled.X, *means[:5], grid.t, stage=pulled.stage, X_error=pulled.X_error)
+    else:
+        means = programme.means_of(ensemble, drive, grid)
+        found = Transient(grid.X, *means[:5], grid.t)
     return (
         replace(found, force_variance=means.variance, force_variance_error=means.variance_error) if variance else found
     )
