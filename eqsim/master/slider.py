@@ -1,0 +1,226 @@
+"""Mean field of a slider that a stage pulls: the expectation of infinitely many contacts along the X(t) they allow.
+
+The force of all contacts is what the renewal equation in two times says of X so far (`master.programme`), and X obeys
+
+    m X'' + eta_s X' = kappa_s (Y - X) - F - eta_l X' (1 - pinned),
+
+all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of all pinned contacts and rho
+(without heat, per dX) or r (with heat, per dt) what breaks and births added in the last step; without a mass X has a
+closed form then, with one forces are balanced in the middle of the step. Steps are so short that dX and what this estimate misses are small; three accuracies, each with steps
+half as long as the one before, give the result and its error.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from eqsim.errors import InputError
+from eqsim.master.cohorts import (
+    Contacts,
+    Path,
+    Population,
+    _begin,
+    _observe,
+    _step,
+    _with_room,
+)
+from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numerics_of
+from eqsim.model.drive import Grid, Programme
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
+from eqsim.numerics.compiled import inlined, kernel, routine
+from eqsim.numerics.tables import Array
+
+_MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of the mean threshold
+_FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
+
+
+class Spring(NamedTuple):
+    """Stage and slider, with time in units of the whole programme: numbers of the equation, damping also per detached
+    share; stretch of the spring and velocity at first; largest displacement and missed force of a step; and whether heat
+    breaks contacts."""
+
+    stiffness: float
+    damping: float
+    drag: float
+    mass: float
+    stretch: float
+    velocity: float
+    longest: float
+    missed: float
+    heat: bool
+
+
+class Balance(NamedTuple):
+    """Forces on the slider: stretch of the spring, velocities of slider and stage, F, A, pinned, and what breaks do."""
+
+    stretch: float
+    V: float
+    speed: float
+    force: float
+    stiffness: float
+    pinned: float
+    rho: float
+    r: float
+
+
+@inlined
+def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: float) -> float:
+    """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from X = 0."""
+    if damping == 0.0:
+        return (net + gain * dt) / stiffness if stiffness > 0.0 else math.inf
+    w = -stiffness * dt / damping
+    if w > 700.0:
+        return math.inf
+    first = math.expm1(w) / w if abs(w) > 1e-5 else 1.0 + 0.5 * w
+    second = (first - 1.0) / w if abs(w) > 1e-3 else 0.5 + w / 6.0 + w * w / 24.0
+    return dt / damping * (net * first + gain * dt * second)
+
+
+@inlined
+def _estimate(spring: Spring, b: Balance, dt: float) -> tuple[float, float]:
+    """Displacement in a step, infinite where nothing holds the slider, and the velocity then."""
+    stiffness, damping = spring.stiffness + b.stiffness + b.rho, spring.damping + spring.drag * (1.0 - b.pinned)
+    net, gain = spring.stiffness * b.stretch - b.force, spring.stiffness * b.speed - b.r
+    if spring.mass == 0.0:
+        dX = _relaxed(net, gain, stiffness, damping, dt)
+        return dX, dX / dt
+    theta = 0.5 if dt * dt * (spring.stiffness + b.stiffness) < spring.mass else 1.0
+    inertia = spring.mass / (theta * dt * dt)
+    held = inertia + damping / dt + 0.5 * stiffness
+    dX = (net + 0.5 * gain * dt + inertia * b.V * dt) / held if held > 0.0 else math.inf
+    return dX, b.V + (dX / dt - b.V) / theta
+
+
+@routine
+def _stiffness(p: Population, count: int) -> float:
+    total = 0.0
+    for i in range(count):
+        total += p.cohorts[p.order[i], 9]
+    return total
+
+
+@kernel
+def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -> tuple[Array, int]:
+    """Fill `path` from its first edge on, and what is found there, shape (6, edges): elastic force, pinned, mean square
+    of the force, breaks so far, and displacement of the stage and velocity of the slider; returns that and how many
+    edges there are. Steps end at `marks` (marks,), up to each of which the stage moves at `speeds`."""
+    t, X = path.t, path.X
+    found, strata = np.zeros((6, t.size)), c.strata.share.size
+    none = Population(np.zeros((0, 11)), np.zeros((0, strata)), np.zeros(0, np.int64), np.zeros((2, strata)))
+    p = _with_room(none, 256 + path.cohorts)
+    count, rate = _begin(c, path, p)
+    _observe(p, count, X[0], found, 0)
+    found[4, 0], found[5, 0] = spring.stretch, spring.velocity
+    if spring.stretch < 0.0:  # in balance
+        damping = spring.damping + spring.drag * (1.0 - found[1, 0])
+        found[4, 0] = (found[0, 0] + damping * spring.velocity) / spring.stiffness
+    longest, rho, r, q, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 1, 0
+    while k < marks.size and m < t.size:
+        left = marks[k] - t[m - 1]
+        b = Balance(
+            found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], _stiffness(p, count),
+            found[1, m - 1], rho, r,
+        )  # fmt: skip
+        last = 1.2 * longest >= left
+        dt = left if last else longest
+        dX, V = _estimate(spring, b, dt)
+        while abs(dX) > 1.5 * spring.longest and dt > _SHORTEST * spring.longest:
+            dt, last = 0.5 * dt, False
+            dX, V = _estimate(spring, b, dt)
+        instant = abs(dX) > 1.5 * spring.longest
+        if instant:  # nothing holds the slider: a piece that takes no time, towards balance
+            net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
+            size = min(spring.longest, abs(net) / held) if held > 0.0 else spring.longest
+            dX, dt, V = math.copysign(size, net), _INSTANT * size, 0.0
+        t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
+        found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
+        if count == p.order.size:
+            p = _with_room(p, 2 * count)
+        count = _step(c, path, p, found, m, (count, rate))
+        _observe(p, count, X[m], found, m)
+        change = found[0, m] - b.force - b.stiffness * dX
+        settled = found[1, m] - found[1, m - 1]
+        off = max(abs(change - rho * dX - r * dt), abs(settled - q * dt))
+        q = settled / dt
+        if not instant:
+            grown = dt * min(max(0.9 * math.sqrt(spring.missed / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
+            longest = max(grown, longest) if last and off < spring.missed else grown
+        if spring.heat and not instant:
+            r = change / dt
+        else:
+            rho = change / dX if dX != 0.0 else 0.0
+        if spring.heat:
+            rho = 0.0 if not instant else rho
+        k += last
+        m += 1
+    return found, m if k == marks.size else -1
+
+
+class Pulled(NamedTuple):
+    """Means at the instants of a programme's grid, and where slider and stage are, with errors, arrays (points,);
+    lengths in the user's unit."""
+
+    means: Means
+    X: Array
+    stage: Array
+    X_error: Array
+
+
+def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
+    """The mean field of a slider that a stage pulls (derived).
+
+    Raises
+    ------
+    InputError
+        For what has no reference along a programme, and where it takes too many steps.
+    """
+    stage = programme.stage
+    assert stage is not None
+    s, course = course_of(ensemble, programme)
+    unit, time = ensemble.thresholds.scale, float(grid.t[-1])
+    numerics = numerics_of(s, course)
+    typical = s.law.mean / s.law.scale
+    marks, speeds, at = _marks(grid.t / time, course.ends, course.velocity)
+    in_balance = stage.preload is None and course.before > 0.0
+    spring = Spring(
+        stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
+        -1.0 if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
+    )  # fmt: skip
+    rows = [_solved(numerics, fine, spring, typical, marks, speeds, at) for fine in (1, 2, 4)]
+    rough, coarse, fine = rows
+    size = 5 + fine.shape[1] // 50
+    missed = ndimage.maximum_filter1d(np.abs(fine - coarse) + 0.5 * np.abs(coarse - rough), size, axis=1) + 1e-6 * np.abs(fine).max(axis=1)[:, None]
+    force, pinned, squares, breaks, Y, V, X = fine
+    drag = drag_of(ensemble, unit / time) * V
+    total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1] + spring.drag * missed[5]
+    variance = np.maximum(squares - force**2, 0.0) + drag * (1.0 - pinned) * (drag * pinned - 2.0 * force)
+    wrong = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
+    rate = np.gradient(breaks, grid.t) if grid.t.size > 1 else breaks
+    means = Means(total * unit, pinned, rate, error * unit, missed[1], variance * unit**2, wrong * unit**2)
+    return Pulled(means, X * unit, Y * unit, missed[6] * unit)
+
+
+def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]:
+    """Times that steps end at, the speed of the stage up to each, and where of these the instants `t` are."""
+    marks = np.unique(np.concatenate((t, ends)))
+    marks = marks[np.append(np.diff(marks) > 1e-12, True)]
+    marks = marks[marks > 0.0]
+    segment = np.minimum(np.searchsorted(ends, marks * (1.0 - 1e-12)), ends.size - 1)
+    return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
+
+
+def _solved(
+    numerics: Numerics, fine: int, spring: Spring, typical: float, marks: Array, speeds: Array, at: Array
+) -> Array:
+    """What is found at the marks `at`, and X, shape (7, points)."""
+    c, path = numerics.contacts(fine), numerics.path(np.full(MOST_STEPS, math.inf), np.zeros(MOST_STEPS), fine)
+    path.t[0] = 0.0
+    spring = spring._replace(longest=path.width, missed=_MISSED * typical / fine**2)
+    found, edges = pull(c, path, spring, marks, speeds)
+    if edges < 0:
+        raise InputError(f"drive.stage: takes more than {MOST_STEPS} steps of the mean field")
+    index = np.searchsorted(path.t[:edges], np.append(0.0, marks))[at]
+    return np.concatenate((found[:, index], path.X[None, index]))
