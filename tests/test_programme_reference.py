@@ -39,7 +39,7 @@ def step(before, after, distance=2.5, points=1000):
 def check(found, error, known, stated, low=0.0):
     """Within both errors; `known` may be too low by `low`, as maxima over a coarse grid are."""
     assert known - stated - error <= found <= known + stated + low + error
-    assert error < 2e-3
+    assert error < 5e-4
 
 
 # ------------------------------------------------------------------------------------- numbers that others have found
@@ -47,7 +47,8 @@ def check(found, error, known, stated, low=0.0):
 _DIGIT = 2.5e-5  # of what is given to five digits: `test_force_in_a_hold` shows that up to 2.1e-5 was missed
 
 # F at the end of a hold in steady sliding at v = .1, kT = .1, the maximum on sliding again, its error and its place;
-# maxima were over a grid of .05 in X, up to 2e-4 low
+# maxima were over a grid of .05 in X, up to 2e-4 low. The last of quenched sqrt contacts was given as 1.41036(30); by
+# four times the steps and strata it is as below.
 HOLDS = {
     ("quenched uniform", 1): (0.70552, 0.75048, 3e-5, 0.647),
     ("quenched sqrt", 1): (0.88950, 0.93452, 4e-5, 0.807),
@@ -66,7 +67,7 @@ HOLDS = {
     ("annealed uniform", 1e3): (0.00149, 0.63385, 4e-5, 1.192),
     ("annealed sqrt", 1e3): (0.00448, 0.64477, 5e-5, 1.692),
     ("quenched uniform", 1e4): (0.22976, 1.10547, 7e-5, 1.287),
-    ("quenched sqrt", 1e4): (0.44177, 1.41036, 3e-4, 1.342),
+    ("quenched sqrt", 1e4): (0.44177, 1.4113, 1e-4, 1.342),
     ("annealed uniform", 1e4): (0.00014, 0.63386, 4e-5, 1.192),
     ("annealed sqrt", 1e4): (0.00055, 0.64478, 5e-5, 1.692),
 }
@@ -190,12 +191,12 @@ WARM_LEVELS = {  # velocity: friction at kT = .1, uniform and sqrt, each with th
 @pytest.mark.parametrize("velocity", thinned(3, WARM_LEVELS))
 @pytest.mark.usefixtures("strengthen")
 def test_level_of_warm_contacts_that_strengthen(velocity):
-    """Within both errors, and to 1e-4 of it. The slower, the more happens in a step: errors of 1e-3 are stated."""
+    """Within both errors, and to 1e-4 of it. The slower, the more happens in a step: errors of 5e-4 are stated."""
     uniform, uniform_error, sqrt, sqrt_error = WARM_LEVELS[velocity]
     for kind, level, stated in (("quenched uniform", uniform, uniform_error), ("quenched sqrt", sqrt, sqrt_error)):
         found = transient(KINDS[kind], step(velocity, velocity, 0.1, 2))
         assert np.all(np.abs(found.force - level) < np.minimum(found.force_error + stated, 1e-4 * level))
-        assert found.force_error.max() < 2e-3
+        assert found.force_error.max() < 1e-3
 
 
 HEALING = {  # hold: peak at T = 0, v = 1, uniform and sqrt, over a grid of .02

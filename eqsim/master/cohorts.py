@@ -83,6 +83,29 @@ class Path(NamedTuple):
 _X0, _X1, _XM, _T0, _T1, _TM, _Y0, _Y1, _S, _K1, _K2 = range(11)
 
 
+class Population(NamedTuple):
+    """All cohorts, shape (rows, columns above), what is alive of them, shape (rows, strata), the rows in use, from the
+    oldest cohort on, and then the others; and scratch, shape (2, strata)."""
+
+    cohorts: Array
+    alive: Array
+    order: Array
+    scratch: Array
+
+
+@inlined
+def _up_to(values: Array, x: float) -> int:
+    """How many of ascending values are at most x."""
+    low, high = 0, values.size
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] <= x:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
 @inlined
 def _growth(growth: Growth, age: float) -> float:
     if growth.values.size == 0:
@@ -115,7 +138,7 @@ def _unbroken(left: float, right: float, low: float, high: float) -> float:
 @routine
 def _pooled(pool: Pool, p: int, low: float, high: float) -> float:
     """E[(k_i/k)^p; xi > y] in the mean over low < y < high."""
-    i = np.searchsorted(pool.y, high, "right") - 1
+    i = _up_to(pool.y, high) - 1
     if i >= pool.y.size - 1:
         above, top = 0.0, pool.total[p, pool.y.size - 1]
     else:
@@ -125,7 +148,7 @@ def _pooled(pool: Pool, p: int, low: float, high: float) -> float:
         top = pool.total[p, i] + u * (pool.above[p, i] + 0.5 * slope * u)
     if high - low <= 1e-9 * high:
         return above
-    i = np.searchsorted(pool.y, low, "right") - 1
+    i = _up_to(pool.y, low) - 1
     if i >= pool.y.size - 1:
         return 0.0
     u = low - pool.y[i]
@@ -142,7 +165,7 @@ def _mean_exponential(low: float, high: float) -> float:
 
 @routine
 def _log_pooled_rate(pool: Pool, x: float) -> float:
-    i = min(int(np.searchsorted(pool.y, x, "right")), pool.y.size - 1) - 1  # y begins with 0
+    i = min(_up_to(pool.y, x), pool.y.size - 1) - 1  # y begins with 0
     width = pool.y[i + 1] - pool.y[i]
     part = min(max((x - pool.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
     return pool.log_rate[i] + part * (pool.log_rate[i + 1] - pool.log_rate[i])
@@ -179,13 +202,13 @@ def _barriers(c: Contacts, move: Move, k: int) -> tuple[float, float, float]:
 
 
 @routine
-def _hazards(c: Contacts, move: Move, z: Array) -> int:
-    """Integrated hazard of each stratum in a step; returns how many strata, the weakest, it is worth while for."""
+def _hazards(c: Contacts, move: Move, first: int, z: Array) -> int:
+    """Integrated hazard in a step of each stratum from `first` on; returns up to which it is worth while."""
     if c.pool.y.size:
         low, high = -_log_pooled_rate(c.pool, move.x0), -_log_pooled_rate(c.pool, move.x1)
         z[0] = move.dt * _mean_exponential(low, high) if min(low, high) < 700.0 else 0.0
         return 1
-    seen, above = 0, z.size  # stronger contacts are safer
+    seen, above = first, z.size  # stronger contacts are safer
     limit = c.barrier.log_w + math.log(move.dt) + _UNSEEN
     while seen < above:
         k = (seen + above) // 2
@@ -194,7 +217,7 @@ def _hazards(c: Contacts, move: Move, z: Array) -> int:
             seen = k + 1
         else:
             above = k
-    for k in range(seen):
+    for k in range(first, seen):
         low, high, p = _barriers(c, move, k)
         z[k] = move.dt * p * _mean_exponential(low - c.barrier.log_w, high - c.barrier.log_w)
     return seen
@@ -211,14 +234,13 @@ def _weigh(c: Contacts, cohort: Array, alive: Array, g: float) -> None:
         k2 = alive[0] * _pooled(c.pool, 2, low, high)
     else:
         s = c.strata
-        first = np.searchsorted(s.right, low, "right")
-        for k in range(first, alive.size):
-            part = alive[k]
-            if s.left[k] < high or s.right[k] <= high:
-                part *= _unbroken(s.left[k], s.right[k], low, high)
-            n += part
-            k1 += part * s.stiff[k]
-            k2 += part * s.square[k]
+        whole = _up_to(s.right, low)
+        while whole < alive.size and (s.left[whole] < high or s.right[whole] <= high):
+            part = alive[whole] * _unbroken(s.left[whole], s.right[whole], low, high)
+            n, k1, k2 = n + part, k1 + part * s.stiff[whole], k2 + part * s.square[whole]
+            whole += 1
+        for k in range(whole, alive.size):
+            n, k1, k2 = n + alive[k], k1 + alive[k] * s.stiff[k], k2 + alive[k] * s.square[k]
     if c.growth.varies:
         k1, k2 = k1 * g, k2 * g * g
     cohort[_S], cohort[_K1], cohort[_K2] = n, k1, k2
@@ -237,20 +259,22 @@ def _advance(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[flo
     move = Move(t1 - t0, abs(x0), abs(x1), abs(0.5 * (x0 + x1)), g0, g1, after)
     s = c.strata
     if c.pool.y.size == 0 and after > before:  # of a stratum that breaks the stronger are left, which heat broke less
-        for k in range(np.searchsorted(s.right, after, "right"), alive.size - 1):
+        for k in range(_up_to(s.right, after), alive.size - 1):
             if s.left[k] >= after:
                 break
             xi = _left(s, k, before)
             part = (_left(s, k, after) - xi) / (s.xi[k + 1] - xi)
             if part > 0.0 and alive[k] > 1e-280 and alive[k + 1] > 0.0:
                 alive[k] *= (alive[k + 1] * s.share[k] / (alive[k] * s.share[k + 1])) ** min(part, 1.0)
-    for k in range(_hazards(c, move, z)):
+    # strata below have broken
+    first = 0 if c.pool.y.size else _up_to(s.right, min(cohort[_Y0], cohort[_Y1]))
+    for k in range(first, _hazards(c, move, first, z)):
         alive[k] *= exp(-z[k])
     _weigh(c, cohort, alive, g1)
 
 
-@maker
-def _bear(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[float, float, float, float]) -> None:
+@routine
+def _bear(c: Contacts, cohort: Array, alive: Array, scratch: Array, step: tuple[float, float, float, float]) -> None:
     """The births of a step, as if there were one, at its end. Where thresholds grow, in parts by age, each twice as
     long as the one before."""
     t0, X0, t1, X1 = step
@@ -260,12 +284,14 @@ def _bear(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[float,
     cohort[_Y0], cohort[_Y1] = x / _growth(c.growth, dt), 0.0
     parts = _PARTS if c.growth.values.size else 1
     u, n, u1, u2 = 0.0, 0.0, 0.0, 0.0  # age in units of the step; of those left, E[k_i/k], E[u k_i/k], E[u^2 k_i/k]
-    left = c.strata.share.copy()
-    alive[:] = 0.0
+    left, z = scratch[0], scratch[1]
+    for k in range(left.size):
+        left[k], alive[k] = c.strata.share[k], 0.0
     for part in range(parts):
         after = 0.5 ** (parts - 1 - part)
         g0, g1, width = _growth(c.growth, u * dt), _growth(c.growth, after * dt), after - u
-        seen = _hazards(c, Move(width * dt, u * x, after * x, 0.5 * (u + after) * x, g0, g1, 0.5 * after * x / g1), z)
+        move = Move(width * dt, u * x, after * x, 0.5 * (u + after) * x, g0, g1, 0.5 * after * x / g1)
+        seen = _hazards(c, move, 0, z)
         for k in range(left.size):
             y = min(z[k], 700.0) if k < seen else 0.0
             # mean survival, and where in the part those left are, u1 and u2 as above
@@ -286,11 +312,10 @@ def _bear(c: Contacts, cohort: Array, alive: Array, z: Array, step: tuple[float,
 
 
 @routine
-def _joined(c: Contacts, path: Path, cohorts: Array, alive: Array, pair: tuple[int, int], now: float) -> bool:
+def _joined(c: Contacts, path: Path, p: Population, pair: tuple[int, int], now: float) -> bool:
     """Join a cohort to the one before if both are of the same direction and about as dense in X, and together not too
     wide in X, as thresholds have grown, in |x|/g and in time per age."""
-    i, j = pair
-    one, two = cohorts[i], cohorts[j]
+    one, two = p.cohorts[pair[0]], p.cohorts[pair[1]]
     if (
         two[_T1] - one[_T0] > path.share * (now - two[_T1])
         or max(one[_Y0], two[_Y1]) - min(one[_Y0], two[_Y1]) > path.width
@@ -307,8 +332,8 @@ def _joined(c: Contacts, path: Path, cohorts: Array, alive: Array, pair: tuple[i
     one[_X1], one[_T1], one[_Y1] = two[_X1], two[_T1], two[_Y1]
     for column in (_S, _K1, _K2):
         one[column] += two[column]
-    for k in range(alive.shape[1]):
-        alive[i, k] += alive[j, k]
+    for k in range(p.alive.shape[1]):
+        p.alive[pair[0], k] += p.alive[pair[1], k]
     return True
 
 
@@ -317,7 +342,7 @@ def _broken_by(t: Array, broken: Array, last: int, at: float, before: float) -> 
     """Breaks up to a time, not after t[last], from `before` per unit time before 0."""
     if at <= 0.0:
         return before * at
-    i = min(int(np.searchsorted(t, at, "right")), last) - 1
+    i = min(_up_to(t, at), last) - 1
     return broken[i] + (broken[i + 1] - broken[i]) * (at - t[i]) / (t[i + 1] - t[i])
 
 
@@ -334,34 +359,6 @@ def _due(delay: Waits, t: Array, found: Array, m: int, before: float) -> tuple[f
     return until - _broken_by(t, found[3], m - 1, t[m - 1] - tau, before), max(dt - tau, 0.0)
 
 
-@routine
-def _settle(c: Contacts, path: Path, cohorts: Array, alive: Array, z: Array) -> tuple[int, float]:
-    """All cohorts of a steady state from the youngest on, that is one life in steps, each of which is there at the same
-    time; returns how many, and births per unit time."""
-    dt, cycle, count = path.width / path.velocity, c.delay.mean, 0
-    step = -dt, -path.width, 0.0, 0.0
-    for i in range(path.cohorts):
-        if i == 0:
-            _bear(c, cohorts[0], alive[0], z, step)
-        else:
-            for column in range(cohorts.shape[1]):
-                cohorts[i, column] = cohorts[i - 1, column]
-            for k in range(alive.shape[1]):
-                alive[i, k] = alive[i - 1, k]
-            for column in (_X0, _X1, _XM):
-                cohorts[i, column] -= path.width
-            for column in (_T0, _T1, _TM):
-                cohorts[i, column] -= dt
-            _advance(c, cohorts[i], alive[i], z, step)
-        cycle += cohorts[i, _S] * dt
-        count += 1
-        if cohorts[i, _S] < _GONE:
-            break
-    for i in range(count):
-        _scale(cohorts[i], alive[i], dt / cycle)
-    return count, 1.0 / cycle
-
-
 @inlined
 def _scale(cohort: Array, alive: Array, births: float) -> None:
     """Make a cohort of one contact one of `births`."""
@@ -371,58 +368,107 @@ def _scale(cohort: Array, alive: Array, births: float) -> None:
         cohort[column] *= births
 
 
+@routine
+def _begin(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
+    """What there is at first: contacts all born now, or a steady state, that is one life in steps, each of which is
+    there at the same time; returns how many cohorts, and births per unit time before."""
+    if path.cohorts == 0:
+        for k in range(p.alive.shape[1]):
+            p.alive[0, k] = c.strata.share[k]
+        _weigh(c, p.cohorts[0], p.alive[0], _growth(c.growth, 0.0))
+        return 1, 0.0
+    dt, cycle, count = path.width / path.velocity, c.delay.mean, 0
+    step = -dt, -path.width, 0.0, 0.0
+    for i in range(path.cohorts):
+        if i == 0:
+            _bear(c, p.cohorts[0], p.alive[0], p.scratch, step)
+        else:
+            for column in range(p.cohorts.shape[1]):
+                p.cohorts[i, column] = p.cohorts[i - 1, column]
+            for k in range(p.alive.shape[1]):
+                p.alive[i, k] = p.alive[i - 1, k]
+            for column in (_X0, _X1, _XM):
+                p.cohorts[i, column] -= path.width
+            for column in (_T0, _T1, _TM):
+                p.cohorts[i, column] -= dt
+            _advance(c, p.cohorts[i], p.alive[i], p.scratch[1], step)
+        cycle += p.cohorts[i, _S] * dt
+        count += 1
+        if p.cohorts[i, _S] < _GONE:
+            break
+    for i in range(count):
+        _scale(p.cohorts[i], p.alive[i], dt / cycle)
+        p.order[i] = count - 1 - i
+    return count, 1.0 / cycle
+
+
+@routine
+def _step(c: Contacts, path: Path, p: Population, found: Array, m: int, before: tuple[int, float]) -> int:
+    """All cohorts over step m, and its births, after how many cohorts and births per unit time before; returns how many
+    cohorts there are now."""
+    (count, rate), pinned = before, 0.0
+    step, dt = (path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), path.t[m] - path.t[m - 1]
+    for i in range(count):
+        j = p.order[i]
+        _advance(c, p.cohorts[j], p.alive[j], p.scratch[1], step)
+        pinned += p.cohorts[j, _S]
+    new = p.order[count]
+    _bear(c, p.cohorts[new], p.alive[new], p.scratch, step)
+    due, later = _due(c.delay, path.t, found, m, rate)
+    broken = 1.0 - p.cohorts[new, _S]
+    breaks = (found[1, m - 1] - pinned + due * broken) / (dt - later * broken)
+    _scale(p.cohorts[new], p.alive[new], due + breaks * later)
+    found[3, m] = found[3, m - 1] + breaks * dt
+    kept = 0
+    for i in range(count + 1):  # drop cohorts that are gone, and join those that hardly differ
+        j = p.order[i]
+        if p.cohorts[j, _S] < _GONE or (kept > 1 and _joined(c, path, p, (p.order[kept - 1], j), path.t[m])):
+            continue
+        p.order[i], p.order[kept] = p.order[kept], j
+        kept += 1
+    return kept
+
+
+@routine
+def _observe(p: Population, count: int, X: float, found: Array, m: int) -> None:
+    """What is found at edge m, but for the breaks."""
+    for i in range(count):
+        cohort = p.cohorts[p.order[i]]
+        x = X - cohort[_XM]
+        found[0, m] += x * cohort[_K1]
+        found[1, m] += cohort[_S]
+        found[2, m] += (x * x + (cohort[_X1] - cohort[_X0]) ** 2 / 12.0) * cohort[_K2]
+
+
+@maker
+def _with_room(p: Population, rows: int) -> Population:
+    """A copy that has so many rows."""
+    cohorts, alive = np.zeros((rows, p.cohorts.shape[1])), np.zeros((rows, p.alive.shape[1]))
+    order = np.zeros(rows, np.int64)
+    for i in range(rows):
+        order[i] = i
+    for i in range(p.order.size):
+        order[i] = p.order[i]
+        for column in range(cohorts.shape[1]):
+            cohorts[i, column] = p.cohorts[i, column]
+        for k in range(alive.shape[1]):
+            alive[i, k] = p.alive[i, k]
+    return Population(cohorts, alive, order, p.scratch)
+
+
+# numba compiles a routine anew for callers of another kind (kernel, maker, routine): here none has callers of two.
 @kernel
 def march(c: Contacts, path: Path) -> Array:
     """Elastic force, pinned, mean square of the elastic force, and all breaks so far at the edges of the steps, shape
     (4, edges)."""
-    t, X = path.t, path.X
-    found, size = np.zeros((4, t.size)), 256 + path.cohorts
-    cohorts, alive, z = np.zeros((size, 11)), np.zeros((size, c.strata.share.size)), np.zeros(c.strata.share.size)
-    if path.cohorts > 0:
-        count, rate = _settle(c, path, cohorts, alive, z)
-    else:
-        count, rate = 1, 0.0
-        alive[0] = c.strata.share
-        _weigh(c, cohorts[0], alive[0], _growth(c.growth, 0.0))
-    order, free = np.zeros(size, np.int64), np.arange(size)[::-1].copy()  # rows from the oldest cohort; free rows
-    order[:count] = np.arange(count)[::-1]
-    unused = size - count
-    for m in range(t.size):
-        if m > 0:
-            step, dt, pinned = (t[m - 1], X[m - 1], t[m], X[m]), t[m] - t[m - 1], 0.0
-            for i in range(count):
-                _advance(c, cohorts[order[i]], alive[order[i]], z, step)
-                pinned += cohorts[order[i], _S]
-            if unused == 0:
-                cohorts = np.concatenate((cohorts, np.zeros_like(cohorts)))
-                alive = np.concatenate((alive, np.zeros_like(alive)))
-                order, free = np.concatenate((order, order)), np.arange(2 * size)[::-1].copy()
-                unused, size = size, 2 * size
-            unused -= 1
-            new = free[unused]
-            _bear(c, cohorts[new], alive[new], z, step)
-            due, later = _due(c.delay, t, found, m, rate)
-            broken = 1.0 - cohorts[new, _S]
-            breaks = (found[1, m - 1] - pinned + due * broken) / (dt - later * broken)
-            _scale(cohorts[new], alive[new], due + breaks * later)
-            found[3, m] = found[3, m - 1] + breaks * dt
-            order[count] = new
-            kept = 0
-            for i in range(count + 1):  # drop cohorts that are gone, and join those that hardly differ
-                j = order[i]
-                if cohorts[j, _S] < _GONE or (
-                    kept > 1 and _joined(c, path, cohorts, alive, (order[kept - 1], j), t[m])
-                ):
-                    free[unused] = j
-                    unused += 1
-                else:
-                    order[kept] = j
-                    kept += 1
-            count = kept
-        for i in range(count):
-            cohort = cohorts[order[i]]
-            x = X[m] - cohort[_XM]
-            found[0, m] += x * cohort[_K1]
-            found[1, m] += cohort[_S]
-            found[2, m] += (x * x + (cohort[_X1] - cohort[_X0]) ** 2 / 12.0) * cohort[_K2]
+    found, strata = np.zeros((4, path.t.size)), c.strata.share.size
+    none = Population(np.zeros((0, 11)), np.zeros((0, strata)), np.zeros(0, np.int64), np.zeros((2, strata)))
+    p = _with_room(none, 256 + path.cohorts)
+    count, rate = _begin(c, path, p)
+    _observe(p, count, path.X[0], found, 0)
+    for m in range(1, path.t.size):
+        if count == p.order.size:
+            p = _with_room(p, 2 * count)
+        count = _step(c, path, p, found, m, (count, rate))
+        _observe(p, count, path.X[m], found, m)
     return found
