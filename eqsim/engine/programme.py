@@ -27,17 +27,17 @@ _LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
 _RARE = 1e-4  # probability of more than five standard errors of the force
 
 
-def check_programme(ensemble: Ensemble) -> None:
-    """Raise InputError for contacts that follow no programme."""
+def check_programme(ensemble: Ensemble, programme: Programme) -> None:
+    """Raise InputError for contacts that do not follow a programme."""
     if ensemble.self_consistent:
         raise InputError(
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'
         )
-    if ensemble.fluctuates:
+    if ensemble.fluctuates and programme.start == "stationary":
         raise InputError(
-            f'drive.programme: thresholds of rule "{ensemble.aging.rule}" are followed at constant velocity only; take '
-            'rule = "flow"'
+            f'drive.start = "stationary": thresholds of rule "{ensemble.aging.rule}" follow a programme from a fresh '
+            'start only; begin with a segment that slides until it is steady'
         )
 
 
@@ -127,7 +127,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
             carried = max(carried, min(bounds[leg.pace], run.distance) if first else bounds[leg.pace])
         known = before is not None or index > 0
         same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
-        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, times)
+        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, index + 1 == len(legs), times)
         steps.append(_Step(c, moves, run, scales, drag, row))
         row += run.points
         pace, sign = leg.pace, leg.sign
@@ -140,7 +140,7 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
     found = []
     for leg in reduced.legs(ensemble, programme):
         c = contacts(ensemble, leg.pace)
-        stretch = typical_lives(c)[1] if leg.sign else waits_at_rest(c)
+        stretch = typical_lives(c)[1] if leg.sign else waits_at_rest(c, leg.length)
         mean = float(np.mean(np.minimum(stretch + c.delay.mean, leg.length)))
         found.append(1.0 + leg.length / mean if mean > 0 else math.inf)
     return found
