@@ -12,9 +12,9 @@ where a break is unlikely. In a step
                (n < 1/2) dive and the bridge is that of a Bessel process (`touching`)
     heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
-The stretch of a path is not negative: it grows as the slider moves, stays in a hold, and where the slider has turned
-goes back to 0 (`stride` holds up the mirror). Stiff barriers take half of STEP. The error in averages is second order in STEP; at the default it is below 1e-3 unless
-contacts relax many times while they break rarely: `step_error`.
+The stretch of a path is never negative: it grows as the slider moves and stays in a hold; where the slider has turned
+it goes back to 0, as in a mirror (`stride`). Stiff barriers take half of STEP. The error in averages is second order in
+STEP; at the default it is below 1e-3 unless contacts relax many times while they break rarely: `step_error`.
 
 Each part of a step is a scalar function without library calls: `walk` puts them together for one path, `lives` for many
 side by side, a loop for each part, which the compiler vectorises. What happens once a life, or to few paths at
@@ -83,11 +83,12 @@ class Rates(NamedTuple):
     slope: float
 
 
-def step_error(law: Langevin, step: float = STEP) -> float:
+def step_error(law: Langevin, step: float = STEP, time: float = 1.0) -> float:
     """About the largest relative error of averages by steps of that accuracy. It grows with D_v = D/(v x_*i), from
     D_v = 100 on, as more of the few passages fall between two steps (measured against the Fokker-Planck equation: 0.9,
-    2.3 and 4.7 % at D_v = 2.5e4, 2.5e5 and 2.5e6, n = 1, T = 0)."""
-    return STEP_ERROR * max(1.0, (0.25 * law.alpha * law.final2 / 100.0) ** 0.42) * (step / STEP) ** 2
+    2.3 and 4.7 % at D_v = 2.5e4, 2.5e5 and 2.5e6, n = 1, T = 0). In a hold its `time` takes the place of that in which
+    the slider moves by x_*i."""
+    return STEP_ERROR * max(1.0, (0.25 * law.alpha * law.final2 * time / 100.0) ** 0.42) * (step / STEP) ** 2
 
 
 @inlined
@@ -209,6 +210,7 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     sigma, gap = math.sqrt(variance), max(xi - x, 1e-16 * xi)  # rounding may leave nothing
     speed = abs(c.moves) + max(0.0, variance * (xi / c.aging.final2 - (c.aging.shape + 0.5) / xi))
     h = min(max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed)), most)
+    h = most if c.moves == 0.0 and x == 0.0 else h  # no threshold comes down to 0
     if not thermal(c.barrier):
         return h, 0.0, 0.0
     k0 = kappa(c.springs, xi)

@@ -323,9 +323,9 @@ def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float,
 def follow_path(
     c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, born: float
 ) -> tuple[float, langevin.Path]:
-    """Stretch at breaking of a contact whose threshold fluctuates, from `path` on, and its path there; and what it
-    leaves if it was unstretched at `born`. Where its stiffness follows its threshold, its steps end at grid points,
-    and it is not followed beyond the last one."""
+    """Stretch at breaking of a contact whose threshold fluctuates, `path` at its birth, and what it leaves. Where its
+    stiffness follows its threshold, its steps end at grid points, and it is not followed beyond the last one, where
+    its path is returned; it may be on its way, unstretched at `born`."""
     run = recorder.run
     if c.springs.slope == 0.0:
         stretch, _ = langevin.life(c, path, langevin.STEP)

@@ -41,6 +41,8 @@ from eqsim.numerics.compiled import by_law, inlined, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array
 
+_SEEN = 100.0  # relaxations after which a threshold at rest has seen all there is
+
 
 class Population(NamedTuple):
     """Contacts between two segments, arrays (contacts,). Times are displacements at the pace of the segment before.
@@ -207,9 +209,7 @@ def cut_short(law: Any, leg: Leg) -> bool:
 
 
 @by_law
-def go_on(
-    law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population, i: int
-) -> float:
+def go_on(law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population, i: int) -> float:
     """Take a contact through the segment up to the end of what it came in with; where its next life begins, or infinity
     if that is in a later segment."""
     if p.rest[i] >= 0.0:
@@ -378,36 +378,36 @@ def _hold(
 # ---------------------------------------------------------------------------------------------- how long lives last
 
 
-def waits_at_rest(c: Contacts, length: float) -> Array:
-    """How long lives last at rest, at 64 x 64 mid-points of equal shares of thresholds and of clocks, or infinity if
-    longer than `length`; at 16 x 16 where thresholds fluctuate."""
+def waits_at_rest(c: Contacts) -> Array:
+    """How long lives last at rest, at 64 x 64 mid-points of equal shares of thresholds and of clocks; where thresholds
+    fluctuate roughly, and at 16 x 16."""
     shares = 16 if c.aging.fluctuates else 64
     share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     found = np.empty(u.size)
-    fill_waits(c, length, u, v, found)
+    fill_waits(c, u, v, found)
     return found
 
 
 @kernel
-def fill_waits(c: Contacts, length: float, u: Array, v: Array, found: Array) -> None:
+def fill_waits(c: Contacts, u: Array, v: Array, found: Array) -> None:
     """The kernel of `waits_at_rest`."""
     for i in range(u.size):
-        found[i] = wait_at_rest(c.aging, c, threshold_draw(c.thresholds, u[i]), -math.log(v[i]), length, i)
+        found[i] = wait_at_rest(c.aging, c, threshold_draw(c.thresholds, u[i]), -math.log(v[i]), i)
 
 
 @by_law
-def wait_at_rest(law: Any, c: Contacts, xi: float, clock: float, length: float, i: int) -> float:
+def wait_at_rest(law: Any, c: Contacts, xi: float, clock: float, i: int) -> float:
     """How long a life lasts at rest whose threshold is `xi` at birth; path i where that fluctuates."""
     return spend(law, c, (xi, kappa(c.springs, xi), 0.0, 0.0), 0, math.inf, clock)[0]
 
 
 @wait_at_rest.register(Langevin)
-def _path_at_rest(law: Langevin, c: Contacts, xi: float, clock: float, length: float, i: int) -> float:
+def _path_at_rest(law: Langevin, c: Contacts, xi: float, clock: float, i: int) -> float:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
     key = (np.uint64(0), np.uint64(0))
-    path = langevin.Path(key, np.int64(i), np.int64(0), np.int64(0), xi, 0.0, clock)
-    broke, _, elapsed = langevin.follow(laws, path, length, langevin.STEP)
-    return elapsed if broke else math.inf
+    path = langevin.Path(key, i, np.int64(0), np.int64(0), xi, 0.0, clock)
+    broke, path, elapsed = langevin.follow(laws, path, _SEEN / law.alpha, langevin.STEP)
+    return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion
