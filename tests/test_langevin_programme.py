@@ -4,9 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from kernels import compiled
 
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, InputError, Programme, Segment, Thermal, trajectory
-from eqsim.engine.langevin import STEP_ERROR
+from eqsim.engine import langevin
+from eqsim.engine.contacts import contacts as laws_of
+from eqsim.engine.langevin import STEP, STEP_ERROR
 from eqsim.engine.trajectory import predicted_lives
 
 AGING, UNIFORM = Aging("langevin", 0.1, 2.0), {"stiffness_law": "uniform"}
@@ -131,6 +134,14 @@ def test_a_hold_of_unstretched_contacts():
     slid = aged.segment == 1
     one, other = (aged.force[slid], aged.force_stderr[slid]), (fresh.force[1:], fresh.force_stderr[1:])
     assert scores(tuple(part[:6] for part in one), tuple(part[:6] for part in other)).max() < 4.5
+
+
+def test_nothing_meets_an_unstretched_contact_at_rest():
+    """One step takes it to the end of a hold; thresholds of two dimensions (n = 0) dive towards 0 again and again."""
+    c = laws_of(contacts("mechanical uniform, n = 0", 1), 1.0)
+    at_rest = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
+    length, _, _ = compiled(langevin.pace)(at_rest, 1e-9, 0.0, math.inf, 5.0, STEP)
+    assert length == 5.0
 
 
 def test_steps_are_part_of_the_error_where_they_cost_more():
