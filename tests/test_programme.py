@@ -288,12 +288,12 @@ def test_few_contacts_quote_what_they_did_not_meet():
     ("ensemble", "message"),
     [
         ({"disorder": "annealed", "thermal": SOFT, "aging": FLOW}, "annealed contacts cannot age"),
-        ({"aging": Aging("langevin", 0.1, 2.0)}, 'rule "langevin" are followed at constant velocity only'),
+        ({"aging": Aging("langevin", 0.1, 2.0)}, 'rule "langevin" follow a programme from a fresh start only'),
     ],
 )
 def test_refused_contacts(ensemble, message):
     with pytest.raises(InputError, match=message):
-        trajectory(Ensemble(count=10, **ensemble), Programme(MIXED))
+        trajectory(Ensemble(count=10, **ensemble), Programme(MIXED, "stationary", 0.3))
 
 
 @pytest.mark.parametrize(
