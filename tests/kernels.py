@@ -37,9 +37,10 @@ def compile_kernels(barrier, aging):
         disorder="annealed" if barrier == "annealed" else "quenched",
     )
     steady(contacts, Drive(1.0), rel_error=1.0)
-    trajectory(contacts, Drive(1.0, 1.0, "fresh" if aging == "langevin" else "stationary"), points=2)
-    if aging != "langevin" and (aging == "none" or barrier == "soft"):
-        programme = Programme([Segment(1.0, distance=1.0)], "stationary", 1.0)
+    start = "fresh" if aging == "langevin" else "stationary"
+    trajectory(contacts, Drive(1.0, 1.0, start), points=2)
+    if aging == "none" or barrier == "soft":
+        programme = Programme([Segment(1.0, distance=1.0)], start, 1.0)
         trajectory(contacts, programme, points=2)
         if aging == "none":
             transient(contacts, programme, 2)

@@ -42,6 +42,7 @@ class Contacts:
     cutoff_time: float = 1.0  # t_c
     pinned_time: float = 0.0  # mean, of annealed contacts that age: see `settled`
     factors: tuple = ()  # of the velocity in the intervals between two looks: 0 is a hold, a negative one a reversal
+    frozen: bool = False  # a deliberate mistake: thresholds stay what they are in holds
 
     def thresholds(self, rng, size):
         scale = self.x_star
@@ -109,14 +110,15 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
     rows = []
     for i in range(1, record_every * records + 1):
         factor = c.factors[(i - 1) // record_every] if c.factors else 1.0
-        gap = xi - x
-        if c.aging != "none" and c.disorder == "quenched":
+        gap = xi - np.abs(x)
+        ages = c.aging != "none" and c.disorder == "quenched" and not (c.frozen and factor == 0)
+        if ages:
             xi = np.where(pinned, c.aged(rng, xi, age, dt), xi)
         x[pinned] += factor * step
         age[pinned] += dt
         breaks = pinned & (np.abs(x) >= xi)
-        if c.aging == "langevin" and c.disorder == "quenched":
-            breaks |= pinned & c.crossed(rng, gap, xi - x, dt)
+        if c.aging == "langevin" and ages:
+            breaks |= pinned & c.crossed(rng, gap, xi - np.abs(x), dt)
         if c.kT > 0 and c.disorder == "quenched":
             rate = c.attempt_frequency * c.attempt_breaks(np.abs(x), xi)
             breaks |= pinned & (rng.random(count) < -np.expm1(-rate * dt))

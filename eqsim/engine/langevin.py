@@ -12,8 +12,9 @@ where a break is unlikely. In a step
                (n < 1/2) dive and the bridge is that of a Bessel process (`touching`)
     heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
-Stiff barriers take half of STEP. The error in averages is second order in STEP; at the default it is below 1e-3 unless
-contacts relax many times while they break rarely: `step_error`.
+The stretch of a path is never negative: it grows as the slider moves and stays in a hold; where the slider has turned
+it goes back to 0, as in a mirror (`stride`). Stiff barriers take half of STEP. The error in averages is second order in
+STEP; at the default it is below 1e-3 unless contacts relax many times while they break rarely: `step_error`.
 
 Each part of a step is a scalar function without library calls: `walk` puts them together for one path, `lives` for many
 side by side, a loop for each part, which the compiler vectorises. What happens once a life, or to few paths at
@@ -43,11 +44,13 @@ _FIRST_ORDER, _BOUND = 0.05, 0.4  # ln of a factor up to which first order will 
 
 
 class Pinned(NamedTuple):
-    """The laws of a step: those of `Contacts` without tables, which would keep loops from vectorising."""
+    """The laws of a step: those of `Contacts` without tables, which would keep loops from vectorising; and how the
+    stretch `moves` as time goes on: 1, 0 in a hold, -1 on the way back to 0."""
 
     barrier: Any
     springs: Springs
     aging: Langevin
+    moves: float
 
 
 class Source(NamedTuple):
@@ -80,17 +83,18 @@ class Rates(NamedTuple):
     slope: float
 
 
-def step_error(law: Langevin, step: float = STEP) -> float:
+def step_error(law: Langevin, step: float = STEP, time: float = 1.0) -> float:
     """About the largest relative error of averages by steps of that accuracy. It grows with D_v = D/(v x_*i), from
     D_v = 100 on, as more of the few passages fall between two steps (measured against the Fokker-Planck equation: 0.9,
-    2.3 and 4.7 % at D_v = 2.5e4, 2.5e5 and 2.5e6, n = 1, T = 0)."""
-    return STEP_ERROR * max(1.0, (0.25 * law.alpha * law.final2 / 100.0) ** 0.42) * (step / STEP) ** 2
+    2.3 and 4.7 % at D_v = 2.5e4, 2.5e5 and 2.5e6, n = 1, T = 0). In a hold its `time` takes the place of that in which
+    the slider moves by x_*i."""
+    return STEP_ERROR * max(1.0, (0.25 * law.alpha * law.final2 * time / 100.0) ** 0.42) * (step / STEP) ** 2
 
 
 @inlined
 def pinned(c: Contacts) -> Pinned:
-    """The laws of steps."""
-    return Pinned(c.barrier, c.springs, c.aging)
+    """The laws of steps at constant velocity."""
+    return Pinned(c.barrier, c.springs, c.aging, 1.0)
 
 
 # ------------------------------------------------------------------------------------------------------- deviates
@@ -204,8 +208,9 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     alpha = c.aging.alpha
     variance = 0.5 * alpha * c.aging.final2  # 2 D_v, per unit of displacement
     sigma, gap = math.sqrt(variance), max(xi - x, 1e-16 * xi)  # rounding may leave nothing
-    speed = 1.0 + max(0.0, variance * (xi / c.aging.final2 - (c.aging.shape + 0.5) / xi))
+    speed = abs(c.moves) + max(0.0, variance * (xi / c.aging.final2 - (c.aging.shape + 0.5) / xi))
     h = min(max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed)), most)
+    h = most if c.moves == 0.0 and x == 0.0 else h  # no threshold comes down to 0
     if not thermal(c.barrier):
         return h, 0.0, 0.0
     k0 = kappa(c.springs, xi)
@@ -213,7 +218,8 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
     slope = height_slope(c.barrier, xi, x, a)
     slope += barrier * c.springs.slope / k0
-    quiet = max(barrier - c.barrier.log_w - log(gap), 0.0)  # -ln of the hazard over as much as the gap
+    while_here = gap if c.moves > 0.0 else max(gap, most)
+    quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)  # -ln of the hazard over as much as the gap
     h = min(h, max(
         reaches(max(quiet - _UNSEEN, 0.0) / slope, sigma / step, speed),
         min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / alpha),
@@ -253,13 +259,13 @@ def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) 
     The chance is that of a Brownian bridge kept away from 0, corrected for how the drift differs, to first order, on
     a path that touches and on one that does not.
     """
-    gap, ahead = xi - x, end - x - h
+    gap, ahead = xi - x, end - x - c.moves * h
     variance = 0.5 * c.aging.alpha * c.aging.final2 * h
     if ahead <= 0.0:
         return True
     if 2.0 * gap * ahead >= 40.0 * variance:
         return False
-    touch = x + gap / (gap + ahead) * h
+    touch = x + gap / (gap + ahead) * (c.moves * h)
     swerve = swerve_of(c, variance, xi, gap, touch, ahead, end)
     if c.aging.shape < 0.5 and swerve > _FIRST_ORDER:  # a bound, which a process of 2n + 2 < 3 dimensions has next to 0
         swerve = min(swerve, (0.5 - c.aging.shape) * log(xi * end / (touch * touch))) + _BOUND
@@ -272,11 +278,11 @@ def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) 
 @routine
 def confirmed(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) -> bool:
     """Whether a passage of `meets` holds: for n < 1/2 next to 0, where first order fails, by `touching`."""
-    gap, ahead = xi - x, end - x - h
+    gap, ahead = xi - x, end - x - c.moves * h
     if c.aging.shape >= 0.5 or ahead <= 0.0:
         return True
     variance = 0.5 * c.aging.alpha * c.aging.final2 * h
-    touch = x + gap / (gap + ahead) * h
+    touch = x + gap / (gap + ahead) * (c.moves * h)
     if swerve_of(c, variance, xi, gap, touch, ahead, end) <= _FIRST_ORDER:
         return True
     pull = pull_of(c, variance, xi, gap, ahead, end)
@@ -327,8 +333,9 @@ def bessel_k(n: float, z: float) -> float:
 def heats(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lost: float) -> tuple[float, float]:
     """Thermal rates half-way, averaged over the bridge, and at the end."""
     middle, spread = halfway(c, xi, along, end, lost)
-    between = 0.5 * (heat(c, middle + spread, x + 0.5 * h) + heat(c, middle - spread, x + 0.5 * h))
-    return between, heat(c, end, x + h)
+    slid = c.moves * h
+    between = 0.5 * (heat(c, middle + spread, x + 0.5 * slid) + heat(c, middle - spread, x + 0.5 * slid))
+    return between, heat(c, end, x + slid)
 
 
 @inlined
@@ -338,7 +345,8 @@ def work_of(c: Pinned, xi: float, x: float, h: float, end: float, along: float, 
     k0, k1 = kappa(c.springs, xi), kappa(c.springs, end)
     middle, _ = halfway(c, xi, along, end, lost)
     k01 = 0.5 * (k0 + k1) if broke else kappa(c.springs, middle)
-    return h * (k0 * x + 4.0 * k01 * (x + 0.5 * h) + k1 * (x + h)) / 6.0
+    slid = c.moves * h
+    return slid * (k0 * x + 4.0 * k01 * (x + 0.5 * slid) + k1 * (x + slid)) / 6.0
 
 
 @inlined
@@ -361,21 +369,22 @@ def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]
     z, _ = normals_of(a, b)
     x = path.x
     gap = path.xi - x
-    mean, steep = gap / max(abs(end - x - h), 1e-300), gap * gap / (0.5 * c.aging.alpha * c.aging.final2 * h)
+    mean, steep = gap / max(abs(end - x - c.moves * h), 1e-300), gap * gap / (0.5 * c.aging.alpha * c.aging.final2 * h)
     y = mean * z * z / steep
     ratio = mean * 2.0 / (2.0 + y + math.sqrt(y * (4.0 + y)))  # the smaller root, without cancellation
     if d > mean / (mean + ratio):
         ratio = mean * (mean / ratio)
     h = h * ratio / (1.0 + ratio) if ratio < 1e15 else h
-    return h, x + h, path.draw + 1
+    return h, x + c.moves * h, path.draw + 1
 
 
 @inlined
 def cut_heats(c: Pinned, xi: float, x: float, h: float, end: float) -> tuple[float, float]:
     """`heats` of a step cut short by a passage, which is short."""
     middle, spread = 0.5 * (xi + end), 0.5 * math.sqrt(0.5 * c.aging.alpha * c.aging.final2 * h)
-    between = 0.5 * (heat(c, middle + spread, x + 0.5 * h) + heat(c, middle - spread, x + 0.5 * h))
-    return between, heat(c, end, x + h)
+    slid = c.moves * h
+    between = 0.5 * (heat(c, middle + spread, x + 0.5 * slid) + heat(c, middle - spread, x + 0.5 * slid))
+    return between, heat(c, end, x + slid)
 
 
 @routine
@@ -416,9 +425,9 @@ def moved(path: Path, draw: int, xi: float, x: float, left: float) -> Path:
 
 
 @inlined
-def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any]:
-    """One step, at most `most` long. Returns whether the contact broke, its path from there, and the work done over k
-    where the stiffness varies."""
+def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any, Any]:
+    """One step, at most `most` long. Returns whether the contact broke, its path from there, the length of the step,
+    and the work done over k where the stiffness varies."""
     xi, x = path.xi, path.x
     h, rate, slope = pace(c, xi, x, path.left, most, step)
     normal, square, passage, draw = random_step(path.key, path.contact, path.life, path.draw, c.aging.shape)
@@ -432,7 +441,28 @@ def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any
         burnt, h, end, spent, draw = burn(c, now, h, end, Rates(rate, between, last, slope))
         broke = broke or burnt
     work = work_of(c, xi, x, h, end, along, lost, broke) if c.springs.slope > 0.0 else 0.0
-    return broke, moved(path, draw, end, x + h, path.left - spent), work
+    return broke, moved(path, draw, end, x + c.moves * h, path.left - spent), h, work
+
+
+@inlined
+def stride(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any, Any]:
+    """`walk` of a stretch of either sign, in the direction of motion; a step ends where that is 0."""
+    back = path.x < 0.0
+    side = -1.0 if back else 1.0
+    most = min(most, -path.x) if back and c.moves > 0.0 else most
+    mirrored = Pinned(c.barrier, c.springs, c.aging, side * c.moves)
+    broke, path, h, work = walk(mirrored, moved(path, path.draw, path.xi, side * path.x, path.left), most, step)
+    return broke, moved(path, path.draw, path.xi, side * path.x, path.left), h, work
+
+
+@routine
+def follow(c: Pinned, path: Path, length: float, step: float) -> tuple[Any, Any, Any]:
+    """Whether a contact breaks within a `length` of time, its path from there or from the end, and after how long."""
+    broke, elapsed = False, 0.0
+    while not broke and elapsed < length:
+        broke, path, h, _ = stride(c, path, length - elapsed, step)
+        elapsed += h
+    return broke, path, elapsed
 
 
 @routine
@@ -440,7 +470,7 @@ def life(c: Pinned, path: Path, step: float) -> Any:
     """Stretch at breaking and work done over k of a contact at its birth."""
     total, broke = 0.0, False
     while not broke:
-        broke, path, work = walk(c, path, math.inf, step)
+        broke, path, _, work = walk(c, path, math.inf, step)
         total += work
     return path.x, whole_work(c, path.x, total)
 

@@ -9,12 +9,14 @@ import numpy as np
 from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import typical_lives
+from eqsim.engine.langevin import STEP_ERROR, step_error
 from eqsim.engine.recorder import Moments, Recorder, Run, Scales, moments
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.scatter import Scatter, births, known_variance, scatter
 from eqsim.engine.segments import Leg, Population, begin_stationary, follow, waits_at_rest
 from eqsim.engine.stationary import FRESH, Stationary, extremes, stationary
-from eqsim.errors import InputError
+from eqsim.errors import InputError, require_number, under
+from eqsim.laws.aging.langevin import MOST_ALPHA
 from eqsim.model import reduced
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -27,18 +29,23 @@ _LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
 _RARE = 1e-4  # probability of more than five standard errors of the force
 
 
-def check_programme(ensemble: Ensemble) -> None:
-    """Raise InputError for contacts that follow no programme."""
+def check_programme(ensemble: Ensemble, programme: Programme) -> None:
+    """Raise InputError for contacts that do not follow a programme."""
     if ensemble.self_consistent:
         raise InputError(
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'
         )
-    if ensemble.fluctuates:
+    if ensemble.fluctuates and programme.start == "stationary":
         raise InputError(
-            f'drive.programme: thresholds of rule "{ensemble.aging.rule}" are followed at constant velocity only; take '
-            'rule = "flow"'
+            f'drive.start = "stationary": thresholds of rule "{ensemble.aging.rule}" follow a programme from a fresh '
+            "start only; begin with a segment that slides until it is steady"
         )
+    for index, segment in enumerate(programme.segments if ensemble.fluctuates else ()):
+        if segment.velocity == 0:
+            relaxations = 4.0 * ensemble.aging.rate * segment.duration / ensemble.aging.x_star_final**2
+            with under(f"drive.programme.{index}"):
+                require_number("4 rate hold / x_star_final^2", relaxations, least=0, most=MOST_ALPHA)
 
 
 class _Step(NamedTuple):
@@ -127,7 +134,8 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
             carried = max(carried, min(bounds[leg.pace], run.distance) if first else bounds[leg.pace])
         known = before is not None or index > 0
         same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
-        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, times)
+        last = index + 1 == len(legs)
+        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, last, times)
         steps.append(_Step(c, moves, run, scales, drag, row))
         row += run.points
         pace, sign = leg.pace, leg.sign
@@ -163,6 +171,9 @@ def along(
     found = job.moments(total.deposits, count)
     variance, reliable = _variance(ensemble, programme, grid, found, count)
     pinned_variance = found.pinned * (1 - found.pinned) / count
+    bias = _step_bias(job.steps)
+    variance = variance + (bias * found.force) ** 2
+    pinned_variance += (bias * found.pinned * (1.0 - found.pinned)) ** 2
     if ensemble.delay.time > 0:  # what a sample does not tell of fewer than two contacts, as at constant velocity
         pinned_variance += (2.0 / count) ** 2
     rounding = 1e-15 * max(step.run.distance for step in job.steps)
@@ -187,6 +198,14 @@ def along(
         segment=grid.segment,
         segments=shown_by(programme, grid, force, stderr, reliable),
     )
+
+
+def _step_bias(steps: tuple[_Step, ...]) -> float:
+    """What steps of fluctuating thresholds cost, relative, where that is more than usual, as at constant velocity."""
+    if not steps[0].contacts.aging.fluctuates:
+        return 0.0
+    times = ((step.contacts.aging, 1.0 if step.leg.moves else step.leg.length) for step in steps)
+    return max(step_error(law, time=time) for law, time in times) - STEP_ERROR
 
 
 def _variance(ensemble: Ensemble, programme: Programme, grid: Grid, found: Moments, count: int) -> tuple[Array, bool]:

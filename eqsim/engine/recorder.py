@@ -320,18 +320,21 @@ def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float,
 
 
 @routine
-def follow_path(c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, born: float) -> float:
+def follow_path(
+    c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, born: float
+) -> tuple[float, langevin.Path]:
     """Stretch at breaking of a contact whose threshold fluctuates, `path` at its birth, and what it leaves. Where its
-    stiffness follows its threshold, its steps end at grid points, and it is not followed beyond the last one."""
+    stiffness follows its threshold, its steps end at grid points, and it is not followed beyond the last one, where
+    its path is returned; it may be on its way, unstretched at `born`."""
     run = recorder.run
     if c.springs.slope == 0.0:
         stretch, _ = langevin.life(c, path, langevin.STEP)
         deposit(recorder, 1.0, born, born + stretch)
-        return stretch
+        return stretch, path
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
-    quarters = 0.25 * run.distance
-    x, broke, j = 0.0, False, max(0, math.ceil(born * per_step))
-    window = max(2, math.floor(born / quarters) + 1)  # the next edge of a window is at window * quarters
+    quarters, begin = 0.25 * run.distance, born + path.x
+    x, broke, j = path.x, False, max(0, math.ceil(begin * per_step))
+    window = max(2, math.floor(begin / quarters) + 1)  # the next edge of a window is at window * quarters
     while not broke:
         if j < run.points and j * step - born <= x:
             leave_force(recorder, j, kappa(c.springs, path.xi) * x)
@@ -346,13 +349,13 @@ def follow_path(c: langevin.Pinned, recorder: Recorder, batch: int, path: langev
         stop = window * quarters - born
         if j < run.points:
             stop = min(stop, j * step - born)
-        broke, path, work = langevin.walk(c, path, stop - x, langevin.STEP)
+        broke, path, _, work = langevin.stride(c, path, stop - x, langevin.STEP)
         if 2 < window < 5:
             recorder.batches[batch, window - 3, AREA] += fixed(work, recorder.batch_scales[AREA])
-        x = path.x if broke or path.x < stop * (1.0 - 1e-15) else stop
+        x = path.x if broke or path.x < stop * (1.0 - math.copysign(1e-15, stop)) else stop
         path = langevin.moved(path, path.draw, path.xi, x, path.left)
-    leave_pinned(recorder, born, born + x)
-    return x
+    leave_pinned(recorder, begin, born + x)
+    return x, path
 
 
 @inlined

@@ -3,6 +3,7 @@
 Along a segment at constant velocity a contact that comes in goes on with what its exponential clock has left, and the
 lives that begin there are those of a constant drive at that speed (`engine.simulate`), in a mirror where the slider
 moves back. In a hold stretches stay what they are, and time is displacement at the pace of another segment.
+Thresholds that fluctuate are followed step by step, with one step that ends where the segment does.
 
 Stretches of a `Population` count in the direction X. Each segment has a recorder of its own, whose origin is where the
 segment begins, so that forces do not cancel over long distances.
@@ -13,12 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Lives, complete, draw_lives, empty_lanes, empty_lives
+from eqsim.engine.lanes import LANES, ROUNDS, Lives, draw_lives, empty_lanes, empty_lives
 from eqsim.engine.recorder import (
     Columns,
     Recorder,
     empty_columns,
+    follow_path,
     join_uniform_ramps,
     joined,
     leave,
@@ -26,16 +29,19 @@ from eqsim.engine.recorder import (
     leave_ramps,
     leave_uniform_ramps,
 )
-from eqsim.engine.simulate import draw_delays
+from eqsim.engine.simulate import advance, draw_delays
 from eqsim.engine.stationary import Stationary, found_pinned
+from eqsim.laws.aging import Langevin
 from eqsim.laws.aging.base import growth, spend, spent, stiffness_varies
 from eqsim.laws.barrier.base import thermal
 from eqsim.laws.delay import delay_draw, residual_delay_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
-from eqsim.numerics.compiled import inlined, kernel, routine
+from eqsim.numerics.compiled import by_law, inlined, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array
+
+_SEEN = 100.0  # relaxations after which a threshold at rest has seen all there is
 
 
 class Population(NamedTuple):
@@ -44,7 +50,8 @@ class Population(NamedTuple):
     `rest` is the time until a contact is pinned, -1 of those that are. Of these: threshold `xi` and `stiffness` k_i/k
     at birth, signed `stretch`, what the exponential `clock` has left, the stretch at breaking `ends` if the motion goes
     on as before, for how long they have been pinned (`age`) and the `delay` after the break. `lives` is ROUNDS times
-    how often lives were drawn."""
+    how often lives were drawn. Where thresholds fluctuate `xi` is the one now, `life` says which life this is and
+    `draw` which of its random numbers comes next; stiffness, `ends` and `age` do not count."""
 
     rest: Array
     xi: Array
@@ -55,24 +62,27 @@ class Population(NamedTuple):
     age: Array
     delay: Array
     lives: Array
+    life: Array
+    draw: Array
 
     @classmethod
     def fresh(cls, contacts: int) -> "Population":
         """All of them about to be pinned for the first time."""
         rest, xi, stiffness, stretch, clock, ends, age, delay = np.zeros((8, contacts))
-        return cls(rest, xi, stiffness, stretch, clock, ends, age, delay, np.zeros(contacts, np.int64))
+        return cls(rest, xi, stiffness, stretch, clock, ends, age, delay, *np.zeros((3, contacts), np.int64))
 
 
 class Leg(NamedTuple):
     """What a kernel needs to know of a segment: 1 if the slider moves and 0 in a hold; the direction of X in which
     stretches are positive; length (time at its pace) and pace over that of the segment before; whether the contacts
-    move as before; and instants of a hold (points + 1,) from its beginning on."""
+    move as before; whether it is the last one; and instants of a hold (points + 1,) from its beginning on."""
 
     moves: int
     sign: float
     length: float
     ratio: float
     same: bool
+    last: bool
     times: Array
 
 
@@ -97,14 +107,14 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, 
 @kernel
 def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: Population) -> None:
     """Follow contacts from `first` on through a segment at whose pace they are `c`, and add up what they leave."""
-    position = np.empty(p.rest.size)
+    position, source = np.empty(p.rest.size), langevin.Source(key, first, langevin.STEP)
     for i in range(p.rest.size):
-        position[i] = _go_on(c, leg, recorder, p, i)
+        position[i] = go_on(c.aging, c, leg, recorder, source, p, i)
     lanes, lives, columns = empty_lanes(), empty_lives(c, ROUNDS), empty_columns()
     xi, clock = np.empty((ROUNDS, LANES)), np.empty((ROUNDS, LANES))
     at, broke, delay = np.full(LANES, math.inf), np.empty(LANES), np.full((ROUNDS, LANES), c.delay.mean)
     which = np.empty(LANES, np.int64)
-    alone = leg.moves == 0 or stiffness_varies(c.aging, c.springs)
+    alone = leg.moves == 0 or stiffness_varies(c.aging, c.springs) or cut_short(c.aging, leg)
     contact, age = lanes.contact, lanes.age
     active: Any = np.int64(0)  # typed: a literal 0 would be compiled for itself
     upcoming: Any = np.int64(0)
@@ -132,19 +142,22 @@ def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: P
             for i in range(full):
                 xi[r, i], clock[r, i] = lives.stretch[r, i], lives.clock[r, i]
         if leg.moves != 0:
-            complete(c.aging, c, key, lanes, lives, full)
+            advance(c.aging, c, key, lanes, lives, alone, (active, full))
         for r in range(ROUNDS):
             if alone:
                 for i in range(active):
                     if at[i] <= leg.length:
-                        broke[i] = _live(c, leg, recorder, lives.stretch[r, i], xi[r, i], clock[r, i], at[i])
+                        drawn = xi[r, i], clock[r, i], lives.stretch[r, i]
+                        place = which[i], ROUNDS * age[i] + r, at[i]
+                        broke[i] = live(c.aging, c, leg, recorder, source, p, drawn, place)
             else:
                 _record(c, recorder, at, broke, lives, r, columns, full)
             for i in range(active):
                 if at[i] <= leg.length:
                     recorder.status[0] += 1
                     if broke[i] + delay[r, i] > leg.length:
-                        _hand_on(c, leg, p, which[i], (xi[r, i], clock[r, i], delay[r, i]), at[i], broke[i])
+                        parts = xi[r, i], clock[r, i], delay[r, i]
+                        hand_on(c.aging, c, leg, p, which[i], parts, at[i], broke[i])
                         p.lives[which[i]] = ROUNDS * (age[i] + 1)
                     at[i] = broke[i] + delay[r, i]
         for i in range(active):
@@ -189,14 +202,18 @@ def _leave_life(
             recorder.deposits[j + 1, 0] -= 1
 
 
-@routine
-def _go_on(c: Contacts, leg: Leg, recorder: Recorder, p: Population, i: int) -> float:
+@by_law
+def cut_short(law: Any, leg: Leg) -> bool:
+    """Whether lives that begin along a segment are followed to its end only, not to where they would break."""
+    return False
+
+
+@by_law
+def go_on(law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population, i: int) -> float:
     """Take a contact through the segment up to the end of what it came in with; where its next life begins, or infinity
     if that is in a later segment."""
     if p.rest[i] >= 0.0:
-        rest = p.rest[i] * leg.ratio
-        p.rest[i] = rest - leg.length
-        return rest if rest <= leg.length else math.inf
+        return _wait(leg, p, i)
     y, age, delay = leg.sign * p.stretch[i], p.age[i] * leg.ratio, p.delay[i] * leg.ratio
     contact = p.xi[i], p.stiffness[i], y, age
     if leg.same:
@@ -215,8 +232,21 @@ def _go_on(c: Contacts, leg: Leg, recorder: Recorder, p: Population, i: int) -> 
 
 
 @routine
-def _live(c: Contacts, leg: Leg, recorder: Recorder, stretch: float, xi: float, clock: float, born: float) -> float:
-    """Record a life that begins at `born` on its own, and ends at that `stretch` unless in a hold; where it ends."""
+def _wait(leg: Leg, p: Population, i: int) -> float:
+    """`go_on` of a detached contact."""
+    rest = p.rest[i] * leg.ratio
+    p.rest[i] = rest - leg.length
+    return rest if rest <= leg.length else math.inf
+
+
+@by_law
+def live(
+    law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population,
+    drawn: tuple[float, float, float], place: tuple[int, int, float],
+) -> float:  # fmt: skip
+    """Record a life on its own, `drawn` as threshold, clock and, unless in a hold, stretch at breaking, in its `place`:
+    whose it is, which of its lives, and where that begins. Where it ends."""
+    (xi, clock, stretch), (_, _, born) = drawn, place
     stiffness = kappa(c.springs, xi)
     if leg.moves != 0:
         broke = born + stretch
@@ -243,9 +273,9 @@ def _record(
         leave_ramps(recorder, born, broke, lives, r, columns, count)
 
 
-@routine
-def _hand_on(
-    c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float], born: float, broke: float
+@by_law
+def hand_on(
+    law: Any, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float], born: float, broke: float
 ) -> None:
     """Note where a contact is at the end of the segment, whose last life was `drawn` as threshold, clock and delay."""
     xi, clock, delay = drawn
@@ -258,9 +288,101 @@ def _hand_on(
     p.stretch[i], p.ends[i] = leg.sign * leg.moves * age, broke - born
 
 
+# ------------------------------------------------------------------------------------- thresholds that fluctuate
+
+
+@cut_short.register(Langevin)
+def _cut_short(law: Langevin, leg: Leg) -> bool:
+    return not leg.last
+
+
+@go_on.register(Langevin)
+def _go_on_path(
+    law: Langevin, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population, i: int
+) -> float:
+    if p.rest[i] >= 0.0:
+        return _wait(leg, p, i)
+    p.delay[i] *= leg.ratio
+    path = langevin.Path(
+        source.key, source.first + i, p.life[i], p.draw[i], p.xi[i], leg.sign * p.stretch[i], p.clock[i]
+    )
+    broke = _along(c, leg, recorder, p, path, (i, 0.0))
+    if broke == math.inf:
+        return math.inf
+    p.rest[i] = broke + p.delay[i] - leg.length
+    return broke + p.delay[i] if p.rest[i] <= 0.0 else math.inf
+
+
+@live.register(Langevin)
+def _live_path(
+    law: Langevin, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population,
+    drawn: tuple[float, float, float], place: tuple[int, int, float],
+) -> float:  # fmt: skip
+    (xi, clock, _), (i, life, born) = drawn, place
+    path = langevin.Path(source.key, source.first + i, life, np.int64(0), xi, 0.0, clock)
+    return _along(c, leg, recorder, p, path, (i, born))
+
+
+@hand_on.register(Langevin)
+def _hand_on_path(
+    law: Langevin, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float], born: float,
+    broke: float,
+) -> None:  # fmt: skip
+    p.delay[i] = drawn[2]  # the rest is noted where its path ends
+    p.rest[i] = broke + drawn[2] - leg.length if broke <= leg.length else -1.0
+
+
+@routine
+def _along(
+    c: Contacts, leg: Leg, recorder: Recorder, p: Population, path: langevin.Path, place: tuple[int, float]
+) -> float:
+    """Follow and record a path; `place`: whose it is, and from where on. Where it breaks; infinity if it comes to the
+    end of the segment, and its state there is noted."""
+    (i, begin), y = place, path.x
+    laws = langevin.Pinned(c.barrier, c.springs, c.aging, float(leg.moves))
+    broken = False
+    if c.springs.slope == 0.0:
+        broken, path, elapsed = langevin.follow(laws, path, leg.length - begin, langevin.STEP)
+        broke = min(begin + elapsed, leg.length) if broken else math.inf
+        _leave_life(c, leg, recorder, c.springs.constant, y, 0.0, (begin, broke))
+    elif leg.moves == 0:
+        broke, path = _hold(laws, leg, recorder, path, begin)
+    else:
+        x, path = follow_path(laws, recorder, 0, path, begin - y)
+        broke = begin - y + x if begin - y + x <= leg.length else math.inf
+    if broke == math.inf:
+        p.rest[i], p.xi[i], p.stretch[i], p.clock[i] = -1.0, path.xi, leg.sign * path.x, path.left
+        p.life[i], p.draw[i] = path.life, path.draw
+    return broke
+
+
+@routine
+def _hold(
+    c: langevin.Pinned, leg: Leg, recorder: Recorder, path: langevin.Path, begin: float
+) -> tuple[float, langevin.Path]:
+    """Follow and record a path in a hold whose stiffness follows its threshold: when it breaks, or infinity, and the
+    path there. Steps end at the instants that are recorded."""
+    at = begin
+    for j in range(index_of(leg, recorder, begin), recorder.run.points):
+        broke, path, elapsed = langevin.follow(c, path, leg.times[j] - at, langevin.STEP)
+        if broke:
+            return min(at + elapsed, leg.length), path
+        at = leg.times[j]
+        leave_force(recorder, j, kappa(c.springs, path.xi) * path.x)
+        recorder.deposits[j, 0] += 1
+        if j + 1 < recorder.run.points:
+            recorder.deposits[j + 1, 0] -= 1
+    return math.inf, path
+
+
+# ---------------------------------------------------------------------------------------------- how long lives last
+
+
 def waits_at_rest(c: Contacts) -> Array:
-    """How long lives last at rest, at 64 x 64 mid-points of equal shares of thresholds and of clocks."""
-    share = (np.arange(64) + 0.5) / 64
+    """How long lives last at rest, at 64 x 64 mid-points of equal shares of thresholds and of clocks; where thresholds
+    fluctuate roughly, and at 16 x 16."""
+    shares = 16 if c.aging.fluctuates else 64
+    share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     found = np.empty(u.size)
     fill_waits(c, u, v, found)
@@ -271,5 +393,21 @@ def waits_at_rest(c: Contacts) -> Array:
 def fill_waits(c: Contacts, u: Array, v: Array, found: Array) -> None:
     """The kernel of `waits_at_rest`."""
     for i in range(u.size):
-        xi = threshold_draw(c.thresholds, u[i])
-        found[i], _ = spend(c.aging, c, (xi, kappa(c.springs, xi), 0.0, 0.0), 0, math.inf, -math.log(v[i]))
+        found[i] = wait_at_rest(c.aging, c, threshold_draw(c.thresholds, u[i]), -math.log(v[i]), i)
+
+
+@by_law
+def wait_at_rest(law: Any, c: Contacts, xi: float, clock: float, i: int) -> float:
+    """How long a life lasts at rest whose threshold is `xi` at birth; path i where that fluctuates."""
+    return spend(law, c, (xi, kappa(c.springs, xi), 0.0, 0.0), 0, math.inf, clock)[0]
+
+
+@wait_at_rest.register(Langevin)
+def _path_at_rest(law: Langevin, c: Contacts, xi: float, clock: float, i: int) -> float:
+    if not thermal(c.barrier):
+        return math.inf
+    laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
+    key = (np.uint64(0), np.uint64(0))
+    path = langevin.Path(key, i, np.int64(0), np.int64(0), xi, 0.0, clock)
+    broke, path, elapsed = langevin.follow(laws, path, _SEEN / law.alpha, langevin.STEP)
+    return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion

@@ -288,7 +288,8 @@ def _leave_flow(
 def _leave_path(
     law: Langevin, c: Contacts, recorder: Recorder, batch: int, life: langevin.Path, stiffness: float, born: float
 ) -> tuple[float, float]:
-    return follow_path(langevin.pinned(c), recorder, batch, life, born), c.springs.constant
+    stretch, _ = follow_path(langevin.pinned(c), recorder, batch, life, born)
+    return stretch, c.springs.constant
 
 
 # ------------------------------------------------------------------------------------------------ stationary start
@@ -340,7 +341,7 @@ def _found_path(
         age = (stationary.longest + c.delay.mean) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
         xi, number = threshold_draw(c.thresholds, u), 2**32 - 1 - attempt
         path = langevin.Path(key, contact, number, np.int64(0), xi, 0.0, -math.log(v))
-        stretch = follow_path(langevin.pinned(c), recorder, batch, path, -age)
+        stretch, _ = follow_path(langevin.pinned(c), recorder, batch, path, -age)
         if stretch > age:
             born, broke, reborn = -age, stretch - age, stretch - age + delay
             break

@@ -65,7 +65,7 @@ def check_run(
     """The predicted lives of a run. Raises InputError if it cannot be done, or takes more than `max_lives` lives."""
     check_output(points, seed, replicas)
     if isinstance(drive, Programme):
-        check_programme(ensemble)
+        check_programme(ensemble, drive)
     else:
         require_drive(drive)
         distance = drive.over(ensemble) / ensemble.thresholds.scale

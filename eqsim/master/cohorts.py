@@ -431,6 +431,7 @@ def _step(c: Contacts, path: Path, p: Population, found: Array, m: int, before: 
 
 @routine
 def _observe(p: Population, count: int, X: float, found: Array, m: int) -> None:
+    """What is found at edge m, but for the breaks."""
     for i in range(count):
         cohort = p.cohorts[p.order[i]]
         x = X - cohort[_XM]
@@ -455,6 +456,7 @@ def _with_room(p: Population, rows: int) -> Population:
     return Population(cohorts, alive, order, p.scratch)
 
 
+# numba compiles a routine anew for callers of another kind (kernel, maker, routine): here none has callers of two.
 @kernel
 def march(c: Contacts, path: Path) -> Array:
     """Elastic force, pinned, mean square of the elastic force, and all breaks so far at the edges of the steps, shape

@@ -9,7 +9,7 @@ from eqsim.errors import require_number
 from eqsim.laws.aging.base import Drift, stiffness_varies
 from eqsim.laws.stiffness import Springs
 
-_MOST_ALPHA = 1e6  # relaxations while the contact slides x_*: steps, and time, grow with it
+MOST_ALPHA = 1e6  # relaxations while the contact slides x_*, or in a hold: steps, and time, grow with it
 
 
 class _Numbers(NamedTuple):
@@ -29,7 +29,7 @@ class Langevin(_Numbers, Drift):
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Langevin":
         """As of every law. Raises InputError for rates that would take too many steps, too."""
         alpha = aging.alpha(law.x_star, velocity)
-        require_number("4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=_MOST_ALPHA)
+        require_number("4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=MOST_ALPHA)
         return cls((aging.x_star_final / law.x_star) ** 2, alpha, law.n)
 
 
