@@ -1,6 +1,6 @@
 """The public names of eqsim."""
 
-from eqsim.engine.records import ProgrammeTrajectory, Slip, SliderTrajectory, Trajectory
+from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Slip, Trajectory
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
@@ -20,9 +20,43 @@ from eqsim.workflows.replay import Replay, replay
 from eqsim.workflows.run import RunResult, run
 
 __all__ = [
-    "OBSERVABLES", "Aging", "Closure", "Delay", "Delta", "Distribution", "Drive", "Ensemble", "Estimate",
-    "Fluctuations", "Gamma", "InputError", "Programme", "ProgrammeTrajectory", "Reference", "Replay", "RunFile",
-    "RunResult", "Segment", "Slip", "SliderTrajectory", "Stage", "Steady", "Table", "Thermal", "Trajectory", "Transient", "Validation", "closure",
-    "fluctuations", "load", "reference", "replay", "run", "steady", "trajectory", "transient", "validate",
+    "OBSERVABLES",
+    "Aging",
+    "Closure",
+    "Delay",
+    "Delta",
+    "Distribution",
+    "Drive",
+    "Ensemble",
+    "Estimate",
+    "Fluctuations",
+    "Gamma",
+    "InputError",
+    "Programme",
+    "ProgrammeTrajectory",
+    "Reference",
+    "Replay",
+    "RunFile",
+    "RunResult",
+    "Segment",
+    "SliderTrajectory",
+    "Slip",
+    "Stage",
+    "Steady",
+    "Table",
+    "Thermal",
+    "Trajectory",
+    "Transient",
+    "Validation",
+    "closure",
+    "fluctuations",
+    "load",
+    "reference",
+    "replay",
+    "run",
+    "steady",
+    "trajectory",
+    "transient",
+    "validate",
     "z_score",
 ]  # fmt: skip

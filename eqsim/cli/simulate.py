@@ -113,7 +113,14 @@ def _slips(result: "SliderResult") -> Iterator[tuple[str, ...]]:
     if len(found.slips) > _MOST_ROWS:
         yield "...", *[""] * (len(_SLIPS) - 1)
     if found.period.value is not None:
-        yield "mean", "every " + terminal.value_and_error(found.period), "", terminal.value_and_error(found.drop), "", ""
+        yield (
+            "mean",
+            "every " + terminal.value_and_error(found.period),
+            "",
+            terminal.value_and_error(found.drop),
+            "",
+            "",
+        )
 
 
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:

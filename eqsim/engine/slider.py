@@ -7,9 +7,9 @@ add to it by motion, per dX, and by heat, per time, as in the last breaks (deriv
 
 has a closed form then; with one forces are balanced in the middle of the step, or, where the slider's own vibration is
 faster than a step, at its end. Then every contact is followed along the piece, so F is exact for the X(t) that was
-found, and what the estimate missed is made good in the next step. Steps are so short that the estimate misses F by less than the tolerance, beyond the scatter of the breaks
-themselves, and that no step is longer than its square root; a slip takes as many steps as it needs. Where nothing holds
-it back, neither damping nor mass nor time, it takes place at an instant.
+found, and what the estimate missed is made good in the next step. Steps are so short that the estimate misses F by less
+than the tolerance, beyond the scatter of the breaks themselves, and none is longer than the root of it; a slip takes as
+many steps as it needs. Where neither damping nor mass holds the slider back it takes place at an instant.
 
 Lengths are in units of the threshold law's scale, time is displacement at the pace of `model.reduced.Pull`.
 """
@@ -25,14 +25,14 @@ import numpy as np
 from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import draw_life
-from eqsim.engine.records import Slip, SliderTrajectory, shown_by, slips_of
+from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
 from eqsim.engine.segments import Population, begin_stationary
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging.base import growth, spend, stiffness_varies
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Pull, drag_of, pull_of
+from eqsim.model.reduced import drag_of, pull_of
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
@@ -45,8 +45,8 @@ _INSTANT = 1e-12  # time of a piece that takes none, over its displacement
 _FEW_REPLICAS = 8  # whose scatter tells the error of their mean
 _NOISE = 2.0  # standard errors of what breaks in a step that no shorter step would make better
 
-# sums over contacts at the end of a piece: pinned, stiffness, force, its square, stored energy; and of the breaks in it:
-# force by motion and by heat, its square, energy, and how many
+# sums over contacts at the end of a piece: pinned, stiffness, force, its square, stored energy; and of the breaks in
+# it: force by motion and by heat, its square, energy, and how many
 PINNED, STIFFNESS, FORCE, SQUARE, STORED, MOTION, HEAT, SCATTER, LOST, BREAKS = range(10)
 
 
@@ -59,7 +59,9 @@ class Piece(NamedTuple):
 
 
 @kernel
-def advance(c: Contacts, piece: Piece, stream: Key, first: int, p: Population, blocks: tuple[int, int], sums: Array) -> None:
+def advance(
+    c: Contacts, piece: Piece, stream: Key, first: int, p: Population, blocks: tuple[int, int], sums: Array
+) -> None:
     """Follow the contacts of some blocks along a piece; `sums` (all blocks, 10). The first of all is `first`."""
     for block in range(blocks[0], blocks[1]):
         sums[block] = 0.0
@@ -210,12 +212,14 @@ class Slider:
 
     def _follow(self, piece: Piece) -> Array:
         """Sums per contact after a piece."""
-        arguments = self.c, piece, self.stream, self.first, self.population
+
+        def follow(share: tuple[int, int]) -> None:
+            advance(self.c, piece, self.stream, self.first, self.population, share, self.found)
+
         if self.pool:
-            for done in [self.pool.submit(advance, *arguments, share, self.found) for share in self.shares]:
-                done.result()
+            list(self.pool.map(follow, self.shares))
         else:
-            advance(*arguments, self.shares[0], self.found)
+            follow(self.shares[0])
         return np.asarray(self.found.sum(axis=0) / self.count)
 
     def _estimate(self, dt: float, speed: float) -> tuple[float, float]:
@@ -304,10 +308,10 @@ def _row(slider: Slider, now: State, before: float) -> tuple[float, ...]:
     return now.X, now.Y, friction, pinned, variance, now.stage, stored - before, now.lost + now.damped, now.missed
 
 
-def _simulate(slider: Slider, instants: Array, replica: int, progress: Progress | None) -> _Replica:
-    """Pull a slider through its programme; `instants` (points,) are recorded."""
-    _, _, _, _, _, _, before, *_ = _row(slider, slider.state, 0.0)
-    rows, course, lives = [_row(slider, slider.state, before)], [slider.state[:3]], float(slider.count)
+def _simulate(slider: Slider, instants: Array, replica: int, before: int, progress: Progress | None) -> _Replica:
+    """Pull a slider through its programme; `instants` (points,) are recorded. Lives `before` are others'."""
+    stored = _row(slider, slider.state, 0.0)[_KEPT]
+    rows, course, lives = [_row(slider, slider.state, stored)], [slider.state[:3]], float(slider.count)
     at = 1
     for end, speed in zip(slider.pull.ends, slider.pull.speeds, strict=True):
         while at < instants.size and instants[at] <= end * (1.0 + 1e-12):
@@ -317,8 +321,8 @@ def _simulate(slider: Slider, instants: Array, replica: int, progress: Progress 
                 course.append(now[:3])
                 lives += now.sums[BREAKS] * slider.count
                 if progress and len(course) % 64 == 0:
-                    progress(int(lives))
-            rows.append(_row(slider, slider.state, before))
+                    progress(before + int(lives))
+            rows.append(_row(slider, slider.state, stored))
             at += 1
     values, (s, X, Y) = np.array(rows), np.array(course).T
     noise = 6.0 * math.sqrt(values[:, _VARIANCE].max())  # of the force at a given X
@@ -342,10 +346,7 @@ def pulled(
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
     for replica in range(replicas):
         with Slider(ensemble, programme, seed, replica * ensemble.count, workers) as slider:
-            so_far = lives
-            found.append(
-                _simulate(slider, instants, replica, progress and (lambda n, so_far=so_far: progress(so_far + n)))
-            )
+            found.append(_simulate(slider, instants, replica, lives, progress))
         lives += found[-1].lives
     values = np.mean([one.values for one in found], axis=0)
     spread = np.std([one.values for one in found], axis=0, ddof=1) if replicas > 1 else None

@@ -369,7 +369,7 @@ def _scale(cohort: Array, alive: Array, births: float) -> None:
 
 
 @routine
-def _begin(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
+def begin(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
     """What there is at first: contacts all born now, or a steady state, that is one life in steps, each of which is
     there at the same time; returns how many cohorts, and births per unit time before."""
     if path.cohorts == 0:
@@ -403,7 +403,7 @@ def _begin(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
 
 
 @routine
-def _step(c: Contacts, path: Path, p: Population, found: Array, m: int, before: tuple[int, float]) -> int:
+def advance_all(c: Contacts, path: Path, p: Population, found: Array, m: int, before: tuple[int, float]) -> int:
     """All cohorts over step m, and its births, after how many cohorts and births per unit time before; returns how many
     cohorts there are now."""
     (count, rate), pinned = before, 0.0
@@ -430,18 +430,22 @@ def _step(c: Contacts, path: Path, p: Population, found: Array, m: int, before: 
 
 
 @routine
-def _observe(p: Population, count: int, X: float, found: Array, m: int) -> None:
+def observe(p: Population, count: int, X: float, found: Array, m: int) -> float:
+    """Add up what `march` finds, into column m; returns the stiffness of all pinned contacts."""
+    stiffness = 0.0
     """What is found at edge m, but for the breaks."""
     for i in range(count):
         cohort = p.cohorts[p.order[i]]
         x = X - cohort[_XM]
         found[0, m] += x * cohort[_K1]
         found[1, m] += cohort[_S]
+        stiffness += cohort[_K1]
         found[2, m] += (x * x + (cohort[_X1] - cohort[_X0]) ** 2 / 12.0) * cohort[_K2]
+    return stiffness
 
 
 @maker
-def _with_room(p: Population, rows: int) -> Population:
+def with_room(p: Population, rows: int) -> Population:
     """A copy that has so many rows."""
     cohorts, alive = np.zeros((rows, p.cohorts.shape[1])), np.zeros((rows, p.alive.shape[1]))
     order = np.zeros(rows, np.int64)
@@ -463,12 +467,12 @@ def march(c: Contacts, path: Path) -> Array:
     (4, edges)."""
     found, strata = np.zeros((4, path.t.size)), c.strata.share.size
     none = Population(np.zeros((0, 11)), np.zeros((0, strata)), np.zeros(0, np.int64), np.zeros((2, strata)))
-    p = _with_room(none, 256 + path.cohorts)
-    count, rate = _begin(c, path, p)
-    _observe(p, count, path.X[0], found, 0)
+    p = with_room(none, 256 + path.cohorts)
+    count, rate = begin(c, path, p)
+    observe(p, count, path.X[0], found, 0)
     for m in range(1, path.t.size):
         if count == p.order.size:
-            p = _with_room(p, 2 * count)
-        count = _step(c, path, p, found, m, (count, rate))
-        _observe(p, count, path.X[m], found, m)
+            p = with_room(p, 2 * count)
+        count = advance_all(c, path, p, found, m, (count, rate))
+        observe(p, count, path.X[m], found, m)
     return found

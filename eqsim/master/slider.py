@@ -6,12 +6,13 @@ The force of all contacts is what the renewal equation in two times says of X so
 
 all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of all pinned contacts and rho
 (without heat, per dX) or r (with heat, per dt) what breaks and births added in the last step; without a mass X has a
-closed form then, with one forces are balanced in the middle of the step. Steps are so short that dX and what this estimate misses are small; three accuracies, each with steps
-half as long as the one before, give the result and its error.
+closed form then, with one forces are balanced in the middle of the step. Steps are so short that dX and what this
+estimate misses, of F and of the pinned fraction, are small; three accuracies, each with steps about half as long as the
+one before, give the result and its error.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -21,16 +22,16 @@ from eqsim.master.cohorts import (
     Contacts,
     Path,
     Population,
-    _begin,
-    _observe,
-    _step,
-    _with_room,
+    advance_all,
+    begin,
+    observe,
+    with_room,
 )
 from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numerics_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.compiled import inlined, kernel, routine
+from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.tables import Array
 
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of the mean threshold
@@ -39,8 +40,8 @@ _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displ
 
 class Spring(NamedTuple):
     """Stage and slider, with time in units of the whole programme: numbers of the equation, damping also per detached
-    share; stretch of the spring and velocity at first; largest displacement and missed force of a step; and whether heat
-    breaks contacts."""
+    share; stretch of the spring (negative: in balance) and velocity at first; largest displacement and missed force of
+    a step; and whether heat breaks contacts."""
 
     stiffness: float
     damping: float
@@ -94,14 +95,6 @@ def _estimate(spring: Spring, b: Balance, dt: float) -> tuple[float, float]:
     return dX, b.V + (dX / dt - b.V) / theta
 
 
-@routine
-def _stiffness(p: Population, count: int) -> float:
-    total = 0.0
-    for i in range(count):
-        total += p.cohorts[p.order[i], 9]
-    return total
-
-
 @kernel
 def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -> tuple[Array, int]:
     """Fill `path` from its first edge on, and what is found there, shape (6, edges): elastic force, pinned, mean square
@@ -110,9 +103,9 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
     t, X = path.t, path.X
     found, strata = np.zeros((6, t.size)), c.strata.share.size
     none = Population(np.zeros((0, 11)), np.zeros((0, strata)), np.zeros(0, np.int64), np.zeros((2, strata)))
-    p = _with_room(none, 256 + path.cohorts)
-    count, rate = _begin(c, path, p)
-    _observe(p, count, X[0], found, 0)
+    p = with_room(none, 256 + path.cohorts)
+    count, rate = begin(c, path, p)
+    stiffness = observe(p, count, X[0], found, 0)
     found[4, 0], found[5, 0] = spring.stretch, spring.velocity
     if spring.stretch < 0.0:  # in balance
         damping = spring.damping + spring.drag * (1.0 - found[1, 0])
@@ -121,8 +114,8 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
     while k < marks.size and m < t.size:
         left = marks[k] - t[m - 1]
         b = Balance(
-            found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], _stiffness(p, count),
-            found[1, m - 1], rho, r,
+            found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1],
+            rho, r,
         )  # fmt: skip
         last = 1.2 * longest >= left
         dt = left if last else longest
@@ -138,9 +131,9 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
         t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
         found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
         if count == p.order.size:
-            p = _with_room(p, 2 * count)
-        count = _step(c, path, p, found, m, (count, rate))
-        _observe(p, count, X[m], found, m)
+            p = with_room(p, 2 * count)
+        count = advance_all(c, path, p, found, m, (count, rate))
+        stiffness = observe(p, count, X[m], found, m)
         change = found[0, m] - b.force - b.stiffness * dX
         settled = found[1, m] - found[1, m - 1]
         off = max(abs(change - rho * dX - r * dt), abs(settled - q * dt))
@@ -192,7 +185,10 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     rows = [_solved(numerics, fine, spring, typical, marks, speeds, at) for fine in (1, 2, 4)]
     rough, coarse, fine = rows
     size = 5 + fine.shape[1] // 50
-    missed = ndimage.maximum_filter1d(np.abs(fine - coarse) + 0.5 * np.abs(coarse - rough), size, axis=1) + 1e-6 * np.abs(fine).max(axis=1)[:, None]
+    missed = (
+        ndimage.maximum_filter1d(np.abs(fine - coarse) + 0.5 * np.abs(coarse - rough), size, axis=1)
+        + 1e-6 * np.abs(fine).max(axis=1)[:, None]
+    )
     force, pinned, squares, breaks, Y, V, X = fine
     drag = drag_of(ensemble, unit / time) * V
     total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1] + spring.drag * missed[5]

@@ -6,7 +6,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_integer, require_number, shown, under
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    require_choice,
+    require_integer,
+    require_number,
+    shown,
+    under,
+)
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
