@@ -36,6 +36,11 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'
         )
+    if ensemble.fluctuates and programme.stage:
+        raise InputError(
+            f'drive.stage: thresholds of rule "{ensemble.aging.rule}" are followed where the motion is given; take '
+            'rule = "flow"'
+        )
     if ensemble.fluctuates and programme.start == "stationary":
         raise InputError(
             f'drive.start = "stationary": thresholds of rule "{ensemble.aging.rule}" follow a programme from a fresh '

@@ -171,6 +171,10 @@ class SliderTrajectory(ProgrammeTrajectory):
         store, less that at the beginning; what broken contacts, damping and viscosity have taken; and what is missing
         because steps are finite.
     slips : tuple of Slip
+    avalanches : dict of ndarray, or None
+        Of a stage that pulls quasi-statically (no heat, delay, damping or mass), by column: time `t` and displacement
+        `X` (length) of the first break, how many `breaks` follow from it, `drop` of the force and `distance` that the
+        slider moves until the last (length), and the `replica`.
     """
 
     stage: Array
@@ -178,6 +182,7 @@ class SliderTrajectory(ProgrammeTrajectory):
     X_replica_std: Array | None
     energy: Array
     slips: tuple[Slip, ...]
+    avalanches: dict[str, Array] | None
 
     def columns(self) -> dict[str, Array]:
         """The arrays by name."""

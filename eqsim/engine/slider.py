@@ -22,13 +22,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eqsim.engine import avalanches
 from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import draw_life
 from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
 from eqsim.engine.segments import Population, begin_stationary
 from eqsim.engine.stationary import stationary
+from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import growth, spend, stiffness_varies
+from eqsim.laws.barrier import Mechanical
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -198,6 +201,13 @@ class Slider:
         if speed and programme.stage.preload is None:
             stretch = (sums[FORCE] + self._damping(sums) * speed) / self.pull.stiffness
         self.state = State(0.0, 0.0, stretch, speed, sums)
+        durations = np.diff(self.pull.ends, prepend=0.0)
+        self.loaded = durations * self.pull.speeds  # by how far the stage moves in each segment
+        self.quasi_static = bool(
+            isinstance(self.c.barrier, Mechanical) and isinstance(self.c.aging, Unaged) and self.c.delay.mean == 0.0
+            and self.pull.damping == self.pull.mass == 0.0 and min(self.pull.speeds) >= 0.0
+            and self.pull.stiffness * stretch >= sums[FORCE] * (1.0 - 1e-12)
+        )  # fmt: skip
 
     def __enter__(self) -> "Slider":
         return self
@@ -292,6 +302,7 @@ class _Replica(NamedTuple):
     values: Array
     slips: list[Slip]
     lives: int
+    avalanches: Array | None
 
 
 # columns of `_Replica.values`
@@ -324,11 +335,57 @@ def _simulate(slider: Slider, instants: Array, replica: int, before: int, progre
                     progress(before + int(lives))
             rows.append(_row(slider, slider.state, stored))
             at += 1
-    values, (s, X, Y) = np.array(rows), np.array(course).T
-    noise = 6.0 * math.sqrt(values[:, _VARIANCE].max())  # of the force at a given X
-    least = max(0.25 * slider.width * slider.pull.stiffness, noise)
-    slips = slips_of(s, X, slider.pull.stiffness * (Y - X), least, max(map(abs, slider.pull.speeds)), replica)
-    return _Replica(values, slips, round(lives))
+    values = np.array(rows)
+    return _Replica(values, _slips(slider, values, np.array(course), replica), round(lives), None)
+
+
+def _slips(slider: Slider, values: Array, course: Array, replica: int) -> list[Slip]:
+    """Of a course, shape (steps, 3) of time, X and Y: larger ones than contacts make at any X by chance."""
+    (s, X, Y), pull = course.T, slider.pull
+    noise = 6.0 * math.sqrt(values[:, _VARIANCE].max())
+    least = max(0.25 * slider.width * pull.stiffness, noise)
+    return slips_of(s, X, pull.stiffness * (Y - X), least, max(map(abs, pull.speeds)), replica)
+
+
+def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, progress: Progress | None) -> _Replica:
+    """`_simulate` by `engine.avalanches`."""
+    p, pull, start = slider.population, slider.pull, slider.state
+    stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *slider.loaded]))
+    queue, now = avalanches.queue_of(p), np.zeros(11)
+    now[[avalanches.FORCE, avalanches.STIFFNESS, avalanches.Y]] = start.sums[FORCE], start.sums[STIFFNESS], start.Y
+    rows, events, stored = [], [], 0.0
+    for j, stage in enumerate(stages):
+        events.append(
+            avalanches.load(slider.c, slider.stream, slider.first, p, queue, now, pull.stiffness, float(stage))
+        )
+        x, force = now[avalanches.X], now[avalanches.FORCE]
+        stiffness, stretch = p.stiffness[queue.contact], x - queue.at + p.xi[queue.contact]
+        variance = max(float(np.mean((stiffness * stretch) ** 2)) - force**2, 0.0) / slider.count
+        kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
+        work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
+        stored = kept if j == 0 else stored
+        rows.append((x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken))
+        if progress:
+            progress(before + int(now[avalanches.BREAKS]))
+    values, found = np.array(rows), np.concatenate(events)
+    ends = np.interp(found[:, 0], stages, instants)  # of avalanches, and the moments before
+    course = np.stack((ends, found[:, 1], found[:, 0])), np.stack((ends, found[:, 1] + found[:, 4], found[:, 0]))
+    steps = np.stack(course, axis=2).reshape(3, -1).T
+    found[:, 0] = ends
+    lives = slider.count + round(now[avalanches.BREAKS])
+    return _Replica(values, _slips(slider, values, steps, replica) if len(steps) else [], lives, found)
+
+
+def _joined(found: list[Array | None], per_time: float, unit: float) -> dict[str, Array] | None:
+    """The avalanches of all replicas by column, in the user's units."""
+    parts = [np.column_stack((one, np.full(len(one), index))) for index, one in enumerate(found) if one is not None]
+    if not parts:
+        return None
+    t, X, breaks, drop, distance, replica = np.concatenate(parts).T
+    return {
+        "t": t / per_time, "X": X * unit, "breaks": breaks.astype(np.int64), "drop": drop * unit,
+        "distance": distance * unit, "replica": replica.astype(np.int64),
+    }  # fmt: skip
 
 
 def pulled(
@@ -346,7 +403,8 @@ def pulled(
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
     for replica in range(replicas):
         with Slider(ensemble, programme, seed, replica * ensemble.count, workers) as slider:
-            found.append(_simulate(slider, instants, replica, lives, progress))
+            follow = _quasi_static if slider.quasi_static else _simulate
+            found.append(follow(slider, instants, replica, lives, progress))
         lives += found[-1].lives
     values = np.mean([one.values for one in found], axis=0)
     spread = np.std([one.values for one in found], axis=0, ddof=1) if replicas > 1 else None
@@ -379,4 +437,5 @@ def pulled(
         X_replica_std=None if spread is None else spread[:, _X] * unit,
         energy=values[:, [_WORK, _KEPT, _TAKEN, _MISSING]] * unit**2,
         slips=tuple(slips),
+        avalanches=_joined([one.avalanches for one in found], per_time, unit),
     )

@@ -119,7 +119,10 @@ class SliderResult(ProgrammeResult):
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
         from eqsim.io.plots import slider_png
 
-        return _files(self, slider_png(self.trajectory, self.exact[0], self.file.title or title))
+        found = _files(self, slider_png(self.trajectory, self.exact[0], self.file.title or title))
+        if self.trajectory.avalanches is not None:
+            found["avalanches.parquet"] = storage.parquet(self.trajectory.avalanches, _origin(self))
+        return found
 
 
 def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
@@ -128,10 +131,17 @@ def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
     return {**{name: getattr(found, name) for name in names}, "versions": storage.versions()}
 
 
-def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, bytes]:
+def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
     file = result.file
-    origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, result.folder)
-    contents = storage.parquet(result.trajectory.columns(), origin), storage.to_json(result.summary()).encode(), picture
+    return storage.provenance("run", file.model_dump(), file.text, file.output.seed, result.folder)
+
+
+def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, bytes]:
+    contents = (
+        storage.parquet(result.trajectory.columns(), _origin(result)),
+        storage.to_json(result.summary()).encode(),
+        picture,
+    )
     return dict(zip(result.names, contents, strict=True))
 
 
