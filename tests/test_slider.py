@@ -146,16 +146,18 @@ def test_energy_and_threads(ensemble, stage):
 
 
 def test_a_stiff_spring_is_a_rigid_slider():
-    """The same contacts, so that X is that of the stage less F/kappa, and F differs by what that makes: its slope, and
-    breaks that are due in between (at most 6 of 2000 contacts). The slider is in balance but for what a step misses of
-    F, which is up to its length where the motion turns."""
+    """X is that of the stage less F/kappa, but for what a step misses of F, which is up to its length where the motion
+    turns. In the first segment contacts are the same, and F differs by what that makes: its slope, and breaks that are
+    due in between (at most 6 of 2000 contacts, none above 3.5); later lives are others, and |z| < 4.5 at 40 instants
+    (false alarm 3e-4)."""
     ensemble, segments = replace(DELAYED, count=2_000), [Segment(0.1, time=40.0), Segment(0.0, time=5.0)]
     rigid = trajectory(ensemble, Programme([*segments, Segment(-0.2, time=20.0)]), points=61)
     stiff = trajectory(ensemble, Programme([*segments, Segment(-0.2, time=20.0)], stage=Stage(1e4)), points=61)
     np.testing.assert_allclose(stiff.stage, rigid.X, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(stiff.X, rigid.X - rigid.force / 1e4, rtol=0, atol=(6 * 3.5 / 2_000 + 0.012) / 1e4)
-    longest = 3.5  # of 2000 thresholds, exp(-12) beyond
-    np.testing.assert_allclose(stiff.force, rigid.force, rtol=0, atol=1e-4 + 6 * longest / 2_000)
+    np.testing.assert_allclose(stiff.X, stiff.stage - stiff.force / 1e4, rtol=0, atol=0.012 / 1e4)
+    first, off = rigid.segment == 0, np.abs(stiff.force - rigid.force)
+    assert off[first].max() < 1e-4 + 6 * 3.5 / 2_000
+    assert np.all(off <= 4.5 * np.hypot(rigid.force_stderr, stiff.force_stderr) + 1e-4)
     assert stiff.slips == ()
 
 
