@@ -25,6 +25,7 @@ from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
+_MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 100 bytes each
 _LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
 _RARE = 1e-4  # probability of more than five standard errors of the force
 
@@ -36,6 +37,8 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'
         )
+    if programme.stage and ensemble.count > _MOST_PULLED:
+        raise InputError(f"contacts.count = {ensemble.count}: must be <= {_MOST_PULLED:g} with drive.stage")
     if ensemble.fluctuates and programme.stage:
         raise InputError(
             f'drive.stage: thresholds of rule "{ensemble.aging.rule}" are followed where the motion is given; take '

@@ -189,6 +189,7 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
         ndimage.maximum_filter1d(np.abs(fine - coarse) + 0.5 * np.abs(coarse - rough), size, axis=1)
         + 1e-6 * np.abs(fine).max(axis=1)[:, None]
     )
+    missed[6, 0] = 0.0
     force, pinned, squares, breaks, Y, V, X = fine
     drag = drag_of(ensemble, unit / time) * V
     total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1] + spring.drag * missed[5]

@@ -257,6 +257,11 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
         found.append(Group("path/x_*", path / unit, "how far the run slides, there and back"))
         slowest = min((leg.pace for leg in legs(ensemble, drive) if leg.sign), default=v)
         found.append(Group("slowest/fastest", slowest / v, "velocities of the segments that move"))
+        if drive.stage:
+            pull = pull_of(ensemble, drive)
+            found.append(Group("kappa_s", pull.stiffness, "spring of the stage over that of all contacts, K/(N k)"))
+            found.append(Group("eta_s v/x_*", pull.damping, "damping of the slider at that velocity"))
+            found.append(Group("m v^2/x_*^2", pull.mass, "inertia of the slider at that velocity"))
     if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
         heavy = True
         if aging.active and aging.cutoff_time is not None:
