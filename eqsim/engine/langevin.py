@@ -13,8 +13,9 @@ where a break is unlikely. In a step
     heat       Simpson's rule, with the rate in the middle averaged over the spread of the process's bridge
 
 The stretch of a path is never negative: it grows as the slider moves and stays in a hold; where the slider has turned
-it goes back to 0, as in a mirror (`stride`). Stiff barriers take half of STEP. The error in averages is second order in
-STEP; at the default it is below 1e-3 unless contacts relax many times while they break rarely: `step_error`.
+it goes back to 0, as in a mirror (`stride`). Stiff barriers take half of STEP, and so does heat where the stretch does
+not grow and the same rates last for long. The error in averages is second order in STEP; at the default it is below
+1e-3 unless contacts relax many times while they break rarely: `step_error`.
 
 Each part of a step is a scalar function without library calls: `walk` puts them together for one path, `lives` for many
 side by side, a loop for each part, which the compiler vectorises. What happens once a life, or to few paths at
@@ -204,7 +205,7 @@ def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> tupl
 def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) -> tuple[Any, Any, Any]:
     """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the thermal rate now, and the slope
     of the barrier over 2 kT with the threshold."""
-    step = path_step(c.barrier) * step
+    step = path_step(c.barrier) * step * (1.0 if c.moves > 0.0 or not thermal(c.barrier) else 0.5)
     alpha = c.aging.alpha
     variance = 0.5 * alpha * c.aging.final2  # 2 D_v, per unit of displacement
     sigma, gap = math.sqrt(variance), max(xi - x, 1e-16 * xi)  # rounding may leave nothing
