@@ -7,10 +7,11 @@ compiles the kernels of such contacts into the cache; `LAWS` are those of the de
 
 import functools
 import sys
+from dataclasses import replace
 
 import numba
 
-from eqsim import Aging, Drive, Ensemble, Programme, Segment, Thermal, steady, trajectory, transient
+from eqsim import Aging, Drive, Ensemble, Programme, Segment, Stage, Thermal, steady, trajectory, transient
 
 # those that take longest come first
 LAWS = [
@@ -44,6 +45,12 @@ def compile_kernels(barrier, aging):
         trajectory(contacts, programme, points=2)
         if aging == "none":
             transient(contacts, programme, 2)
+        if aging == "none" and barrier in ("mechanical", "soft"):
+            pulled = Programme([Segment(1.0, distance=1.0)], stage=Stage(1.0, damping=1.0))
+            trajectory(contacts, pulled, points=2)
+            if barrier == "mechanical":
+                transient(contacts, pulled, 2)
+                trajectory(contacts, replace(pulled, stage=Stage(1.0)), points=2)
 
 
 if __name__ == "__main__":

@@ -337,7 +337,7 @@ MISTAKES = [
     M("scatter: no drag", "engine/scatter.py", "(1.0 - pinned) * drag **", "(1.0 - pinned) * (0.0 * drag) **",
       "test_scatter.py"),
     M("scatter: skewed averages are normal", "engine/scatter.py", "ENOUGH = 100 ", "ENOUGH = 1 ", "test_scatter.py"),
-    M("trajectory: no rare deviations", "engine/trajectory.py", "_RARE = 1e-4", "_RARE = 2.0",
+    M("trajectory: no rare deviations", "engine/scatter.py", "RARE = 1e-4", "RARE = 2.0",
       "test_scatter.py & test_cli.py::test_error_bars_that_cannot_be_trusted_say_so"),
     M("trajectory: transients over too early", "engine/trajectory.py", "<= 0.5 * (estimate", "<= 50.0 * (estimate",
       "test_scatter.py & test_trajectory.py"),

@@ -125,7 +125,11 @@ def test_agrees_with_small_steps():
         (DELAYED, STICKING),
         (replace(DELAYED, thermal=Thermal(0.1), stiffness_law="sqrt", eta=0.5), Stage(0.05, mass=0.3, damping=0.02)),
         (replace(DELAYED, delay=Delay()), Stage(0.05)),
-        (replace(DELAYED, disorder="annealed", thermal=Thermal(0.1)), Stage(0.2, damping=0.3)),
+        pytest.param(
+            replace(DELAYED, disorder="annealed", thermal=Thermal(0.1)),
+            Stage(0.2, damping=0.3),
+            marks=pytest.mark.verification,
+        ),
     ],
     ids=["stick-slip", "soft sqrt, mass, viscous", "quasi-static", "annealed"],
 )

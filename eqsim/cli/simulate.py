@@ -151,7 +151,8 @@ def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> I
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"
-    yield f"{folder}/: {', '.join(result.names)}"
+    files = [*result.names, *(["avalanches.parquet"] if getattr(found, "avalanches", None) else [])]
+    yield f"{folder}/: {', '.join(files)}"
     _, reason = result.exact
     if reason:
         yield f"no exact curve: {reason}"

@@ -2,6 +2,8 @@
 
 import math
 import time
+from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +12,11 @@ from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import typical_lives
 from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.recorder import Moments, Recorder, Run, Scales, moments
+from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales, moments
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
-from eqsim.engine.scatter import Scatter, births, known_variance, scatter
+from eqsim.engine.scatter import RARE, Scatter, births, known_variance, pinned_variance, scatter
 from eqsim.engine.segments import Leg, Population, begin_stationary, follow, waits_at_rest
-from eqsim.engine.stationary import FRESH, Stationary, extremes, stationary
+from eqsim.engine.stationary import FRESH, Stationary, stationary
 from eqsim.errors import InputError, require_number, under
 from eqsim.laws.aging.langevin import MOST_ALPHA
 from eqsim.model import reduced
@@ -27,7 +29,6 @@ from eqsim.numerics.tables import Array
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
 _MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 100 bytes each
 _LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
-_RARE = 1e-4  # probability of more than five standard errors of the force
 
 
 def check_programme(ensemble: Ensemble, programme: Programme) -> None:
@@ -117,9 +118,9 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
     legs = reduced.legs(ensemble, programme)
     before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
     pace, sign = (programme.velocity, 1) if before and programme.velocity else (legs[0].pace, 0)
-    carried = extremes(before)[1] if before else 0.0
+    carried = Extent.of(before).stretch if before else 0.0
     elapsed = carried / pace if before else 0.0  # the longest that contacts may have been pinned
-    bounds: dict[float, float] = {}
+    extents: dict[float, Extent] = {}  # by pace: recorded drives have thousands of segments
     steps: list[_Step] = []
     row = 0
     for index, leg in enumerate(legs):
@@ -133,13 +134,14 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         drag = drag_of(ensemble, leg.pace) * abs(leg.sign)
         elapsed += leg.length / leg.pace
         grown = float(c.aging.growth_at(np.array(elapsed * leg.pace))) if index else 1.0
-        if leg.pace not in bounds:
-            bounds[leg.pace] = extremes(c)[1]
+        if leg.pace not in extents:
+            extents[leg.pace] = Extent.of(c)
+        extent = extents[leg.pace]
         if leg.sign and index:
-            carried = max(carried, bounds[leg.pace] * max(grown, 1.0))
-        scales = Scales.of(c, run, count, replicas, drag, carried)
+            carried = max(carried, extent.stretch * max(grown, 1.0))
+        scales = Scales.within(extent, run, count, replicas, drag, carried)
         if leg.sign and not index:
-            carried = max(carried, min(bounds[leg.pace], run.distance) if first else bounds[leg.pace])
+            carried = max(carried, min(extent.stretch, run.distance) if first else extent.stretch)
         known = before is not None or index > 0
         same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
         last = index + 1 == len(legs)
@@ -178,15 +180,13 @@ def along(
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
     found = job.moments(total.deposits, count)
     variance, reliable = _variance(ensemble, programme, grid, found, count)
-    pinned_variance = found.pinned * (1 - found.pinned) / count
     bias = _step_bias(job.steps)
     variance = variance + (bias * found.force) ** 2
-    pinned_variance += (bias * found.pinned * (1.0 - found.pinned)) ** 2
-    if ensemble.delay.time > 0:  # what a sample does not tell of fewer than two contacts, as at constant velocity
-        pinned_variance += (2.0 / count) ** 2
+    of_pinned = pinned_variance(found.pinned, count, ensemble.delay.time > 0)
+    of_pinned += (bias * found.pinned * (1.0 - found.pinned)) ** 2
     rounding = 1e-15 * max(step.run.distance for step in job.steps)
     force, stderr = found.force * unit, np.sqrt(variance + rounding**2) * unit
-    pinned_stderr = np.sqrt(pinned_variance)
+    pinned_stderr = np.sqrt(of_pinned)
     if programme.start == "fresh":  # all contacts are pinned and unstretched
         stderr[0] = pinned_stderr[0] = 0.0
     std = total.replica_std(job, replicas)
@@ -225,7 +225,7 @@ def _variance(ensemble: Ensemble, programme: Programme, grid: Grid, found: Momen
     if not every:  # nothing moves, and nothing has
         return found.variance / count, True
     some = {every[round(i * (len(every) - 1) / (_LEVELS - 1))] for i in range(_LEVELS)}
-    levels = [_level(ensemble, pace) for pace in sorted(some)]
+    levels = [_level(replace(ensemble, count=1), pace) for pace in sorted(some)]
     unit = ensemble.thresholds.scale
     reach = math.inf if programme.start == "stationary" else np.maximum.accumulate(np.abs(grid.X)) / unit
     variance, rare = np.zeros_like(found.force), 0.0
@@ -240,10 +240,11 @@ def _variance(ensemble: Ensemble, programme: Programme, grid: Grid, found: Momen
         here, unlikely = known_variance(law, level, found.variance, count)
         _, always = known_variance(level, level, level.variance, count)
         variance, rare = np.maximum(variance, here), max(rare, min(float(np.mean(unlikely)), float(always[0])))
-    return variance, bool(rare < _RARE)
+    return variance, bool(rare < RARE)
 
 
+@lru_cache(maxsize=64)
 def _level(ensemble: Ensemble, pace: float) -> Scatter:
-    """What the law says of the steady state at a velocity."""
+    """What the law says of the steady state at a velocity. Remembered: it takes 20 ms, and seeds share it."""
     c = contacts(ensemble, pace)
     return scatter(c, births(c), None, drag_of(ensemble, pace))

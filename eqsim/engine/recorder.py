@@ -46,6 +46,24 @@ class Run(NamedTuple):
     batch_by_life: bool  # few contacts: whole lives, not contacts, are the independent samples
 
 
+class Extent(NamedTuple):
+    """How large what contacts leave may be: the largest stiffness over k and stretch, with a margin, the mean work over
+    k and stretch of typical lives, and whether all are equally stiff."""
+
+    stiffness: float
+    stretch: float
+    typical_work: float
+    typical_stretch: float
+    alike: bool
+
+    @classmethod
+    def of(cls, c: Contacts) -> "Extent":
+        xi, x = extremes(c)
+        work, stretch = typical_lives(c)
+        stiffness, alike = c.springs.constant + c.springs.slope * xi, c.springs.slope == 0.0
+        return cls(stiffness, x, float(np.mean(work)), float(np.mean(stretch)), alike)
+
+
 class Scales(NamedTuple):
     """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and
     whether all contacts are equally stiff."""
@@ -57,15 +75,21 @@ class Scales(NamedTuple):
     uniform: bool
 
     @classmethod
-    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float, carried: float = 0.0) -> "Scales":
+    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
+        """`within` the extent of such contacts."""
+        return cls.within(Extent.of(c), run, contacts, replicas, drag)
+
+    @classmethod
+    def within(
+        cls, lives: Extent, run: Run, contacts: int, replicas: int, drag: float, carried: float = 0.0
+    ) -> "Scales":
         """The finest that no sum over all contacts can overflow, from the longest life there can be, or the longest
         stretch that contacts are `carried` to the beginning with.
 
         Raises InputError if these are too coarse for the typical contact.
         """
-        xi, x = extremes(c)
+        strong, x = lives.stiffness, lives.stretch
         x = max(x if run.stationary else min(x, run.distance), carried)
-        strong = c.springs.constant + c.springs.slope * xi
         reach = run.distance + x
         force = strong * x
         deposits = [1.0, strong * reach, (strong * reach) ** 2, strong, strong**2, strong**2 * reach]
@@ -74,10 +98,9 @@ class Scales(NamedTuple):
         def power(bounds: list[float], terms: int) -> Array:
             return 2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))
 
-        work, stretch = typical_lives(c)
-        typical = float(np.mean(work) / np.mean(stretch))
+        typical = lives.typical_work / lives.typical_stretch
         by_column, by_batch = power(deposits, contacts), power(batches, contacts)
-        if not (typical * by_column[FORCE] > _LEAST_UNITS and np.mean(work) * by_batch[AREA] > _LEAST_WORK):
+        if not (typical * by_column[FORCE] > _LEAST_UNITS and lives.typical_work * by_batch[AREA] > _LEAST_WORK):
             raise InputError(
                 f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
                 "force, too much to add up in 64 bits; take fewer contacts or a narrower law"
@@ -86,7 +109,7 @@ class Scales(NamedTuple):
         by_batch[BREAKS] = 1.0
         most = max(force, drag)
         by_replica = power([most, most**2], replicas)
-        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), c.springs.slope == 0.0)
+        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), lives.alike)
 
 
 class Recorder(NamedTuple):

@@ -33,6 +33,7 @@ _POWERS = 7  # of forces: 0 to 6
 _RANGE = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
 _TOLERANCE = 0.05  # of the law's variance: lattice, lives
+RARE = 1e-4  # probability of more than five standard errors of a force that can be trusted
 ENOUGH = 100  # lives that make the variance, for their mean over its error to be normal
 
 
@@ -166,6 +167,13 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
             strength *= born.stiffness
             carried *= born.stiffness * born.stretch
     return np.append(0.0, edges[:-1] + 0.5 * step), moments
+
+
+def pinned_variance(pinned: Array, contacts: int, delayed: bool) -> Array:
+    """Of the pinned fraction of `contacts` contacts, any shape. A sample does not tell what fewer than about two of
+    them do (Agresti and Coull, 1998): without these two an error bar would vanish wherever none happens to be pinned,
+    or all are."""
+    return pinned * (1.0 - pinned) / contacts + ((2.0 / contacts) ** 2 if delayed else 0.0)
 
 
 def known_variance(law: Scatter, level: Scatter, sample: Array, contacts: int) -> tuple[Array, Array]:

@@ -27,6 +27,7 @@ from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import draw_life
 from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
+from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.segments import Population, begin_stationary
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging import Unaged
@@ -409,7 +410,7 @@ def pulled(
     values = np.mean([one.values for one in found], axis=0)
     spread = np.std([one.values for one in found], axis=0, ddof=1) if replicas > 1 else None
     stderr = np.sqrt(values[:, _VARIANCE] if spread is None else spread[:, _FRICTION] ** 2 / replicas)
-    detached = np.sqrt(values[:, _BOUND] * (1.0 - values[:, _BOUND]) / ensemble.count)
+    of_pinned = pinned_variance(values[:, _BOUND], ensemble.count, ensemble.delay.time > 0)
     X, force = values[:, _X] * unit, values[:, _FRICTION] * unit
     slips = [
         Slip(s.t / per_time, s.X * unit, s.drop * unit, s.duration / per_time, s.distance * unit, s.replica)
@@ -424,7 +425,7 @@ def pulled(
         force_stderr=stderr * unit,
         force_reliable=reliable,
         pinned=values[:, _BOUND],
-        pinned_stderr=detached if spread is None else spread[:, _BOUND] / math.sqrt(replicas),
+        pinned_stderr=np.sqrt(of_pinned) if spread is None else spread[:, _BOUND] / math.sqrt(replicas),
         force_replica_std=None if spread is None else spread[:, _FRICTION] * unit,
         lives=lives,
         seed=seed,

@@ -31,7 +31,7 @@ from eqsim.engine.recorder import (
     moments,
 )
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
-from eqsim.engine.scatter import ENOUGH, Births, Scatter, births, known_variance, scatter
+from eqsim.engine.scatter import ENOUGH, RARE, Births, Scatter, births, known_variance, pinned_variance, scatter
 from eqsim.engine.simulate import simulate
 from eqsim.engine.slider import pulled
 from eqsim.engine.stationary import FRESH, Stationary, stationary
@@ -43,8 +43,6 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
-
-_RARE = 1e-4  # probability of more than five standard errors of the force
 
 
 def predicted_lives(ensemble: Ensemble, drive: Drive | Programme, replicas: int = 1) -> float:
@@ -149,18 +147,16 @@ def trajectory(
 
     force, pinned, variance = job.moments(total.deposits, count)
     grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
-    # A sample of N contacts does not tell what fewer than about two of them do (Agresti and Coull, 1998): without these
-    # two an error bar would vanish wherever no contact happens to be pinned or detached.
-    pinned_variance = pinned * (1 - pinned) / count + ((2.0 / count) ** 2 if c.delay.mean > 0 else 0.0)
+    scatter_of_pinned = pinned_variance(pinned, count, c.delay.mean > 0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
-        pinned_variance[0] = 0.0
+        scatter_of_pinned[0] = 0.0
     one = replace(ensemble, count=1)
     law, level, alike = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
     force_variance, rare = known_variance(law.at(grid / unit), level, variance, count)
     _, always_rare = known_variance(level, level, level.variance, count)
     # what steps of fluctuating thresholds cost, relative, where that is more than usual: the usual is below scatter
     bias = max(step_error(c.aging) - STEP_ERROR, 0.0) if c.aging.fluctuates else 0.0
-    pinned_variance += (bias * pinned * (1.0 - pinned)) ** 2
+    scatter_of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
     force_variance = force_variance + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
     std = total.replica_std(job, replicas)
@@ -175,9 +171,9 @@ def trajectory(
         t=grid / drive.velocity,
         force=force * unit,
         force_stderr=np.sqrt(force_variance + rounding**2 * (grid > 0)) * unit,
-        force_reliable=bool(min(np.mean(rare), always_rare[0]) < _RARE),
+        force_reliable=bool(min(np.mean(rare), always_rare[0]) < RARE),
         pinned=pinned,
-        pinned_stderr=np.sqrt(pinned_variance),
+        pinned_stderr=np.sqrt(scatter_of_pinned),
         force_replica_std=None if std is None else std * unit,
         averages=Averages(
             *(

@@ -180,7 +180,7 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
 def _slips(found: "SliderTrajectory") -> dict[str, Any]:
     """How a slider that a stage pulls slips; its forces are not asked for."""
     period, drop = found.period, found.drop
-    problem = None if period.reliable or not found.slips else "few slips"
+    problem = None if period.reliable or period.n == drop.n == 0 else "few slips"
     return {
         "status": "unreliable" if problem else "ok",
         "message": problem,

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from eqsim.engine.records import SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, check
@@ -124,9 +125,11 @@ def _file(settings: dict[str, Any]) -> RunFile:
     return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
 
 
-def _run(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
+def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
     file, folder = _file(origin["settings"]), Path(origin["folder"])
-    return run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory.columns()
+    found = run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory
+    avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
+    return avalanches if avalanches is not None and "breaks" in table else found.columns()
 
 
 def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:

@@ -1,0 +1,144 @@
+"""A stage in run files: commands, tables and files, replay, sweeps, and what is refused in one line."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from eqsim.cli.app import app
+from eqsim.engine.records import slips_of
+from eqsim.errors import InputError
+from eqsim.io.runfile import check
+
+FILE = """
+[contacts]
+count = 500
+stiffness_law = "uniform"
+[delay]
+time = 1.0
+[drive]
+velocity = 0.1
+distance = 20.0
+[drive.stage]
+stiffness = 0.1
+damping = 0.1
+[output]
+points = 201
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "pulled.toml"
+    file.write_text(FILE)
+    return file
+
+
+def eqsim(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_run_and_replay(path, tmp_path):
+    done = eqsim("run", path, "--out", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    summary = json.loads(done.stdout)
+    table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
+    assert {"X", "stage", "spring", "work", "stored", "dissipated", "missing", "segment"} <= set(table)
+    assert len(table) == 201
+    np.testing.assert_allclose(table["spring"], 0.1 * (table["stage"] - table["X"]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(table["stage"], 0.1 * table["t"], rtol=0, atol=1e-9)
+    slips = summary["slips"]
+    assert [slip["replica"] for slip in slips] == [0] * len(slips)
+    assert len(slips) >= 2
+    assert summary["drop"]["value"] == pytest.approx(np.mean([slip["drop"] for slip in slips[1:]]), rel=1e-12, abs=0)
+    assert (tmp_path / "out" / "force.png").stat().st_size > 20_000
+    again = eqsim("replay", tmp_path / "out" / "trajectory.parquet")
+    assert again.exit_code == 0, again.output
+    shown = eqsim("run", path, "--out", tmp_path / "again")
+    assert f"{len(slips)} slips" in shown.output
+
+
+def test_avalanches(path, tmp_path):
+    quasi_static = ["--set", "delay.time=0", "--set", "drive.stage.damping=0"]
+    done = eqsim("run", path, "--out", tmp_path / "out", *quasi_static)
+    assert done.exit_code == 0, done.output
+    table = pq.read_table(tmp_path / "out" / "avalanches.parquet").to_pandas()
+    assert list(table) == ["t", "X", "breaks", "drop", "distance", "replica"]
+    assert table["breaks"].sum() > 4_000
+    assert np.all(np.diff(table["t"]) >= 0)
+    assert eqsim("replay", tmp_path / "out" / "avalanches.parquet").exit_code == 0
+
+
+def test_reference_is_the_mean_field(path):
+    done = eqsim("reference", path, "--transient", "--json", "--set", "output.points=11", "--set", "drive.distance=1")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert {"t", "X", "X_error", "stage", "force", "force_error", "pinned", "pinned_error"} <= set(found)
+    assert found["X"][0] == found["X_error"][0] == 0.0
+    assert np.all(np.diff(found["X"]) > 0)
+
+
+def test_sweep(path, tmp_path):
+    path.write_text(FILE + '[sweep]\n"drive.stage.stiffness" = [0.1, 0.5]\n')
+    done = eqsim("sweep", path, "--out", tmp_path / "out", "--workers", "1")
+    assert done.exit_code == 0, done.output
+    table = pd.read_parquet(tmp_path / "out" / "sweep.parquet")
+    soft, stiff = table.sort_values("drive.stage.stiffness").to_dict("records")
+    assert soft["slips"] > stiff["slips"]
+    assert (stiff["status"], soft["kind"]) == ("ok", "programme")
+    assert 0.2 < soft["drop"] < 0.6
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ({"stiffness": 0.0}, "drive.stage.stiffness = 0.0: must be"),
+        ({"damping": 1.0}, "drive.stage.stiffness = "),
+        ({"stiffness": 1.0, "stifness": 1.0}, 'drive.stage.stifness: unknown key; did you mean "stiffness"?'),
+        ({"stiffness": "soft"}, "drive.stage.stiffness = 'soft': must be"),
+        ({"stiffness": 1.0, "tolerance": 0.5}, "drive.stage.tolerance = 0.5: must be"),
+    ],
+)
+def test_refused(section, said, tmp_path):
+    with pytest.raises(InputError) as refusal:
+        check({"drive": {"velocity": 0.1, "distance": 1.0, "stage": section}}).driven(tmp_path)
+    assert said in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["aging.rule=langevin", "aging.rate=0.1", "aging.x_star_final=2"], 'thresholds of rule "langevin"'),
+        (["contacts.count=100000000"], "contacts.count = 100000000: must be <= 2e+07 with drive.stage"),
+        (["drive.velocity=0"], "drive.velocity = 0.0: must not be 0 with a distance"),
+    ],
+)
+def test_refused_by_run(path, tmp_path, changes, said):
+    sets = [part for change in changes for part in ("--set", change)]
+    done = eqsim("run", path, "--out", tmp_path / "out", *sets)
+    assert done.exit_code == 2
+    assert said in done.output.replace("\n", " ")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["steady", "reference"])
+def test_no_steady_state(path, command):
+    done = eqsim(command, path)
+    assert done.exit_code == 2
+    assert "drive.stage: a slider that a spring pulls has no steady state" in done.output.replace("\n", " ")
+
+
+def test_slips_of_a_saw():
+    """Three teeth, a slow decline and a rise that goes on: by hand."""
+    t = np.array([0.0, 10.0, 10.5, 20.0, 20.5, 30.0, 30.5, 40.0, 60.0, 61.0])
+    spring = np.array([0.0, 1.0, 0.4, 1.0, 0.4, 1.2, 0.2, 0.9, 0.3, 0.5])
+    X = np.array([0.0, 1.0, 7.0, 8.0, 14.0, 15.0, 25.0, 26.0, 28.0, 28.5])
+    found = slips_of(t, X, spring, 0.3, 0.1)
+    assert [slip.drop for slip in found] == pytest.approx([0.6, 0.6, 1.0], rel=1e-12, abs=0)
+    assert [slip.t for slip in found] == pytest.approx([10.25, 20.25, 30.25], rel=1e-12, abs=0)
+    assert [slip.X for slip in found] == pytest.approx([4.0, 11.0, 20.0], rel=1e-12, abs=0)
+    assert [slip.distance for slip in found] == pytest.approx([6.0, 6.0, 10.0], rel=1e-12, abs=0)
+    assert slips_of(t, X, spring, 2.0, 0.1) == []
