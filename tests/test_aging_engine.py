@@ -227,7 +227,7 @@ def distance(stretch, life):
     return max(np.max(cdf - rank), np.max(rank + 1 / x.size - cdf)) * math.sqrt(x.size)
 
 
-@pytest.mark.parametrize("path", thinned(3, PATHS))
+@pytest.mark.parametrize("path", thinned(5, PATHS))
 def test_lives_of_fluctuating_thresholds(path):
     """S(x) of the Fokker-Planck equation (Kolmogorov: P(sqrt(N) D > 2.5) = 7e-6, and steps may move S by 1e-3), mean
     stretch and mean work (|z| < 4.5 beyond 1e-3)."""
@@ -349,7 +349,7 @@ def _one_by_one(c, stream, contact, births, clocks):
     return np.array([life_of(c, path, STEP) for path in paths]).T
 
 
-@pytest.mark.parametrize("path", thinned(4, [*PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])]))
+@pytest.mark.parametrize("path", thinned(9, [PATHS[4], *PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])]))
 def test_paths_side_by_side_as_one_by_one(path):
     """To the last bit, however many there are and whatever else advances beside them."""
     c = pinned(contacts(ensemble_of(path), 1.0))

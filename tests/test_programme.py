@@ -106,7 +106,7 @@ def scores(found, exact):
 @pytest.mark.parametrize(("name", "start"), thinned(3, LAWS, STARTS))
 def test_agrees_with_the_renewal_equation(name, start):
     """|z| < 4.5 for force and pinned fraction at the ends of eight segments, 320 scores: false alarm 2e-3 together."""
-    ensemble = Ensemble(count=40_000, **LAWS[name])
+    ensemble = Ensemble(count=15_000, **LAWS[name])
     programme = Programme(MIXED, start, 0.3)
     found = trajectory(ensemble, programme, seed=5, threads=2)
     assert np.abs(scores(found, transient(ensemble, programme, 2001))).max() < 4.5

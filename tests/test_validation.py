@@ -245,6 +245,7 @@ def test_sample(monkeypatch):
     assert {0 in law.frozen._histogram[0] for law in of["histogram"]} == {True, False}  # gaps
 
 
+@pytest.mark.verification
 def test_delays_are_in_units_of_a_life():
     """What the sampler takes for the mean stretch at breaking is within a factor of 4 of it at three points in four."""
     off = []
