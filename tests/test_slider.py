@@ -371,3 +371,18 @@ def test_fluctuating_thresholds_are_refused():
     ensemble = Ensemble(count=10, aging=Aging("langevin", 0.1, 2.0))
     with pytest.raises(InputError, match='thresholds of rule "langevin"'):
         pulled(ensemble, 1.0, Stage(1.0))
+
+
+def test_a_spring_that_pushes():
+    """While the stage holds, a compressed spring moves the slider back as a stretched one moves it on."""
+    ensemble = replace(DELAYED, count=1_000)
+    for solve in (trajectory, transient):
+        on, back = (
+            solve(
+                ensemble, Programme([Segment(0.0, time=5.0)], stage=Stage(1.0, damping=1.0, preload=preload)), points=9
+            )
+            for preload in (2.0, -2.0)
+        )
+        np.testing.assert_allclose(back.X, -on.X, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(back.force, -on.force, rtol=0, atol=1e-12)
+        assert on.X[-1] > 0.5

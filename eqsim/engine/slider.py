@@ -275,7 +275,7 @@ class Slider:
         now, pull = self.state, self.pull
         net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE])
         held = pull.stiffness + float(now.sums[STIFFNESS]) + self.breaks.rho
-        size = min(self.longest, abs(net) / held) if held > 0.0 else self.longest
+        size = min(self.longest, max(abs(net) / held, 1e-6 * self.longest)) if held > 0.0 else self.longest
         dX, dt = math.copysign(size, net), _INSTANT * size
         sums = self._follow(Piece(dt, 1.0 / _INSTANT, math.copysign(1.0, net)))
         work = float(sums[STORED] - now.sums[STORED] + sums[LOST])
@@ -400,10 +400,11 @@ def pulled(
     points, seed, replicas = recorded
     grid, unit, pull = programme.grid(points), ensemble.thresholds.scale, pull_of(ensemble, programme)
     instants, per_time = grid.t * (pull.pace / unit), pull.pace / unit
-    begin, found, lives = time.perf_counter(), [], 0
+    begin, found, lives = 0.0, [], 0
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
     for replica in range(replicas):
         with Slider(ensemble, programme, seed, replica * ensemble.count, workers) as slider:
+            begin = begin or time.perf_counter()  # when kernels are compiled
             follow = _quasi_static if slider.quasi_static else _simulate
             found.append(follow(slider, instants, replica, lives, progress))
         lives += found[-1].lives

@@ -49,7 +49,8 @@ def predicted_lives(ensemble: Ensemble, drive: Drive | Programme, replicas: int 
     """How many lives a run will take, within a few per cent or somewhat too many: by Wald's identity a contact that
     uses up min(life and delay, distance) each time fills the distance."""
     if isinstance(drive, Programme):
-        return ensemble.count * replicas * sum(cycles(ensemble, drive))
+        ahead = abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean if drive.stage else 0.0
+        return ensemble.count * replicas * (sum(cycles(ensemble, drive)) + ahead)
     c = contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
     distance = drive.over(ensemble) / ensemble.thresholds.scale
     _, stretch = typical_lives(c)

@@ -40,7 +40,7 @@ _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displ
 
 class Spring(NamedTuple):
     """Stage and slider, with time in units of the whole programme: numbers of the equation, damping also per detached
-    share; stretch of the spring (negative: in balance) and velocity at first; largest displacement and missed force of
+    share; stretch of the spring (NaN: in balance) and velocity at first; largest displacement and missed force of
     a step; and whether heat breaks contacts."""
 
     stiffness: float
@@ -107,7 +107,7 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
     count, rate = begin(c, path, p)
     stiffness = observe(p, count, X[0], found, 0)
     found[4, 0], found[5, 0] = spring.stretch, spring.velocity
-    if spring.stretch < 0.0:  # in balance
+    if math.isnan(spring.stretch):
         damping = spring.damping + spring.drag * (1.0 - found[1, 0])
         found[4, 0] = (found[0, 0] + damping * spring.velocity) / spring.stiffness
     longest, rho, r, q, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 1, 0
@@ -126,7 +126,7 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
         instant = abs(dX) > 1.5 * spring.longest
         if instant:  # nothing holds the slider: a piece that takes no time, towards balance
             net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
-            size = min(spring.longest, abs(net) / held) if held > 0.0 else spring.longest
+            size = min(spring.longest, max(abs(net) / held, 1e-6 * spring.longest)) if held > 0.0 else spring.longest
             dX, dt, V = math.copysign(size, net), _INSTANT * size, 0.0
         t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
         found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
@@ -142,11 +142,9 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
             grown = dt * min(max(0.9 * math.sqrt(spring.missed / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
             longest = max(grown, longest) if last and off < spring.missed else grown
         if spring.heat and not instant:
-            r = change / dt
+            rho, r = 0.0, change / dt
         else:
             rho = change / dX if dX != 0.0 else 0.0
-        if spring.heat:
-            rho = 0.0 if not instant else rho
         k += last
         m += 1
     return found, m if k == marks.size else -1
@@ -180,7 +178,7 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     in_balance = stage.preload is None and course.before > 0.0
     spring = Spring(
         stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
-        -1.0 if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
+        math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
     )  # fmt: skip
     rows = [_solved(numerics, fine, spring, typical, marks, speeds, at) for fine in (1, 2, 4)]
     rough, coarse, fine = rows
