@@ -315,7 +315,7 @@ def busy_period(load, most):
 @pytest.mark.parametrize("stiffness", [2000, 500, pytest.param(100, marks=pytest.mark.verification)])
 def test_avalanches_are_busy_periods(stiffness):
     """Mean 1 + N k/K, with the scatter of 40 independent ensembles (|z| < 5); sizes by chi-square against M/G/1 of load
-    N/(N + K), p > 1e-4; and friction over displacement is the steady one. Negative control: 10 % more load."""
+    N/(N + K), p > 1e-4; and friction over displacement is the steady one. Negative control: 10 % less load."""
     n, runs = 2_000, 10
     found = pulled(
         Ensemble(count=n, **UNIFORM), 40.0, Stage(stiffness / n), 401, velocity=1.0, replicas=runs, threads=1
@@ -336,7 +336,7 @@ def test_avalanches_are_busy_periods(stiffness):
 
     load = n / (n + stiffness)
     assert p_value(load) > 1e-4
-    assert p_value(min(1.1 * load, 0.5 * (1.0 + load))) < 1e-6
+    assert p_value(0.9 * load) < 1e-6
 
 
 def test_friction_over_displacement_is_steady():

@@ -191,6 +191,7 @@ class Slider:
         self.width = min(max(high - low, 0.02 * typical), typical)
         self.longest = math.sqrt(programme.stage.tolerance) * self.width
         self.tolerance = programme.stage.tolerance * typical
+        self.acceleration = 0.0
         self.breaks, self.dt = _Breaks(0.1 * self.longest), _FIRST * self.pull.ends[0]
         stretch, speed = (programme.stage.preload or 0.0) / unit, 0.0
         if programme.start == "stationary" and programme.velocity:
@@ -263,6 +264,10 @@ class Slider:
         self._account(dt, dX, speed * dt, V, sums, float(now.sums[FORCE]) + 0.5 * change)
         off = abs(float(sums[FORCE] - now.sums[FORCE]) - change)
         off = max(off - _NOISE * math.sqrt(sums[SCATTER] / self.count), 0.0)
+        if self.pull.mass:  # what forces miss as the acceleration changes
+            acceleration, elastic = (V - now.V) / dt, self.pull.stiffness + float(sums[STIFFNESS])
+            off = max(off, 4.0 * dt * dt * abs(acceleration - self.acceleration) * elastic)
+            self.acceleration = acceleration
         grown = dt * min(max(0.9 * math.sqrt(self.tolerance / off), 0.3), 2.0) if off > 0.0 else 2.0 * dt
         self.dt = max(grown, self.dt) if dt == left and off < self.tolerance else grown
         self.breaks.add(dX, dt, sums, self.count)

@@ -110,7 +110,7 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
     if math.isnan(spring.stretch):
         damping = spring.damping + spring.drag * (1.0 - found[1, 0])
         found[4, 0] = (found[0, 0] + damping * spring.velocity) / spring.stiffness
-    longest, rho, r, q, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 1, 0
+    longest, rho, r, q, a, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 0.0, 1, 0
     while k < marks.size and m < t.size:
         left = marks[k] - t[m - 1]
         b = Balance(
@@ -138,6 +138,9 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
         settled = found[1, m] - found[1, m - 1]
         off = max(abs(change - rho * dX - r * dt), abs(settled - q * dt))
         q = settled / dt
+        if spring.mass > 0.0:
+            missed = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
+            off, a = max(off, missed), (V - b.V) / dt
         if not instant:
             grown = dt * min(max(0.9 * math.sqrt(spring.missed / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
             longest = max(grown, longest) if last and off < spring.missed else grown
