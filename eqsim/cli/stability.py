@@ -39,7 +39,6 @@ def stability(
     from eqsim.master import stability as solve
 
     pulled = solve.pulled_by(file.ensemble(path.parent), file.driven(path.parent))
-    exact = pulled.method != solve.kicks.METHOD
     with shown.bar("looking for the border", "runs") as progress:
         found = solve.stability(
             pulled.ensemble, pulled.programme(), critical=True if critical else None, progress=progress
@@ -47,10 +46,10 @@ def stability(
     title, notes = file.title or path.stem, list(_remarks(found))
     if out is not None:
         borders: dict[str, Any] = {}
-        if exact or critical:
+        if pulled.quick or critical:
             with shown.bar("borders", "velocities") as progress:
-                borders = solve.border(pulled, _velocities(found.velocity, _POINTS if exact else _FEW), progress)
-        origin = storage.provenance("stability", file.settings(), file.source, file.output.seed, path.parent)
+                borders = solve.border(pulled, _velocities(found.velocity, _POINTS if pulled.quick else _FEW), progress)
+        origin = storage.provenance("stability", file.model_dump(), file.text, file.output.seed, path.parent)
         names = _publish(out, found, borders, title, origin)
         notes.append(f"{out}/: {', '.join(names)}")
     shown.report(_summary(found), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes)
@@ -80,20 +79,21 @@ def _summary(found: "Stability") -> dict[str, Any]:
 
 def _rows(found: "Stability") -> Iterator[tuple[str, str, str]]:
     """What is known of the first slip, of steady sliding, and of the run."""
-    yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of the run's spring"
-    fresh = found.fresh
-    slips = "this run slips" if found.fresh_slips else "this run does not"
-    yield "fresh start, critical", _text(fresh.critical_stiffness), f"kappa_s below which the first slip comes; {slips}"
+    yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of this run"
+    fresh, slips = found.fresh, "this run slips" if found.fresh_slips else "this run does not"
+    yield "fresh start, critical", _text(fresh.critical_stiffness), f"kappa_s of a first slip; {slips}"
     if fresh.X.value is not None:
         yield "after X", _text(fresh.X), "where friction falls most steeply"
-    yield "peak / steady", _text(fresh.peak_ratio), "largest friction after a fresh start over steady friction"
-    yield "steady sliding", found.verdict, f"of this run; {found.method}"
+    yield "peak / steady", _text(fresh.peak_ratio), "largest friction over steady friction"
+    yield "steady sliding", found.verdict, "of this run" if found.verdict == "neutral" else f"by {found.method}"
+    if found.verdict == "neutral":
+        return
     if found.critical_stiffness.value is not None:
-        yield "critical", _text(found.critical_stiffness), "kappa_s below which steady sliding is unstable"
+        yield "critical", _text(found.critical_stiffness), "kappa_s below which it is unstable"
     if found.growth.value is not None:
-        yield "growth rate", _text(found.growth), "of the slowest perturbation, 1/time; negative: it decays"
+        yield "growth rate", _text(found.growth), "of perturbations, 1/time"
     if found.period.value is not None:
-        yield "period", _text(found.period), "of the slowest perturbation, time"
+        yield "period", _text(found.period), "of perturbations, time"
 
 
 def _text(estimate: "Estimate") -> str:
@@ -110,7 +110,7 @@ def _remarks(found: "Stability") -> Iterator[str]:
         yield f"neutral: {found.method}"
     elif found.growth.value is None:
         yield "every perturbation decays within a fraction of a cycle"
-    elif found.critical_stiffness.value is None:
-        yield "the critical stiffness of steady sliding takes minutes here: --critical"
+    if found.critical_stiffness.value is None:
+        yield "no critical stiffness of steady sliding: not asked for (--critical, minutes), or not found"
     if found.verdict == "undecided":
         yield "undecided: the rate is not known well enough to tell its sign"

@@ -37,7 +37,7 @@ FINE, COARSE, SCAN = 128, 64, 24  # panels in it
 _NODES, _WEIGHTS = special.roots_legendre(8)
 _SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])  # of (1 - exp(-z)(1 + z))/z^2
 _AT_ONCE = 2**21  # terms, to bound memory
-_PHASE, _FIRST, _MOST = 0.05, 6.0, 1_000_000  # scan: step in phase over a cycle, first range in 1/threshold, points
+_PHASE, _FIRST, _MOST = 0.05, 6.0, 100_000  # scan: step in phase over a cycle, first range in 1/threshold, points
 _FAINT = 1e-4  # part of the largest Z below which no border is looked for
 # of Newton's method; the relative step that ends it, after which a root is good to its square, or to rounding; and how
 # small the equation is there
@@ -134,18 +134,22 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
 
     Infinite of a slider with a mass, no damping and contacts with a fixed delay: whenever w tau is near a multiple of
     2 pi Im Z changes its sign. The scan, with the nodes of `coarse`, ends where |Z| is below the greatest found, or too
-    small for another root. Raises InputError if it does not end.
+    small for another root; of discrete thresholds without damping, whose |Z| does not fall, after `_MOST` steps. Raises
+    InputError if with a mass it does not end.
     """
     if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
         return Border(math.inf, math.inf)
     xi, share, _ = coarse.births
     mean = float(share @ xi)
-    width = math.sqrt(max(float(share @ xi**2) - mean**2, 0.0)) / mean
-    # modes of contacts in step decay by 2 (pi width)^2 of a phase
-    step = _PHASE * min(1.0, 20.0 * width**2 + 0.02) / loop.cycle
+    apart = max(float(share @ xi**2) - mean**2, 0.0)
+    apart += 0.0 if isinstance(loop.delay, Fixed) else loop.delay.mean**2
+    # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width that of its length
+    step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
     best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST / mean
     while True:
-        if (high - low) / step > _MOST:
+        if high / step > _MOST:
+            if loop.mass == 0.0:
+                return best
             raise InputError("drive.stage: its damping is too small beside its mass to find the border of stability")
         w = np.arange(low, high + step, step)
         Z = coarse.response(1j * w)
@@ -157,7 +161,9 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         faint = loop.mass == 0.0 and size < max(best.stiffness, _FAINT * largest)
         if faint or loop.damping * high > 2.0 * size:
             return best
-        low, high = float(w[-1]), 2.0 * high
+        # |Z| falls as 1/w from here on
+        last = math.sqrt(2.0 * size * high / loop.damping) if loop.mass > 0.0 and loop.damping > 0.0 else 0.0
+        low, high = float(w[-1]), max(2.0 * high, last if last > _MOST * step else 0.0)
 
 
 def _crossing(loop: Loop, low: float, high: float) -> Border:

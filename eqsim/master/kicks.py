@@ -25,6 +25,7 @@ METHOD = "mean field"
 _KICK, _LARGEST, _LEAST = 4e-3, 3e-2, 1e-5  # in mean thresholds: the kick; beyond it is not small; noise of the solver
 _TRIES, _ENOUGH = 2, 3.0  # other kicks, until the answer is small and seen for so many cycles
 _CYCLES, _POINTS = 8.0, 401  # how long to look, and at how many instants
+_GONE = 0.02  # part of the kick below which there is nothing to follow after a cycle
 _STARTS = (1.0, 0.5, 0.25)  # in cycles, of windows
 _OCTAVES, _CLOSE = 6, 2e-3  # how far a border is looked for, and how closely
 
@@ -33,22 +34,26 @@ Progress = Callable[[int, float], None]
 
 class Mode(NamedTuple):
     """Of a perturbation: rate of growth (1/time, negative: of decay), and period (time), without a value if it does not
-    oscillate. Not `reliable` where the kick is lost in what the solver misses before a cycle is over."""
+    oscillate; neither has one if all decay within a cycle. Not `reliable` if seen for less than half a cycle."""
 
     growth: Estimate
     period: Estimate
 
 
 class _Answer(NamedTuple):
-    """Odd part of X - V t - kick in kicks, at intervals dt."""
+    """The part of X - V t - kick that is odd in the kick, at intervals dt, and that by longer steps of the solver."""
 
     u: Array
+    coarser: Array
     dt: float
 
 
 def mode_of(ensemble: Ensemble, velocity: float, stage: Stage) -> Mode:
-    """The slowest oscillation after a kick; errors are by how much it differs for a kick twice as large, in another
-    window, and with half as many oscillations more. Raises InputError where there is no mean field."""
+    """The slowest oscillation after a kick.
+
+    Errors are by how much it differs for a kick twice as large, in another window, with half as many oscillations more,
+    and with steps of the solver twice as long. Raises InputError where there is no mean field.
+    """
     exact = reference(ensemble, Drive(velocity))
     typical = ensemble.thresholds.mean
     cycle = known(exact.break_stretch) / velocity + ensemble.delay.time
@@ -63,6 +68,8 @@ def mode_of(ensemble: Ensemble, velocity: float, stage: Stage) -> Mode:
         kick *= 0.2 if grows else 5.0
         time = min(time, (_ENOUGH + 1.0) * longest)
         answer = _answer(ensemble, velocity, stage, kick, time)
+    if float(np.abs(answer.u[round(longest / answer.dt) :]).max()) < _GONE * kick:
+        return Mode(Estimate(None, None, 0), Estimate(None, None, 0))
     last = _end(answer, typical)
     start = next((part for part in _STARTS if last * answer.dt >= (part + 1.0) * longest), _STARTS[-1])
     first = min(round(start * longest / answer.dt), max(last - 16, 0))
@@ -72,6 +79,7 @@ def mode_of(ensemble: Ensemble, velocity: float, stage: Stage) -> Mode:
         _rate(twice, first, min(last, _end(twice, 2.0 * typical)), 4),
         _rate(answer, first, last, 6),
         _rate(answer, first, first + (3 * (last - first)) // 4, 4),
+        _rate(answer._replace(u=answer.coarser), first, last, 4),
     ]
     missed = [abs(complex(other.real, abs(other.imag)) - complex(found.real, abs(found.imag))) for other in others]
     error, frequency = max(missed), abs(found.imag)
@@ -90,8 +98,10 @@ def _answer(ensemble: Ensemble, velocity: float, stage: Stage, kick: float, time
         preload = balance / stage.stiffness + sign * kick
         pulled = Stage(stage.stiffness, stage.damping, stage.mass, preload, stage.tolerance)
         programme = Programme((Segment(velocity, time=time),), "stationary", velocity, pulled)
-        found.append(pulled_of(ensemble, programme, programme.grid(_POINTS)).X)
-    return _Answer(0.5 * (found[0] - found[1]) - kick, time / (_POINTS - 1))
+        found.append(pulled_of(ensemble, programme, programme.grid(_POINTS)))
+    more, less = found
+    u, coarser = 0.5 * (more.X - less.X) - kick, 0.5 * (more.coarser_X - less.coarser_X) - kick
+    return _Answer(u, coarser, time / (_POINTS - 1))
 
 
 def _end(answer: _Answer, typical: float) -> int:
@@ -126,7 +136,8 @@ def border_by_kicks(
         if octave not in errors:
             softer = Stage(stage.stiffness * 2.0**octave, stage.damping, stage.mass, None, stage.tolerance)
             mode = mode_of(ensemble, velocity, softer)
-            errors[octave] = known(mode.growth), mode.growth.stderr or 0.0
+            rate = mode.growth.value if mode.growth.value is not None else -velocity / ensemble.thresholds.mean
+            errors[octave] = rate, mode.growth.stderr or 0.0
             progress(len(errors), 2.0 * _OCTAVES)
         return errors[octave][0]
 

@@ -120,6 +120,11 @@ class Pulled(NamedTuple):
             return kicks.METHOD
         return characteristic.METHOD if s.delay.mean else NEUTRAL
 
+    @property
+    def quick(self) -> bool:
+        """Whether its critical stiffness takes no mean-field runs."""
+        return self.method != kicks.METHOD
+
 
 def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> Pulled:
     """Raises InputError unless a stage moves in one direction at constant velocity, and contacts have a mean field."""
@@ -167,7 +172,7 @@ def stability(
     mode = _mode(pulled)  # may refuse
     fresh = fresh_slip(ensemble, pulled.velocity)
     border = Estimate(None, None, 0)
-    if critical or (critical is None and pulled.method != kicks.METHOD):
+    if critical or (critical is None and pulled.quick):
         border = critical_stiffness(pulled, progress)
     return Stability(pulled.velocity, pulled.stage.stiffness, fresh, border, *mode, pulled.method)
 

@@ -129,6 +129,14 @@ def _run(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> 
     return run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory.columns()
 
 
+def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
+    from eqsim.master.stability import border, pulled_by
+
+    file, folder = _file(origin["settings"]), Path(origin["folder"])
+    pulled = pulled_by(file.ensemble(folder), file.driven(folder))
+    return border(pulled, table["velocity"].tolist(), progress)
+
+
 def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
     from eqsim.validation import columns, validate
 
@@ -159,6 +167,7 @@ def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress)
 
 _REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
     "run": _run,
+    "stability": _stability,
     "validate": _validate,
     "sweep": _sweep,
     "figures": _figures,
