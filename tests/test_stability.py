@@ -5,13 +5,14 @@ import math
 
 import numpy as np
 import pytest
-from scipy import integrate, special
+from scipy import integrate, special, stats
 from typer.testing import CliRunner
 
 from eqsim import (
     Aging,
     Delay,
     Delta,
+    Distribution,
     Drive,
     Ensemble,
     Gamma,
@@ -40,9 +41,9 @@ def pulled(stiffness, damping=0.1, mass=0.0, velocity=0.1):
     return Programme((Segment(velocity, time=1.0),), stage=Stage(stiffness, damping, mass))
 
 
-def loop(ensemble, programme, panels=characteristic.FINE):
+def loop(ensemble, programme, nodes=characteristic.FINE):
     s = reduced(ensemble, programme.segments[0].velocity)
-    return characteristic.loop_of(s, pull_of(ensemble, programme), panels)
+    return characteristic.loop_of(s, pull_of(ensemble, programme), nodes)
 
 
 def volterra(n, length, cells):
@@ -111,6 +112,13 @@ def test_fresh_slip_is_that_of_any_unit():
     assert other.critical_stiffness.value == pytest.approx(found.critical_stiffness.value, abs=1e-9)
     assert other.X.value == pytest.approx(1e-6 * found.X.value, abs=1e-14)
     assert math.isinf(fresh_slip(Ensemble(Delta()), 0.1).critical_stiffness.value)
+
+
+def test_no_fresh_slip():
+    """Thresholds so different that friction only rises: the sum of many steps is smooth."""
+    found = fresh_slip(Ensemble(Distribution(stats.lognorm(0.9)), stiffness_law="uniform"), 0.1)
+    assert (found.critical_stiffness.value, found.X.value) == (0.0, None)
+    assert found.peak_ratio.value == pytest.approx(1.0, abs=found.peak_ratio.stderr)
 
 
 def impedance(p, velocity, tau, damping, law="uniform", eta=0.0):
@@ -308,6 +316,7 @@ def test_heat_stabilises():
         (contacts(aging=Aging("langevin", rate=0.1, x_star_final=2.0)), pulled(0.1), "langevin"),
         (contacts(aging=Aging("flow", rate=0.1, x_star_final=2.0), disorder="annealed"), pulled(0.1), "aging"),
         (contacts(tau=1.0), pulled(0.1, 1e-9, 1.0), "damping is too small beside its mass"),
+        (contacts(tau=1e6), pulled(0.1), "delay.time: is 7.52e.04 thresholds long"),
     ],
 )
 def test_errors(ensemble, programme, said):

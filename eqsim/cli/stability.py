@@ -108,8 +108,8 @@ def _remarks(found: "Stability") -> Iterator[str]:
     """What needs to be said."""
     if found.verdict == "neutral":
         yield f"neutral: {found.method}"
-    elif found.growth.value is None:
-        yield "every perturbation decays within a fraction of a cycle"
+    elif found.growth.value is None and found.verdict == "stable":
+        yield "no rate: perturbations decay within a fraction of a cycle, or not exponentially"
     if found.critical_stiffness.value is None:
         yield "no critical stiffness of steady sliding: not asked for (--critical, minutes), or not found"
     if found.verdict == "undecided":

@@ -14,7 +14,8 @@ detached share changes by Gamma (1 - D)/p. M is the transform of x E[k_i/k; xi >
 perturbation is amplified or damped by the contacts.
 
 Lengths are in units of the law's scale and time is displacement, V = 1. Means over births are sums over Gauss-Legendre
-nodes in the normal deviate of the threshold; two sets of panels give the result and its error.
+nodes in the normal deviate of the threshold; two sets of panels, of different range, give the result and its error:
+where many thresholds are so much greater than most that decaying exponentials make their mean diverge, it is large.
 """
 
 import math
@@ -32,8 +33,7 @@ from eqsim.numerics.tables import Array
 
 METHOD = "characteristic equation"
 
-_SIGMA = 8.2  # the range of thresholds, in deviates
-FINE, COARSE, SCAN = 128, 64, 24  # panels in it
+FINE, COARSE, SCAN = (128, 8.2), (64, 7.4), (24, 8.2)  # panels, and the range of thresholds in deviates
 _NODES, _WEIGHTS = special.roots_legendre(8)
 _SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])  # of (1 - exp(-z)(1 + z))/z^2
 _AT_ONCE = 2**21  # terms, to bound memory
@@ -53,11 +53,13 @@ class Births(NamedTuple):
     kappa: Array
 
 
-def births_of(s: Reduced, panels: int) -> Births:
+def births_of(s: Reduced, nodes: tuple[int, float]) -> Births:
     """Nodes that stand for the law; of a discrete one all its thresholds."""
     if s.law.steps.size:
         return Births(*different_steps(s))
-    edges = np.union1d(np.linspace(-_SIGMA, _SIGMA, panels + 1), _kinks(s.law))
+    panels, sigma = nodes
+    kinks = _kinks(s.law)
+    edges = np.union1d(np.linspace(-sigma, sigma, panels + 1), kinks[np.abs(kinks) < sigma])
     half = 0.5 * np.diff(edges)[:, None]
     z = (edges[:-1, None] + half * (1.0 + _NODES)).ravel()
     share = (half * _WEIGHTS).ravel() * np.exp(-0.5 * z**2)
@@ -68,8 +70,7 @@ def births_of(s: Reduced, panels: int) -> Births:
 
 def _kinks(law: ThresholdLaw) -> Array:
     """Deviates at which the density of a law jumps."""
-    found = special.ndtri(np.asarray(law.cdf(law.breakpoints), float))
-    return np.asarray(found[np.abs(found) < _SIGMA])
+    return np.asarray(special.ndtri(np.asarray(law.cdf(law.breakpoints), float)))
 
 
 class Loop(NamedTuple):
@@ -110,12 +111,12 @@ class Loop(NamedTuple):
         return np.asarray(self.mass * p**2 + self.damping * p + stiffness + self.response(p))
 
 
-def loop_of(s: Reduced, pull: Pull, panels: int) -> Loop:
+def loop_of(s: Reduced, pull: Pull, nodes: tuple[int, float]) -> Loop:
     """Raises InputError for identical contacts with a fixed delay."""
     delay = s.delay
     if isinstance(delay, Fixed) and s.law.steps.size and np.ptp(s.law.steps) == 0.0:
         raise InputError("thresholds: identical contacts with a fixed delay stay in step; no steady state")
-    births = births_of(s, panels)
+    births = births_of(s, nodes)
     C = float(births.share @ births.xi)
     beta = 1.0 / (C + delay.mean)
     damping = pull.damping + s.drag * beta * delay.mean
@@ -148,6 +149,10 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
     best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST / mean
     while True:
         if high / step > _MOST:
+            if low == step:
+                raise InputError(
+                    f"delay.time: is {loop.delay.mean / mean:.3g} thresholds long; the border is out of reach"
+                )
             if loop.mass == 0.0:
                 return best
             raise InputError("drive.stage: its damping is too small beside its mass to find the border of stability")

@@ -30,7 +30,7 @@ from eqsim.numerics.tables import Array
 
 NEUTRAL = "no perturbation grows or decays: without heat, aging and delay friction is the same at any X(t)"
 
-_LIVES, _PER_WIDTH, _LEAST, _MOST = 4.0, 40.0, 1000, 40_000  # of the fresh transient: length, cells
+_LIVES, _PER_WIDTH, _LEAST, _MOST = 8.0, 40.0, 1000, 40_000  # of the fresh transient: length, cells
 _PROFILE_STEP = 0.015  # in ln x, over which a profile may be wrong by its error
 _CERTAIN = 2.0  # errors by which a rate must differ from 0
 
@@ -43,10 +43,10 @@ class FreshSlip:
     ----------
     critical_stiffness : Estimate
         Largest -dF/dX of the fresh transient at constant velocity; a spring with a smaller kappa_s slips. Exact where F
-        depends on X only (T = 0, no delay, no aging), else of slips during which the slider has no time. `stderr` is
-        the error of the solver. Infinite for discrete thresholds, which break together.
+        depends on X only (T = 0, no delay, no aging) and the slider has neither damping nor mass. `stderr` is the error
+        of the solver. 0 where friction never falls, infinite for discrete thresholds, which break together.
     X : Estimate
-        Where that is (length).
+        Where that is (length); without a value where it is 0 or infinite.
     peak_ratio : Estimate
         Largest force on the way over steady friction.
     """
@@ -69,8 +69,8 @@ class Stability:
         Below it steady sliding is unstable; without a value if it was not asked for or not found.
     growth, period : Estimate
         Of the slowest perturbation of steady sliding at this kappa_s: its rate (1/time; negative: it decays) and period
-        (time), the latter without a value if it does not oscillate, both if all decay within a fraction of a cycle.
-        `stderr` is the error of the solver.
+        (time), the latter without a value if it does not oscillate, both if all decay within a fraction of a cycle, or
+        not exponentially (heavy-tailed thresholds). `stderr` is the error of the solver.
     method : str
         What was solved.
     """
@@ -94,7 +94,8 @@ class Stability:
         if self.method == NEUTRAL:
             return "neutral"
         if self.growth.value is None:
-            return "stable"
+            border = self.critical_stiffness.value
+            return "undecided" if border is not None and self.stiffness < border else "stable"
         if not self.growth.reliable or abs(self.growth.value) <= _CERTAIN * (self.growth.stderr or 0.0):
             return "undecided"
         return "unstable" if self.growth.value > 0.0 else "stable"
@@ -165,8 +166,8 @@ def stability(
     ------
     InputError
         Without a stage, for programmes of several segments and holds; for contacts without a mean field (annealed ones
-        that age, the rule "langevin"); for identical contacts with a fixed delay; and for a slider whose damping is too
-        small beside its mass.
+        that age, the rule "langevin"); for identical contacts with a fixed delay, and delays of thousands of lives; and
+        for a slider whose damping is too small beside its mass.
     """
     pulled = pulled_by(ensemble, drive)
     mode = _mode(pulled)  # may refuse
@@ -231,8 +232,8 @@ def _loops(pulled: Pulled) -> list[characteristic.Loop]:
     s = reduced(pulled.ensemble, pulled.velocity)
     with under("drive"):
         pull = pull_of(pulled.ensemble, pulled.programme())
-    panels = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
-    return [characteristic.loop_of(s, pull, many) for many in panels]
+    nodes = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
+    return [characteristic.loop_of(s, pull, one) for one in nodes]
 
 
 def _mode(pulled: Pulled) -> kicks.Mode:
@@ -293,15 +294,13 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     forces, x = _on_three_grids(profile, s, distance)
     rough, fine = (4.0 * forces[1][::2] - forces[0]) / 3.0, (4.0 * forces[2][::2] - forces[1]) / 3.0
     fall, X, peak = _steepest(x[::4], rough), _steepest(x[::2], fine), max(rough.max(), fine.max())
-    slope, at_X, highest = X
+    (slope, at_X, highest), level = X, friction / unit
     uncertain = profile.error * peak / (_PROFILE_STEP * max(at_X, x[1]))
-    slope_error = abs(slope - fall[0]) + uncertain
-    ratio, missed = highest * unit / friction, abs(highest - fall[2]) * unit / friction
-    return FreshSlip(
-        Estimate(slope, slope_error, 0),
-        Estimate(at_X * unit, (abs(at_X - fall[1]) + x[1] * 1e-3) * unit, 0),
-        Estimate(ratio, missed + ratio * (profile.error + error / friction), 0),
-    )
+    critical = Estimate(max(slope, 0.0), abs(slope - fall[0]) + uncertain, 0)
+    place = Estimate(at_X * unit, (abs(at_X - fall[1]) + x[1] * 1e-3) * unit, 0)
+    ratio, missed = max(highest, level) / level, abs(highest - fall[2]) / level
+    ratio_error = missed + ratio * (profile.error + error / friction)
+    return FreshSlip(critical, place if slope > 0.0 else Estimate(None, None, 0), Estimate(ratio, ratio_error, 0))
 
 
 def _on_three_grids(profile: Profile, s: Any, distance: float) -> tuple[list[Array], Array]:
