@@ -328,6 +328,9 @@ def test_border_over_velocity():
     found = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1, 1.0])
     assert found["critical_stiffness"] == pytest.approx(np.array([0.14169, 0.91300]), abs=1e-5)
     assert np.all(found["fresh_critical_stiffness"] > 0.17)
+    fresh = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1], critical=False)
+    assert np.isnan(fresh["critical_stiffness"][0])
+    assert fresh["fresh_critical_stiffness"][0] == found["fresh_critical_stiffness"][0]
     with pytest.raises(InputError, match="velocity = "):
         border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.0])
 

@@ -45,10 +45,10 @@ def stability(
         )
     title, notes = file.title or path.stem, list(_remarks(found))
     if out is not None:
-        borders: dict[str, Any] = {}
-        if pulled.quick or critical:
-            with shown.bar("borders", "velocities") as progress:
-                borders = solve.border(pulled, _velocities(found.velocity, _POINTS if pulled.quick else _FEW), progress)
+        steady = pulled.quick or critical
+        velocities = _velocities(found.velocity, _FEW if critical and not pulled.quick else _POINTS)
+        with shown.bar("borders", "velocities") as progress:
+            borders = solve.border(pulled, velocities, critical=steady, progress=progress)
         origin = storage.provenance("stability", file.model_dump(), file.text, file.output.seed, path.parent)
         names = _publish(out, found, borders, title, origin)
         notes.append(f"{out}/: {', '.join(names)}")
@@ -67,8 +67,7 @@ def _publish(out: Path, found: "Stability", borders: dict[str, Any], title: str,
 
     summary = {**_summary(found), "versions": storage.versions()}
     files = {"summary.json": storage.to_json(summary).encode(), "stability.png": stability_png(found, borders, title)}
-    if borders:
-        files["border.parquet"] = storage.parquet(borders, origin)
+    files["border.parquet"] = storage.parquet(borders, origin)
     storage.publish(out, files)
     return list(files)
 

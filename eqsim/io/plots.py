@@ -159,10 +159,14 @@ def stability_png(found: "Stability", borders: dict[str, Any], title: str) -> by
     order = np.argsort(velocity)
     velocity, steady, fresh = velocity[order], steady[order], fresh[order]
     known = np.isfinite(steady) & (steady > 0)
-    axes.plot(velocity[known], steady[known], color="C3", marker=".", label="steady sliding is unstable below")
-    axes.fill_between(velocity, 0, np.where(known, steady, 0), color="C3", alpha=0.12, linewidth=0)
     shown = np.isfinite(fresh) & (fresh > 0)
-    axes.plot(velocity[shown], fresh[shown], color="C0", linestyle="--", marker=".", label="a fresh start slips below")
+    if known.any():
+        axes.plot(velocity[known], steady[known], color="C3", marker=".", label="steady sliding is unstable below")
+        axes.fill_between(velocity, 0, np.where(known, steady, 0), color="C3", alpha=0.12, linewidth=0)
+    if shown.any():
+        axes.plot(
+            velocity[shown], fresh[shown], color="C0", linestyle="--", marker=".", label="a fresh start slips below"
+        )
     axes.plot([found.velocity], [found.stiffness], "k*", markersize=12, label=f"this run, {found.verdict}")
     axes.set(xscale="log", yscale="log", xlabel=_LABELS["drive.velocity"], ylabel="stiffness  kappa_s = K / (N k)")
     values = np.concatenate((steady[known], fresh[shown], [found.stiffness]))

@@ -192,7 +192,11 @@ def critical_stiffness(pulled: Pulled, progress: Callable[[int, float], None] = 
 
 
 def border(
-    pulled: Pulled, velocities: Sequence[float], progress: Callable[[int, float], None] = lambda *_: None
+    pulled: Pulled,
+    velocities: Sequence[float],
+    *,
+    critical: bool = True,
+    progress: Callable[[int, float], None] = lambda *_: None,
 ) -> dict[str, Array]:
     """Critical stiffnesses over velocity.
 
@@ -200,6 +204,8 @@ def border(
     ----------
     velocities : sequence of float
         Of the stage (length/time).
+    critical : bool
+        Whether to look for that of steady sliding, too.
     progress : callable
         Called with (done, total) after each velocity.
 
@@ -217,7 +223,8 @@ def border(
     for done, velocity in enumerate(velocities):
         require_number("velocity", velocity, above=0.0)
         here = pulled._replace(velocity=float(velocity))
-        found, fresh = critical_stiffness(here), fresh_slip(here.ensemble, here.velocity).critical_stiffness
+        found = critical_stiffness(here) if critical else Estimate(None, None, 0)
+        fresh = fresh_slip(here.ensemble, here.velocity).critical_stiffness
         rows.append([velocity, *(_number(part) for one in (found, fresh) for part in (one.value, one.stderr))])
         progress(done + 1, len(velocities))
     names = "velocity", "critical_stiffness", "critical_stiffness_error"

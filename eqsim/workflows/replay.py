@@ -134,7 +134,8 @@ def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress)
 
     file, folder = _file(origin["settings"]), Path(origin["folder"])
     pulled = pulled_by(file.ensemble(folder), file.driven(folder))
-    return border(pulled, table["velocity"].tolist(), progress)
+    critical = bool(table["critical_stiffness"].notna().any())
+    return border(pulled, table["velocity"].tolist(), critical=critical, progress=progress)
 
 
 def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
