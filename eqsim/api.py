@@ -11,6 +11,7 @@ from eqsim.laws.delay import Delay
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.master.closure import Closure, closure
+from eqsim.master.stability import FreshSlip, Stability, fresh_slip, stability
 from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
 from eqsim.model.drive import Drive, Programme, Segment, Stage
@@ -30,6 +31,7 @@ __all__ = [
     "Ensemble",
     "Estimate",
     "Fluctuations",
+    "FreshSlip",
     "Gamma",
     "InputError",
     "Programme",
@@ -41,6 +43,7 @@ __all__ = [
     "Segment",
     "SliderTrajectory",
     "Slip",
+    "Stability",
     "Stage",
     "Steady",
     "Table",
@@ -50,10 +53,12 @@ __all__ = [
     "Validation",
     "closure",
     "fluctuations",
+    "fresh_slip",
     "load",
     "reference",
     "replay",
     "run",
+    "stability",
     "steady",
     "trajectory",
     "transient",

@@ -17,6 +17,7 @@ from eqsim.estimate import OBSERVABLES, Estimate
 if TYPE_CHECKING:
     from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
     from eqsim.engine.steady import Steady
+    from eqsim.master.stability import Stability
     from eqsim.master.transient import Transient
     from eqsim.validation import Validation
 
@@ -140,6 +141,39 @@ def slider_png(run: "SliderTrajectory", exact: "Transient | None", title: str) -
     phase.set_xscale("symlog", linthresh=max(np.abs(np.diff(run.stage) / np.diff(run.t)).max(), 1e-300))
     for panel in (force, place, phase):
         panel.grid(alpha=0.3)
+    return _png(figure)
+
+
+def stability_png(found: "Stability", borders: dict[str, Any], title: str) -> bytes:
+    """The critical stiffness over velocity, of steady sliding and of the first slip, and the run's own point."""
+    figure = Figure(figsize=(7, 5), dpi=150, layout="constrained")
+    axes = figure.subplots()
+    velocity, steady, fresh = (
+        np.append(borders.get(name, ()), own)
+        for name, own in (
+            ("velocity", found.velocity),
+            ("critical_stiffness", found.critical_stiffness.value or 0.0),
+            ("fresh_critical_stiffness", found.fresh.critical_stiffness.value or 0.0),
+        )
+    )
+    order = np.argsort(velocity)
+    velocity, steady, fresh = velocity[order], steady[order], fresh[order]
+    known = np.isfinite(steady) & (steady > 0)
+    shown = np.isfinite(fresh) & (fresh > 0)
+    if known.any():
+        axes.plot(velocity[known], steady[known], color="C3", marker=".", label="steady sliding is unstable below")
+        axes.fill_between(velocity, 0, np.where(known, steady, 0), color="C3", alpha=0.12, linewidth=0)
+    if shown.any():
+        axes.plot(
+            velocity[shown], fresh[shown], color="C0", linestyle="--", marker=".", label="a fresh start slips below"
+        )
+    axes.plot([found.velocity], [found.stiffness], "k*", markersize=12, label=f"this run, {found.verdict}")
+    axes.set(xscale="log", yscale="log", xlabel=_LABELS["drive.velocity"], ylabel="stiffness  kappa_s = K / (N k)")
+    values = np.concatenate((steady[known], fresh[shown], [found.stiffness]))
+    axes.set_ylim(0.3 * values.min(), 3.0 * values.max())
+    axes.set_title(_plain(title), fontsize=10)
+    axes.legend(loc="best", fontsize=8)
+    axes.grid(alpha=0.3)
     return _png(figure)
 
 

@@ -41,6 +41,10 @@ class Fixed(NamedTuple):
         """|E[exp(i k delay)]|."""
         return np.ones_like(k)
 
+    def forgotten(self, p: Array) -> Array:
+        """1 - E[exp(-p delay)], p complex."""
+        return np.asarray(-np.expm1(-p * self.mean))
+
     def sample(self) -> Array:
         """Equally likely delays that stand for the law."""
         return np.full(1, self.mean)
@@ -71,6 +75,9 @@ class Exponential(NamedTuple):
 
     def coherence(self, k: Array) -> Array:
         return np.asarray(1.0 / np.hypot(1.0, k * self.mean))
+
+    def forgotten(self, p: Array) -> Array:
+        return np.asarray(p * self.mean / (1.0 + p * self.mean))
 
     def sample(self) -> Array:
         return self.mean * -np.log((np.arange(16) + 0.5) / 16)

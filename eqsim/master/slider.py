@@ -155,12 +155,13 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
 
 class Pulled(NamedTuple):
     """Means at the instants of a programme's grid, and where slider and stage are, with errors, arrays (points,);
-    lengths in the user's unit."""
+    lengths in the user's unit. `coarser_X` is of steps about twice as long."""
 
     means: Means
     X: Array
     stage: Array
     X_error: Array
+    coarser_X: Array
 
 
 def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
@@ -198,7 +199,7 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     wrong = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
     rate = np.gradient(breaks, grid.t) if grid.t.size > 1 else breaks
     means = Means(total * unit, pinned, rate, error * unit, missed[1], variance * unit**2, wrong * unit**2)
-    return Pulled(means, X * unit, Y * unit, missed[6] * unit)
+    return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
 
 
 def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]:

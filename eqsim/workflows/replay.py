@@ -132,6 +132,15 @@ def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress)
     return avalanches if avalanches is not None and "breaks" in table else found.columns()
 
 
+def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
+    from eqsim.master.stability import border, pulled_by
+
+    file, folder = _file(origin["settings"]), Path(origin["folder"])
+    pulled = pulled_by(file.ensemble(folder), file.driven(folder))
+    critical = bool(table["critical_stiffness"].notna().any())
+    return border(pulled, table["velocity"].tolist(), critical=critical, progress=progress)
+
+
 def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
     from eqsim.validation import columns, validate
 
@@ -162,6 +171,7 @@ def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress)
 
 _REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
     "run": _run,
+    "stability": _stability,
     "validate": _validate,
     "sweep": _sweep,
     "figures": _figures,

@@ -1,0 +1,236 @@
+"""Linear stability of steady sliding through a spring, of contacts that neither heat nor age changes (derived).
+
+While X = V t + x exp(p t), contacts born at a rate that varies as exp(p t) break after a displacement xi. To first
+order in x the force of all changes by Z(p) x, so that perturbations obey, all per N k,
+
+    m p^2 + eta_s p + kappa_s + Z(p) = 0,
+    Z(p) = beta (1 - D) (drag (1 - P) - q M)/(1 - D P) + eta_l p (1 - pinned),
+
+    P = E[exp(-q xi)],   M = E[(k_i/k) (1 - exp(-q xi) (1 + q xi))/q^2],   q = p/V,   D = E[exp(-p delay)],
+    beta = 1/(C + V tau),   drag = eta_l V,   pinned = beta C,
+
+where births answer to breaks as b = D Gamma, Gamma = p beta (1 - P)/(1 - D P) being the perturbation of breaks, and the
+detached share changes by Gamma (1 - D)/p. M is the transform of x E[k_i/k; xi > x]. Without delay D = 1 and Z = 0: no
+perturbation is amplified or damped by the contacts.
+
+Lengths are in units of the law's scale and time is displacement, V = 1. Means over births are sums over Gauss-Legendre
+nodes in the normal deviate of the threshold; two sets of panels, of different range, give the result and its error:
+where many thresholds are so much greater than most that decaying exponentials make their mean diverge, it is large.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, special
+
+from eqsim.errors import InputError
+from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.threshold import ThresholdLaw
+from eqsim.master.quenched import different_steps, kappa_of
+from eqsim.model.reduced import Pull, Reduced
+from eqsim.numerics.tables import Array
+
+METHOD = "characteristic equation"
+
+FINE, COARSE, SCAN = (128, 8.2), (64, 7.4), (24, 8.2)  # panels, and the range of thresholds in deviates
+_NODES, _WEIGHTS = special.roots_legendre(8)
+_SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])  # of (1 - exp(-z)(1 + z))/z^2
+_AT_ONCE = 2**21  # terms, to bound memory
+_PHASE, _FIRST, _MOST = 0.05, 6.0, 100_000  # scan: step in phase over a cycle, first range in 1/threshold, points
+_FAINT = 1e-4  # part of the largest Z below which no border is looked for
+# of Newton's method; the relative step that ends it, after which a root is good to its square, or to rounding; and how
+# small the equation is there
+_ROUNDS, _SETTLED, _FOUND = 25, 1e-8, 1e-9
+_LEFT = 4.0  # decays faster than so many per cycle are not looked for
+
+
+class Births(NamedTuple):
+    """Thresholds of newborn contacts, their shares and kappa, arrays (nodes,)."""
+
+    xi: Array
+    share: Array
+    kappa: Array
+
+
+def births_of(s: Reduced, nodes: tuple[int, float]) -> Births:
+    """Nodes that stand for the law; of a discrete one all its thresholds."""
+    if s.law.steps.size:
+        return Births(*different_steps(s))
+    panels, sigma = nodes
+    kinks = _kinks(s.law)
+    edges = np.union1d(np.linspace(-sigma, sigma, panels + 1), kinks[np.abs(kinks) < sigma])
+    half = 0.5 * np.diff(edges)[:, None]
+    z = (edges[:-1, None] + half * (1.0 + _NODES)).ravel()
+    share = (half * _WEIGHTS).ravel() * np.exp(-0.5 * z**2)
+    low, high = -special.log_ndtr(-z), -np.log1p(-special.ndtr(np.minimum(z, 0.0)))
+    xi = np.asarray(s.law.inverse_survival(np.where(z < 0, high, low))) / s.law.scale
+    return Births(xi, share / share.sum(), kappa_of(s, xi))
+
+
+def _kinks(law: ThresholdLaw) -> Array:
+    """Deviates at which the density of a law jumps."""
+    return np.asarray(special.ndtri(np.asarray(law.cdf(law.breakpoints), float)))
+
+
+class Loop(NamedTuple):
+    """What answers to a perturbation: contacts, their delays, the viscous force of a detached contact, and the damping
+    and the mass of the slider; damping also by contacts that are detached in the mean."""
+
+    births: Births
+    delay: Fixed | Exponential
+    drag: float
+    beta: float
+    damping: float
+    mass: float
+
+    @property
+    def cycle(self) -> float:
+        """C + V tau."""
+        return 1.0 / self.beta
+
+    def response(self, p: Array) -> Array:
+        """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex, not 0, shape (n,)."""
+        xi, share, kappa = self.births
+        rows = max(1, _AT_ONCE // xi.size)
+        return np.concatenate([self._response(p[i : i + rows], xi, share, kappa) for i in range(0, p.size, rows)])
+
+    def _response(self, p: Array, xi: Array, share: Array, kappa: Array) -> Array:
+        z = p[:, None] * xi
+        lost = -np.expm1(-z)
+        broken = lost @ share  # 1 - P
+        work = np.polynomial.polynomial.polyval(np.where(np.abs(z) < 0.5, z, 0.0), _SERIES)
+        far = np.abs(z) >= 0.5
+        work[far] = (lost[far] - z[far] * (1.0 - lost[far])) / z[far] ** 2
+        M = work @ (share * kappa * xi**2)
+        away = self.delay.forgotten(p)  # 1 - D
+        return np.asarray(self.beta * away * (self.drag * broken - p * M) / (away + (1.0 - away) * broken))
+
+    def balance(self, p: Array, stiffness: float) -> Array:
+        """The characteristic equation, shape (n,)."""
+        return np.asarray(self.mass * p**2 + self.damping * p + stiffness + self.response(p))
+
+
+def loop_of(s: Reduced, pull: Pull, nodes: tuple[int, float]) -> Loop:
+    """Raises InputError for identical contacts with a fixed delay."""
+    delay = s.delay
+    if isinstance(delay, Fixed) and s.law.steps.size and np.ptp(s.law.steps) == 0.0:
+        raise InputError("thresholds: identical contacts with a fixed delay stay in step; no steady state")
+    births = births_of(s, nodes)
+    C = float(births.share @ births.xi)
+    beta = 1.0 / (C + delay.mean)
+    damping = pull.damping + s.drag * beta * delay.mean
+    return Loop(births, delay, s.drag, beta, damping, pull.mass)
+
+
+class Border(NamedTuple):
+    """The largest stiffness at which a perturbation neither grows nor decays, and its frequency (0 without one)."""
+
+    stiffness: float
+    frequency: float
+
+
+def border_of(loop: Loop, coarse: Loop) -> Border:
+    """Below it steady sliding is unstable: the greatest of m w^2 - Re Z(i w) over the roots of eta w + Im Z(i w) = 0.
+
+    Infinite of a slider with a mass, no damping and contacts with a fixed delay: whenever w tau is near a multiple of
+    2 pi Im Z changes its sign. The scan, with the nodes of `coarse`, ends where |Z| is below the greatest found, or too
+    small for another root; of discrete thresholds without damping, whose |Z| does not fall, after `_MOST` steps. Raises
+    InputError if with a mass it does not end.
+    """
+    if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
+        return Border(math.inf, math.inf)
+    xi, share, _ = coarse.births
+    mean = float(share @ xi)
+    apart = max(float(share @ xi**2) - mean**2, 0.0)
+    apart += 0.0 if isinstance(loop.delay, Fixed) else loop.delay.mean**2
+    # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width that of its length
+    step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
+    best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST / mean
+    while True:
+        if high / step > _MOST:
+            if low == step:
+                raise InputError(
+                    f"delay.time: is {loop.delay.mean / mean:.3g} thresholds long; the border is out of reach"
+                )
+            if loop.mass == 0.0:
+                return best
+            raise InputError("drive.stage: its damping is too small beside its mass to find the border of stability")
+        w = np.arange(low, high + step, step)
+        Z = coarse.response(1j * w)
+        size = float(np.abs(Z[w.size // 2 :]).max())
+        largest = max(largest, float(np.abs(Z).max()))
+        phase = loop.damping * w + Z.imag
+        for i in np.flatnonzero(phase[:-1] * phase[1:] < 0.0):
+            best = max(best, _crossing(loop, w[i], w[i + 1]))
+        faint = loop.mass == 0.0 and size < max(best.stiffness, _FAINT * largest)
+        if faint or loop.damping * high > 2.0 * size:
+            return best
+        # |Z| falls as 1/w from here on
+        last = math.sqrt(2.0 * size * high / loop.damping) if loop.mass > 0.0 and loop.damping > 0.0 else 0.0
+        low, high = float(w[-1]), max(2.0 * high, last if last > _MOST * step else 0.0)
+
+
+def _crossing(loop: Loop, low: float, high: float) -> Border:
+    """Where a root crosses the imaginary axis between two frequencies."""
+
+    def phase(w: float) -> float:
+        return loop.damping * w + float(loop.response(np.array([1j * w]))[0].imag)
+
+    if phase(low) * phase(high) > 0.0:  # the coarser nodes differ
+        return Border(0.0, 0.0)
+    w = float(optimize.brentq(phase, low, high, xtol=1e-14, rtol=1e-13))
+    return Border(loop.mass * w**2 - float(loop.response(np.array([1j * w]))[0].real), w)
+
+
+def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
+    """The root of the characteristic equation with the largest real part, imaginary part >= 0; None if all decay faster
+    than `_LEFT` per cycle. Newton's method from a grid of beginnings, with the nodes of `coarse`; then by those of
+    `loop`."""
+    mean = float(loop.births.share @ loop.births.xi)
+    stiff = float(loop.births.share @ loop.births.kappa)
+    left = -_LEFT / loop.cycle
+    if loop.delay.mean and not isinstance(loop.delay, Fixed):
+        left = max(left, -0.9 / loop.delay.mean)
+    scales = [loop.cycle, mean, loop.delay.mean or mean, stiffness / (loop.beta * stiff)]
+    scales += [loop.damping / stiffness] if loop.damping else []
+    scales += [math.sqrt(loop.mass / stiffness)] if loop.mass else []
+    slow, fast = 0.2 / max(scales), 10.0 / min(scales)
+    w = np.concatenate(([0.0], np.geomspace(slow, fast, 24), 2.0 * math.pi / loop.cycle * np.arange(1, 9)))
+    real = np.concatenate((left * np.array([0.6, 0.15]), [0.0], np.geomspace(0.3 * slow, fast, 4)))
+    found = _newton(coarse, (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle, stiffness)
+    found = found[(found.real > left) & (found.imag >= -1e-12)]
+    if not found.size:
+        return None
+    last = _newton(loop, found[np.argsort(-found.real)[:4]], stiffness)
+    return complex(last[np.argmax(last.real)]) if last.size else None
+
+
+def nearest_root(loop: Loop, p: complex, stiffness: float) -> complex:
+    """The root that Newton's method reaches from p; p itself if none."""
+    found = _newton(loop, np.array([p]), stiffness)
+    return complex(found[0]) if found.size else p
+
+
+def _newton(loop: Loop, p: Array, stiffness: float) -> Array:
+    """Roots that Newton's method reaches from p, shape (n,), those above the real axis."""
+    found = [p[:0]]
+    with np.errstate(all="ignore"):
+        for _ in range(_ROUNDS):
+            h = 1e-6 * np.abs(p) + 1e-12
+            f, beyond = loop.balance(np.concatenate((p, p + h)), stiffness).reshape(2, -1)
+            step = f * h / (beyond - f)
+            size, most = np.abs(step), 0.5 * (np.abs(p) + 0.1 / loop.cycle)
+            after = p - step * np.minimum(1.0, most / np.maximum(size, 1e-300))
+            good = np.isfinite(after) & (after.real > -10.0 * _LEFT / loop.cycle)
+            still = size > _SETTLED * np.abs(p)
+            found.append(after[good & ~still])
+            p = after[good & still]
+            if not p.size:
+                break
+    p = np.concatenate(found)
+    if not p.size:
+        return p
+    scale = stiffness + np.abs(loop.mass * p**2) + np.abs(loop.damping * p)
+    p = p[np.abs(loop.balance(p, stiffness)) < _FOUND * scale]
+    return np.asarray(np.where(p.imag < 0.0, p.conj(), p))

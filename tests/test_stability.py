@@ -1,0 +1,381 @@
+"""Stability of sliding through a spring: closed forms, other quadratures, other solvers, and the command."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import integrate, special, stats
+from typer.testing import CliRunner
+
+from eqsim import (
+    Aging,
+    Delay,
+    Delta,
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    InputError,
+    Programme,
+    Segment,
+    Stage,
+    Table,
+    Thermal,
+    fresh_slip,
+    reference,
+    stability,
+    transient,
+)
+from eqsim.cli.app import app
+from eqsim.master import characteristic, kicks
+from eqsim.master.stability import border, critical_stiffness, pulled_by
+from eqsim.model.reduced import pull_of, reduced
+
+
+def contacts(n=1.0, tau=0.0, **more):
+    return Ensemble(Gamma(n), delay=Delay(tau), **{"stiffness_law": "uniform", **more})
+
+
+def pulled(stiffness, damping=0.1, mass=0.0, velocity=0.1):
+    return Programme((Segment(velocity, time=1.0),), stage=Stage(stiffness, damping, mass))
+
+
+def loop(ensemble, programme, nodes=characteristic.FINE):
+    s = reduced(ensemble, programme.segments[0].velocity)
+    return characteristic.loop_of(s, pull_of(ensemble, programme), nodes)
+
+
+def volterra(n, length, cells):
+    """Steepest fall of F and its peak, T = 0, uniform, no delay: the renewal equation by the trapezoidal rule, which is
+    of second order, and central differences."""
+    x = np.linspace(0.0, length, cells + 1)
+    h, survive = x[1], special.gammaincc(n + 1, x**2)
+    broken = np.zeros(cells + 1)
+    broken[1:] = 2.0 * np.exp((1 + 2 * n) * np.log(x[1:]) - x[1:] ** 2 - special.gammaln(n + 1))
+    rate = broken.copy()
+    for i in range(1, cells + 1):
+        rate[i] += h * (rate[1:i] @ broken[i - 1 : 0 : -1])
+    force = x * survive + h * np.convolve(rate, x * survive)[: cells + 1]
+    fall = -(force[2:] - force[:-2]) / (2.0 * h)
+    top = np.argmax(fall)
+    a, b, c = fall[top - 1 : top + 2]
+    return b + (a - c) ** 2 / (8.0 * (2.0 * b - a - c)), force.max()
+
+
+@pytest.mark.parametrize(
+    ("law", "n", "critical", "digit"),
+    [("uniform", 0, 0.0348, 1e-4), ("uniform", 1, 0.1742, 1e-4), ("uniform", 4, 0.757, 1e-3),
+     ("uniform", 20, 2.64, 1e-2), ("uniform", 100, 7.01, 1e-2), ("sqrt", 0, 0.0416, 1e-4), ("sqrt", 1, 0.1740, 1e-4)],
+)  # fmt: skip
+def test_fresh_slip_known(law, n, critical, digit):
+    found = fresh_slip(contacts(n, stiffness_law=law), 0.1)
+    assert found.critical_stiffness.value == pytest.approx(critical, abs=digit)
+    assert found.critical_stiffness.stderr < 1e-5 * max(critical, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("n", "length", "peak"), [(0, 3.0, 1.026), (1, 3.0, 1.092), (4, 4.0, 1.270), (20, 6.5, None), (100, 12.0, None)]
+)
+def test_fresh_slip_by_the_trapezoidal_rule(n, length, peak):
+    coarse, fine = (np.array(volterra(n, length, cells)) for cells in (1000, 2000))
+    fall, most = fine + (fine - coarse) / 3.0
+    missed = np.abs(fine - coarse)  # four times what the finer one misses
+    found, friction = fresh_slip(contacts(n), 0.1), (n + 1) / (2.0 * special.poch(n + 1, 0.5))
+    assert found.critical_stiffness.value == pytest.approx(fall, abs=missed[0] + found.critical_stiffness.stderr)
+    # the largest of values at edges falls short of the peak by up to curvature h^2/8, curvature below 10 falls
+    h = length / 2000
+    assert found.peak_ratio.value == pytest.approx(most / friction, abs=(missed[1] + 10.0 * fall * h * h) / friction)
+    if peak:
+        assert found.peak_ratio.value == pytest.approx(peak, abs=1e-3)
+        assert 1.0 < found.peak_ratio.value < 2.0
+
+
+@pytest.mark.parametrize("velocity", [0.01, 0.1, 1.0])
+def test_fresh_slip_with_heat_along_a_programme(velocity):
+    """By the renewal equation in two times: a polynomial through half a threshold to either side of the steepest fall,
+    so that its slope is as good as the force over a sixth of that."""
+    ensemble = contacts(thermal=Thermal(0.1))
+    found = fresh_slip(ensemble, velocity)
+    other = transient(ensemble, Programme((Segment(velocity, distance=2.5),)), 501)
+    near = np.abs(other.X - found.X.value) < 0.5
+    curve = np.polynomial.Polynomial.fit(other.X[near], other.force[near], 8)
+    fall = -curve.deriv()(np.linspace(found.X.value - 0.2, found.X.value + 0.2, 401)).min()
+    missed = other.force_error[near].max() * 6.0 / 0.5
+    assert missed < 3e-3
+    assert found.critical_stiffness.value == pytest.approx(fall, abs=missed)
+    assert found.critical_stiffness.value == pytest.approx({0.01: 0.1445, 0.1: 0.1802, 1.0: 0.1764}[velocity], abs=1e-4)
+
+
+def test_fresh_slip_is_that_of_any_unit():
+    found, other = fresh_slip(contacts(), 0.1), fresh_slip(Ensemble(Gamma(1.0, 1e-6), stiffness_law="uniform"), 1e-3)
+    assert other.critical_stiffness.value == pytest.approx(found.critical_stiffness.value, abs=1e-9)
+    assert other.X.value == pytest.approx(1e-6 * found.X.value, abs=1e-14)
+    assert math.isinf(fresh_slip(Ensemble(Delta()), 0.1).critical_stiffness.value)
+
+
+def test_no_fresh_slip():
+    """Thresholds so different that friction only rises: the sum of many steps is smooth."""
+    found = fresh_slip(Ensemble(Distribution(stats.lognorm(0.9)), stiffness_law="uniform"), 0.1)
+    assert (found.critical_stiffness.value, found.X.value) == (0.0, None)
+    assert found.peak_ratio.value == pytest.approx(1.0, abs=found.peak_ratio.stderr)
+
+
+def impedance(p, velocity, tau, damping, law="uniform", eta=0.0):
+    """eta_s p + Z(p) of gamma contacts with n = 1 and a fixed delay, from J_c = (1 + x^2) exp(-x^2) by `quad`."""
+    q = p / velocity
+
+    def transform(f):
+        def part(which):
+            return integrate.quad(lambda x: which(np.exp(-q * x) * f(x)), 0, 9, epsabs=1e-12, limit=400)[0]
+
+        return complex(part(np.real), part(np.imag))
+
+    def stiff(x):  # E[k_i/k; xi > x], k_i/k = xi/sqrt(2)
+        if law == "uniform":
+            return (1.0 + x * x) * np.exp(-x * x)
+        return special.gamma(2.5) * special.gammaincc(2.5, x * x) / math.sqrt(2.0)
+
+    P, M = transform(lambda x: 2.0 * x**3 * np.exp(-x * x)), transform(lambda x: x * stiff(x))
+    D, beta = np.exp(-p * tau), 1.0 / (special.gamma(2.5) + velocity * tau)
+    elastic = -beta * q * M * (1.0 - D) / (1.0 - D * P)
+    detached = velocity * beta * (1.0 - D) * (1.0 - P) / (1.0 - D * P) + p * velocity * tau * beta
+    return damping * p + elastic + eta * detached
+
+
+# uniform and sqrt, n = 1: V, tau, and kappa_c for eta_s = 0, .01, .1
+BORDERS = [
+    ("uniform", 0.1, 1.0, (0.15000, 0.14976, 0.14169)),
+    ("uniform", 0.1, 3.0, (0.43046, 0.42947, 0.41890)),
+    ("uniform", 1.0, 1.0, (1.13877, 1.12245, 0.91300)),
+    ("sqrt", 0.1, 1.0, (0.14178, 0.14135, 0.13320)),
+]
+
+
+@pytest.mark.parametrize(("law", "velocity", "tau", "values"), BORDERS)
+def test_border(law, velocity, tau, values):
+    """It solves the equation by another quadrature, and has one pair of roots with Re p > 0 below and none above."""
+    for damping, value in zip((0.0, 0.01, 0.1), values, strict=True):
+        ensemble, programme = contacts(tau=tau, stiffness_law=law), pulled(0.1, damping, velocity=velocity)
+        assert critical_stiffness(pulled_by(ensemble, programme)).value == pytest.approx(value, abs=1e-5)
+        fine, scan = loop(ensemble, programme), loop(ensemble, programme, characteristic.SCAN)
+        found = characteristic.border_of(fine, scan)
+        exact = found.stiffness + impedance(1j * found.frequency * velocity, velocity, tau, damping, law)
+        assert abs(exact) < 1e-9
+        assert unstable(scan, 1.01 * found.stiffness) == 0
+        assert unstable(scan, 0.99 * found.stiffness) == 2
+
+
+def unstable(fine, stiffness, beyond=0.0):
+    """How many roots have Re p > beyond, by the argument principle: around the upper half of a large box, where the
+    equation is real on the real axis."""
+    size = 40.0
+    right, top = size + 1j * np.linspace(0.0, size, 200), np.linspace(size, beyond, 200) + 1j * size
+    path = np.concatenate((right, top, beyond + 1j * np.linspace(size, 1e-6, 4000)))
+    angle = np.unwrap(np.angle(fine.balance(path, stiffness)))
+    return round((angle[-1] - angle[0]) / math.pi)
+
+
+ROOTS = [
+    (0.05, 0.12938 + 0.18667j), (0.1, 0.04272 + 0.27538j), (0.12, 0.01970 + 0.28924j), (0.17, -0.01975 + 0.30822j),
+    (0.3, -0.06785 + 0.32832j),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("stiffness", "root"), ROOTS)
+def test_roots(stiffness, root):
+    found = stability(contacts(tau=1.0), pulled(stiffness))
+    assert found.growth.value == pytest.approx(root.real, abs=6e-6)
+    assert 2.0 * math.pi / found.period.value == pytest.approx(root.imag, abs=6e-6)
+    assert found.verdict == ("unstable" if root.real > 0 else "stable")
+    assert (stiffness < found.critical_stiffness.value) == (root.real > 0)
+
+
+def test_no_root_is_missed():
+    """None has a larger real part than the one found, which has."""
+    for tau, stiffness, damping, mass in (
+        (1.0, 0.1, 0.1, 0.0),
+        (1.0, 0.02, 0.3, 0.0),
+        (20.0, 0.5, 0.1, 0.5),
+        (5.0, 0.3, 1.0, 3.0),
+    ):
+        fine = loop(contacts(tau=tau), pulled(stiffness, damping, mass), characteristic.SCAN)
+        p = characteristic.root_of(fine, fine, stiffness)
+        margin = 1e-3 * abs(p)
+        pair = 2 if p.imag > 0 else 1
+        assert (unstable(fine, stiffness, p.real + margin), unstable(fine, stiffness, p.real - margin)) == (0, pair)
+
+
+def test_viscosity_of_detached_contacts():
+    fine = loop(contacts(tau=1.0, eta=0.5), pulled(0.12))
+    for p in (0.02 + 0.3j, 0.2 + 0.1j, -0.01 + 1.0j):
+        ours = fine.damping * p / 0.1 + fine.response(np.array([p / 0.1]))[0]
+        assert ours == pytest.approx(impedance(p, 0.1, 1.0, 0.1, eta=0.5), abs=1e-9)
+
+
+def test_a_wrong_rate_of_births_is_seen():
+    fine = loop(contacts(tau=1.0), pulled(0.12), characteristic.SCAN)
+    wrong = fine._replace(beta=1.0 / special.gamma(2.5))
+    assert abs(characteristic.root_of(wrong, wrong, 0.12) - characteristic.root_of(fine, fine, 0.12)) > 1e-3
+
+
+def test_identical_contacts():
+    """P = exp(-q), M = (1 - (1 + q) exp(-q))/q^2 and D = 1/(1 + p tau)."""
+    fine = loop(Ensemble(Delta(), delay=Delay(2.0, "exponential")), pulled(0.1))
+    for q in (0.1 + 3.0j, 1e-3 + 1e-4j, 12.0j):
+        P, M, D = np.exp(-q), (1.0 - (1.0 + q) * np.exp(-q)) / q**2, 1.0 / (1.0 + 0.2 * q)
+        exact = -q * M * (1.0 - D) / (1.0 - D * P) / 1.2
+        # rounding of 1 - (1 + q) exp(-q), over q^2
+        assert fine.response(np.array([q]))[0] == pytest.approx(exact, abs=1e-14 + 1e-15 / abs(q))
+    found = stability(Ensemble(Delta(), delay=Delay(2.0, "exponential")), pulled(0.1))
+    assert found.fresh_slips
+    with pytest.raises(InputError, match="identical contacts with a fixed delay"):
+        stability(Ensemble(Delta(), delay=Delay(2.0)), pulled(0.1))
+
+
+def test_many_equal_steps_are_a_smooth_law():
+    """Table of quantiles: means over 2000 of them miss 1/2000 of a threshold's spread at most."""
+    steps = Gamma(1.0).inverse_survival(-np.log((np.arange(2000) + 0.5) / 2000))
+    table = Ensemble(Table(steps), delay=Delay(1.0, "exponential"), stiffness_law="uniform")
+    smooth = Ensemble(Gamma(1.0), delay=Delay(1.0, "exponential"), stiffness_law="uniform")
+    found, exact = (critical_stiffness(pulled_by(one, pulled(0.1))).value for one in (table, smooth))
+    assert found == pytest.approx(exact, abs=5e-4 * exact)
+
+
+def test_limit_of_short_delays():
+    """kappa_c is of first order in tau: D = 1 - p tau, Z = -beta_0 q M p tau/(1 - P)."""
+    short, shorter = (critical_stiffness(pulled_by(contacts(tau=tau), pulled(0.1, 0.0))).value for tau in (2e-4, 1e-4))
+    assert 0.0 < shorter < 1e-4
+    assert short / shorter == pytest.approx(2.0, abs=1e-3)
+
+
+def test_without_delay_it_is_neutral():
+    found = stability(contacts(), pulled(0.1))
+    assert (found.verdict, found.growth.value, found.critical_stiffness.value) == ("neutral", 0.0, 0.0)
+    assert found.fresh_slips
+    assert not stability(contacts(), pulled(0.2)).fresh_slips
+
+
+def test_mass():
+    """Without damping a slider resonates with the delay, on any spring; with it the border is where roots say."""
+    assert math.isinf(critical_stiffness(pulled_by(contacts(tau=1.0), pulled(0.1, 0.0, 1.0))).value)
+    ensemble, programme = contacts(tau=1.0), pulled(0.1, 0.1, 0.3)
+    kappa = critical_stiffness(pulled_by(ensemble, programme)).value
+    rates = [stability(ensemble, pulled(part * kappa, 0.1, 0.3)).growth.value for part in (0.999, 1.001)]
+    assert rates[0] > 0.0 > rates[1]
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "eta", "mass", "period"),
+    [
+        (0.17, 0.0, 0.0, 20.37),
+        pytest.param(0.12, 0.0, 0.0, 21.72, marks=pytest.mark.verification),
+        pytest.param(0.3, 0.0, 0.0, 19.14, marks=pytest.mark.verification),
+        pytest.param(0.12, 0.5, 0.3, 24.61, marks=pytest.mark.verification),
+    ],
+)
+def test_kicks(stiffness, eta, mass, period):
+    """In mean field perturbations grow or decay as the characteristic equation says."""
+    ensemble = contacts(tau=1.0, eta=eta)
+    exact, found = (
+        stability(ensemble, pulled(stiffness, mass=mass)),
+        kicks.mode_of(ensemble, 0.1, Stage(stiffness, 0.1, mass)),
+    )
+    assert found.growth.reliable
+    assert found.growth.value == pytest.approx(exact.growth.value, abs=2.0 * found.growth.stderr)
+    assert found.growth.stderr < 0.1 * abs(exact.growth.value)
+    assert found.period.value == pytest.approx(exact.period.value, abs=2.0 * found.period.stderr)
+    assert found.period.value == pytest.approx(period, abs=0.05)
+
+
+@pytest.mark.verification
+def test_border_by_kicks():
+    ensemble = contacts(tau=1.0)
+    found = kicks.border_by_kicks(ensemble, 0.1, Stage(0.12, 0.1))
+    assert found.value == pytest.approx(0.1416883, abs=2.0 * found.stderr)
+    assert found.stderr < 0.02 * found.value
+
+
+@pytest.mark.verification
+def test_heat_stabilises():
+    """Contacts that heat breaks, too, strengthen with velocity: no delay, no instability."""
+    found = stability(contacts(thermal=Thermal(0.1)), pulled(0.17))
+    assert (found.verdict, found.method, found.critical_stiffness.value) == ("stable", kicks.METHOD, None)
+    friction = [reference(contacts(thermal=Thermal(0.1)), Drive(v)).friction.value for v in (0.1, 0.2)]
+    assert friction[1] > friction[0]
+
+
+@pytest.mark.parametrize(
+    ("ensemble", "programme", "said"),
+    [
+        (contacts(), Drive(0.1), "drive.stage: is required"),
+        (contacts(), Programme((Segment(0.1, time=1.0),)), "drive.stage: is required"),
+        (contacts(), Programme((Segment(0.1, time=1.0),) * 2, stage=Stage(0.1)), "one constant velocity > 0"),
+        (contacts(), Programme((Segment(0.0, time=1.0),), stage=Stage(0.1)), "one constant velocity > 0"),
+        (contacts(), Programme((Segment(-0.1, time=1.0),), stage=Stage(0.1)), "one constant velocity > 0"),
+        (contacts(aging=Aging("langevin", rate=0.1, x_star_final=2.0)), pulled(0.1), "langevin"),
+        (contacts(aging=Aging("flow", rate=0.1, x_star_final=2.0), disorder="annealed"), pulled(0.1), "aging"),
+        (contacts(tau=1.0), pulled(0.1, 1e-9, 1.0), "damping is too small beside its mass"),
+        (contacts(tau=1e6), pulled(0.1), "delay.time: is 7.52e.04 thresholds long"),
+    ],
+)
+def test_errors(ensemble, programme, said):
+    with pytest.raises(InputError, match=said):
+        stability(ensemble, programme)
+
+
+def test_border_over_velocity():
+    found = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1, 1.0])
+    assert found["critical_stiffness"] == pytest.approx(np.array([0.14169, 0.91300]), abs=1e-5)
+    assert np.all(found["fresh_critical_stiffness"] > 0.17)
+    fresh = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1], critical=False)
+    assert np.isnan(fresh["critical_stiffness"][0])
+    assert fresh["fresh_critical_stiffness"][0] == found["fresh_critical_stiffness"][0]
+    with pytest.raises(InputError, match="velocity = "):
+        border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.0])
+
+
+RUN = """
+[contacts]
+stiffness_law = "uniform"
+[delay]
+time = 1.0
+[drive]
+velocity = 0.1
+distance = 5.0
+[drive.stage]
+stiffness = 0.1
+damping = 0.1
+"""
+
+
+def command(*arguments):
+    """Exit code, standard output and error of `eqsim`."""
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_command(tmp_path):
+    (tmp_path / "run.toml").write_text(RUN)
+    code, out, _ = command("stability", tmp_path / "run.toml", "--json", "--out", tmp_path / "out")
+    found = json.loads(out)
+    assert code == 0
+    assert found["verdict"] == "unstable"
+    assert found["fresh_slips"] is True
+    assert found["critical_stiffness"]["value"] == pytest.approx(0.1416883, abs=1e-7)
+    assert found["growth"]["value"] == pytest.approx(0.04272, abs=6e-6)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"summary.json", "stability.png", "border.parquet"}
+    assert command("replay", tmp_path / "out" / "border.parquet", "--quiet")[0] == 0
+    code, out, _ = command("stability", tmp_path / "run.toml", "--set", "drive.stage.stiffness=0.17")
+    assert code == 0
+    assert "stable" in out
+    assert "0.14168831" in out
+    assert command("stability", tmp_path / "run.toml", "--quiet", "--set", "delay.time=0") == (0, "", "")
+    for change, said in (
+        ("aging.rule=langevin", "aging."),
+        ("drive.stage.stiffness=-1", "drive.stage.stiffness"),
+        ("thresholds.law=delta", "identical contacts"),
+    ):
+        code, out, error = command("stability", tmp_path / "run.toml", "--set", change)
+        assert (code, out, error.count("\n")) == (2, "", 1)
+        assert said in error
