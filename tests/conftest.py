@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from kernels import LAWS
 
 from eqsim.numerics import compiled
@@ -20,3 +21,23 @@ def pytest_sessionstart(session):
         running = [subprocess.Popen([*command, *LAWS[i::count]], cwd=root) for i in range(count)]
         if not any([process.wait() for process in running]):
             done.touch()
+
+
+# of these, tests with many cases; the others of a test with four cases or more run with -m verification
+THINNED = {
+    *("test_aging", "test_aging_engine", "test_closure", "test_flow", "test_fokker_planck", "test_langevin_programme"),
+    *("test_logarithmic", "test_oracle", "test_programme", "test_programme_reference", "test_reference", "test_steady"),
+    *("test_thermal", "test_stability", "test_master_edges"),
+}
+
+
+@pytest.hookimpl(tryfirst=True)  # before cases are chosen by their marks
+def pytest_collection_modifyitems(items):
+    """By default every other case of a test that has four or more, in `THINNED` modules."""
+    cases = {}
+    for item in items:
+        if item.module.__name__ in THINNED and not any(map(item.get_closest_marker, ("long", "verification"))):
+            cases.setdefault((item.module.__name__, item.originalname), []).append(item)
+    for found in cases.values():
+        for item in found[1::2] if len(found) >= 4 else ():
+            item.add_marker(pytest.mark.verification)

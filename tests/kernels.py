@@ -15,7 +15,7 @@ from eqsim import Aging, Drive, Ensemble, Programme, Segment, Stage, Thermal, st
 
 # those that take longest come first
 LAWS = [
-    *("mechanical-langevin", "soft-langevin", "mechanical-flow", "soft-flow", "soft-logarithmic"),
+    *("mechanical-langevin", "soft-langevin", "soft-flow", "soft-logarithmic"),
     *("mechanical-none", "soft-none", "stiff-none", "annealed-none"),
 ]
 

@@ -21,7 +21,7 @@ stiffness_law = "uniform"
 time = 1.0
 [drive]
 velocity = 0.1
-distance = 20.0
+distance = 14.0
 [drive.stage]
 stiffness = 0.1
 damping = 0.1

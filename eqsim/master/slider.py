@@ -7,8 +7,8 @@ The force of all contacts is what the renewal equation in two times says of X so
 all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of all pinned contacts and rho
 (without heat, per dX) or r (with heat, per dt) what breaks and births added in the last step; without a mass X has a
 closed form then, with one forces are balanced in the middle of the step. Steps are so short that dX and what this
-estimate misses, of F and of the pinned fraction, are small; three accuracies, each with steps about half as long as the
-one before, give the result and its error.
+estimate misses, of F and of the pinned fraction, are small; two accuracies, the second with steps about half as long,
+give the result and its error, and a third one where that takes few steps.
 """
 
 import math
@@ -34,6 +34,7 @@ from eqsim.model.reduced import drag_of
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.tables import Array
 
+_FEW_STEPS = 6000  # of the second accuracy, a few slips
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of the mean threshold
 _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
 
@@ -184,13 +185,14 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
         stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
         math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
     )  # fmt: skip
-    rows = [_solved(numerics, fine, spring, typical, marks, speeds, at) for fine in (1, 2, 4)]
-    rough, coarse, fine = rows
-    size = 5 + fine.shape[1] // 50
-    missed = (
-        ndimage.maximum_filter1d(np.abs(fine - coarse) + 0.5 * np.abs(coarse - rough), size, axis=1)
-        + 1e-6 * np.abs(fine).max(axis=1)[:, None]
-    )
+    coarse, _ = _solved(numerics, 1, spring, typical, marks, speeds, at)
+    fine, steps = _solved(numerics, 2, spring, typical, marks, speeds, at)
+    off = np.abs(fine - coarse)
+    if steps <= _FEW_STEPS:
+        coarse, (fine, _) = fine, _solved(numerics, 4, spring, typical, marks, speeds, at)
+        off = np.abs(fine - coarse) + 0.5 * off
+    missed = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
+    missed += 1e-6 * np.abs(fine).max(axis=1, keepdims=True)
     missed[6, 0] = 0.0
     force, pinned, squares, breaks, Y, V, X = fine
     drag = drag_of(ensemble, unit / time) * V
@@ -213,8 +215,8 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
 
 def _solved(
     numerics: Numerics, fine: int, spring: Spring, typical: float, marks: Array, speeds: Array, at: Array
-) -> Array:
-    """What is found at the marks `at`, and X, shape (7, points)."""
+) -> tuple[Array, int]:
+    """What is found at the marks `at`, and X, shape (7, points); and in how many steps."""
     c, path = numerics.contacts(fine), numerics.path(np.full(MOST_STEPS, math.inf), np.zeros(MOST_STEPS), fine)
     path.t[0] = 0.0
     spring = spring._replace(longest=path.width, missed=_MISSED * typical / fine**2)
@@ -222,4 +224,4 @@ def _solved(
     if edges < 0:
         raise InputError(f"drive.stage: takes more than {MOST_STEPS} steps of the mean field")
     index = np.searchsorted(path.t[:edges], np.append(0.0, marks))[at]
-    return np.concatenate((found[:, index], path.X[None, index]))
+    return np.concatenate((found[:, index], path.X[None, index])), edges
