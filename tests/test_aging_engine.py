@@ -227,7 +227,7 @@ def distance(stretch, life):
     return max(np.max(cdf - rank), np.max(rank + 1 / x.size - cdf)) * math.sqrt(x.size)
 
 
-@pytest.mark.parametrize("path", thinned(5, PATHS))
+@pytest.mark.parametrize("path", thinned(3, PATHS))
 def test_lives_of_fluctuating_thresholds(path):
     """S(x) of the Fokker-Planck equation (Kolmogorov: P(sqrt(N) D > 2.5) = 7e-6, and steps may move S by 1e-3), mean
     stretch and mean work (|z| < 4.5 beyond 1e-3)."""
