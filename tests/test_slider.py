@@ -191,8 +191,8 @@ MEAN_FIELD = {4.0: 0.8219230, 8.0: 0.8911854, 10.0: 0.9318314, 12.0: 0.9790210, 
 
 
 def test_mean_field_is_of_second_order():
-    """X(1) without rebirths, from eta X' = kappa (Y - X) - X J(X): with a quarter of the steps the error is more than 12
-    times as large, as of order 1.8 or more."""
+    """X(1) without rebirths, from eta X' = kappa (Y - X) - X J(X): with a quarter of the steps the error is more than
+    12 times as large, as of order 1.8 or more."""
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
     marks, speeds, at = slider._marks(np.array([0.0, 1.0]), course.ends, course.velocity)
