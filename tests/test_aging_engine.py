@@ -349,7 +349,7 @@ def _one_by_one(c, stream, contact, births, clocks):
     return np.array([life_of(c, path, STEP) for path in paths]).T
 
 
-@pytest.mark.parametrize("path", thinned(9, [PATHS[4], *PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])]))
+@pytest.mark.parametrize("path", thinned(12, [PATHS[4], *PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])]))
 def test_paths_side_by_side_as_one_by_one(path):
     """To the last bit, however many there are and whatever else advances beside them."""
     c = pinned(contacts(ensemble_of(path), 1.0))

@@ -70,6 +70,7 @@ def test_many_segments_are_one(name):
     assert scores((parts.force[1:], parts.force_stderr[1:]), (whole.force[1:], whole.force_stderr[1:])).max() < 4.5
 
 
+@pytest.mark.verification
 def test_the_same_whatever_is_recorded():
     """Where the stiffness follows its threshold steps end at instants, of holds as well."""
     ensemble = contacts("soft sqrt, n = 0.3", 20_000)

@@ -81,6 +81,7 @@ def test_reference_is_the_mean_field(path):
     assert np.all(np.diff(found["X"]) > 0)
 
 
+@pytest.mark.verification
 def test_sweep(path, tmp_path):
     path.write_text(FILE + '[sweep]\n"drive.stage.stiffness" = [0.1, 0.5]\n')
     done = eqsim("sweep", path, "--out", tmp_path / "out", "--workers", "1")
