@@ -159,6 +159,7 @@ def test_a_stiff_spring_is_a_rigid_slider():
     ensemble, segments = replace(DELAYED, count=2_000), [Segment(0.1, time=40.0), Segment(0.0, time=5.0)]
     rigid = trajectory(ensemble, Programme([*segments, Segment(-0.2, time=20.0)]), points=61)
     stiff = trajectory(ensemble, Programme([*segments, Segment(-0.2, time=20.0)], stage=Stage(1e4)), points=61)
+    # the stage is summed up over some 1e4 steps, each rounded to 4e-16: 4e-12 at most
     np.testing.assert_allclose(stiff.stage, rigid.X, rtol=0, atol=1e-9)
     np.testing.assert_allclose(stiff.X, stiff.stage - stiff.force / 1e4, rtol=0, atol=0.012 / 1e4)
     first, off = rigid.segment == 0, np.abs(stiff.force - rigid.force)
@@ -313,6 +314,7 @@ def test_avalanches_one_by_one(kappa):
     size = len(found["breaks"])
     assert len(expected) - size in (0, 1)  # the last one goes on
     np.testing.assert_array_equal(found["breaks"], expected[:size, 1])
+    # positions up to 12 are sums of some ten thresholds, rounded to 2e-15 each
     np.testing.assert_allclose(found["X"], expected[:size, 0], rtol=0, atol=1e-12)
 
 
@@ -404,6 +406,7 @@ def test_a_spring_that_pushes():
             )
             for preload in (2.0, -2.0)
         )
+        # a mirror image but for the order of a few thousand sums, rounded to 2e-16 each
         np.testing.assert_allclose(back.X, -on.X, rtol=0, atol=1e-12)
         np.testing.assert_allclose(back.force, -on.force, rtol=0, atol=1e-12)
         assert on.X[-1] > 0.5
