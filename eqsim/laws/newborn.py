@@ -19,7 +19,7 @@ from scipy import special
 
 from eqsim.errors import InputError, require_choice, require_number
 from eqsim.laws.threshold import Gamma, ThresholdLaw, Thresholds, threshold_draw
-from eqsim.numerics.compiled import by_law, inlined, routine
+from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
 
@@ -119,9 +119,6 @@ class NormalBirths(NamedTuple):
         return float(special.ndtr((self.mean - y) / self.std))
 
 
-BirthLaw = DeltaBirths | UniformBirths | ExponentialBirths | NormalBirths
-
-
 @functools.cache
 def _deviates() -> Array:
     """|z| against e = -ln P(|Z| > |z|), for |z| up to 12."""
@@ -133,7 +130,12 @@ def _deviates() -> Array:
     return octave_table(first, z, np.exp(0.5 * z**2 - e) * math.sqrt(0.5 * math.pi))
 
 
-LAWS = {"delta": DeltaBirths, "uniform": UniformBirths, "exponential": ExponentialBirths, "normal": NormalBirths}
+LAWS: dict[str, Any] = {
+    "delta": DeltaBirths,
+    "uniform": UniformBirths,
+    "exponential": ExponentialBirths,
+    "normal": NormalBirths,
+}
 
 
 @dataclass(frozen=True)
@@ -206,11 +208,13 @@ class Newborn:
         """What names random streams: texts and numbers as they were given, lengths to be divided by a unit."""
         return self.law, self.of, *(getattr(self, name) for name in _NUMBERS[self.law])
 
-    def reduced(self, unit: float) -> BirthLaw:
-        """The law, lengths in units of `unit`, of births that are `active`."""
+    def reduced(self, unit: float) -> Any:
+        """The law of births that are `active`, one of `LAWS`, lengths in units of `unit`."""
         scale = 1.0 if self.of == "threshold" else unit
-        numbers = [getattr(self, name) / scale for name in _NUMBERS[self.law]]
-        return NormalBirths(*numbers, _deviates()) if self.law == "normal" else LAWS[self.law](*numbers)
+        numbers: list[Any] = [getattr(self, name) / scale for name in _NUMBERS[self.law]]
+        if self.law == "normal":
+            numbers.append(_deviates())
+        return LAWS[self.law](*numbers)
 
     def check(self, thresholds: ThresholdLaw, disorder: str, ages: bool) -> None:
         """Raise InputError if contacts are born beyond the thresholds there are, or age."""
@@ -245,17 +249,28 @@ class Unstressed(NamedTuple):
 
     most: float = 0.0
 
+    def reach(self, xi: float) -> float:
+        """As that of `Stretched`."""
+        return 0.0
+
 
 class Stretched(NamedTuple):
     """For kernels: a law of births; whether it is one of fractions of the threshold; whether a threshold has to be
     above |y|, or above y only; the stretch that births beyond it, as good as none, count as; and -ln J_c(|y|) against
     |y|, an empty table where that is sought in the thresholds' own."""
 
-    law: BirthLaw
+    law: Any
     of_threshold: bool
     two_sided: bool
     most: float
     ranks: Array
+
+    def reach(self, xi: float) -> float:
+        """The greatest |y| of contacts whose thresholds are at most `xi`."""
+        low, high = self.law.range
+        if self.of_threshold:
+            return xi * max(abs(low), abs(high))
+        return max(min(high, self.most), min(-low, self.most) if self.two_sided else -low)
 
 
 def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> Stretched:
@@ -311,10 +326,26 @@ def _normal(law: NormalBirths, u: float) -> float:
     return law.mean + law.std * (z if u > 0.5 else -z)
 
 
-@inlined
-def newborn_draw(born: Stretched, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
+@by_law
+def born_stretched(law: Any) -> bool:
+    """Whether contacts are."""
+    return False
+
+
+@born_stretched.register(Stretched)
+def _born_stretched(law: Stretched) -> bool:
+    return True
+
+
+@by_law
+def newborn_draw(born: Any, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
     """Threshold and stretch of a newborn contact from uniforms u (the share of possible thresholds that are greater)
     and v (its birth)."""
+    return threshold_draw(thresholds, u), 0.0
+
+
+@newborn_draw.register(Stretched)
+def _draw(born: Stretched, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
     y = birth_draw(born.law, v)
     if born.of_threshold:
         xi = threshold_draw(thresholds, u)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.laws.barrier.base import Barrier, Numbers, back, hazard, height, height_slope, onward, stretch, stretches
-from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
