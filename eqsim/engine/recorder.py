@@ -21,6 +21,7 @@ from eqsim.engine.stationary import extremes
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
+from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
 from eqsim.numerics.compiled import add_row, inlined, maker, routine, take_row
 from eqsim.numerics.tables import Array
@@ -261,7 +262,8 @@ def empty_columns() -> Columns:
 @inlined
 def joined(c: Contacts, recorder: Recorder) -> bool:
     """Whether a life begins where another ends and nothing changes there but the place of birth."""
-    return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not recorder.run.batch_by_life
+    alone = recorder.run.batch_by_life or born_stretched(c.newborn)
+    return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not alone
 
 
 @routine
