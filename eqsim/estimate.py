@@ -72,6 +72,15 @@ class Averages:
         """The estimates by name."""
         return {name: getattr(self, name) for name in OBSERVABLES}
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The names of those that a table shows: not a variance that was not computed, and neither travel nor stretch
+        at birth where contacts are born unstressed."""
+        hidden = {"force_variance"} if self.force_variance.value is None else set()
+        if not (self.birth_stretch.value or self.birth_stretch.stderr):
+            hidden |= {"travel", "birth_stretch"}
+        return tuple(name for name in OBSERVABLES if name not in hidden)
+
 
 OBSERVABLES: dict[str, Observable] = {part.name: Observable(**part.metadata) for part in fields(Averages)}
 

@@ -127,7 +127,9 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     from eqsim.estimate import difference
 
     steady = result.steady.averages()
-    for name, estimate in result.trajectory.averages.averages().items():
+    averages = result.trajectory.averages
+    for name in averages.shown:
+        estimate = getattr(averages, name)
         z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
         yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
 
@@ -171,7 +173,7 @@ def steady(
     file = changes.load(path)
     ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
-    from eqsim.estimate import known, z_score
+    from eqsim.estimate import z_score
     from eqsim.master.steady import reference as solve
     from eqsim.workflows.run import if_any
 
@@ -185,7 +187,10 @@ def steady(
     exact, reason = if_any(lambda: solve(ensemble, drive))
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
-    z = {name: z_score(found[name], known(level), level.stderr or 0.0) for name, level in levels.items()}
+    z = {
+        name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
+        for name, level in levels.items()
+    }
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
@@ -196,8 +201,8 @@ def steady(
         columns=("", "contacts", "relative error", "reference", "z"),
         rows=[
             (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
-             "none" if value is None else f"{value:.9g}", terminal.score(z.get(name)))
-            for name, value in values.items()
+             "none" if values[name] is None else f"{values[name]:.9g}", terminal.score(z.get(name)))
+            for name in result.shown
         ],
         notes=[
             *([f"no reference: {reason}"] if reason else []),
@@ -246,7 +251,7 @@ def reference(
         {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
         title=file.title or path.stem,
         columns=("", "value", "error of the solver"),
-        rows=[(name, f"{estimate.value:.10g}", f"{errors[name]:.1e}") for name, estimate in found.items()],
+        rows=[(name, f"{found[name].value:.10g}", f"{errors[name]:.1e}") for name in (*result.shown, "f_k")],
         notes=[f"method: {result.method}"],
     )
 

@@ -418,7 +418,7 @@ def _averages(
     scale = float(np.mean(np.abs(travel)) + np.mean(np.abs(birth)))
     variance = estimate(second - friction**2, of_second - 2.0 * friction * of_friction, hidden * second, unit * unit)
     if stiffness_varies(c.aging, c.springs):
-        variance = Estimate(None, None, n, reliable=False)
+        variance = Estimate(None, None, n)
     return (
         estimate(friction, of_friction, hidden * size_of_force, unit),
         estimate(pinned, (travel - pinned * cycle) / cycle.mean(), hidden * pinned * waiting, 1.0),

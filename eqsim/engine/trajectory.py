@@ -292,7 +292,7 @@ def _force_variance(variance: Array, level: Scatter, run: Run, contacts: int, no
     the law: what `noise` says of the time average, and what instants that far apart may miss."""
     late = variance[run.points // 2 :]
     if contacts < 2:
-        return Estimate(None, None, contacts, reliable=False)
+        return Estimate(None, None, contacts)
     over_time = noise / (0.5 * run.distance)
     at_once = max(float(level.fourth[0] - level.variance[0] ** 2), 0.0) / late.size
     value = float(np.mean(late)) * contacts / (contacts - 1)

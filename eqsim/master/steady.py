@@ -125,7 +125,7 @@ def reference(ensemble: Ensemble, drive: Drive) -> Reference:
         break_stretch=Estimate(stretch * unit, stretch_error * unit, 0),
         travel=Estimate(stretch * unit, stretch_error * unit, 0),
         birth_stretch=Estimate(0.0, 0.0, 0),
-        force_variance=Estimate(None, None, 0, reliable=False),
+        force_variance=Estimate(None, None, 0),
         f_k=Estimate(work / stretch * unit, work / stretch * relative * unit, 0),
         method=annealed.METHOD if published else solver(s).METHOD,
     )

@@ -127,7 +127,9 @@ def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, A
         return row | {"message": "; ".join(filter(None, (row["message"], f"no reference: {error}")))}
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
+        row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr, f"{name}_z": None}
+        if level.value is None:
+            continue
         row[f"{name}_z"] = z_score(found.averages()[name], known(level), level.stderr or 0.0)
     return row
 

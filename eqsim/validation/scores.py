@@ -202,12 +202,14 @@ def averages(point: Point, found: Steady) -> Found:
     scores: Found = []
     for name, ours in found.averages().items():
         theirs = exact[name]
+        if name not in found.shown or theirs.value is None:
+            continue
         if ours.stderr == theirs.stderr == 0.0:
             continue  # pinned without delay: 1, exactly
         if not ours.reliable:  # and says so
             scores += point.without((name,), "unreliable")
             continue
-        response = known(ours) * (1.0 - known(ours) if name == "pinned" else 1.0)
+        response = abs(known(ours)) * (1.0 - known(ours) if name == "pinned" else 1.0)
         hidden, stderr = found.hidden * response, ours.stderr or 0.0
         scatter = math.sqrt(max(stderr**2 - hidden**2, 0.0))
         if point.shown.fluctuates and scatter > hidden:  # what steps may cost is a bound, mostly far from reached
