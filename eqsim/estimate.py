@@ -60,6 +60,9 @@ class Averages:
     friction: Estimate = field(metadata={"label": "friction  <F> / (N k)", "unit": "length"})
     pinned: Estimate = field(metadata={"label": "pinned fraction  N_c / N", "unit": ""})
     break_stretch: Estimate = field(metadata={"label": "mean stretch at breaking", "unit": "length"})
+    travel: Estimate = field(metadata={"label": "mean travel from birth to breaking", "unit": "length"})
+    birth_stretch: Estimate = field(metadata={"label": "mean stretch at birth", "unit": "length"})
+    force_variance: Estimate = field(metadata={"label": "force variance  Var(F) / (N k^2)", "unit": "length^2"})
 
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""
