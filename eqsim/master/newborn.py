@@ -26,7 +26,7 @@ from numpy.polynomial import chebyshev
 from scipy import special
 
 from eqsim.laws.newborn import BirthLaw, DeltaBirths, ExponentialBirths, NormalBirths, UniformBirths
-from eqsim.laws.threshold import Gamma, panels_above
+from eqsim.laws.threshold import Gamma, ThresholdLaw, panels_above
 from eqsim.master import annealed, quenched
 from eqsim.master.quenched import Moments, beyond, different_steps, kappa_of
 from eqsim.model.reduced import Reduced
@@ -164,8 +164,12 @@ def hazard_of(s: Reduced) -> Hazard:
     """Own attempts, or pooled ones."""
     barrier = s.barrier
     if not barrier.thermal:
-        nothing = lambda xi, *_: np.empty((xi.size, 0))  # noqa: E731
-        return Hazard(lambda gap, total, xi, kappa: 0.0 * gap, nothing, nothing)
+        nothing = np.empty(0)
+        return Hazard(
+            lambda gap, *_: 0.0 * gap,
+            lambda xi, *_: np.broadcast_to(nothing, (xi.size, 0)),
+            lambda xi: np.broadcast_to(nothing, (xi.size, 0)),
+        )
     if s.annealed:
         return _pooled(s)
 
@@ -253,13 +257,9 @@ class PooledRate:
 
 
 @functools.lru_cache(maxsize=8)
-def _pooled_rate(law: object, s: Reduced) -> PooledRate:
-    return PooledRate(s)
-
-
 def pooled_rate(s: Reduced) -> PooledRate:
-    """Remembered: a profile asks for it often."""
-    return _pooled_rate(s.law, s)
+    """That of an ensemble, remembered."""
+    return PooledRate(s)
 
 
 def _pooled(s: Reduced) -> Hazard:
@@ -417,12 +417,12 @@ def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
     return mean, error + np.array([rarest[0], rarest[1], 0.0])
 
 
-def rank(law: object, x: float) -> float:
-    """-ln J_c(x), x in units of the scale."""
-    if x <= 0.0:
-        return 0.0
-    low = float(law.cdf(x * law.scale))  # type: ignore[attr-defined]
-    return -math.log1p(-low) if low < 0.5 else -math.log(float(law.sf(x * law.scale)))  # type: ignore[attr-defined]
+def rank(law: ThresholdLaw, x: float) -> float:
+    """-ln J_c(x), x in units of the scale; infinite where no threshold is above."""
+    low, above = float(law.cdf(max(x, 0.0) * law.scale)), float(law.sf(max(x, 0.0) * law.scale))
+    if low < 0.5:
+        return -math.log1p(-low)
+    return -math.log(above) if above > 0.0 else math.inf
 
 
 def _gaps(s: Reduced, bound: float, gap: Array, e: Array) -> Array:
@@ -453,8 +453,7 @@ def _first_ranks(s: Reduced, births: BirthLaw, origin: float) -> Array:
     if not isinstance(births, DeltaBirths) and s.newborn.of == "length":
         kinks = births.range if isinstance(births, UniformBirths) else marks(births)
         for y in kinks:
-            with np.errstate(divide="ignore"):
-                inner += list(min(rank(s.law, abs(float(y))), 465.0) + _RARER)
+            inner += list(min(rank(s.law, abs(float(y))), 465.0) + _RARER)
     at = np.array(inner) - origin
     with np.errstate(divide="ignore", invalid="ignore"):
         found.append(np.log(at[np.isfinite(at) & (at > 0)]))
@@ -473,26 +472,18 @@ def stiffness_of_survivors(s: Reduced, x: Array) -> tuple[Array, Array]:
         return np.ones_like(x), np.ones_like(x)
     law = s.law
     if isinstance(law, Gamma):
-        J = law.sf(x * law.scale)
-        return tuple(  # type: ignore[return-value]
-            special.gammaincc(law.n + 1 + 0.5 * p, x**2) * special.poch(law.n + 1, 0.5 * p) / J / s.rms**p
-            for p in (1, 2)
-        )
+        shape, u = law.n + 1.0, x**2
+        J = special.gammaincc(shape, u)
+        mean, square = (special.gammaincc(shape + p, u) / J * special.poch(shape, p) for p in (0.5, 1.0))
+        return mean / s.rms, square / s.rms**2
     nodes, weights = special.roots_legendre(12)
     edges = panels_above(law, x, quenched.weakest(law) + np.zeros((x.size, 1)))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    xi = edges[:, :-1, None] + half * (1.0 + nodes)
-    terms = half * weights * law.pdf(xi * law.scale)
+    kappa = kappa_of(s, edges[:, :-1, None] + half * (1.0 + nodes))
+    terms = half * weights * law.pdf(kappa * s.rms * law.scale)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     total = terms.sum(axis=(1, 2))
-    return tuple((terms * (xi / s.rms) ** p).sum(axis=(1, 2)) / total for p in (1, 2))  # type: ignore[return-value]
-
-
-class _Sweep(NamedTuple):
-    """What a panel of stretches, taken downwards, has at its nodes: hazards per half panel, and `_solved`."""
-
-    rate: Array
-    solved: Array
+    return (terms * kappa).sum(axis=(1, 2)) / total, (terms * kappa**2).sum(axis=(1, 2)) / total
 
 
 def _swept(s: Reduced) -> tuple[Array, Array]:
@@ -516,8 +507,8 @@ def _swept(s: Reduced) -> tuple[Array, Array]:
             with np.errstate(divide="ignore", invalid="ignore"):
                 own = law.pdf(flat * law.scale) * law.scale / law.sf(flat * law.scale)
             rate += np.where(up, np.where(np.isfinite(own), own, 0.0).reshape(x.shape), 0.0)
-            stiff = [part.reshape(x.shape) for part in stiffness_of_survivors(s, np.where(up, x, 0.0).ravel())]
-            mean, square = stiff
+            survivors = stiffness_of_survivors(s, np.where(up, x, 0.0).ravel())
+            mean, square = (part.reshape(x.shape) for part in survivors)
         elif s.stiffness == "sqrt":
             xi, share, kappa = steps
             above = np.searchsorted(xi, np.maximum(0.5 * (left + right), 0.0), side="right")
