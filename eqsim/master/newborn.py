@@ -1,4 +1,4 @@
-"""Contacts born stretched: the stationary equations by collocation (Q5a of Braun and Peyrard, 2011, with R(x); derived).
+"""Contacts born stretched: stationary equations by collocation (Q5a of Braun and Peyrard, 2011, with R(x); derived).
 
 A contact born at y survives to y + s with exp(-(Lambda(y + s) - Lambda(y))), Lambda continued as an odd function, and
 not beyond its threshold. Downwards from where it must break, the moments of the rest of its life obey
@@ -103,6 +103,13 @@ def in_one_sweep(s: Reduced) -> bool:
     return s.one_sided
 
 
+def survivors(s: Reduced, travel: Array) -> Array:
+    """S(l) and means of kappa and kappa^2 of those that outlast travels l > 0, shape (3, n)."""
+    from eqsim.master import newborn_lives  # which needs this module
+
+    return np.asarray(newborn_lives.survivors(s, travel)[0])
+
+
 def method(s: Reduced) -> str:
     """The equation that is solved."""
     return PUBLISHED if in_one_sweep(s) else METHOD
@@ -117,7 +124,7 @@ def stationary(s: Reduced) -> Moments:
 
 def _scales(mean: Array) -> Array:
     """What errors of travel, work and square are measured by: the work may vanish though its parts do not."""
-    return np.array([mean[0], np.abs(mean[1]) + _CANCELLED * math.sqrt(mean[0] * mean[2]), mean[2]])
+    return np.abs([mean[0], np.abs(mean[1]) + _CANCELLED * math.sqrt(abs(mean[0] * mean[2])), mean[2]])
 
 
 def _solved(rate: Array, sources: Array, order: int) -> tuple[Array, Array]:
@@ -256,9 +263,13 @@ class PooledRate:
         return (self._sums[panel] + chebyshev.chebval(t, self._integrals[:, panel], tensor=False)).reshape(np.shape(x))
 
 
-@functools.lru_cache(maxsize=8)
 def pooled_rate(s: Reduced) -> PooledRate:
     """That of an ensemble, remembered."""
+    return _remembered(s, type(s.barrier).__name__)
+
+
+@functools.lru_cache(maxsize=8)
+def _remembered(s: Reduced, _: str) -> PooledRate:  # barriers of different types may be equal tuples
     return PooledRate(s)
 
 
@@ -305,7 +316,7 @@ def lives(s: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = Tru
     at = marks(law) * (per if s.newborn.of == "threshold" else np.ones_like(per))
     level = hazard.levels(xi, kappa, shift)
     alone = isinstance(law, DeltaBirths)
-    if alone:  # one of the two distances is known without cancellation
+    if isinstance(law, DeltaBirths):  # one of the two distances is known without cancellation
         half = np.sqrt(gap / (2.0 * xi))
         end = np.arcsin(half) if law.stretch >= 0 else np.arccos(half)
         inside = [level, -level]
@@ -340,7 +351,7 @@ def _marched(s: Reduced, hazard: Hazard, of: tuple[Array, Array, Array], births:
     rule = _rule(order)
     row, column = np.nonzero(np.diff(edges, axis=1) > 1e-15 * edges[:, 1:])
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
-    phi = edges[row, column, None] + half * (1.0 + rule.nodes)
+    phi = edges[row, column][:, None] + half * (1.0 + rule.nodes)
     own, k = xi[row, None], kappa[row, None]
     above, below = 2.0 * own * np.sin(phi) ** 2, 2.0 * own * np.cos(phi) ** 2
     x = own * np.cos(2.0 * phi)
@@ -372,12 +383,12 @@ def _marched(s: Reduced, hazard: Hazard, of: tuple[Array, Array, Array], births:
 def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
     """Travel, work and square of contacts with thresholds of their own, and errors, both of shape (3,)."""
     law, births, hazard = s.law, births_of(s), hazard_of(s)
-    alone = isinstance(births, DeltaBirths)
     of_threshold = s.newborn.of == "threshold"
-    bound = abs(births.stretch) if alone and not of_threshold else 0.0
+    stretch = abs(births.stretch) if isinstance(births, DeltaBirths) else 0.0
+    bound = 0.0 if of_threshold else stretch
 
     def gap_of(xi: Array) -> Array:
-        return xi * (1.0 - abs(births.stretch)) if alone and of_threshold else xi - bound
+        return xi * (1.0 - stretch) if of_threshold else xi - bound
 
     if law.steps.size:
         xi, share, _ = different_steps(s)
@@ -483,7 +494,10 @@ def stiffness_of_survivors(s: Reduced, x: Array) -> tuple[Array, Array]:
     terms = half * weights * law.pdf(kappa * s.rms * law.scale)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     total = terms.sum(axis=(1, 2))
-    return (terms * kappa).sum(axis=(1, 2)) / total, (terms * kappa**2).sum(axis=(1, 2)) / total
+    own = kappa_of(s, x)  # where hardly a threshold is above
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean, square = ((terms * kappa**power).sum(axis=(1, 2)) / total for power in (1, 2))
+        return np.where(total > 0, mean, own), np.where(total > 0, square, own**2)
 
 
 def _swept(s: Reduced) -> tuple[Array, Array]:
@@ -549,6 +563,7 @@ def _swept(s: Reduced) -> tuple[Array, Array]:
         L, size = np.abs(found[..., 0]).max(axis=1), np.maximum(np.abs(p.left), np.abs(p.right))
         most = L[:, None] * np.array([np.ones_like(size), np.maximum(size, L), np.maximum(size, L) ** 2]).T
         missed = np.abs(ClenshawCurtis.tail.T @ integrand).sum(axis=1)
+        most = np.maximum(most, _scales(mean))  # what is missed fades downwards
         rough = (tail > _RESOLVED * most).any(axis=1) | (missed > _RESOLVED * _scales(mean)).any(axis=1)
         return rough & (p.right - p.left > _SHORTEST * size), (mean, missed.sum(axis=0))
 

@@ -1,7 +1,7 @@
 """A life in the mean: who survives to a stretch, how stiff these contacts are, and integrals over both."""
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -64,7 +64,7 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
     InputError
         Where a solver refuses the contacts.
     """
-    profile: Any
+    profile: Profile
     if s.newborn.active:
         profile = _Stretched(s)
     else:
@@ -73,10 +73,14 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
     exact = solver(s).stationary(s)
     stretch, work = (float(profile.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
     stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
-    size = abs(exact.work) if exact.square is None else math.sqrt(exact.stretch * exact.square)
+    size, square_error = abs(exact.work), 0.0
+    if exact.square is not None:
+        size = max(size, 1e-3 * math.sqrt(exact.stretch * exact.square))
+        square = float(profile.integral(np.array([1e90]), 2)[2, 0])
+        square_error = (abs(square - exact.square) + exact.square_error) / exact.square
     work_error = (abs(work - exact.work) + exact.work_error) / size
-    profile.error = max(profile.error, stretch_error, work_error)
-    return profile  # type: ignore[no-any-return]
+    profile.error = max(profile.error, stretch_error, work_error, square_error)
+    return profile
 
 
 class _Steps:
@@ -150,7 +154,6 @@ class _Stretched:
         inner = np.log(kinks)
         edges = np.arange(last, first + last, -_LONGEST_PANEL)[::-1]
         edges = np.unique(np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)])))
-        self._kinks = inner
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
             nodes = ClenshawCurtis.nodes[:, None] * _WITHIN
@@ -166,8 +169,7 @@ class _Stretched:
         p, _ = refined(evaluate, judge, edges, most=_MOST_PANELS)
         self._edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
-        coefficients = np.moveaxis(ClenshawCurtis.coefficients @ np.moveaxis(p.values, 1, 0).reshape(17, -1), 0, 0)
-        values, moments = np.split(coefficients.reshape(17, 18, -1), 2, axis=1)
+        values, moments = np.split(np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1)), 2, axis=1)
         self._values = values
         self._integrals = chebyshev.chebint(moments, lbnd=-1, axis=0) * self._half
         panel = self._integrals.sum(axis=0)
@@ -180,7 +182,8 @@ class _Stretched:
         missed = np.abs(np.tensordot(ClenshawCurtis.tail.T, p.values[9:], (1, 1))).sum(axis=0) * self._half
         total = np.abs(self._sums[:, -1])
         of = np.array([0, 4, 8])  # S, mean force, its square
-        self.error = _SMOOTH + float((missed.sum(axis=1)[of] / np.maximum(total[of], 1e-3 * total[0])).max())
+        self.error = float((missed.sum(axis=1)[of] / np.maximum(total[of], 1e-3 * total[0])).max())
+        self.error += _SMOOTH if isinstance(s.law, Gamma) or self.jumps else _KINKED_SPLINE
 
     def _at(self, x: Array) -> tuple[Array, Array]:
         log_x = np.log(np.clip(x, self._first, math.exp(self._edges[-1])))

@@ -1,7 +1,8 @@
 """Transients from a fresh start and stationary fluctuations, by the renewal equation (derived).
 
 All contacts start pinned, as newborn ones. With S(x) the probability that a life outlasts a travel x, and m(x) the mean
-force of a life there, E[(k_i/k)(y + x); l > x] if it was born at y, births B and breaks Gamma per contact and unit displacement obey
+force of a life there, E[(k_i/k)(y + x); l > x] of births at y, births B and breaks Gamma per contact and unit
+displacement obey
 
     Gamma = -dS/dX + B * (-dS/dx),     B = Gamma * (law of v delay)
     pinned = S + B * S,     friction = m + B * m + (eta v/k)(1 - pinned)
@@ -101,8 +102,8 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     Raises
     ------
     InputError
-        For arguments out of range; along a programme for annealed contacts that age, the rule "langevin", and more
-        steps than can be solved for.
+        For arguments out of range; along a programme for annealed contacts that age, the rule "langevin", contacts born
+        stretched, and more steps than can be solved for.
     """
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
