@@ -239,14 +239,18 @@ def reference(
         return
     from eqsim.master.steady import reference as solve
 
-    result = solve(ensemble, file.constant(path.parent))
+    result = solve(ensemble, file.constant(path.parent), variance=shown.json)
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
         {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
         title=file.title or path.stem,
         columns=("", "value", "error of the solver"),
-        rows=[(name, f"{estimate.value:.10g}", f"{errors[name]:.1e}") for name, estimate in found.items()],
+        rows=[
+            (name, f"{estimate.value:.10g}", f"{estimate.stderr:.1e}")
+            for name, estimate in found.items()
+            if estimate.value is not None
+        ],
         notes=[f"method: {result.method}"],
     )
 

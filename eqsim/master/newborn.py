@@ -127,7 +127,7 @@ def _scales(mean: Array) -> Array:
     return np.abs([mean[0], np.abs(mean[1]) + _CANCELLED * math.sqrt(abs(mean[0] * mean[2])), mean[2]])
 
 
-def _solved(rate: Array, sources: Array, order: int) -> tuple[Array, Array]:
+def _solved(rate: Array, sources: Array, order: int) -> Array:
     """Solutions of f' = sources - rate f on panels, primes per unit of a panel's own variable from -1 to 1.
 
     Parameters
@@ -143,7 +143,7 @@ def _solved(rate: Array, sources: Array, order: int) -> tuple[Array, Array]:
     rule = _rule(order)
     matrix = np.eye(order + 1) + rule.cumulative * rate[:, None, :]
     right = np.concatenate((rule.cumulative @ sources, np.ones((*rate.shape, 1))), axis=2)
-    return np.linalg.solve(matrix, right)
+    return np.asarray(np.linalg.solve(matrix, right))
 
 
 # ----------------------------------------------------------------------------------------------- for each threshold
@@ -341,7 +341,8 @@ def _steep(s: Reduced) -> list[Array]:
         at = np.unique(s.law.steps) / s.law.scale
     else:
         rare = np.asarray(s.law.inverse_survival(np.array([1.0, 3.0, 7.0, 14.0, 28.0, 60.0, 120.0, 250.0])))
-        at = np.append(rare, s.law.breakpoints) / s.law.scale
+        ends = [edge for edge in s.law.support if 0.0 < edge < math.inf]
+        at = np.concatenate((rare, s.law.breakpoints, ends)) / s.law.scale
     return [at, -at]
 
 
