@@ -416,6 +416,20 @@ def test_short_lives():
     assert result.friction.value == pytest.approx(y, rel=1e-7, abs=0)
 
 
+@pytest.mark.parametrize("width", [0.03, 1e-6])
+def test_births_in_a_small_part_of_the_way(width):
+    """A narrow uniform law among strong contacts is one of identical births in its middle, but for width^2/24 times the
+    second derivative, some 10 in units of the travel; panels that end at its jumps are much narrower than rounding
+    allows to tell from one another."""
+    thermal = Thermal(0.547, 1.0, "stiff")
+    narrow, one = (
+        solve(newborn, v=2.32e-6, law=Gamma(6.0), thermal=thermal, stiffness_law="sqrt")
+        for newborn in (born("uniform", 0.02 - width / 2, 0.02 + width / 2), born("delta", 0.02))
+    )
+    assert narrow.travel.stderr < 1e-9
+    assert narrow.travel.value == pytest.approx(one.travel.value, rel=width**2 + 1e-9, abs=0)
+
+
 @pytest.mark.parametrize("gap", [1e-3, 1e-9])
 def test_births_next_to_breaking(gap):
     """Identical contacts without heat: f_k = (xi + r)/2 and travel xi - r, which 1 - r knows to 1e-16."""

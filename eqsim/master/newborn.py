@@ -43,7 +43,6 @@ _OPEN, _STEP = 5.0, 5.0  # levels beyond, where 1/p is followed
 _LAYER = np.array([0.3, 1.5, 4.0, 10.0, 25.0, 50.0])  # hazards at the threshold's full rate, next to the threshold
 _ORDER, _COARSE = 16, 12  # of the rules, the second of which tells the error
 _SHIFT = 0.3  # of levels, with the coarser rule
-_INSIDE = 1.0 - 1e-12  # where births are looked up: not across a jump of their density
 
 # thresholds: panels in ln(-ln J_c/J_c(bound)); the errors that end refinement, the narrowest panels and the most
 _FIRST = np.array([-35.0, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
@@ -96,6 +95,12 @@ def marks(law: BirthLaw) -> Array:
     if isinstance(law, NormalBirths):
         return law.mean + law.std * _SCALES
     return np.array([law.stretch])
+
+
+def _density(births: BirthLaw, y: Array, middle: Array) -> Array:
+    """R(y) on panels around `middle`, none of which a jump of R is inside; at their ends y may be rounded across it."""
+    low, high = births.range
+    return np.where((middle > low) & (middle < high), births.pdf(np.clip(y, low, high)), 0.0)
 
 
 def in_one_sweep(s: Reduced) -> bool:
@@ -364,11 +369,11 @@ def _marched(s: Reduced, hazard: Hazard, of: tuple[Array, Array, Array], births:
     weights = None
     if births is not None:
         middle = x.mean(axis=1, keepdims=True)
-        y = middle + (x - middle) * _INSIDE
         if s.newborn.of == "threshold":
-            weights = births.pdf(y / own) / own
+            weights = _density(births, x / own, middle / own) / own
         else:
-            weights = births.pdf(y) / np.maximum(s.law.sf(np.abs(y) * s.law.scale), 1e-300)
+            at_all = middle if s.law.steps.size else x  # J_c of a discrete law jumps between panels only
+            weights = _density(births, x, middle) / np.maximum(s.law.sf(np.abs(at_all) * s.law.scale), 1e-300)
         weights = weights * pace * rule.weights
     at, total = np.zeros((xi.size, 3)), np.zeros((xi.size, 3))
     for i in range(edges.shape[1] - 1):
@@ -550,8 +555,8 @@ def _swept(s: Reduced) -> tuple[Array, Array]:
         if isinstance(births, DeltaBirths):
             return found[0, -1], np.zeros((*found.shape[:2], 3))
         rule, half = _rule(order), 0.5 * (p.right - p.left)[:, None]
-        x = p.left[:, None] + half - half * rule.nodes * _INSIDE
-        integrand = (births.pdf(x) * half)[..., None] * found
+        middle = p.left[:, None] + half
+        integrand = (_density(births, middle - half * rule.nodes, middle) * half)[..., None] * found
         return (rule.weights @ integrand).sum(axis=0), integrand
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:

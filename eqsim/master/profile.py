@@ -21,7 +21,7 @@ _BROKEN, _MOST_ROUNDS = 0.02, 8  # most that may break in such a step, reached b
 _SPLINE, _KINKED_SPLINE = 3e-8, 1e-6  # what splines miss, of laws whose density may have kinks
 _COARSE_SPLINE = 3e-6  # at the steps that the Fokker-Planck equation takes
 _LONGEST_PANEL, _NARROWEST, _SMOOTH, _MOST_PANELS = 2.0, 1e-3, 1e-8, 250  # of contacts born stretched
-_WITHIN = 1.0 - 1e-12  # of a panel: not across a jump
+_WITHIN = 1.0 - 1e-9  # of a panel: not across a jump
 
 
 class Profile(Protocol):
