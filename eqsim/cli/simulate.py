@@ -244,7 +244,7 @@ def reference(
         return
     from eqsim.master.steady import reference as solve
 
-    result = solve(ensemble, file.constant(path.parent))
+    result = solve(ensemble, file.constant(path.parent), variance=shown.json)
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
