@@ -10,7 +10,6 @@ Positions are whole multiples of a `unit` of some 1e-13 of the distance, so that
 same bits in any order. One run belongs to one thread; threads share replicas.
 """
 
-import itertools
 import math
 import time
 from collections.abc import Callable
@@ -34,7 +33,7 @@ from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 _SEGMENT = 32  # blocks whose least threshold is kept
-_BATCHES, _LONG = 16, 3.0  # of a run's second half, at most; and how long they are at least, in mean thresholds
+_BATCHES, _LONG = 16, 1.5  # of a run's second half, at most; and how long they are at least, in mean thresholds
 _ENOUGH = 8  # batches whose scatter says something about their mean
 _MOST_RECORDS, _MOST_AVALANCHES = 20_000_000, 30_000_000  # kept in memory
 
@@ -58,8 +57,8 @@ class Blocks(NamedTuple):
 
 
 class Response(NamedTuple):
-    """`Elastic.response`, how far it reaches in each of its rows, columns and rows of the lattice, whether its edges are
-    periodic, and the unit of positions."""
+    """`Elastic.response`, how far it reaches in each of its rows, columns and rows of the lattice, whether its edges
+    are periodic, and the unit of positions."""
 
     G: Array
     reach: Array
@@ -233,8 +232,8 @@ class ElasticTrajectory:
         Over the second half of the plate's way, from batches of it: int F dX/Delta X of all blocks (length), breaks per
         avalanche, and the fraction of avalanches that are a single break.
     avalanches : dict of ndarray
-        By column: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that broke, `drop` of F/(N k)
-        (length), and the `replica`.
+        By column: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that broke, `drop` of
+        F/(N k) (length), and the `replica`.
     blocks : dict of ndarray
         A row for each record of each block: `t`, `D`, `block`, its displacement `X`, its force `force` = F_j/(n k)
         (lengths), `breaks` so far, and the `replica`.
@@ -269,16 +268,19 @@ class ElasticTrajectory:
 
 
 def check_elastic(
-    ensemble: Ensemble, drive: Drive, elastic: Elastic, output: tuple[int, int, int], max_lives: float
-) -> float:
-    """The predicted lives of a run; `output` holds points, seed and replicas. Raises InputError if contacts are not
-    those of the quasi-static model, or it takes more than `max_lives` lives or more memory than there may be."""
+    ensemble: Ensemble, drive: Drive, output: tuple[int, int, int], max_lives: float
+) -> tuple[Elastic, float]:
+    """The blocks of a run and its predicted lives; `output` holds points, seed and replicas. Raises InputError if
+    contacts are not those of the quasi-static model, or if it takes more than `max_lives` lives or too much memory."""
     points, _, replicas = output
     check_output(*output)
+    elastic = drive.elastic
+    if elastic is None:
+        raise InputError("drive.elastic: is required, the blocks that the plate pulls")
     elastic.contacts_per_block(ensemble.count)
     thermal, aging = ensemble.thermal, ensemble.aging
     refused = (
-        (thermal.kT > 0 and thermal.attempt_frequency > 0, f"thermal.kT = {thermal.kT!r}: must be 0", "heat needs time"),
+        (thermal.kT * thermal.attempt_frequency > 0, f"thermal.kT = {thermal.kT!r}: must be 0", "heat needs time"),
         (ensemble.delay.time > 0, f"delay.time = {ensemble.delay.time!r}: must be 0", "a delay needs time"),
         (aging.active, f'aging.rule = "{aging.rule}": must be "none"', "aging needs time"),
         (ensemble.eta > 0, f"viscosity.eta = {ensemble.eta!r}: must be 0", "viscous force needs a velocity"),
@@ -304,7 +306,7 @@ def check_elastic(
             f"this run has about {lives / elastic.mean_size:.3g} avalanches, more than {_MOST_AVALANCHES:.0e}; "
             "fewer contacts.count or a shorter drive.distance has fewer"
         )
-    return lives
+    return elastic, lives
 
 
 class _Replica(NamedTuple):
@@ -324,7 +326,7 @@ class _Interface(NamedTuple):
 
     c: Contacts
     stream: Key
-    count: int
+    contacts: int
     elastic: Elastic
     response: Response
     levels: Array  # of records
@@ -381,9 +383,10 @@ def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) 
 def elastic_trajectory(
     ensemble: Ensemble,
     drive: Drive,
-    elastic: Elastic,
     *,
-    output: tuple[int, int, int] = (2001, 1, 1),
+    points: int = 2001,
+    seed: int = 1,
+    replicas: int = 1,
     threads: int = 1,
     max_lives: float = 1e10,
     progress: Callable[[int], None] | None = None,
@@ -395,11 +398,13 @@ def elastic_trajectory(
     ensemble : Ensemble
         N contacts of uniform stiffness at T = 0, without delay and aging.
     drive : Drive
-        Of the plate; its velocity only tells time.
-    elastic : Elastic
-    output : tuple of int
-        Records, equidistant in D from 0; seed, on which alone the random numbers depend; and replicas, independent
-        ensembles.
+        Of the plate, with the blocks that it pulls; its velocity only tells time.
+    points : int
+        Records, equidistant in D from 0.
+    seed : int
+        Of the random numbers; the result depends on nothing else.
+    replicas : int
+        Independent ensembles.
     threads : int
         That share the replicas; they change no number.
     max_lives : float
@@ -417,8 +422,7 @@ def elastic_trajectory(
         For contacts that heat or time breaks, contacts that cannot be divided among the blocks, arguments out of range,
         and if more than `max_lives` lives are predicted.
     """
-    check_elastic(ensemble, drive, elastic, output, max_lives)
-    points, seed, replicas = output
+    elastic, _ = check_elastic(ensemble, drive, (points, seed, replicas), max_lives)
     unit, mean = ensemble.thresholds.scale, ensemble.thresholds.mean
     distance, share = drive.over(ensemble), 1.0 - elastic.load  # of the plate's motion that blocks follow at once
     levels = np.linspace(0.0, distance / unit * share, points)
@@ -429,7 +433,7 @@ def elastic_trajectory(
         c, key(seed, TRAJECTORY), count, elastic, _response_of(elastic, distance / unit), levels, edges
     )
     _simulate(
-        interface._replace(count=elastic.count, levels=levels[:1], edges=edges[:0]), 0, lambda _: None
+        interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0]), 0, lambda _: None
     )  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     done = [count * replicas]
@@ -441,6 +445,7 @@ def elastic_trajectory(
 
     with ThreadPoolExecutor(max(1, threads)) as pool:
         found = list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
+    seconds = time.perf_counter() - begin
     t = np.linspace(0.0, distance / drive.velocity, points)
     D = np.linspace(0.0, distance, points)
     means = np.mean([one.means for one in found], axis=0)
@@ -468,7 +473,7 @@ def elastic_trajectory(
         blocks=_of_blocks([one.blocks for one in found], t, D, unit),
         lives=count * replicas + sum(one.breaks for one in found),
         seed=seed,
-        engine_seconds=time.perf_counter() - begin,
+        engine_seconds=seconds,
         threads=max(1, min(threads, replicas)),
     )
 
@@ -481,9 +486,11 @@ def _estimates(found: list[_Replica], count: int, blocks: int) -> tuple[Estimate
 
     def over(numerator: Array, denominator: Array) -> Estimate:
         estimate = ratio(numerator.ravel(), denominator.ravel(), int(breaks.sum()))
-        pairs = (np.stack((one[:, :half].ravel(), one[:, -half:].ravel()), axis=1) for one in (numerator, denominator))
+        top, bottom = (
+            np.stack((one[:, :half].ravel(), one[:, -half:].ravel()), axis=1) for one in (numerator, denominator)
+        )
         enough = numerator.size >= _ENOUGH
-        return replace(estimate, reliable=estimate.reliable and enough and not drifts(*pairs, sigmas=4.0))
+        return replace(estimate, reliable=estimate.reliable and enough and not drifts(top, bottom, 4.0))
 
     return over(area, X), over(breaks, events), over(single, events)
 

@@ -108,6 +108,6 @@ class Elastic:
         middle = np.ix_(*(np.arange(-r, r + 1) for r in reach))
         found = np.where(G[middle] >= _NEGLIGIBLE * G[0, 0], G[middle], 0.0)
         # on an even ring the farthest block is met once, from one side
-        once = [np.arange(-r, r + 1) > -size / 2 if size > 1 else np.ones(1, bool) for r, size in zip(reach, sizes, strict=True)]
+        once = [2 * np.arange(-r, r + 1) > -max(size, 2) for r, size in zip(reach, sizes, strict=True)]
         found[reach[0], reach[1]] += self.load - np.sum(found * np.logical_and.outer(*once))
         return found
