@@ -390,7 +390,9 @@ def _elastic_lengths(material: Material) -> list[Parameter]:
     where = "at a already" if length < a else "beyond it"
     return [
         Parameter("a", a, "m", "distance between neighbouring contacts"),
-        Parameter("lambda_c", length, "m", f"elastic correlation length, a^2 E/k: the rigid slider is doubtful {where}"),
+        Parameter(
+            "lambda_c", length, "m", f"elastic correlation length, a^2 E/k: the rigid slider is doubtful {where}"
+        ),
     ]
 
 

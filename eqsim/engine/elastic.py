@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Event
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ from eqsim.numerics.tables import Array
 _SEGMENT = 32  # blocks whose least threshold is kept
 _BATCHES, _LONG = 16, 1.5  # of a run's second half, at most; and how long they are at least, in mean thresholds
 _ENOUGH = 8  # batches whose scatter says something about their mean
+_BETWEEN_PAUSES = 1e6  # breaks
 _MOST_RECORDS, _MOST_AVALANCHES = 20_000_000, 30_000_000  # kept in memory
 
 
@@ -331,6 +333,7 @@ class _Interface(NamedTuple):
     response: Response
     levels: Array  # of records
     edges: Array  # of batches, levels
+    pauses: Array  # levels at which a signal may stop the run
 
 
 def _blocks_of(elastic: Elastic, n: int) -> Blocks:
@@ -356,14 +359,15 @@ def _response_of(elastic: Elastic, distance: float) -> Response:
 
 def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) -> _Replica:
     """Follow one ensemble, and tell now and then how many breaks there were since."""
-    c, stream, count, elastic, response, levels, edges = interface
+    c, stream, count, elastic, response, levels, edges, pauses = interface
     n, first = count // elastic.count, replica * count
     b, now = _blocks_of(elastic, n), np.zeros(9)
     prepare(c, stream, first, response.unit, b)
     means, blocks, sums, events = [], [], [], []
-    for level in np.union1d(levels, edges):
+    for level in np.unique(np.concatenate((levels, edges, pauses))):
         before = now[BREAKS]
         events.append(load(c, stream, first, b, response, now, level))
+        told(int(now[BREAKS] - before))
         X = b.at[:, 0] - b.h[: elastic.count] + level
         force = X - b.births / n
         if level in levels:
@@ -374,7 +378,6 @@ def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) 
             stored = 0.5 * (n * X**2 - 2.0 * X * b.births + b.squares)
             area = (now[WORK] + stored.sum()) / n
             sums.append((area, X.sum(), now[BREAKS], now[AVALANCHES], now[SINGLE]))
-        told(int(now[BREAKS] - before))
     return _Replica(
         np.array(means).T, np.array(blocks).swapaxes(0, 1), np.array(sums), np.concatenate(events), int(now[BREAKS])
     )
@@ -429,32 +432,22 @@ def elastic_trajectory(
     batches = int(np.clip(0.5 * distance / mean / _LONG, 2, _BATCHES))
     edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
     c, count = contacts(ensemble, drive.velocity), ensemble.count
-    interface = _Interface(
-        c, key(seed, TRAJECTORY), count, elastic, _response_of(elastic, distance / unit), levels, edges
-    )
-    _simulate(
-        interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0]), 0, lambda _: None
-    )  # compiles, so that seconds are those of the work
+    pauses = np.linspace(0.0, levels[-1], 1 + math.ceil(count * distance / mean / _BETWEEN_PAUSES))
+    response = _response_of(elastic, distance / unit)
+    interface = _Interface(c, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses)
+    nothing = interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0])
+    _simulate(nothing, 0, lambda _: None)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
-    done = [count * replicas]
-
-    def told(breaks: int) -> None:
-        done.append(breaks)
-        if progress:
-            progress(sum(done))
-
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        found = list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
+    found = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin
     t = np.linspace(0.0, distance / drive.velocity, points)
     D = np.linspace(0.0, distance, points)
     means = np.mean([one.means for one in found], axis=0)
     spread = np.std([one.means for one in found], axis=0, ddof=1) * unit if replicas > 1 else None
     stderr = np.sqrt(means[2]) * unit if spread is None else spread[1] / math.sqrt(replicas)
-    estimates = _estimates(found, count, elastic.count)
-    over = _transient_is_over(c, means[0], estimates[0])
+    estimates = _estimates(found, unit)
+    over = _transient_is_over(c, means[0], (estimates[0].stderr or 0.0) / unit)
     friction, size, single = (replace(one, reliable=one.reliable and over) for one in estimates)
-    value, error = friction.value, friction.stderr
     return ElasticTrajectory(
         D=D,
         t=t,
@@ -464,9 +457,7 @@ def elastic_trajectory(
         force_reliable=replicas >= _ENOUGH,
         force_replica_std=None if spread is None else spread[1],
         X_replica_std=None if spread is None else spread[0],
-        friction=replace(
-            friction, value=None if value is None else value * unit, stderr=None if error is None else error * unit
-        ),
+        friction=friction,
         size=size,
         single=single,
         avalanches=_avalanches([one.avalanches for one in found], unit, share, (count, drive.velocity)),
@@ -478,8 +469,29 @@ def elastic_trajectory(
     )
 
 
-def _estimates(found: list[_Replica], count: int, blocks: int) -> tuple[Estimate, Estimate, Estimate]:
-    """Friction over displacement, breaks per avalanche and the fraction of single breaks, from batches."""
+def _all(interface: _Interface, replicas: int, threads: int, progress: Callable[[int], None] | None) -> list[_Replica]:
+    """Hand replicas to threads as they become free."""
+    done, stopped = [interface.contacts * replicas], Event()
+
+    def told(breaks: int) -> None:
+        done[0] += breaks
+        if stopped.is_set():
+            raise InterruptedError
+        if progress:
+            progress(done[0])
+
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        try:
+            return list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
+        except BaseException:
+            stopped.set()
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _estimates(found: list[_Replica], unit: float) -> tuple[Estimate, Estimate, Estimate]:
+    """Friction over displacement (in the user's unit of length), breaks per avalanche and the fraction of single
+    breaks, from batches."""
     parts = np.stack([np.diff(one.sums, axis=0) for one in found])  # (replicas, batches, 5)
     half = parts.shape[1] // 2
     area, X, breaks, events, single = np.moveaxis(parts, 2, 0)
@@ -492,15 +504,16 @@ def _estimates(found: list[_Replica], count: int, blocks: int) -> tuple[Estimate
         enough = numerator.size >= _ENOUGH
         return replace(estimate, reliable=estimate.reliable and enough and not drifts(top, bottom, 4.0))
 
-    return over(area, X), over(breaks, events), over(single, events)
+    return over(area * unit, X), over(breaks, events), over(single, events)
 
 
-def _transient_is_over(c: Contacts, X: Array, friction: Estimate) -> bool:
-    """Whether the fresh start, as the law expects it, moves friction in the second half by less than half its error."""
+def _transient_is_over(c: Contacts, X: Array, error: float) -> bool:
+    """Whether the fresh start, as the law expects it, moves the friction of the second half by less than half of its
+    `error`."""
     born = births(c)
     level, law = scatter(c, born, None, 0.0), scatter(c, born, float(X[-1]), 0.0)
     late = law.at(np.linspace(X[X.size // 2], X[-1], 1025))
-    return bool(abs(np.mean(late.mean) - level.mean[0]) <= 0.5 * (friction.stderr or 0.0) + 1e-9 * level.mean[0])
+    return bool(abs(np.mean(late.mean) - level.mean[0]) <= 0.5 * error + 1e-9 * level.mean[0])
 
 
 def _avalanches(found: list[Array], unit: float, share: float, run: tuple[int, float]) -> dict[str, Array]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from eqsim.engine.elastic import ElasticTrajectory
 
 _BINS_PER_DECADE = 8
+_BRIGHTEST = 0.999  # quantile of an image of breaks that is the end of its scale
 _MOST_ROWS = 1000  # of a picture of fronts, along each side
 _PLATE = "displacement of the plate  D  [length unit of the run file]"
 
@@ -27,9 +28,10 @@ def force_png(run: "ElasticTrajectory", friction: Estimate, title: str) -> bytes
         top.fill_between(
             run.D, low_edge, high_edge, color="0.85", linewidth=0, label="± standard deviation between replicas"
         )
-    error = 2 * run.force_stderr
+    error, of = 2 * run.force_stderr, "" if run.force_replica_std is not None else " of contacts at the same X"
+    said = f"simulated contacts, mean ± 2 standard errors{of}"
     top.fill_between(run.D, run.force - error, run.force + error, color="C0", alpha=0.3, linewidth=0)
-    top.plot(run.D, run.force, color="C0", linewidth=1, label="simulated contacts, mean ± 2 standard errors")
+    top.plot(run.D, run.force, color="C0", linewidth=1, label=said)
     label = "exact mean over displacement, steady sliding"
     top.axhline(friction.value or 0.0, color="C3", linewidth=1, linestyle="--", label=label)
     top.set(ylabel="friction force  F / (N k)\n[length unit of the run file]", ylim=(0, None))
@@ -115,6 +117,8 @@ def _image(
     step = [max(1, -(-size // _MOST_ROWS)) for size in values.shape]
     values = values[:: step[0], :: step[1]]
     limit = float(np.abs(values).max(initial=0.0)) or 1.0
-    look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit} if spread else {"cmap": "magma"}
+    look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+    if not spread:  # a few large values would leave all others in the dark
+        look = {"cmap": "magma", "vmin": 0.0, "vmax": max(float(np.quantile(values, _BRIGHTEST)), 1.0)}
     image = axes.imshow(values, origin="lower", aspect="auto", extent=extent, interpolation="nearest", **look)
-    axes.figure.colorbar(image, ax=axes, label=label)
+    axes.figure.colorbar(image, ax=axes, label=label, extend="neither" if spread else "max")
