@@ -474,7 +474,7 @@ def test_sweeps_of_sheets_are_refused(path, tmp_path):
         ("output.points=1000000", "output.points = 1000000: records of all blocks and replicas"),
         ("drive.distance=1e300", "distance = 1e+300: must be"),
         ("contacts.count=320000000", "avalanches, more than 3e+07"),
-        ("contacts.count=32000000000", "more than max_lives"),
+        ("contacts.count=32000000000", "more than --max-lives"),
     ],
 )
 def test_refused(path, tmp_path, change, said):
