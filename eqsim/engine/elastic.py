@@ -6,7 +6,7 @@ level, has risen to its threshold h_j = (where its next contact breaks) - Y_j: u
 and as long as one is below the level an avalanche goes on. Which of those breaks first makes no difference: F_j
 depends on the past through X_j alone, and breaks only ever move blocks forward (an Abelian sandpile).
 
-Positions are whole multiples of a `unit` of some 1e-13 of the distance, so that what breaks add to Y_j adds up to the
+Positions are whole multiples of a `unit` of some 1e-15 of the distance, so that what breaks add to Y_j adds up to the
 same bits in any order. One run belongs to one thread; threads share replicas.
 """
 
