@@ -466,6 +466,7 @@ def test_sweeps_of_sheets_are_refused(path, tmp_path):
         ("elastic.block=3", 'elastic.block: unknown key; did you mean "blocks"?'),
         ("thermal.kT=0.1", "thermal.kT = 0.1: must be 0 with [elastic]"),
         ("delay.time=1.0", "delay.time = 1.0: must be 0 with [elastic]"),
+        ("newborn={law='exponential',mean=0.2}", 'newborn.law = "exponential": must be "unstressed" with [elastic]'),
         ("viscosity.eta=1.0", "viscosity.eta = 1.0: must be 0 with [elastic]"),
         ("contacts.stiffness_law=sqrt", 'contacts.stiffness_law = "sqrt": must be "uniform" with [elastic]'),
         ("drive.start=stationary", 'drive.start = "stationary": must be "fresh" with [elastic]'),

@@ -89,7 +89,7 @@ def prepare(c: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> Non
     for j in range(b.at.shape[0]):
         for i in range(n):
             contact = j * n + i
-            xi, _, _ = draw_life(c, stream, first + contact, 0)
+            xi, _, _, _ = draw_life(c, stream, first + contact, 0)
             b.xi[contact], b.lives[contact] = _rounded(xi, unit), 1
         order = np.argsort(b.xi[j * n : (j + 1) * n])
         for i in range(n):
@@ -205,7 +205,7 @@ def load(c: Contacts, stream: Key, first: int, b: Blocks, r: Response, now: Arra
         now[BREAKS] += 1.0
         now[_RELEASED] += xi
         now[WORK] += 0.5 * xi * xi
-        drawn, _, _ = draw_life(c, stream, first + contact, b.lives[contact])
+        drawn, _, _, _ = draw_life(c, stream, first + contact, b.lives[contact])
         b.xi[contact] = _rounded(drawn, r.unit)
         b.lives[contact] += 1
         put_back(Queue(b.at[block], b.contact[block]), at + b.xi[contact])
@@ -285,6 +285,8 @@ def check_elastic(
         (thermal.kT * thermal.attempt_frequency > 0, f"thermal.kT = {thermal.kT!r}: must be 0", "heat needs time"),
         (ensemble.delay.time > 0, f"delay.time = {ensemble.delay.time!r}: must be 0", "a delay needs time"),
         (aging.active, f'aging.rule = "{aging.rule}": must be "none"', "aging needs time"),
+        (ensemble.newborn.active, f'newborn.law = "{ensemble.newborn.law}": must be "unstressed"',
+         "a contact born with more stretch than the last one broke with would move its block back"),
         (ensemble.eta > 0, f"viscosity.eta = {ensemble.eta!r}: must be 0", "viscous force needs a velocity"),
         (ensemble.stiffness_law != "uniform", f'contacts.stiffness_law = "{ensemble.stiffness_law}": must be "uniform"',
          "the response of blocks to a break would change with every break"),

@@ -27,7 +27,7 @@ Column = Any  # a pandas Series
 _MARKERS, _DASHES = "os^DvPX<>ph*", ("-", "--", "-.", ":")
 _MOST_HOLDS, _MOST_MARKS = 4, 60  # of a programme that are drawn in panels of their own, and marked
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
-_UNITS = {"length": "  [length unit of the run files]", "": ""}
+_UNITS = {"length": "  [length unit of the run files]", "length^2": "  [its square]", "": ""}
 _LABELS = {name: label + _UNITS[unit] for name, (label, unit) in OBSERVABLES.items()}
 _LABELS["drive.velocity"] = "driving velocity  drive.velocity  [units of the run files]"
 

@@ -20,6 +20,7 @@ from pydantic.fields import FieldInfo
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
 from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
@@ -67,6 +68,16 @@ class AgingSection(_Section):
     x_star_final: float | None = None
     beta: float | None = None
     cutoff_time: float | None = None
+
+
+class NewbornSection(_Section):
+    law: str = "unstressed"
+    of: str = "length"
+    stretch: float | None = None
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    std: float | None = None
 
 
 class DelaySection(_Section):
@@ -140,6 +151,7 @@ class RunFile(_Section):
     contacts: Contacts = Contacts()
     thresholds: Thresholds = Thresholds()
     thermal: ThermalSection = ThermalSection()
+    newborn: NewbornSection = NewbornSection()
     aging: AgingSection = AgingSection()
     delay: DelaySection = DelaySection()
     viscosity: Viscosity = Viscosity()
@@ -174,6 +186,9 @@ class RunFile(_Section):
                 raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
         with under("viscosity"):
             require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
+        with under("newborn"):
+            newborn = Newborn(**self.newborn.model_dump())
+            newborn.check(law, self.disorder, aging.active)
         many = self.contacts
         with under("contacts"):
             return Ensemble(
@@ -186,6 +201,7 @@ class RunFile(_Section):
                 aging=aging,
                 disorder=self.disorder,  # type: ignore[arg-type]
                 eta=self.viscosity.eta,
+                newborn=newborn,
             )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:

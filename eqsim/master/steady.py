@@ -123,6 +123,9 @@ def reference(ensemble: Ensemble, drive: Drive) -> Reference:
         friction=Estimate(friction * unit, error * unit, 0),
         pinned=Estimate(pinned, pinned_error, 0),
         break_stretch=Estimate(stretch * unit, stretch_error * unit, 0),
+        travel=Estimate(stretch * unit, stretch_error * unit, 0),
+        birth_stretch=Estimate(0.0, 0.0, 0),
+        force_variance=Estimate(None, None, 0, reliable=False),
         f_k=Estimate(work / stretch * unit, work / stretch * relative * unit, 0),
         method=annealed.METHOD if published else solver(s).METHOD,
     )

@@ -14,6 +14,7 @@ from eqsim.laws.aging import AgingLaw, PooledThresholds, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
 from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.model.drive import Drive, Programme
@@ -43,6 +44,10 @@ class Reduced(NamedTuple):
         With mean v<tau>/x_*.
     drag : float
         eta v/(k x_*), force of a detached contact.
+    newborn : Newborn
+        Stretches at birth, in the user's unit.
+    one_sided : bool
+        Whether the threshold of a newborn contact has to be above y, not |y|: the published master equation.
     """
 
     law: ThresholdLaw
@@ -52,6 +57,8 @@ class Reduced(NamedTuple):
     aging: AgingLaw
     delay: Fixed | Exponential
     drag: float
+    newborn: Newborn = Newborn()
+    one_sided: bool = False
 
     @property
     def rms(self) -> float:
@@ -89,6 +96,8 @@ def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = No
         aging=aging.law(law, velocity) if newborn else Unaged(),  # births that have aged age no more
         delay=delay,
         drag=drag_of(ensemble, velocity),
+        newborn=ensemble.newborn,
+        one_sided=ensemble.disorder == "annealed" and ensemble.newborn.of == "length",
     )
 
 
@@ -246,6 +255,13 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     elif aging.active:
         found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
         found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "aging over sliding"))
+    if ensemble.newborn.active:
+        births = ensemble.newborn.reduced(unit)
+        low, high = births.range
+        per = "xi" if ensemble.newborn.of == "threshold" else "x_*"
+        found.append(Group(f"<y>/{per}", births.mean, "mean stretch of newborn contacts"))
+        found.append(Group(f"least y/{per}", low, "of newborn contacts (1e-16 of a normal law is below)"))
+        found.append(Group(f"greatest y/{per}", high, "of newborn contacts (1e-16 of an unbounded law is above)"))
     if ensemble.delay.time > 0:
         found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
     if ensemble.eta > 0:

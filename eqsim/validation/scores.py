@@ -366,11 +366,13 @@ def hazards(point: Point) -> Found:
     s = settled(point.ensemble, point.velocity).reduced
     if not (s.barrier.thermal or s.aging.fluctuates):
         return []  # no hazard
+    if s.newborn.active:
+        return point.without(_HAZARD, "contacts born stretched")
     u, clock = np.random.default_rng((point.seed, 2)).random((2, 20_000)) * (1 - 2e-16) + 1e-16
     if not (s.aging.closed or s.aging.fluctuates):  # hazards along paths are quadratures
         u, clock = u[:4000], clock[:4000]
     c = contacts(point.shown, point.velocity)
-    _, stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock)
+    stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock).travel
     unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
     if s.aging.fluctuates:
         return [point.uniform(profile_of(s).at(stretch * unit)[0])]
