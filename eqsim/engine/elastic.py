@@ -122,11 +122,14 @@ def _push(b: Blocks, r: Response, row: int, begin: int, end: int, offset: int, f
             m2, m3 = h2 if h2 < m2 else m2, h3 if h3 < m3 else m3
         m0, m2 = m1 if m1 < m0 else m0, m3 if m3 < m2 else m2
         b.least[leaves + s] = m2 if m2 < m0 else m0
-    low, high = (leaves + low) // 2, (leaves + high) // 2
-    while low > 0:
+    low, high, changed = (leaves + low) // 2, (leaves + high) // 2, True
+    while changed and low > 0:
+        changed = False
         for node in range(low, high + 1):
             one, other = b.least[2 * node], b.least[2 * node + 1]
-            b.least[node] = other if other < one else one
+            least = other if other < one else one
+            changed |= least != b.least[node]
+            b.least[node] = least
         low, high = low // 2, high // 2
 
 
