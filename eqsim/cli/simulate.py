@@ -183,7 +183,7 @@ def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
     assert elastic
     breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
     if not found.friction.reliable:
-        yield "unreliable: the fresh start is not forgotten in the second half, or too few contacts broke in it"
+        yield "unreliable: the second half is too short to forget the fresh start, or to tell its errors"
     if breaks.size:
         yield (
             f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from eqsim.engine.elastic import ElasticTrajectory
 
 _BINS_PER_DECADE = 8
-_BRIGHTEST = 0.999  # quantile of an image of breaks that is the end of its scale
+_BRIGHTEST = 0.999  # quantile of an image that is the end of its scale
 _MOST_ROWS = 1000  # of a picture of fronts, along each side
 _PLATE = "displacement of the plate  D  [length unit of the run file]"
 
@@ -96,7 +96,8 @@ def fronts_png(run: "ElasticTrajectory", shape: tuple[int, int], title: str) -> 
         axes.set(xlabel=across, ylabel=_PLATE)
     if ny > 1:
         _image(panels[1, 0], beyond[-1].reshape(ny, nx), (0, nx, 0, ny), label + ", at the end", spread=True)
-        _image(panels[1, 1], breaks[-1].reshape(ny, nx), (0, nx, 0, ny), "breaks in all")
+        force = _in_space(run, "force")[-1].reshape(ny, nx)
+        _image(panels[1, 1], force, (0, nx, 0, ny), "force F / (n k), at the end")
         for axes in panels[1]:
             axes.set(xlabel="column", ylabel="row")
     panels[0, 0].set_title(plain(title), fontsize=10)
@@ -119,6 +120,6 @@ def _image(
     limit = float(np.abs(values).max(initial=0.0)) or 1.0
     look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
     if not spread:  # a few large values would leave all others in the dark
-        look = {"cmap": "magma", "vmin": 0.0, "vmax": max(float(np.quantile(values, _BRIGHTEST)), 1.0)}
+        look = {"cmap": "magma", "vmin": values.min(), "vmax": float(np.quantile(values, _BRIGHTEST)) or 1.0}
     image = axes.imshow(values, origin="lower", aspect="auto", extent=extent, interpolation="nearest", **look)
     axes.figure.colorbar(image, ax=axes, label=label, extend="neither" if spread else "max")
