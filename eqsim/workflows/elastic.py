@@ -69,7 +69,7 @@ class ElasticResult:
 
     def files(self, title: str = "") -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the pictures, unless the run file has one."""
-        from eqsim.io.elastic_plots import avalanches_png, force_png, fronts_png
+        from eqsim.io.plots import avalanches_png, elastic_png, fronts_png
 
         file, found, elastic = self.file, self.trajectory, self.drive.elastic
         assert elastic
@@ -79,7 +79,7 @@ class ElasticResult:
         contents = (
             *(storage.parquet(table, origin) for table in tables),
             storage.to_json(self.summary()).encode(),
-            force_png(found, self.averages()["friction"][1], title),
+            elastic_png(found, self.averages()["friction"][1], title),
             avalanches_png(found, self.sizes, title),
             fronts_png(found, elastic.shape, title),
         )
