@@ -387,12 +387,11 @@ def _elastic_lengths(material: Material) -> list[Parameter]:
     length, a = material.elastic_length, material.spacing_of_contacts
     if length is None:
         return []
-    where = "at a already" if length < a else "beyond it"
+    where = "already between neighbours" if length < a else "beyond it"
+    said = f"elastic correlation length, a^2 E/k = {length / a:.2g} a: the rigid slider is doubtful {where}"
     return [
         Parameter("a", a, "m", "distance between neighbouring contacts"),
-        Parameter(
-            "lambda_c", length, "m", f"elastic correlation length, a^2 E/k: the rigid slider is doubtful {where}"
-        ),
+        Parameter("lambda_c", length, "m", said),
     ]
 
 

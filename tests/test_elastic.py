@@ -525,5 +525,7 @@ def test_elastic_length_of_materials():
     """lambda_c = a^2 E/k with k = (3 pi/4) E a is 4 a/(3 pi), whatever E is."""
     assert STEEL.elastic_length / STEEL.contact_radius == pytest.approx(4.0 / (3.0 * math.pi), rel=1e-14, abs=0)
     assert OCTAMETHYLCYCLOTETRASILOXANE.elastic_length is None
-    assert "doubtful at a already" in " ".join(eqsim("material", "steel").stdout.replace("│", " ").split())
+    assert "a^2 E/k = 0.42 a: the rigid slider is doubtful already between neighbours" in " ".join(
+        eqsim("material", "steel").stdout.replace("│", " ").split()
+    )
     assert "E of the walls is not given" in eqsim("material", "octamethylcyclotetrasiloxane").stdout
