@@ -13,6 +13,7 @@ from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.sweep.workers import Workers
+    from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
 
 _DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
@@ -70,10 +71,13 @@ def run(
     )
 
 
-def _table(result: "RunResult | ProgrammeResult") -> dict[str, Any]:
+def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, Any]:
     """Columns and rows of what a run shows."""
+    from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import RunResult, SliderResult
 
+    if isinstance(result, ElasticResult):
+        return {"columns": _COUPLED, "rows": _coupled(result)}
     if isinstance(result, RunResult):
         return {"columns": _AVERAGES, "rows": _averages(result)}
     if isinstance(result, SliderResult):
@@ -84,6 +88,7 @@ def _table(result: "RunResult | ProgrammeResult") -> dict[str, Any]:
 _AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
 _SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t")
 _SLIPS = ("slip", "at t", "at X", "drop of the force", "takes", "over")
+_COUPLED = ("", "second half of the run", "exact", "difference / s.e.")
 _MOST_ROWS = 40
 
 
@@ -123,6 +128,16 @@ def _slips(result: "SliderResult") -> Iterator[tuple[str, ...]]:
         )
 
 
+def _coupled(result: "ElasticResult") -> Iterator[tuple[str, ...]]:
+    """Friction and avalanches of coupled blocks beside what is exact."""
+    from eqsim.estimate import difference
+
+    names = {"friction": "friction over X", "size": "breaks per avalanche", "single": "fraction of single breaks"}
+    for name, (found, exact) in result.averages().items():
+        z = terminal.score(difference(found, exact))
+        yield names[name], terminal.value_and_error(found), f"{exact.value:.8g}", z
+
+
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     from eqsim.estimate import difference
 
@@ -134,7 +149,12 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
         yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
 
 
-def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> Iterator[str]:
+def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path, who: str) -> Iterator[str]:
+    from eqsim.workflows.elastic import ElasticResult
+
+    if isinstance(result, ElasticResult):
+        yield from _remarks_on_blocks(result, folder)
+        return
     found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
     averages = getattr(found, "averages", None)
     if averages and not all(estimate.reliable for estimate in averages.averages().values()):
@@ -158,6 +178,24 @@ def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> I
     _, reason = result.exact
     if reason:
         yield f"no exact curve: {reason}"
+
+
+def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
+    found, elastic = result.trajectory, result.drive.elastic
+    assert elastic
+    breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
+    if not found.friction.reliable:
+        yield "unreliable: the second half is too short to forget the fresh start, or to tell its errors"
+    if breaks.size:
+        yield (
+            f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "
+            f"{blocks.mean():.3g} of {elastic.count} blocks take part in the mean, {blocks.max()} at most"
+        )
+    yield "exact: friction of any contacts, avalanches of infinitely many; n contacts to a block miss them by some 1/n"
+    contacts = f" of {terminal.count(result.ensemble.count * result.file.output.replicas)} contacts"
+    lives = terminal.lives(found.lives, found.engine_seconds, contacts)
+    yield f"{lives}, {found.threads} threads, seed {found.seed}"
+    yield f"{folder}/: {', '.join(result.names)}"
 
 
 def steady(

@@ -42,7 +42,7 @@ def queue_of(p: Population) -> Queue:
 
 
 @routine
-def _put_back(queue: Queue, at: float) -> None:
+def put_back(queue: Queue, at: float) -> None:
     """Give the contact that is next another position, and restore the order."""
     contact, i, n = queue.contact[0], 0, queue.at.size
     while True:
@@ -72,7 +72,7 @@ def _rest(now: Array, stiffness: float) -> float:
 
 
 @maker
-def _longer(events: Array) -> Array:
+def longer(events: Array) -> Array:
     """A copy with twice as many rows."""
     more = np.empty((2 * events.shape[0], events.shape[1]))
     for i in range(events.shape[0]):
@@ -104,7 +104,7 @@ def _break(c: Contacts, stream: Key, first: int, p: Population, queue: Queue, no
     now[STIFFNESS] += (p.stiffness[i] - k) * each
     now[_SIZE] += 1.0
     now[BREAKS] += 1.0
-    _put_back(queue, queue.at[0] + p.xi[i] - y)
+    put_back(queue, queue.at[0] + p.xi[i] - y)
 
 
 @kernel
@@ -125,7 +125,7 @@ def load(
             if now[_SIZE] > 0.0:
                 _slip(now, stiffness, rest)
                 if rows == events.shape[0]:
-                    events = _longer(events)
+                    events = longer(events)
                 events[rows, 0], events[rows, 1], events[rows, 2] = now[Y], now[_BEGUN], now[_SIZE]
                 events[rows, 3], events[rows, 4] = now[_BEFORE] - now[FORCE], now[X] - now[_BEGUN]
                 rows += 1

@@ -18,6 +18,7 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.model.drive import Drive, Programme
+from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 
 _LEAST_B = 1e-100  # b below which the barrier is 0
@@ -267,6 +268,7 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
         found.append(Group("eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"))
     if isinstance(drive, Drive):
         found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+        found += _of_blocks(ensemble.count, drive.elastic) if drive.elastic else []
     else:
         segments, path = drive.segments, sum(segment.path for segment in drive.segments)
         found.append(Group("segments", len(segments), "of the programme"))
@@ -289,3 +291,19 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
             text = "b >= 1/2: rare strong contacts dominate time" if heavy else "no: b < 1/2, linear creep at low v"
         found.append(Group("heavy tails", "yes" if heavy else "no", text))
     return found
+
+
+def _of_blocks(contacts: int, elastic: Elastic) -> list[Group]:
+    """Groups of coupled blocks. Raises InputError unless the contacts can be divided among them."""
+    nx, ny = elastic.shape
+    shape = f"{nx}" if ny == 1 else f"{nx} x {ny}"
+    return [
+        Group("blocks", shape, f"{'chain' if ny == 1 else 'sheet'} with {elastic.edges} edges"),
+        Group("n", elastic.contacts_per_block(contacts), "contacts of a block, N over blocks"),
+        Group("kappa_b/(n k)", elastic.coupling, "spring between neighbours over the contacts of a block"),
+        Group("K_d/(n k)", elastic.drive_stiffness, "spring of a block to the plate, over the same"),
+        Group("lambda", elastic.length, "blocks over which the displacement by a break decays"),
+        Group("rho", elastic.load, "n k/(n k + K_d), breaks that follow from one directly"),
+        Group("mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"),
+        Group("cutoff size", 1.0 / (1.0 - elastic.load) ** 2, "up to which P(s) ~ s^(-3/2)"),
+    ]
