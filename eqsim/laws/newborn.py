@@ -119,6 +119,9 @@ class NormalBirths(NamedTuple):
         return float(special.ndtr((self.mean - y) / self.std))
 
 
+BirthLaw = DeltaBirths | UniformBirths | ExponentialBirths | NormalBirths
+
+
 @functools.cache
 def _deviates() -> Array:
     """|z| against e = -ln P(|Z| > |z|), for |z| up to 12."""

@@ -103,7 +103,7 @@ def _parts(births: BirthLaw) -> Array:
         return births.mean * np.array([0.0, 0.5, 2.0, 5.0, 11.0, 20.0, 36.0])
     if isinstance(births, NormalBirths):
         return births.mean + births.std * np.array([-8.3, -5.0, -2.5, 0.0, 2.5, 5.0, 8.3])
-    return np.linspace(*births.range, 5)
+    return np.linspace(births.range[0], births.range[1], 5)
 
 
 def _births_at(s: Reduced, travel: Array) -> Array:
