@@ -9,8 +9,8 @@ Model (section numbers of Braun and Peyrard, Phys. Rev. E 83, 046129): threshold
 Thresholds of pinned contacts age from x_* to x_*f at the rate D: under `langevin` xi is the length of a vector of 2n+2
 components (n a half-integer), each of which relaxes at the rate 2D/x_*f^2 to the variance x_*f^2/2; under `flow` it
 grows as the scale of that law. Under `logarithmic` it grows as 1 + beta ln(1 + t/t_c), and the stiffness stays that of
-the newborn contact. Annealed contacts are born with thresholds aged for an Exp(1) multiple of the mean
-pinned time, and keep them.
+the newborn contact. Contacts may be born stretched, along the motion or against it. Annealed contacts are born with
+thresholds aged for an Exp(1) multiple of the mean pinned time, and keep them.
 """
 
 from dataclasses import dataclass, replace
@@ -43,12 +43,28 @@ class Contacts:
     pinned_time: float = 0.0  # mean, of annealed contacts that age: see `settled`
     factors: tuple = ()  # of the velocity in the intervals between two looks: 0 is a hold, a negative one a reversal
     frozen: bool = False  # a deliberate mistake: thresholds stay what they are in holds
+    births: tuple = ()  # stretches at birth are uniform from the first to the second number
+    fraction: bool = False  # these are fractions of the contact's threshold
+    careless: bool = False  # a deliberate mistake: newborn thresholds do not know that they hold
 
     def thresholds(self, rng, size):
         scale = self.x_star
         if self.disorder == "annealed" and self.aging != "none":
             scale = self.scale(rng.exponential(self.pinned_time, size))
         return scale * np.sqrt(rng.gamma(self.n + 1.0, size=size))
+
+    def newborn(self, rng, size):
+        """Thresholds and stretches. A contact that forms is one that holds: others are drawn again."""
+        xi = self.thresholds(rng, size)
+        if not self.births:
+            return xi, np.zeros(size)
+        y = rng.uniform(*self.births, size)
+        if self.fraction:
+            return xi, y * xi
+        bound = np.abs(y) if self.disorder == "quenched" else y
+        while not self.careless and np.any(weak := xi <= bound):
+            xi[weak] = self.thresholds(rng, weak.sum())
+        return xi, y
 
     def scale(self, age):
         """x_*(age) of unbroken thresholds."""
@@ -105,8 +121,8 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
     time, in which the slider moves by `step` times the factor of the interval."""
     c, rng = contacts, np.random.default_rng(seed)
     dt = step / c.velocity
-    x, age, wait = np.zeros(count), np.zeros(count), np.zeros(count)
-    xi, pinned = c.thresholds(rng, count), np.ones(count, bool)
+    age, wait, pinned = np.zeros(count), np.zeros(count), np.ones(count, bool)
+    xi, x = c.newborn(rng, count)
     rows = []
     for i in range(1, record_every * records + 1):
         factor = c.factors[(i - 1) // record_every] if c.factors else 1.0
@@ -116,7 +132,7 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
             xi = np.where(pinned, c.aged(rng, xi, age, dt), xi)
         x[pinned] += factor * step
         age[pinned] += dt
-        breaks = pinned & (np.abs(x) >= xi)
+        breaks = pinned & ((x if c.births and c.disorder == "annealed" else np.abs(x)) >= xi)
         if c.aging == "langevin" and ages:
             breaks |= pinned & c.crossed(rng, gap, xi - np.abs(x), dt)
         if c.kT > 0 and c.disorder == "quenched":
@@ -135,7 +151,8 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
             pinned[breaks] = False
         else:
             pins |= breaks
-        pinned[pins], x[pins], age[pins], xi[pins] = True, 0.0, 0.0, c.thresholds(rng, pins.sum())
+        pinned[pins], age[pins] = True, 0.0
+        xi[pins], x[pins] = c.newborn(rng, pins.sum())
 
         if i % record_every == 0:
             force = np.where(pinned, c.k(xi, age) * x, c.eta * c.velocity * factor) / c.stiffness

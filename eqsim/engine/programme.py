@@ -38,9 +38,10 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'
         )
-    if ensemble.disorder == "annealed" and ensemble.newborn.active and ensemble.newborn.reduced(1.0).range[0] < 0:
+    births = ensemble.newborn
+    if ensemble.disorder == "annealed" and births.active and births.of == "length" and births.reduced(1.0).range[0] < 0:
         raise InputError(
-            f'newborn.law = "{ensemble.newborn.law}": the published master equation knows no mechanical breaking of '
+            f'newborn.law = "{births.law}": the published master equation knows no mechanical breaking of '
             'contacts stretched against the motion, which a programme may reverse; take disorder = "quenched"'
         )
     if programme.stage and ensemble.count > _MOST_PULLED:

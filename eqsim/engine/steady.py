@@ -282,14 +282,18 @@ class Proposal(NamedTuple):
         births, clock_births = np.exp(log_e - np.exp(log_e)), np.exp(log_clock - np.exp(log_clock))
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
         found, squares, sizes = _typical(c, u, v), [], []
-        for part in (found.travel, np.abs(found.work)):
+        parts = [found.travel, np.abs(found.work)]
+        if isinstance(c.newborn, Stretched):  # forces may nearly cancel in the work
+            parts.append(found.square)
+        for part in parts:
             part = part.reshape(log_e.size, log_clock.size)
             size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
             squares.append((part / size[:, None]) ** 2)
             sizes.append(births * size / (births @ part @ clock_births))
 
         def mixed(log_x: Array, *parts: Array) -> Array:
-            return np.array([0.1, 0.45, 0.45]) / integrate.trapezoid(parts, log_x) @ np.array(parts)
+            shares = np.array([0.1] + [0.9 / (len(parts) - 1)] * (len(parts) - 1))
+            return shares / integrate.trapezoid(parts, log_x) @ np.array(parts)
 
         roots = [size * np.sqrt(square @ clock_births) for square, size in zip(squares, sizes, strict=True)]
         density = mixed(log_e, births, *roots)
@@ -382,14 +386,14 @@ def _typical(c: Contacts, u: Array, v: Array) -> Sample:
 
 
 def _relative(found: tuple[Estimate, ...]) -> float:
-    """The largest relative error; of the friction, where forces cancel, over a thousandth of what single contacts
-    scatter by at least."""
+    """The largest relative error; of friction and stretch, where births along the motion and against it cancel, over a
+    thousandth and a tenth of the root of the variance of forces at least."""
     friction, pinned, stretch, travel, birth, variance = found
-    least = 1e-3 * math.sqrt(abs(variance.value or 0.0))
+    typical = math.sqrt(abs(variance.value or 0.0))
     relative = [(e.stderr or 0.0) / (e.value or 1.0) for e in (pinned, travel)]
-    relative.append((friction.stderr or 0.0) / (max(abs(known(friction)), least) or 1.0))
+    relative.append((friction.stderr or 0.0) / (max(abs(known(friction)), 1e-3 * typical) or 1.0))
     if birth.stderr or birth.value:  # else it is the travel
-        relative.append((stretch.stderr or 0.0) / (abs(known(stretch)) + abs(known(birth))))
+        relative.append((stretch.stderr or 0.0) / max(abs(known(stretch)), 0.1 * typical))
     return max(relative)
 
 

@@ -169,7 +169,9 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
         raise InputError('rule = "langevin": has no reference along a programme')
     if ensemble.newborn.active:
         law = ensemble.newborn.law
-        raise InputError(f'newborn.law = "{law}": contacts born stretched have no reference along a programme')
+        raise InputError(
+            f'newborn.law = "{law}": contacts born stretched have no reference along a programme or with a stage'
+        )
     unit = ensemble.thresholds.scale
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])

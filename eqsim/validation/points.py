@@ -24,6 +24,7 @@ from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.aging.base import Drift
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import DELAYS, Delay
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Distribution, Gamma, Table, ThresholdLaw
 from eqsim.model.ensemble import Ensemble
@@ -53,7 +54,7 @@ SUITES = {
 def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tuple[int, Ensemble, float]]:
     """Index, ensemble and velocity of points over the whole parameter space, the same for the same seed; of every m-th
     from the i-th on, `part` = (i, m)."""
-    rng, laws, aging, growing = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5))
+    rng, laws, aging, growing, newborn = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6))
     ages = aging.permutation(count) < count // 3
     kinds = dict(zip(laws.permutation(np.flatnonzero(~ages)).tolist(), itertools.cycle(LAWS), strict=False))
     barriers, delays = tuple(BARRIERS), tuple(DELAYS)
@@ -77,6 +78,8 @@ def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tu
             beta, slid = 10 ** growing.uniform(-3, 0.5), 10 ** growing.uniform(-6, 2)
             grows = Aging("logarithmic", beta=beta, cutoff_time=slid / v)
             ensemble = dataclasses.replace(ensemble, aging=grows)
+        elif newborn.random() < 1 / 4:
+            ensemble = _born_stretched(ensemble, newborn)
         if index % part[1] != part[0]:
             continue  # lives take time
         if delay:
@@ -109,6 +112,24 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
     least, most = {"lognorm": (0.1, 1.2), "weibull_min": (0.7, 10.0), "pareto": (3.1, 10.0)}[kind]
     shape = float(_brief(np.exp(rng.uniform(math.log(least), math.log(most)))))
     return Distribution(getattr(stats, kind)(shape, scale=scale))
+
+
+def _born_stretched(ensemble: Ensemble, rng: np.random.Generator) -> Ensemble:
+    """The same contacts, with thresholds of a gamma law (references of others take long), born stretched by up to about
+    a typical one, along the motion or against it."""
+    thresholds = Gamma(float(rng.choice([0.0, 0.5, 1.0, 2.5])), ensemble.thresholds.scale)
+    size, kind = float(_brief(np.array(10 ** rng.uniform(-1.5, 0)))), rng.integers(6)
+    unit, sign = ensemble.thresholds.scale, float(rng.choice([-1.0, 1.0]))
+    low, high = sorted(float(_brief(np.array(part))) for part in rng.uniform(-1.0, 1.0, 2))
+    laws = (
+        Newborn("delta", stretch=sign * size * unit),
+        Newborn("uniform", low=low * size * unit, high=high * size * unit),
+        Newborn("exponential", mean=0.3 * size * unit),
+        Newborn("normal", mean=0.3 * sign * size * unit, std=0.3 * size * unit),
+        Newborn("delta", "threshold", stretch=0.9 * sign * size),
+        Newborn("uniform", "threshold", low=low, high=high),
+    )
+    return dataclasses.replace(ensemble, thresholds=thresholds, newborn=laws[kind])
 
 
 def _brief(x: Array) -> Array:

@@ -168,6 +168,7 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
     if index % 3 == 1:
         parts.append((_HAZARD, hazards))
     follows = not (point.ensemble.self_consistent or point.ensemble.fluctuates)
+    follows = follows and not point.ensemble.newborn.active  # else no reference
     if index % 3 == 2 and follows and not point.ensemble.thresholds.steps.size:
         parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
@@ -198,7 +199,7 @@ def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
 
 def averages(point: Point, found: Steady) -> Found:
     """Steady averages."""
-    exact = reference(point.ensemble, Drive(point.velocity)).averages()
+    exact = reference(point.ensemble, Drive(point.velocity), variance=True).averages()
     scores: Found = []
     for name, ours in found.averages().items():
         theirs = exact[name]
@@ -225,7 +226,7 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
     typical = reference(ensemble, Drive(v))
     distance = 5 * ensemble.thresholds.mean
     if point.seed % 2:
-        distance = 2 * (known(typical.break_stretch) + v * ensemble.delay.time)
+        distance = 2 * (known(typical.travel) + v * ensemble.delay.time)
     whole = point.drive(distance)
     cost = predicted_lives(dataclasses.replace(ensemble, count=1), whole)
     dear = _DEAR if shown.fluctuates else 1
@@ -446,7 +447,7 @@ def fluctuating(point: Point, size: tuple[int, int]) -> Found:
     if shown.fluctuates:
         count = min(count, 40_000 // ensembles)
     means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)
-    level, lag = known(means.friction), 0.5 * known(means.break_stretch)
+    level, lag = known(means.friction), 0.5 * known(means.travel)
     shown = dataclasses.replace(shown, count=count)
     if predicted_lives(shown, point.drive(lag)) * ensembles > (2e8 / _DEAR**2 if shown.fluctuates else 2e8):
         return point.without(_FLUCTUATIONS, "too many lives")

@@ -286,7 +286,7 @@ def _onward(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: f
     ticks = clock * math.exp(-law.log_w)
     G, h = _hermite(law.x, law.G, law.slopes, y)
     s = _inverse(law.x, law.G, law.slopes, G + ticks) - y
-    return min(_corrected(law, y, h, ticks, 1.0) if s < _SHORT * y else s, xi - y)
+    return min(_corrected(law, y, h, ticks, 1.0) if s < _SHORT * y and h > 0.0 else s, xi - y)
 
 
 @back.register(Pooled)
@@ -295,8 +295,8 @@ def _back(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: flo
     G, h = _hermite(law.x, law.G, law.slopes, y)
     if ticks >= G:
         return y, clock * (1.0 - G / ticks)
-    s = y - _inverse(law.x, law.G, law.slopes, G - ticks)
-    return (_corrected(law, y, h, ticks, -1.0) if s < _SHORT * y else min(s, y)), -1.0
+    s = y - min(_inverse(law.x, law.G, law.slopes, G - ticks), law.x[law.x.size - 1])  # no attempt succeeds beyond
+    return (_corrected(law, y, h, ticks, -1.0) if s < _SHORT * y and h > 0.0 else min(s, y)), -1.0
 
 
 @routine
@@ -304,7 +304,7 @@ def _corrected(law: Pooled, y: float, h: float, ticks: float, sign: float) -> fl
     """The short travel from y in which the rate, h at y, adds up to `ticks`."""
     if ticks <= 0.0:
         return 0.0
-    s = ticks / h if h > 0.0 else 0.0
+    s = ticks / h
     for _ in range(3):
         s = 2.0 * ticks / (h + _hermite(law.x, law.G, law.slopes, y + sign * min(s, 2.0 * _SHORT * y))[1])
     return s

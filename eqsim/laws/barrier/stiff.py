@@ -149,11 +149,13 @@ def _onward(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: fl
 @back.register(Stiff)
 def _back(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
     a, left = law.b * stiffness, (xi - y) / xi
-    whole = a * xi * xi
-    barrier = whole * left * math.sqrt(left)
+    whole, start = a * xi * xi, left * math.sqrt(left)
+    barrier = whole * start
     odds = 1.5 * a * xi * clock * bounded_exp(min(barrier - law.log_w, FLAT))
     most = -math.expm1(barrier - whole)
     if odds >= most:
         return y, clock * (1.0 - most / odds)
-    rise = -math.log1p(-odds) / barrier
-    return min(xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise)), y), -1.0
+    rise = -math.log1p(-odds) / whole
+    if rise < start:
+        return min(xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise / start)), y), -1.0
+    return min(xi * ((start + rise) ** (2.0 / 3.0) - left), y), -1.0
