@@ -119,7 +119,7 @@ BAD = [
     ),
     ({"newborn": {"law": "delta", "stretch": 1.0, "of": "threshold"}}, "newborn.stretch = 1.0: must be > -1 and < 1"),
     (
-        {"newborn": {"law": "delta", "stretch": 0.3}, "aging": {"rule": "flow", "x_star_final": 1.0}},
+        {"newborn": {"law": "delta", "stretch": 0.3}, "aging": {"rule": "flow", "rate": 0.1, "x_star_final": 2.0}},
         'newborn.law = "delta": must be "unstressed" for contacts that age, or take aging.rule = "none"',
     ),
     ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
