@@ -9,6 +9,7 @@ from eqsim.estimate import OBSERVABLES, Estimate, z_score
 from eqsim.io.runfile import RunFile, load
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.master.closure import Closure, closure
@@ -38,6 +39,7 @@ __all__ = [
     "FreshSlip",
     "Gamma",
     "InputError",
+    "Newborn",
     "Programme",
     "ProgrammeTrajectory",
     "Reference",

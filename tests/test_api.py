@@ -41,5 +41,6 @@ def test_public_names():
     exec("from eqsim import *", names)
     assert set(eqsim.__all__) <= set(names)
     assert names["run"] is eqsim.workflows.run.run
+    assert names["Newborn"] is eqsim.laws.newborn.Newborn
     with pytest.raises(AttributeError, match="module 'eqsim' has no attribute 'Ensembel'"):
         eqsim.Ensembel  # noqa: B018

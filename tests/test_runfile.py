@@ -98,6 +98,30 @@ BAD = [
         'aging.rule = "flow": needs thresholds of law "gamma"',
     ),
     ({"aging": {"rule": "flow", "x_star_final": 1e9}}, "aging.x_star_final = 1000000000.0: must be within a factor"),
+    (
+        {"newborn": {"stretch": 0.3}},
+        'newborn.law: is required with stretch; must be "delta", "uniform", "exponential", "normal" or "unstressed"',
+    ),
+    ({"newborn": {"law": "delta"}}, 'newborn.stretch: is required with law = "delta"'),
+    (
+        {"newborn": {"law": "uniform", "low": 0.0, "high": 1.0, "mean": 0.5}},
+        'newborn.mean = 0.5: not allowed with law = "uniform", which takes low and high',
+    ),
+    ({"newborn": {"law": "gauss"}}, 'newborn.law = \'gauss\': must be one of "unstressed", "delta", "uniform"'),
+    ({"newborn": {"law": "delta", "strech": 0.3}}, 'newborn.strech: unknown key; did you mean "stretch"?'),
+    (
+        {"newborn": {"law": "delta", "stretch": 30.0}},
+        'newborn.law = "delta": contacts are born with stretches up to 30, but no threshold is above 21.8',
+    ),
+    (
+        {"newborn": {"law": "normal", "mean": 0.0, "std": 1.0, "of": "threshold"}},
+        'newborn.law = "normal": reaches beyond any threshold; of = "threshold" takes "delta" or "uniform"',
+    ),
+    ({"newborn": {"law": "delta", "stretch": 1.0, "of": "threshold"}}, "newborn.stretch = 1.0: must be > -1 and < 1"),
+    (
+        {"newborn": {"law": "delta", "stretch": 0.3}, "aging": {"rule": "flow", "rate": 0.1, "x_star_final": 2.0}},
+        'newborn.law = "delta": must be "unstressed" for contacts that age, or take aging.rule = "none"',
+    ),
     ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
     ({"delay": {"law": "gamma"}}, "delay.law = 'gamma': must be one of"),
     ({"viscosity": {"eta": -2}}, "viscosity.eta = -2.0: must be a finite number >= 0"),

@@ -200,7 +200,7 @@ def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
 
 def steady(
     path: RunFilePath,
-    rel_error: Annotated[float, Option(help="Relative standard error of all three observables.")] = 1e-3,
+    rel_error: Annotated[float, Option(help="Relative standard error of all observables.")] = 1e-3,
     *,
     changes: Changes,
     threads: Threads = None,

@@ -23,7 +23,7 @@ _DASK = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 class SweepOptions:
     """What is computed at each point, and who computes."""
 
-    rel_error: Annotated[float, Option(help="Relative standard error of all three observables.")] = 1e-2
+    rel_error: Annotated[float, Option(help="Relative standard error of all observables.")] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
     workers: Processes = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None

@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
-from eqsim.laws.newborn import Newborn
+from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
 from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
@@ -186,6 +186,10 @@ class RunFile(_Section):
                 raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
         with under("viscosity"):
             require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
+        given = self.newborn.model_fields_set
+        if given and "law" not in given:  # contacts born unstressed would be a surprise
+            laws = ", ".join(f'"{law}"' for law in LAWS)
+            raise InputError(f'newborn.law: is required with {min(given)}; must be {laws} or "unstressed"')
         with under("newborn"):
             newborn = Newborn(**self.newborn.model_dump())
             newborn.check(law, self.disorder, aging.active)

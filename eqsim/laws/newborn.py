@@ -182,7 +182,8 @@ class Newborn:
             value = getattr(self, name)
             if name not in _NUMBERS[self.law]:
                 if value is not None:
-                    raise InputError(f'{name} = {value!r}: not allowed with law = "{self.law}"')
+                    taken = " and ".join(_NUMBERS[self.law]) or "no number"
+                    raise InputError(f'{name} = {value!r}: not allowed with law = "{self.law}", which takes {taken}')
             elif value is None:
                 raise InputError(f'{name}: is required with law = "{self.law}"')
             elif name == "std" or self.law == "exponential":
@@ -224,7 +225,9 @@ class Newborn:
         if not self.active:
             return
         if ages:
-            raise InputError(f'law = "{self.law}": contacts that age are born unstressed; take aging.rule = "none"')
+            raise InputError(
+                f'law = "{self.law}": must be "unstressed" for contacts that age, or take aging.rule = "none"'
+            )
         if self.of == "threshold":
             return
         law, unit = self.reduced(thresholds.scale), thresholds.scale
@@ -233,7 +236,7 @@ class Newborn:
         if law.sf(top) + below > _LOST or (law.range[1] >= top and law.range[0] == law.range[1]):
             at = max(abs(part) for part in law.range) * unit
             raise InputError(
-                f'law = "{self.law}": contacts are born with stretches up to {at:.3g}, where no threshold is above '
+                f'law = "{self.law}": contacts are born with stretches up to {at:.3g}, but no threshold is above '
                 f"{top * unit:.3g}; a contact that forms is one that holds"
             )
 
