@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from eqsim.laws.aging import Langevin, PooledThresholds
 from eqsim.laws.threshold import Gamma
 from eqsim.master import fokker_planck, quenched
-from eqsim.master.steady import solver
+from eqsim.master.solvers import solver
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
 

@@ -108,7 +108,7 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     if isinstance(drive, Programme):
         return _along(ensemble, drive, points, variance)
     require_drive(drive)
-    s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
+    s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
     if drive.start == "stationary":
@@ -167,7 +167,7 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
     force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
     spread: tuple[Array | None, Array | None] = None, None
     if variance:
-        s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
+        s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
         profile = profile_of(s)
         square = float(profile.integral(_EVERYTHING, 2)[2, 0]) / (stretch / unit + s.delay.mean)
         square = (square + s.drag**2 * (1.0 - pinned)) * unit**2
@@ -363,7 +363,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
-    s, unit, distance = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale, drive.over(ensemble)
+    s, unit, distance = settled(ensemble, drive.velocity), ensemble.thresholds.scale, drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
     exact = reference(ensemble, drive)
