@@ -5,6 +5,7 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
+from eqsim.fitting.fit import FitResult, fit
 from eqsim.io.runfile import RunFile, load
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
@@ -30,6 +31,7 @@ __all__ = [
     "Drive",
     "Ensemble",
     "Estimate",
+    "FitResult",
     "Fluctuations",
     "FreshSlip",
     "Gamma",
@@ -52,6 +54,7 @@ __all__ = [
     "Transient",
     "Validation",
     "closure",
+    "fit",
     "fluctuations",
     "fresh_slip",
     "load",
