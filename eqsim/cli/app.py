@@ -62,7 +62,7 @@ app = typer.Typer(
 )
 for command in (
     simulate.run, simulate.steady, simulate.reference, stability.stability, check.validate, survey.sweep, fit.fit,
-    describe.info, survey.plot, survey.figures, check.replay, describe.material,
+    fit.design, describe.info, survey.plot, survey.figures, check.replay, describe.material,
 ):  # fmt: skip
     app.command()(grouped(command))
 

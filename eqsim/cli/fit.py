@@ -1,5 +1,6 @@
 """Commands that go from measurements to parameters: fit, design."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Exit, Option
 
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
-from eqsim.errors import require_integer
+from eqsim.errors import InputError, require_integer
 
 if TYPE_CHECKING:
-    pass
+    from eqsim.fitting.design import Design
 
 _ALLOW = "Fit also what the data cannot separate, with a warning."
+_VELOCITY = "Within these limits. Default: up to ten times beyond the velocities of the data."
+_TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
 _COMPARE = "Another model of the same data: its chi-square, AICc and BIC beside this one's."
 
 
@@ -66,3 +69,53 @@ def fit(
     shown.report(data, title=file.title or path.stem, columns=report.COLUMNS, rows=report.rows(found), notes=lines)
     if found.rejected or not found.converged:
         raise Exit(1)
+
+
+@dataclass(frozen=True)
+class DesignOptions:
+    """What measurements are sought."""
+
+    fitted: Annotated[Path, Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)]
+    key: Annotated[str, Option("--for", metavar="KEY", help="The key to be known better.", show_default=False)]
+    count: Annotated[int, Option("--next", help="How many measurements, one after the other.")] = 4
+    velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
+    temperature: Annotated[str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)] = None
+
+    def limits(self, name: str) -> tuple[float, float] | None:
+        """Of an option that is a range."""
+        text = getattr(self, name)
+        if text is None:
+            return None
+        try:
+            low, high = (float(part) for part in text.split(","))
+        except ValueError:
+            raise InputError(f"--{name} {text}: must be two numbers, LOW,HIGH") from None
+        return low, high
+
+
+def design(path: RunFilePath, options: DesignOptions, changes: Changes, *, shown: Shown) -> None:
+    """The next measurements for a key of a fit: velocities and temperatures, and how well it would be known after."""
+    file = changes.load(path)
+    require_integer("--next", options.count, 1, 1000)
+    from eqsim.fitting import design as designing
+
+    found = designing.design(
+        file, path.parent, options.fitted, options.key, options.count,
+        options.limits("velocity"), options.limits("temperature"),
+    )  # fmt: skip
+    data = {**found._asdict(), "steps": [step._asdict() for step in found.steps]}
+    shown.report(
+        data,
+        title=f"{file.title or path.stem}: the next measurements of friction for {options.key}",
+        columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
+        rows=_steps(found),
+        notes=["expected by the Fisher information at the best fit, for errors like those of the data"],
+    )
+
+
+def _steps(found: "Design") -> Iterator[tuple[str, str, str, str]]:
+    yield "now", "", "", f"{found.now:.3g}"
+    for number, step in enumerate(found.steps, 1):
+        kelvin = "" if step.temperature is None else f"{step.temperature:.4g}"
+        yield f"+{number}", f"{step.velocity:.3g}", kelvin, f"{step.sd:.3g}"
+    yield "all again", "", "", f"{found.repeated:.3g}"
