@@ -40,6 +40,7 @@ class Table(NamedTuple):
     names: list[str]
     temperatures: Array
     sha256: str
+    time: Array | None = None  # of the points of a record
 
     @property
     def sets(self) -> list[str]:

@@ -10,7 +10,7 @@ from scipy import optimize
 from scipy.stats import qmc
 
 from eqsim.errors import InputError
-from eqsim.fitting.model import REFUSED, STEP, Problem
+from eqsim.fitting.model import REFUSED, Problem
 from eqsim.numerics.tables import Array
 
 DEGENERATE = 1e-7  # ratio of eigenvalues of J'J below which a direction is not determined
@@ -41,7 +41,7 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
     def jacobian(x: Array) -> Array:
         base, columns = residuals(x), []
         for i, j in enumerate(active):
-            step = STEP if x[i] + STEP <= problem.high[j] else -STEP
+            step = problem.step if x[i] + problem.step <= problem.high[j] else -problem.step
             moved = x.copy()
             moved[i] += step
             columns.append((residuals(moved) - base) / step)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from eqsim.fitting import estimate, profiles, symmetry
 from eqsim.fitting.data import Table, read_table
 from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
+from eqsim.fitting.record import Correlation, correlated, read_record, record_problem
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
 from eqsim.io.runfile import RunFile, at
 from eqsim.numerics.tables import Array
@@ -24,6 +25,7 @@ from eqsim.sweep.workers import Workers
 REJECTED = 1e-3  # p below which a model is rejected
 _FLOOR = 0.1  # of a standard error, what the solver may miss
 _AGAIN = 3  # times that a profile may find a better fit
+_WHITENED = 2  # times that residuals tell the correlation of errors
 
 Progress = Callable[[int, float], None]
 
@@ -93,6 +95,7 @@ class FitResult:
     floor: float
     warnings: tuple[str, ...]
     seed: int
+    correlation: Correlation | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -123,27 +126,38 @@ def prepare(file: RunFile, folder: Path, data: Path | None, allow_degenerate: bo
     """Read and check what a fit needs. Raises InputError."""
     section = section_of(file)
     free = parameters_of(file, section)
-    if data is None and section.data is None:
-        raise InputError("fit.data: is required, the CSV file of measurements")
-    table = read_table(data if data is not None else folder / str(section.data), file, section)
-    _check_drive(file, table)
+    table = _measured(file, folder, section, data)
     file.ensemble(folder)
-    scales, fixed = scales_of(section, table.sets)
+    scales, _ = scales_of(section, table.sets)
     if scales and not any(name in ("friction", "force_std") for name in table.observable):
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")
     count, needed = table.value.size, len(free) + max(1, len(scales))
     if count < needed:
         raise InputError(f"fit.data: has {count} measurements for {len(free)} free keys; at least {needed} are needed")
-    reasons = symmetry.refused(
-        file,
-        [one for one in free if one.prior is None],
-        bool(scales),
-        set(table.observable),
-        np.unique([row.heat for row in table.rows]).size,
-    )
-    warnings = symmetry.check(reasons, allow_degenerate)
-    problem = problem_of(file, folder, section, table, free, scales, fixed)
+    seen = {"record"} if table.time is not None else set(table.observable)
+    loose = [one for one in free if one.prior is None]
+    warnings = symmetry.check(symmetry.refused(file, loose, bool(scales), seen), allow_degenerate)
+    problem = _problem(file, folder, section, table)
     return Prepared(section, table, problem, warnings)
+
+
+def _measured(file: RunFile, folder: Path, section: Fit, data: Path | None) -> Table:
+    """The measurements. Raises InputError."""
+    if section.record is not None:
+        return read_record(data if data is not None else folder / section.record.file, section)
+    if data is None and section.data is None:
+        raise InputError("fit.data: is required, the CSV file of measurements")
+    table = read_table(data if data is not None else folder / str(section.data), file, section)
+    _check_drive(file, table)
+    return table
+
+
+def _problem(file: RunFile, folder: Path, section: Fit, table: Table) -> Problem:
+    """Of a table or a record. Raises InputError."""
+    free, scales = parameters_of(file, section), scales_of(section, table.sets)
+    if table.time is not None:
+        return record_problem(file, folder, section, table, free, scales)
+    return problem_of(file, folder, section, table, free, *scales)
 
 
 def _check_drive(file: RunFile, table: Table) -> None:
@@ -212,7 +226,7 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
     """What cannot be told apart at the start, by the eigenvalues of J'J. Raises InputError unless it is allowed."""
     u, *_ = problem.solved(problem.start)
     keys = [one.key for one in problem.parameters]
-    rungs = estimate.ladder(keys, problem.jacobian(u))
+    rungs = estimate.ladder(keys, problem.unitless(problem.jacobian(u)))
     lost = [rung for rung in rungs if rung.ratio < DEGENERATE]
     if lost and not allowed:
         raise InputError(
@@ -241,7 +255,11 @@ def _fitted(
 
     progress(0, total)
     minima = estimate.together(estimate.minimise, [(problem, u) for u in every], executor, count)
-    best = min(minima, key=lambda one: one.chi2)
+    best, correlation = min(minima, key=lambda one: one.chi2), None
+    for _ in range(_WHITENED if table.time is not None else 0):
+        assert table.time is not None
+        problem, correlation = correlated(problem, best.u, table.time)
+        best = estimate.minimise(problem, best.u)
     for _ in range(_AGAIN):
         jacobian = problem.jacobian(best.u)
         covariance = estimate.covariance(jacobian)
@@ -262,10 +280,10 @@ def _fitted(
     floor = float(np.max(error / problem.sigma))
     if floor > _FLOOR:
         warnings = [*warnings, f"noise floor: the solver's own error is {floor:.2g} of a measurement's standard error"]
-    rungs = tuple(estimate.ladder([one.key for one in parameters], jacobian))
+    rungs = tuple(estimate.ladder([one.key for one in parameters], problem.unitless(jacobian)))
     return FitResult(
         file, folder, section, problem, table, best, intervals, goodness(problem, best.u), rungs, covariance,
-        tuple(minima), pairs, floor, tuple(warnings), file.output.seed,
+        tuple(minima), pairs, floor, tuple(warnings), file.output.seed, correlation,
     )  # fmt: skip
 
 
@@ -286,7 +304,7 @@ def _interval(one: Parameter, u: float, sd: float, low: profiles.Side, high: pro
 def goodness(problem: Problem, u: Array) -> Goodness:
     """Of a fit with parameters `u`."""
     _, predicted, _ = problem.solved(u)
-    r = (problem.value - predicted) / problem.sigma
+    r = problem.white((problem.value - predicted) / problem.sigma)
     residuals = problem.residuals(u)
     n, k = problem.value.size, len(problem.parameters)
     dof = n + problem.priors - k
@@ -294,6 +312,8 @@ def goodness(problem: Problem, u: Array) -> Goodness:
     tested = float(normal @ normal + residuals[n:] @ residuals[n:])
     law = stats.norm.logpdf if problem.loss == "gaussian" else lambda x: stats.t.logpdf(x, STUDENT)
     deviance = float(-2.0 * np.sum(law(r) - np.log(problem.sigma)) + residuals[n:] @ residuals[n:])
+    if problem.correlation is not None:
+        deviance += float(np.sum(np.log1p(-(problem.correlation**2))))
     aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1) if n > k + 1 else None
     p = float(stats.chi2.sf(tested, dof)) if dof > 0 else None
     return Goodness(tested, dof, p, deviance, aicc, deviance + k * math.log(n))
@@ -325,10 +345,10 @@ def derived(result: FitResult) -> dict[str, float]:
 def compared(result: FitResult, other: RunFile, folder: Path, starts: int) -> Goodness:
     """How well another model describes the same measurements with the same errors. Raises InputError."""
     section = section_of(other)
-    free = parameters_of(other, section)
-    scales, fixed = scales_of(section, result.table.sets)
-    same = section.model_copy(update={"loss": result.fit.loss})
-    problem = problem_of(other, folder, same, result.table, free, scales, fixed)
+    if (section.record is None) != (result.table.time is None):
+        raise InputError("--compare: one of the run files fits a table and the other a record")
+    problem = _problem(other, folder, section.model_copy(update={"loss": result.fit.loss}), result.table)
+    problem = replace(problem, correlation=result.problem.correlation)
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)
     minima = [estimate.minimise(problem, u) for u in every]

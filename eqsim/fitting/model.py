@@ -35,6 +35,10 @@ _PEAK_POINTS, _PEAK_DISTANCE = 401, 4.0  # of the transient in which the first p
 class Forward(Protocol):
     """Where predictions come from."""
 
+    @property
+    def scaled(self) -> bool:
+        """Whether they depend on the scale of force."""
+
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """Values and errors at unit scale, arrays (measurements,). Raises InputError."""
 
@@ -48,6 +52,7 @@ class SteadyForward:
     rows: Sequence[Row]
     row: Array
     observable: Sequence[str]
+    scaled: bool = False
 
     @cached_property
     def groups(self) -> list[tuple[dict[str, float], float, Array]]:
@@ -133,6 +138,10 @@ class Problem:
         What else predictions are linear in: values at unit parameter by key.
     loss : str
         "gaussian" or "student".
+    correlation : ndarray or None, shape (measurements - 1,)
+        Of the errors of neighbours, which form a Markov chain; None if they are independent.
+    step : float
+        Of derivatives, in the variables of parameters.
     """
 
     forward: Forward
@@ -146,12 +155,18 @@ class Problem:
     stiffness: float
     nuisance: dict[str, Array] = field(default_factory=dict)
     loss: str = "gaussian"
+    correlation: Array | None = None
+    step: float = STEP
 
     @cached_property
     def linear(self) -> Array:
         """Which parameters are found by linear least squares."""
         easy = self.loss == "gaussian" and not (self.spread.any() and self.count is None)
-        return np.array([one.linear and easy and one.prior is None for one in self.parameters])
+        return np.array([self._exact(one) and easy and one.prior is None for one in self.parameters])
+
+    def _exact(self, one: Parameter) -> bool:
+        """Whether predictions are linear in a parameter."""
+        return one.linear and (one.key in self.nuisance or not self.forward.scaled)
 
     @cached_property
     def low(self) -> Array:
@@ -173,7 +188,7 @@ class Problem:
         return {
             one.key: float(one.value(x))
             for one, x in zip(self.parameters, u, strict=True)
-            if not one.key.startswith("fit.")
+            if not one.key.startswith("fit.") or (self.forward.scaled and one.key == "fit.scale")
         }
 
     def parts(self, u: Array) -> tuple[list[Array], Array, Array]:
@@ -209,11 +224,11 @@ class Problem:
         u = u.copy()
         coefficients = {i: float(self.parameters[i].value(u[i])) for i in which}
         if open_:
-            columns = np.array([bases[which.index(i)] for i in open_]).T / self.sigma[:, None]
+            columns = self.white(np.array([bases[which.index(i)] for i in open_]).T / self.sigma[:, None])
             known = rest + sum(bases[which.index(i)] * c for i, c in coefficients.items() if i not in open_)
             low = [float(self.parameters[i].value(self.low[i])) for i in open_]
             high = [float(self.parameters[i].value(self.high[i])) for i in open_]
-            best = _least(columns, (self.value - known) / self.sigma, np.array(low), np.array(high))
+            best = _least(columns, self.white((self.value - known) / self.sigma), np.array(low), np.array(high))
             for i, c in zip(open_, best, strict=True):
                 coefficients[i] = float(c)
                 one = self.parameters[i]
@@ -233,7 +248,14 @@ class Problem:
             u, total, _ = self.solved(u, held)
         except InputError:
             return np.full(self.value.size + self.priors, REFUSED)
-        return np.concatenate((self.deviate((self.value - total) / self.sigma), self._prior(u)))
+        return np.concatenate((self.deviate(self.white((self.value - total) / self.sigma)), self._prior(u)))
+
+    def white(self, r: Array) -> Array:
+        """Residuals in standard errors, shape (measurements, ...), as independent ones."""
+        if self.correlation is None:
+            return r
+        rho = self.correlation.reshape(-1, *[1] * (r.ndim - 1))
+        return np.concatenate((r[:1], (r[1:] - rho * r[:-1]) / np.sqrt(1.0 - rho**2)))
 
     def deviate(self, r: Array) -> Array:
         """Residuals in standard errors as those of a Gaussian with the same likelihood."""
@@ -255,20 +277,20 @@ class Problem:
         ones too, by central differences, shape (measurements + priors, parameters). Raises InputError."""
         columns = []
         for i, one in enumerate(self.parameters):
-            up, down = (u + sign * STEP * (np.arange(u.size) == i) for sign in (1.0, -1.0))
-            if one.linear:
+            up, down = (u + sign * self.step * (np.arange(u.size) == i) for sign in (1.0, -1.0))
+            if self._exact(one):
                 bases, _, _ = self.parts(u)
                 which = [j for j, other in enumerate(self.parameters) if other.linear]
-                slope = float(one.value(up[i]) - one.value(down[i])) / (2.0 * STEP)
+                slope = float(one.value(up[i]) - one.value(down[i])) / (2.0 * self.step)
                 column = bases[which.index(i)] * slope
                 if self.spread.any():
-                    column = column + (self.parts(up)[1] - self.parts(down)[1]) / (2.0 * STEP)
+                    column = column + (self.parts(up)[1] - self.parts(down)[1]) / (2.0 * self.step)
             else:
                 ends = [min(max(x, self.low[i]), self.high[i]) for x in (down[i], up[i])]
                 at_ends = [self.given(np.where(np.arange(u.size) == i, x, u)) for x in ends]
                 column = (at_ends[1] - at_ends[0]) / (ends[1] - ends[0])
             columns.append(column / self.sigma)
-        matrix = np.array(columns).T
+        matrix = self.white(np.array(columns).T)
         extra = [np.eye(u.size)[i] / one.prior[1] for i, one in enumerate(self.parameters) if one.prior]
         return np.vstack((matrix, *extra)) if extra else matrix
 
@@ -277,6 +299,11 @@ class Problem:
         bases, rest, _ = self.parts(u)
         linear = [(one, x) for one, x in zip(self.parameters, u, strict=True) if one.linear]
         return rest + sum(base * float(one.value(x)) for base, (one, x) in zip(bases, linear, strict=True))
+
+    def unitless(self, jacobian: Array) -> Array:
+        """Derivatives with respect to logarithms, and of other variables in units of the distance of their bounds."""
+        width = np.where([one.transform == "linear" for one in self.parameters], self.high - self.low, 1.0)
+        return jacobian * width
 
 
 def _least(columns: Array, target: Array, low: Array, high: Array) -> Array:

@@ -8,7 +8,7 @@ from scipy.interpolate import PchipInterpolator
 
 from eqsim.fitting.data import MEASURED
 from eqsim.fitting.estimate import DEGENERATE
-from eqsim.fitting.model import STEP, Problem, SteadyForward
+from eqsim.fitting.model import Problem, SteadyForward
 from eqsim.fitting.profiles import LEVELS, WIDE
 from eqsim.io.plots import as_png, plain_title
 from eqsim.numerics.tables import Array
@@ -30,7 +30,7 @@ def band(problem: Problem, u: Array, covariance_root: Array) -> tuple[Array, Arr
     values = problem.given(u)
     columns = []
     for i in range(u.size):
-        step = STEP if u[i] + STEP <= problem.high[i] else -STEP
+        step = problem.step if u[i] + problem.step <= problem.high[i] else -problem.step
         moved = u + step * (np.arange(u.size) == i)
         columns.append((problem.given(moved) - values) / step)
     return values, np.sqrt(((np.array(columns).T @ covariance_root) ** 2).sum(axis=1))
@@ -53,17 +53,21 @@ def fit_png(result: "FitResult", title: str) -> bytes:
     covariance_root = root(problem.jacobian(result.best.u))
     velocity = np.array([dict(table.rows[row].changes).get("drive.velocity", np.nan) for row in table.row])
     moving = np.unique(velocity[np.isfinite(velocity)]).size > 1
-    x = velocity if moving else np.arange(1.0, table.row.size + 1)
+    x = velocity if moving else np.arange(1.0, table.row.size + 1) if table.time is None else table.time
     names = np.array(table.observable)
-    r = (table.value - problem.given(result.best.u)) / table.sigma
+    r = (problem.value - problem.given(result.best.u)) / table.sigma
     for name, top, below in zip(shown, panels[::2], panels[1::2], strict=True):
         for number, (label, members) in enumerate(_series(result, names == name)):
             color, marker = f"C{number % 10}", _MARKERS[number % len(_MARKERS)]
-            style = {"color": color, "marker": marker, "linestyle": "none", "markersize": 4, "capsize": 2}
-            top.errorbar(x[members], table.value[members], table.sigma[members], label=label, **style)
-            below.plot(x[members], r[members], color=color, marker=marker, linestyle="none", markersize=4)
-            if moving:
-                fine, middle, sd = _curve(result, members, velocity[members], covariance_root)
+            size = 4 if table.time is None else 2
+            style = {"color": color, "marker": marker, "linestyle": "none", "markersize": size, "capsize": size - 2}
+            top.errorbar(x[members], problem.value[members], table.sigma[members], label=label, **style)
+            below.plot(x[members], r[members], color=color, marker=marker, linestyle="none", markersize=size)
+            if moving or table.time is not None:
+                if table.time is not None:
+                    fine, (middle, sd) = table.time, band(problem, result.best.u, covariance_root)
+                else:
+                    fine, middle, sd = _curve(result, members, velocity[members], covariance_root)
                 top.plot(fine, middle, color=color, linewidth=1)
                 for level, alpha in (("95", 0.15), ("68", 0.3)):
                     wide = float(np.sqrt(LEVELS[level])) * sd
@@ -75,7 +79,7 @@ def fit_png(result: "FitResult", title: str) -> bytes:
         below.axhline(0, color="0.6", linewidth=0.7)
         limit = max(3.0, 1.15 * np.abs(r[names == name]).max())
         below.set(ylim=(-limit, limit), ylabel="residual\n[standard errors]")
-        below.set_xlabel("driving velocity" if moving else "measurement")
+        below.set_xlabel("driving velocity" if moving else "measurement" if table.time is None else "time")
         top.set(ylabel=_LABELS[name])
         for panel in (top, below):
             panel.grid(alpha=0.3)

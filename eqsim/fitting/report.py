@@ -52,6 +52,7 @@ def summary(result: FitResult) -> dict[str, Any]:
             for rung in result.ladder
         ],
         "derived": derived(result),
+        "correlation": None if result.correlation is None else result.correlation._asdict(),
         "noise_floor": result.floor,
         "warnings": list(result.warnings),
         "seed": result.seed,
@@ -73,13 +74,15 @@ def fitted(result: FitResult) -> dict[str, Any]:
     }
     if result.fit.temperature is not None:
         columns["temperature"] = table.temperatures[table.row]
+    if table.time is not None:
+        columns["time"] = table.time
     if len(table.sets) > 1:
         columns["set"] = [row.set for row in rows]
     _, predicted, error = problem.solved(result.best.u)
-    r = (table.value - predicted) / table.sigma
+    r = (problem.value - predicted) / table.sigma
     return {
-        **columns, "observable": list(table.observable), "measured": table.value, "sigma": table.sigma,
-        "fitted": predicted, "solver_error": error, "residual": r,
+        **columns, "observable": list(table.observable), "measured": problem.value, "sigma": table.sigma,
+        "fitted": predicted, "solver_error": error, "residual": r, "whitened": problem.white(r),
     }  # fmt: skip
 
 
@@ -182,6 +185,10 @@ def remarks(result: FitResult) -> Iterator[str]:
         yield "NO START CONVERGED: these are no estimates"
     elif result.rejected:
         yield f"REJECTED: p < {REJECTED:g}; values and intervals are those of a model that does not describe the data"
+    if result.correlation is not None:
+        tau, effective = result.correlation
+        said = f"correlation time {tau:.3g} (whitened)" if tau else "not correlated"
+        yield f"errors of {result.table.value.size} points: {said}, worth {effective:.0f} independent ones"
     minima = different(list(result.minima))
     if len(minima) > 1:
         found = ", ".join(f"{one.chi2:.4g}" for one in minima[:5])

@@ -44,6 +44,7 @@ class Record(_Section):
     time: str = "t"
     force: str = "force"
     stderr: str | None = None
+    machine_stiffness: float | None = None
 
 
 class Fit(_Section):
@@ -118,6 +119,8 @@ def section_of(file: RunFile) -> Fit:
         require_number("noise.absolute", found.noise.absolute, **NOT_NEGATIVE)
         require_number("offset", found.offset)
         require_number("drift", found.drift)
+        if found.record is not None and found.record.machine_stiffness is not None:
+            require_number("record.machine_stiffness", found.record.machine_stiffness, **POSITIVE)
         for name in ("reference_temperature", "area", "normal_stress"):
             if getattr(found, name) is not None:
                 require_number(name, getattr(found, name), **POSITIVE)

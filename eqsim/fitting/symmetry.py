@@ -21,13 +21,14 @@ _LENGTH = {
     "thresholds.x_star": 1, "contacts.stiffness": -2, "fit.scale": -1, "thermal.attempt_frequency": -1,
     "delay.time": 1, "aging.rate": 1, "aging.x_star_final": 1, "aging.cutoff_time": 1, "viscosity.eta": -1,
     "drive.velocity": 0, "break_stretch": 1, "peak_X": 1, "force_std": 1,
+    "record": 1,
 }  # fmt: skip
 _ENERGY = {"contacts.stiffness": 1, "thermal.kT": 1, "viscosity.eta": 1, "force_std": -1}
 _HOT, _COLD = 0.3, 1e3  # b below which it does not matter to annealed contacts, and above which only omega/b does
 _UNSEEN = {"force_std", "peak_ratio", "peak_X"}
 
 
-def refused(file: RunFile, free: list[Parameter], scaled: bool, measured: set[str], temperatures: int) -> list[str]:
+def refused(file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]) -> list[str]:
     """Why the data cannot decide, one line for each exact symmetry between free keys; empty if there is none known.
 
     Parameters
@@ -37,11 +38,9 @@ def refused(file: RunFile, free: list[Parameter], scaled: bool, measured: set[st
     scaled : bool
         Whether the scale of force is free.
     measured : set of str
-        Observables.
-    temperatures : int
-        How many different ones.
+        Observables, or "record".
     """
-    return [*_scalings(file, free, scaled, measured), *_limits(file, free, scaled, measured, temperatures)]
+    return [*_scalings(file, free, scaled, measured), *_limits(file, free, scaled, measured)]
 
 
 def _scalings(file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]) -> Iterator[str]:
@@ -59,7 +58,7 @@ def _scalings(file: RunFile, free: list[Parameter], scaled: bool, measured: set[
         values["thermal.attempt_frequency"] = 0.0
     held = ["fit.scale", *(key for key, value in values.items() if value and math.isfinite(value))]
     held = [key for key in held if key not in moving]
-    seen = sorted(measured & {"break_stretch", "peak_X", "force_std"})
+    seen = sorted(measured & {"break_stretch", "peak_X", "force_std", "record"})
     if "force_std" in seen and not scaled:  # N is `contacts.count`, known
         held, seen = [*held, "fit.scale"], [name for name in seen if name != "force_std"]
     rows = [[part.get(name, 0) for name in (*dict.fromkeys(held), *seen)] for part in (_LENGTH, _ENERGY)]
@@ -85,7 +84,7 @@ def _null(rows: Array) -> list[Array]:
     return [u[:, i] for i in range(rank, 2)]
 
 
-def _limits(file: RunFile, free: list[Parameter], scaled: bool, measured: set[str], temperatures: int) -> Iterator[str]:
+def _limits(file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]) -> Iterator[str]:
     by_key = {one.key: one for one in free}
     cold = not file.thermal.kT and "thermal.kT" not in by_key
     for key in ("thermal.attempt_frequency",) if cold else ():
