@@ -200,7 +200,7 @@ def remarks(result: FitResult) -> Iterator[str]:
             yield f"not separated (eigenvalue ratio {rung.ratio:.1e}): {rung.name}"
         elif rung.sd > WIDE:
             yield f"known to no better than a factor {math.exp(min(rung.sd, 50.0)):.3g}: {rung.name}"
-    if any(one.status != "determined" for one in result.intervals):
+    if not result.rejected and any(one.status != "determined" for one in result.intervals):
         yield "predictions within the range of the data are good all the same; beyond it they are not"
     for name, value in derived(result).items():
         yield f"{name} = {value:.4g}"
