@@ -376,6 +376,16 @@ MISTAKES = [
       "test_thermal.py::test_crossover_velocity_is_nt12"),
     M("model: distance of 100 thresholds", "model/drive.py", "return 200.0 * ensemble.thresholds.mean",
       "return 100.0 * ensemble.thresholds.mean", "test_runfile.py::test_defaults"),
+    # fits
+    M("profiles: level of 95 % for one side", "fitting/profiles.py", '"95": 3.8415', '"95": 2.7055',
+      "test_fit.py::test_levels"),
+    M("fits: squares of errors not relative to the force", "fitting/data.py",
+      "math.hypot(noise.relative * value, noise.absolute)", "math.hypot(noise.relative, noise.absolute)",
+      "test_fit.py::test_errors_of_measurements"),
+    M("fits: whitened residuals of another variance", "fitting/model.py", "/ np.sqrt(1.0 - rho**2)", "/ (1.0 - rho**2)",
+      "test_record.py::test_whitened_errors_are_independent"),
+    M("symmetries: stiffness by one power of the length", "fitting/symmetry.py", '"contacts.stiffness": -2',
+      '"contacts.stiffness": -1', "test_fit.py::test_symmetries_leave_every_prediction"),
     # master
     M("master: drag of the pinned", "master/steady.py", "drag * (delay / (stretch + delay)), elastic",
       "drag * (stretch / (stretch + delay)), elastic",

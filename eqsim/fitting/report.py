@@ -173,8 +173,11 @@ def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
 
 def _range(ends: tuple[float | None, float | None]) -> str:
     low, high = ends
-    left = "open" if low is None else f"{low:.4g}"
-    right = "open" if high is None else f"{high:.4g}"
+    digits = 3
+    if low is not None and high is not None and high > low:  # so many that the width shows
+        digits = min(max(digits, 2 - math.floor(math.log10((high - low) / max(abs(low), abs(high))))), 12)
+    left = "open" if low is None else f"{low:.{digits}g}"
+    right = "open" if high is None else f"{high:.{digits}g}"
     return f"{left} to {right}"
 
 
