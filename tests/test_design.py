@@ -145,12 +145,12 @@ def test_bad_input(folder, arguments, said):
 def test_intervals_cover(name):
     """60 data sets: counts of 68 and 95 % for four keys are within the binomial range of 99.9 % each, which fails by
     chance in less than 8 of a thousand cases; intervals at a third of their levels do not (negative control)."""
-    every = list(coverage.rises(coverage.COVERED[name], 60, 1))
+    every = list(coverage.rises(coverage.COVERED[name](), 60, 1))
     for part, holds in ((1.0, all), (1 / 3, lambda found: not all(found))):
         checked = []
         for level, rise in LEVELS.items():
             low, high = coverage.binomial(60, int(level) / 100)
-            for key in coverage.COLUMNS:
+            for key in every[0]:
                 checked.append(low <= np.mean([one[key] < part * rise for one in every]) <= high)
         assert holds(checked)
 

@@ -66,7 +66,7 @@ def call(*args):
 def test_command(folder):
     """Files, a table, a run file of the best fit that the reference accepts; and the same from two processes."""
     out = folder / "out"
-    result = call("fit", folder / "run.toml", "--out", out, "--starts", "3", "--workers", "1")
+    result = call("fit", folder / "run.toml", "--out", out, "--starts", "2", "--workers", "1")
     assert result.exit_code == 0, result.output
     assert "thermal.kT" in result.output
     assert "determined" in result.output
@@ -78,7 +78,7 @@ def test_command(folder):
     assert kT["status"] == "determined"
     assert kT["interval_95"][0] < kT["interval_68"][0] < kT["estimate"] < kT["interval_68"][1] < kT["interval_95"][1]
     assert found["dof"] == 10
-    assert len(found["starts"]) == 3
+    assert len(found["starts"]) == 2
     assert len(found["eigenvalues"]) == 2
     assert found["derived"]["F0 = N k x_*"] == found["parameters"]["fit.scale"]["estimate"]
     assert len(found["data_sha256"]) == 64
@@ -91,7 +91,7 @@ def test_command(folder):
     best = load(out / "run.toml")
     assert best.thermal.kT == kT["estimate"]
     assert json.loads(done.output)["friction"] > 0
-    twice = call("fit", folder / "run.toml", "--out", folder / "twice", "--starts", "3", "--workers", "2", "--json")
+    twice = call("fit", folder / "run.toml", "--out", folder / "twice", "--starts", "2", "--workers", "2", "--json")
     assert twice.exit_code == 0, twice.output
     assert json.loads(twice.output) == found
     assert (folder / "twice" / "profiles.parquet").read_bytes() == (out / "profiles.parquet").read_bytes()
@@ -199,7 +199,7 @@ def test_compared_and_rejected(folder):
     (folder / "data.csv").write_text("drive.velocity,friction,friction_stderr\n" + "\n".join(lines))
     (folder / "other.toml").write_text(RUN.replace("annealed", "quenched"))
     result = call(
-        "fit", folder / "run.toml", "--out", folder / "out", "--compare", folder / "other.toml", "--starts", "2",
+        "fit", folder / "run.toml", "--out", folder / "out", "--compare", folder / "other.toml", "--starts", "1",
         "--workers", "1", "--json",
     )  # fmt: skip
     assert result.exit_code == 1, result.output

@@ -11,7 +11,8 @@ from eqsim.numerics.tables import Array
 
 LEVELS = {"68": 0.9889, "95": 3.8415}  # of chi-square over its least value (chi-square law, one degree of freedom)
 WIDE = 1.1  # half-width of a 68 % interval of a logarithm, a factor 3, from which on nothing is determined
-_RISE, _LARGEST, _MOST, _CLOSE = 1.5, 6.0, 40, 0.02  # rise of chi-square aimed at, and allowed, in a step; steps
+# rise of chi-square aimed at, and allowed, in a step; steps; how close to a level it is known, and tries
+_RISE, _LARGEST, _MOST, _CLOSE, _SOUGHT = 1.5, 6.0, 40, 0.02, 8
 
 
 class Side(NamedTuple):
@@ -80,31 +81,38 @@ def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> S
         step = (distance - here[0]) * min(max(math.sqrt(_RISE / gained), 0.5), 2.5)
     ends: dict[str, float | None] = {}
     for name, level in LEVELS.items():
-        for _ in range(8):
-            ordered = sorted(found, key=lambda one: one[0])
-            above = next((k for k, one in enumerate(ordered) if one[1] >= level), None)
-            if above is None or above == 0:
+        for _ in range(_SOUGHT):
+            crossing = _crossing(found, level)
+            if crossing is None or crossing.known or crossing.width < 1e-6 * way:
                 break
-            low, high = ordered[above - 1], ordered[above]
-            roots = [math.sqrt(max(one[1], 0.0)) for one in (low, high)]
-            t = (math.sqrt(level) - roots[0]) / (roots[1] - roots[0])
-            middle = low[0] + t * (high[0] - low[0])
-            near = min(abs(low[1] - level), abs(high[1] - level))
-            if near < _CLOSE or high[0] - low[0] < 1e-6 * max(way, 1e-12):
-                break
-            found.append(solve(middle))
-        ordered = sorted(found, key=lambda one: one[0])
-        above = next((k for k, one in enumerate(ordered) if one[1] >= level), None)
-        if above is None or above == 0:
-            ends[name] = None
-        else:
-            low, high = ordered[above - 1], ordered[above]
-            roots = [math.sqrt(max(one[1], 0.0)) for one in (low, high)]
-            t = (math.sqrt(level) - roots[0]) / (roots[1] - roots[0])
-            ends[name] = float(best.u[index] + sign * (low[0] + t * (high[0] - low[0])))
+            found.append(solve(crossing.distance))
+        crossing = _crossing(found, level)
+        ends[name] = None if crossing is None else float(best.u[index] + sign * crossing.distance)
     ordered = sorted(found, key=lambda one: one[0])
     better |= any(one[1] < -_CLOSE for one in ordered)
     return Side(np.array([one[2] for one in ordered]), np.array([one[1] for one in ordered]), ends, better)
+
+
+class _Crossing(NamedTuple):
+    """Where a profile first passes a level, by a straight line of its root, whether a point is close enough to it, and
+    how far its neighbours are apart."""
+
+    distance: float
+    known: bool
+    width: float
+
+
+def _crossing(found: list[tuple[float, float, Array]], level: float) -> _Crossing | None:
+    """Of points (distance, rise, parameters) in any order; None if none is above."""
+    ordered = sorted(found, key=lambda one: one[0])
+    above = next((k for k, one in enumerate(ordered) if one[1] >= level), 0)
+    if above == 0:
+        return None
+    low, high = ordered[above - 1], ordered[above]
+    roots = [math.sqrt(max(one[1], 0.0)) for one in (low, high)]
+    t = (math.sqrt(level) - roots[0]) / (roots[1] - roots[0])
+    known = min(abs(low[1] - level), abs(high[1] - level)) < _CLOSE
+    return _Crossing(low[0] + t * (high[0] - low[0]), known, high[0] - low[0])
 
 
 def status(low: Side, high: Side, transform: str) -> str:
