@@ -1,5 +1,6 @@
 """The public names of eqsim."""
 
+from eqsim.engine.elastic import ElasticTrajectory, elastic_trajectory
 from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Slip, Trajectory
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import trajectory
@@ -16,6 +17,7 @@ from eqsim.master.stability import FreshSlip, Stability, fresh_slip, stability
 from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
 from eqsim.model.drive import Drive, Programme, Segment, Stage
+from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import Validation, validate
 from eqsim.workflows.replay import Replay, replay
@@ -29,6 +31,8 @@ __all__ = [
     "Delta",
     "Distribution",
     "Drive",
+    "Elastic",
+    "ElasticTrajectory",
     "Ensemble",
     "Estimate",
     "FitResult",
@@ -54,6 +58,7 @@ __all__ = [
     "Transient",
     "Validation",
     "closure",
+    "elastic_trajectory",
     "fit",
     "fluctuations",
     "fresh_slip",

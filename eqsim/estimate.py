@@ -39,10 +39,14 @@ class Estimate:
 
 
 class Observable(NamedTuple):
-    """How an observable is shown: `label` on axes and in tables; `unit`, "length" or "" for a number."""
+    """How an observable is shown: `label` on axes and in tables; `unit`, "length", "length^2" or "" for a number."""
 
     label: str
     unit: str
+
+    def size(self, unit: float) -> float:
+        """One of it where lengths are in units of `unit`."""
+        return {"length": unit, "length^2": unit * unit}.get(self.unit, 1.0)
 
 
 def known(estimate: Estimate) -> float:
@@ -60,10 +64,22 @@ class Averages:
     friction: Estimate = field(metadata={"label": "friction  <F> / (N k)", "unit": "length"})
     pinned: Estimate = field(metadata={"label": "pinned fraction  N_c / N", "unit": ""})
     break_stretch: Estimate = field(metadata={"label": "mean stretch at breaking", "unit": "length"})
+    travel: Estimate = field(metadata={"label": "mean travel from birth to breaking", "unit": "length"})
+    birth_stretch: Estimate = field(metadata={"label": "mean stretch at birth", "unit": "length"})
+    force_variance: Estimate = field(metadata={"label": "force variance  Var(F) / (N k^2)", "unit": "length^2"})
 
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""
         return {name: getattr(self, name) for name in OBSERVABLES}
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The names of those that a table shows: not a variance that was not computed, and neither travel nor stretch
+        at birth where contacts are born unstressed."""
+        hidden = {"force_variance"} if self.force_variance.value is None else set()
+        if not (self.birth_stretch.value or self.birth_stretch.stderr):
+            hidden |= {"travel", "birth_stretch"}
+        return tuple(name for name in OBSERVABLES if name not in hidden)
 
 
 OBSERVABLES: dict[str, Observable] = {part.name: Observable(**part.metadata) for part in fields(Averages)}

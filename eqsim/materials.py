@@ -149,6 +149,23 @@ class Material(ABC):
     def contacts_per_area(self) -> float:
         """1/a^2 (1/m^2)."""
 
+    @property
+    def elastic_modulus(self) -> float | None:
+        """E of the bodies that the contacts join (Pa); None where it is not given."""
+        return None
+
+    @property
+    def spacing_of_contacts(self) -> float:
+        """a (m), of the contacts' centres."""
+        return 1.0 / math.sqrt(self.contacts_per_area)
+
+    @property
+    def elastic_length(self) -> float | None:
+        """lambda_c = a^2 E/k (m), over which the contacts' own elasticity keeps neighbours together (Braun, Peyrard,
+        Stryzheus and Tosatti, 2012): the rigid slider holds over patches of that size. None where E is not given."""
+        E = self.elastic_modulus
+        return None if E is None else E / (self.contacts_per_area * self.stiffness)
+
     def ensemble(
         self,
         temperature: float = ROOM_TEMPERATURE,
@@ -241,6 +258,11 @@ class RoughContacts(Material):
     def contacts_per_area(self) -> float:
         """1/r_c^2 (1/m^2)."""
         return self.contact_radius**-2
+
+    @property
+    def elastic_modulus(self) -> float:
+        """That of the asperities: the two are of one material."""
+        return self.young_modulus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,9 +375,23 @@ def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> lis
         Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
         Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
         Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
+        *_elastic_lengths(material),
         Parameter("b", material.b(temperature), "", "k x_*^2/(2 kT) (nt08a)"),
         Parameter("v_*", material.crossover_velocity(temperature), "m/s", only_annealed),
         Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
+    ]
+
+
+def _elastic_lengths(material: Material) -> list[Parameter]:
+    """lambda_c beside a, and what follows, if the modulus is known."""
+    length, a = material.elastic_length, material.spacing_of_contacts
+    if length is None:
+        return []
+    where = "already between neighbours" if length < a else "beyond it"
+    said = f"elastic correlation length, a^2 E/k = {length / a:.2g} a: the rigid slider is doubtful {where}"
+    return [
+        Parameter("a", a, "m", "distance between neighbouring contacts"),
+        Parameter("lambda_c", length, "m", said),
     ]
 
 

@@ -6,7 +6,13 @@ import pandas as pd
 
 from eqsim import Aging, Delay, Ensemble, Gamma, Thermal
 
+BASIC = ("friction", "pinned", "break_stretch")  # observables of the article
 REFERENCE = pd.read_csv(Path(__file__).parent / "data" / "steady_reference.csv")
+
+
+def basic(averages):
+    """Names and estimates of these."""
+    return [(name, getattr(averages, name)) for name in BASIC]
 
 
 def ensemble_of(row, **changes):

@@ -16,6 +16,7 @@ import pytest
 import scipy.stats
 from cases import thinned
 from kernels import compiled
+from rows import BASIC, basic
 from scipy.interpolate import CubicSpline
 
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
@@ -24,7 +25,6 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
 from eqsim.engine.langevin import STEP, WALKERS, Path, pinned
 from eqsim.engine.stationary import stationary, stretches, whole_lives
-from eqsim.estimate import OBSERVABLES
 from eqsim.master.fokker_planck import survival
 from eqsim.master.transient import transient
 from eqsim.model.reduced import reduced
@@ -210,7 +210,7 @@ def ensemble_of(path, factor=1.0):
 def lived(path, factor=1.0, many=LIVES):
     """Work and stretch of so many lives on one `path`, D_v times `factor`."""
     u, v = np.random.default_rng(11).random((2, many))
-    return lives(contacts(ensemble_of(path, factor), 1.0), key(2, 98), 0, u, v)
+    return lives(contacts(ensemble_of(path, factor), 1.0), key(2, 98), 0, u, v)[:2]
 
 
 @functools.cache
@@ -322,7 +322,7 @@ def test_clocks_that_stop_within_a_step(lives_log2, chance):
     get right. `chance` is left of so many lives (1 s.e. of the mean, from ten seeds); 4 of these are allowed."""
     path = (2.5, 6.0, 0.3, 3.0, 180.0, "stiff", "uniform")
     u, v = scipy.stats.qmc.Sobol(2, rng=np.random.default_rng(1)).random(2**lives_log2).T + 2.0**-31
-    _, stretch = lives(contacts(ensemble_of(path), 1.0), key(2, 99), 0, u, v)
+    stretch = lives(contacts(ensemble_of(path), 1.0), key(2, 99), 0, u, v).travel
     assert abs(stretch.mean() / expected(path).stretch - 1) < 4 * chance
 
 
@@ -335,7 +335,7 @@ def test_work_of_a_stiffness_that_fluctuates(path):
     excess = []
     for law in ("sqrt", "uniform"):
         one = (*path[:6], law)
-        work, stretch = lives(contacts(ensemble_of(one), 1.0), key(3, 98), 0, u, v)
+        work, stretch, *_ = lives(contacts(ensemble_of(one), 1.0), key(3, 98), 0, u, v)
         life = expected(one)
         excess += [work / life.work - 1.0, stretch / life.stretch - 1.0]
     basis = np.stack((excess[2], excess[3], np.ones(size)), axis=1)
@@ -457,7 +457,7 @@ def test_stationary_start(name):
     exact, known = reference(RUNS[name], Drive(1.0)), KNOWN[name.split()[0]]
     result = run(name, "stationary")
     assert scores(result, exact.friction.value, exact.pinned.value, known).max() < LIMIT
-    for name, late in result.averages.averages().items():
+    for name, late in basic(result.averages):
         value = getattr(exact, name).value
         assert late.reliable
         assert abs(late.value - value) < LIMIT * late.stderr + known * value
@@ -492,7 +492,7 @@ def test_stationary_averages_over_seeds():
     ensemble = Ensemble(**UNIT, delay=Delay(0.1), aging=Aging("flow", 0.1, 1.0), count=640)
     exact = reference(ensemble, Drive(1.0))
     runs = [trajectory(ensemble, Drive(1.0, 2.0, "stationary"), points=3, seed=seed) for seed in range(6)]
-    for name in OBSERVABLES:
+    for name in BASIC:
         found = [getattr(run.averages, name) for run in runs]
         z = np.array([(one.value - getattr(exact, name).value) / one.stderr for one in found])
         assert abs(z.mean()) * math.sqrt(6) < LIMIT
@@ -578,7 +578,7 @@ def test_steady(name):
     exact, known = reference(RUNS[name], Drive(1.0)), KNOWN[name.split()[0]]
     paths = RUNS[name].fluctuates
     found = steady(RUNS[name], Drive(1.0), rel_error=1e-2 if paths else 2e-4)
-    for name, one in found.averages().items():
+    for name, one in basic(found):
         level = getattr(exact, name)
         assert one.reliable or paths
         assert abs(one.value - level.value) < LIMIT * one.stderr + known * level.value * paths

@@ -19,7 +19,7 @@ from waiting import once
 
 from eqsim import Drive, load, steady
 from eqsim.cli.app import app
-from eqsim.estimate import Estimate
+from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.io import terminal
 from eqsim.io.terminal import Report, bar, value_and_error
 
@@ -128,7 +128,7 @@ def test_same_bytes_for_any_threads(run_file, tmp_path):
 
 def test_steady_and_info(run_file):
     found = json.loads(call("steady", run_file, "--json", "--rel-error", "1e-4").stdout)
-    assert set(found) == {"friction", "pinned", "break_stretch", "lives", "seed", "reached", "reference", "z"}
+    assert set(found) == {*OBSERVABLES, "lives", "seed", "reached", "reference", "z"}
     assert all(abs(found["z"][name]) < 4.5 for name in ("friction", "pinned", "break_stretch"))
     assert set(found["friction"]) == {"value", "stderr", "n", "dof", "reliable"}
     assert found["friction"]["stderr"] <= 1e-4 * found["friction"]["value"]

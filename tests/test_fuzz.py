@@ -20,12 +20,12 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from rows import BASIC
 from typer.testing import CliRunner
 
 from eqsim import InputError, load, reference, steady
 from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
-from eqsim.estimate import OBSERVABLES
 from eqsim.io.runfile import keys, read_thresholds
 from eqsim.model.reduced import groups
 from eqsim.sweep.plan import Plan
@@ -279,14 +279,14 @@ def use(path):
 def solve(ensemble, drive):
     """Both answers, or InputError; every number is one."""
     found = steady(ensemble, drive, rel_error=0.05, max_lives=CHEAP)
-    for name in OBSERVABLES:
+    for name in BASIC:
         e = getattr(found, name)
         assert finite(e.value, e.stderr), (name, e)
         assert e.value >= 0, (name, e)
         assert e.stderr >= 0, (name, e)
     assert found.pinned.value <= 1
     exact = reference(ensemble, drive)
-    for name in (*OBSERVABLES, "f_k"):
+    for name in (*BASIC, "f_k"):
         e = getattr(exact, name)
         assert finite(e.value, e.stderr), (name, e)
         assert e.value >= 0, (name, e)
@@ -297,7 +297,7 @@ def solve(ensemble, drive):
 
 def agree(found, exact):
     """Within six joint standard errors and 1e-6: events of less than that share, worth as much, may not be drawn."""
-    for name in OBSERVABLES:
+    for name in BASIC:
         one, other = getattr(found, name), getattr(exact, name)
         if one.reliable:
             far = abs(one.value - other.value)
@@ -702,9 +702,9 @@ def judge_process(command, path, out):
         assert "Traceback" not in said
         found = json.loads(done.stdout)
         if command == "steady":
-            assert finite(*(found[name]["value"] for name in OBSERVABLES))
+            assert finite(*(found[name]["value"] for name in BASIC))
         if command == "reference":
-            assert finite(*(found[name] for name in OBSERVABLES))
+            assert finite(*(found[name] for name in BASIC))
         if command == "run":
             assert tree(out) == ["force.png", "summary.json", "trajectory.parquet"]
             table = pq.read_table(out / "trajectory.parquet")

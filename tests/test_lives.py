@@ -44,7 +44,7 @@ def twin(rng, n, kT, barrier, law):
 def side_by_side(ensemble, seed, ages=8):
     """Sums of stretch and work over the lives of a kernel's lanes, one for each age, shape (2, sums)."""
     c = contacts(ensemble, V)
-    rows = [plain_sums(c, key(seed, STEADY), 0, age, age + 1)[:2] for age in range(ages)]
+    rows = [plain_sums(c, key(seed, STEADY), 0, age, age + 1)[0][:2] for age in range(ages)]
     return np.array(rows).T[::-1]
 
 
@@ -170,7 +170,7 @@ def test_lives_of_any_number():
     """Blocks of lanes in `lives` have no seams."""
     c = contacts(Ensemble(thermal=Thermal(0.1)), V)
     u, v = np.random.default_rng(1).random((2, 2 * LANES + 3))
-    work, stretch = lives(c, key(0, 0), 0, u, v)
+    work, stretch, *_ = lives(c, key(0, 0), 0, u, v)
     for i in (0, LANES - 1, LANES, 2 * LANES + 2):
         one = lives(c, key(0, 0), 0, u[i : i + 1], v[i : i + 1])
         assert (work[i], stretch[i]) == (one[0][0], one[1][0])

@@ -17,6 +17,7 @@ import pytest
 from cases import thinned
 from kernels import compiled
 from reduced_cases import barrier_of
+from rows import basic
 from scipy import integrate, optimize, special, stats
 
 from eqsim import (
@@ -404,7 +405,7 @@ def test_steady_warm(law, v):
     found, (value, error) = steady(ensemble, drive, rel_error=3e-4), WARM[v][2 * (law == "sqrt") :][:2]
     assert found.friction.reliable
     assert abs(found.friction.value - value) < LIMIT * found.friction.stderr + 3 * error
-    for name, one in found.averages().items():
+    for name, one in basic(found):
         if name != "pinned":  # without delay
             assert abs(z(one, getattr(reference(ensemble, drive), name))) < LIMIT
     wrong = reference(replace(ensemble, aging=aging(cutoff_time=0.2)), drive)
@@ -458,7 +459,7 @@ def test_stationary_start(name):
     drive = Drive(0.5, 4.0, "stationary")
     result, level = run(name, "stationary"), reference(RUNS[name], drive)
     assert scores(result, transient(RUNS[name], drive, points=21)).max() < LIMIT
-    for one, late in result.averages.averages().items():
+    for one, late in basic(result.averages):
         exact = getattr(level, one)
         assert late.reliable
         assert abs(late.value - exact.value) <= LIMIT * math.hypot(late.stderr, exact.stderr) + 1e-9

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rows import BASIC
 
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, reference, steady, trajectory
-from eqsim.estimate import OBSERVABLES, Estimate, z_score
+from eqsim.estimate import Estimate, z_score
 from eqsim.io.runfile import check, parameters
 from eqsim.io.storage import to_json
 from eqsim.materials import MATERIALS, run_file_text
@@ -62,11 +63,11 @@ def ensembles(draw, laws=LAWS, temperatures=TEMPERATURES, agings=AGINGS, disorde
 
 
 def values(result):
-    return np.array([getattr(result, name).value for name in OBSERVABLES])
+    return np.array([getattr(result, name).value for name in BASIC])
 
 
 def errors(result):
-    return np.array([getattr(result, name).stderr for name in OBSERVABLES])
+    return np.array([getattr(result, name).stderr for name in BASIC])
 
 
 def close(one, other, relative):

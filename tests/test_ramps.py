@@ -17,6 +17,7 @@ from eqsim.engine.recorder import (
     ELAPSED,
     PINNED,
     STRETCH,
+    TRAVEL,
     Columns,
     Recorder,
     Run,
@@ -39,13 +40,13 @@ ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
 
 
 def scales(uniform):
-    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT]), 1.0, 1.0, uniform)
+    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT, UNIT]), 1.0, 1.0, uniform)
 
 
 def empty(run, uniform=False):
     """A recorder of nothing yet."""
     units, status = scales(uniform), np.zeros(2, np.int64)
-    sums = np.zeros((run.points, 6), np.int64), np.zeros((BATCHES, 2, 5), np.int64)
+    sums = np.zeros((run.points, 6), np.int64), np.zeros((BATCHES, 2, 6), np.int64)
     return Recorder(run, units.deposits, units.batches, *sums, status)
 
 
@@ -105,7 +106,7 @@ def test_no_sum_can_overflow(count, thermal):
     xi, x = extremes(c)
     found, strong, reach = Scales.of(c, run, count, 3, 5.0), kappa(c.springs, xi), DISTANCE + x
     deposits = np.array([1.0, strong * reach, (strong * reach) ** 2, strong, strong**2, strong**2 * reach])
-    batches = np.array([strong * x * reach, reach, reach, 1.0, reach])
+    batches = np.array([strong * x * reach, reach, reach, 1.0, reach, reach])
     most = max(strong * x, 5.0)
     for sums in (
         count * deposits * found.deposits,
@@ -123,7 +124,7 @@ def test_single_deposits(points, early):
     run, rows = Run(DISTANCE, points, early > 0, False), lives(False, True, early)
     found = empty(run)
     for stiffness, born, broke, _ in rows:
-        deposit(found, stiffness, born, broke)
+        deposit(found, stiffness, born, born, broke)
     compare(found, False, seen(rows, run))
 
 
@@ -136,7 +137,7 @@ def test_deposits_side_by_side(points, uniform):
     if uniform:
         leave_uniform_ramps(found, born, broke, columns(count), count)
     else:
-        of_rows = Lives((broke - born)[None], np.empty((1, count)), stiffness[None])
+        of_rows = Lives((broke - born)[None], np.empty((1, count)), stiffness[None], np.zeros((1, count)))
         leave_ramps(found, born, broke, of_rows, 0, columns(count), count)
     compare(found, uniform, seen(rows, run))
 
@@ -154,7 +155,7 @@ def test_deposits_that_join(points):
 
 
 def averages(rows, low, high, work=None):
-    """Area, pinned, elapsed, breaks and stretch of lives between two displacements."""
+    """Area, pinned, elapsed, breaks, stretch and travel of lives between two displacements."""
     stiffness, born, broke, reborn = rows.T
     start, end, later = np.maximum(born, low), np.clip(broke, low, high), np.clip(reborn, low, high)
     end = np.maximum(end, start)
@@ -165,7 +166,7 @@ def averages(rows, low, high, work=None):
     breaks = (low < broke) & (broke <= high)
     return np.array([
         np.where(start < end, area, 0.0).sum(), (end - start).sum(), np.maximum(later - start, 0.0).sum(), breaks.sum(),
-        (broke - born)[breaks].sum(),
+        *[(broke - born)[breaks].sum()] * 2,
     ])  # fmt: skip
 
 
@@ -174,7 +175,8 @@ def test_records_of_quarters():
     run, rows = Run(DISTANCE, 2, True, False), lives(False, True, 2.0)
     found = empty(run)
     for i, row in enumerate(rows):
-        record(found, i % 3, *row)
+        stiffness, born, broke, reborn = row
+        record(found, i % 3, stiffness, born, born, broke, reborn)
     for batch in range(3):
         for quarter, low in enumerate((5.0, 7.5)):
             sums = found.batches[batch, quarter] / found.batch_scales
@@ -200,19 +202,19 @@ def test_crossing_an_edge(edge, delay):
     before["work"] = 3.25 + 0.5 * stiffness * x**2
     journey = one_lane(Journey, position=born, broke=broke, reborn=reborn, edge=edge, delay=[delay], **before)
     lanes = one_lane(Lanes, contact=1, age=age, number=0, words=[0])
-    lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness])
+    lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness], birth=[0.0])
     assert cross(c, found, lanes, lives, journey, (0, 0)) == (edge == DISTANCE)
     assert not found.batches[0].any()
     pinned = 1.5 if delay else 2.0
     for quarter, low in enumerate((5.0, 7.5)):
         expected = averages(np.array([crossing]), low, low + 2.5)
         if low + 2.5 == edge:
-            expected += [3.25, pinned, 2.0, 4, pinned]
+            expected += [3.25, pinned, 2.0, 4, pinned, pinned]
         sums = found.batches[1, quarter] / found.batch_scales
         np.testing.assert_allclose(sums, expected, rtol=ROUNDING, atol=ROUNDING)
     assert (journey.edge[0], journey.since[0]) == (edge_after(found.run, reborn), reborn)
     assert (journey.mark[0], journey.work[0], journey.distance[0]) == (ROUNDS * age + 1, 0.0, 0.0)
-    assert (AREA, PINNED, ELAPSED, BREAKS, STRETCH) == (0, 1, 2, 3, 4)
+    assert (AREA, PINNED, ELAPSED, BREAKS, STRETCH, TRAVEL) == (0, 1, 2, 3, 4, 5)
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])

@@ -212,4 +212,4 @@ def test_many_contacts_know_their_errors(ensemble):
 def test_no_scatter_at_all():
     """Identical contacts at T = 0 have exact averages, however few they are."""
     c = contacts(Ensemble(Delta(2.0), delay=Delay(0.25)), 2.0)
-    assert independent(c, births(c), 0.3) == (math.inf, math.inf, math.inf)
+    assert set(independent(c, births(c), 0.3)[0]) == {math.inf}

@@ -56,10 +56,10 @@ def test_one_life_is_that_of_many(ensemble):
     c, stream, lanes = contacts(ensemble, 1.0), key(3, TRAJECTORY), compiled(empty_lanes)()
     lives = compiled(empty_lives)(c, ROUNDS)
     lanes.contact[:], lanes.age[:] = np.arange(256) % 50, np.arange(256) // 50
-    compiled(draw_lives)(c.thresholds, bool(c.barrier.thermal), stream, lanes, lives, 256)
+    compiled(draw_lives)(c.newborn, c, stream, lanes, lives, 256)
     for i in range(0, 256, 5):
         for r in range(ROUNDS):
-            xi, clock, delay = compiled(draw_life)(c, stream, lanes.contact[i], ROUNDS * lanes.age[i] + r)
+            xi, _, clock, delay = compiled(draw_life)(c, stream, lanes.contact[i], ROUNDS * lanes.age[i] + r)
             assert (xi, clock) == (lives.stretch[r, i], lives.clock[r, i])
             assert delay > 0 if ensemble.delay.time else delay == 0
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from cases import thinned
-from rows import REFERENCE, ensemble_of
+from rows import BASIC, REFERENCE, ensemble_of
 from scipy import integrate
 
 import eqsim.engine.steady as module
@@ -30,7 +30,8 @@ from eqsim import (
     reference,
     steady,
 )
-from eqsim.estimate import OBSERVABLES, difference, drifts, known, ratio, z_score
+from eqsim.engine.contacts import contacts as contacts_of
+from eqsim.estimate import difference, drifts, known, ratio, z_score
 from eqsim.laws.barrier import BARRIERS
 
 
@@ -40,7 +41,7 @@ def scores(row, result):
         z_score(getattr(result, name), getattr(row, name), row.rel_accuracy * getattr(row, name))
         if getattr(result, name).stderr
         else None
-        for name in OBSERVABLES
+        for name in BASIC
     ]
 
 
@@ -291,7 +292,7 @@ def test_scipy_laws():
         given = {"thermal": Thermal(0.3), "delay": Delay(2.0), "disorder": disorder}
         ours = steady(Ensemble(Gamma(0.0), **given), Drive(0.1), rel_error=1e-5)
         theirs = steady(Ensemble(Distribution(scipy.stats.weibull_min(2.0)), **given), Drive(0.1), rel_error=1e-5)
-        for name in OBSERVABLES:
+        for name in BASIC:
             assert abs(difference(getattr(ours, name), getattr(theirs, name))) < 4.5
 
 
@@ -311,7 +312,7 @@ def test_asked_for_precision_and_threads():
     tight = steady(Ensemble(thermal=Thermal(1.0)), Drive(0.01), rel_error=3e-6, threads=2)
     again = steady(Ensemble(thermal=Thermal(1.0)), Drive(0.01), rel_error=3e-6, threads=1)
     assert tight.lives > loose.lives
-    for name in OBSERVABLES:
+    for name in BASIC:
         assert getattr(tight, name).stderr <= 3e-6 * getattr(tight, name).value
         assert getattr(tight, name) == getattr(again, name)
 
@@ -359,13 +360,14 @@ def test_averages_of_known_sums():
     """Friction and pinned fraction are ratios of means over 32 randomisations: their errors by the gradient and the
     covariance of work and stretch (delta method), beside a relative error of lives that no scatter shows."""
     rng = np.random.default_rng(8)
-    sums = np.column_stack((rng.normal(2.0, 0.1, 32), rng.normal(3.0, 0.1, 32), np.full(32, 1e-3)))
+    sums = np.column_stack((rng.normal(2.0, 0.1, 32), rng.normal(3.0, 0.1, 32), np.zeros((32, 2)), np.full(32, 1e-3)))
     delay, drag, unit = 1.5, 0.4, 2.0
+    c = contacts_of(Ensemble(delay=Delay(delay)), 1.0)
     (work, stretch), covariance = sums[:, :2].mean(axis=0), np.cov(sums[:, :2].T) / 32
     cycle = stretch + delay
     friction, pinned = (work + drag * delay) / cycle, stretch / cycle
     for hidden in (0.0, 0.05):
-        found = module._averages(sums, delay, drag, unit, 100, True, hidden)
+        found = module._averages(c, sums, (drag, unit), 100, True, hidden)
         for estimate, value, gradient, unseen, scale in (
             (found[0], friction, (1 / cycle, -friction / cycle), friction, unit),
             (found[1], pinned, (0.0, delay / cycle**2), pinned * delay / cycle, 1.0),
@@ -375,8 +377,8 @@ def test_averages_of_known_sums():
             assert estimate.value == pytest.approx(value * scale, rel=1e-13, abs=0)
             assert estimate.stderr == pytest.approx(error * scale, rel=1e-12, abs=0)
             assert (estimate.n, estimate.dof, estimate.reliable) == (3200, 31, True)
-    sums[7, 2] = 0.021  # one life that makes up 2 % of a sum
-    assert not any(estimate.reliable for estimate in module._averages(sums, delay, drag, unit, 100, True, 0.0))
+    sums[7, 4] = 0.021  # one life that makes up 2 % of a sum
+    assert not any(estimate.reliable for estimate in module._averages(c, sums, (drag, unit), 100, True, 0.0))
 
 
 def test_difference_of_estimates():

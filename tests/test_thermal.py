@@ -604,7 +604,7 @@ def survival(ensemble, velocity):
 def break_stretches(ensemble, velocity, count=40_000):
     stream = key(21, TRAJECTORY)
     u, v = np.array([uniforms(stream, i, 0, 0) for i in range(count)]).T.copy()
-    work, stretch = lives(contacts(ensemble, velocity), stream, 0, u, v)
+    work, stretch, *_ = lives(contacts(ensemble, velocity), stream, 0, u, v)
     stiffness = 2.0 * work / stretch**2
     xi = ensemble.thresholds.inverse_survival(-np.log(u))
     np.testing.assert_allclose(
@@ -649,7 +649,7 @@ def test_lives_spend_their_clocks(disorder, stiffness, barrier):
     law = Gamma(1.0, 2.0)
     ensemble = Ensemble(law, Thermal(2.0, 1.5, barrier), stiffness=0.5, stiffness_law=stiffness, disorder=disorder)
     u, v = np.random.default_rng(14).random((2, 400))
-    _, x = lives(contacts(ensemble, 1.0), key(0, TRAJECTORY), 0, u, v)
+    x = lives(contacts(ensemble, 1.0), key(0, TRAJECTORY), 0, u, v).travel
     xi, b, w = law.inverse_survival(-np.log(u)) / law.scale, ensemble.b, 1.5 * law.scale
     if disorder == "annealed":
         at, back = np.unique(x, return_inverse=True)

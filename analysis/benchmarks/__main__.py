@@ -14,6 +14,7 @@ from rich.console import Console
 from analysis.benchmarks import report, tuned
 from analysis.benchmarks.alone import time_langevin, time_programmes, time_references, time_start
 from analysis.benchmarks.cases import CASES, COMPILE, QUICK, Case, Sizes
+from analysis.benchmarks.elastic import time_elastic
 from analysis.benchmarks.jobs import time_plain, time_steady, time_trajectory
 
 OUT = Path(__file__).parents[1] / "out"
@@ -38,8 +39,9 @@ def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
             console.print(f"[dim]{name}: {case.name}")
             seed = 1000 * (len(rows) + 1)  # rows share no random numbers
             rows.append({"job": name, **job(case, sizes, threads, seed)})
-    console.print("[dim]langevin lives, programmes, references, start-up")
+    console.print("[dim]langevin lives, programmes, avalanches, references, start-up")
     rows += time_langevin(sizes, threads, 1) + time_programmes(sizes, threads, 1)
+    rows += time_elastic(sizes, threads, 1)
     rows += time_references(sizes) + time_start(sizes)
     about = {f"{name}_version": version(name) for name in ("eqsim", "numba", "numpy")}
     about |= {"compiler": tuned.compiler_version(), "load": os.getloadavg()[0]}

@@ -63,4 +63,5 @@ def material(
         title=f"{name} at {kelvin:.4g} K",
         columns=("", "value", "unit", "meaning"),
         rows=[(row.name, f"{row.value:.5g}", row.unit, row.meaning) for row in rows],
+        notes=[] if found.elastic_length else ["no elastic correlation length a^2 E/k: E of the walls is not given"],
     )

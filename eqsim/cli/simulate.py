@@ -13,6 +13,7 @@ from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.sweep.workers import Workers
+    from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
 
 _DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
@@ -70,10 +71,13 @@ def run(
     )
 
 
-def _table(result: "RunResult | ProgrammeResult") -> dict[str, Any]:
+def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, Any]:
     """Columns and rows of what a run shows."""
+    from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import RunResult, SliderResult
 
+    if isinstance(result, ElasticResult):
+        return {"columns": _COUPLED, "rows": _coupled(result)}
     if isinstance(result, RunResult):
         return {"columns": _AVERAGES, "rows": _averages(result)}
     if isinstance(result, SliderResult):
@@ -84,6 +88,7 @@ def _table(result: "RunResult | ProgrammeResult") -> dict[str, Any]:
 _AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
 _SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t")
 _SLIPS = ("slip", "at t", "at X", "drop of the force", "takes", "over")
+_COUPLED = ("", "second half of the run", "exact", "difference / s.e.")
 _MOST_ROWS = 40
 
 
@@ -123,16 +128,33 @@ def _slips(result: "SliderResult") -> Iterator[tuple[str, ...]]:
         )
 
 
+def _coupled(result: "ElasticResult") -> Iterator[tuple[str, ...]]:
+    """Friction and avalanches of coupled blocks beside what is exact."""
+    from eqsim.estimate import difference
+
+    names = {"friction": "friction over X", "size": "breaks per avalanche", "single": "fraction of single breaks"}
+    for name, (found, exact) in result.averages().items():
+        z = terminal.score(difference(found, exact))
+        yield names[name], terminal.value_and_error(found), f"{exact.value:.8g}", z
+
+
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     from eqsim.estimate import difference
 
     steady = result.steady.averages()
-    for name, estimate in result.trajectory.averages.averages().items():
+    averages = result.trajectory.averages
+    for name in averages.shown:
+        estimate = getattr(averages, name)
         z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
         yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
 
 
-def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> Iterator[str]:
+def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path, who: str) -> Iterator[str]:
+    from eqsim.workflows.elastic import ElasticResult
+
+    if isinstance(result, ElasticResult):
+        yield from _remarks_on_blocks(result, folder)
+        return
     found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
     averages = getattr(found, "averages", None)
     if averages and not all(estimate.reliable for estimate in averages.averages().values()):
@@ -158,6 +180,24 @@ def _remarks(result: "RunResult | ProgrammeResult", folder: Path, who: str) -> I
         yield f"no exact curve: {reason}"
 
 
+def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
+    found, elastic = result.trajectory, result.drive.elastic
+    assert elastic
+    breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
+    if not found.friction.reliable:
+        yield "unreliable: the second half is too short to forget the fresh start, or to tell its errors"
+    if breaks.size:
+        yield (
+            f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "
+            f"{blocks.mean():.3g} of {elastic.count} blocks take part in the mean, {blocks.max()} at most"
+        )
+    yield "exact: friction of any contacts, avalanches of infinitely many; n contacts to a block miss them by some 1/n"
+    contacts = f" of {terminal.count(result.ensemble.count * result.file.output.replicas)} contacts"
+    lives = terminal.lives(found.lives, found.engine_seconds, contacts)
+    yield f"{lives}, {found.threads} threads, seed {found.seed}"
+    yield f"{folder}/: {', '.join(result.names)}"
+
+
 def steady(
     path: RunFilePath,
     rel_error: Annotated[float, Option(help="Relative standard error of all three observables.")] = 1e-3,
@@ -171,7 +211,7 @@ def steady(
     file = changes.load(path)
     ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
-    from eqsim.estimate import known, z_score
+    from eqsim.estimate import z_score
     from eqsim.master.steady import reference as solve
     from eqsim.workflows.run import if_any
 
@@ -185,7 +225,10 @@ def steady(
     exact, reason = if_any(lambda: solve(ensemble, drive))
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
-    z = {name: z_score(found[name], known(level), level.stderr or 0.0) for name, level in levels.items()}
+    z = {
+        name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
+        for name, level in levels.items()
+    }
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
@@ -196,8 +239,8 @@ def steady(
         columns=("", "contacts", "relative error", "reference", "z"),
         rows=[
             (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
-             "none" if value is None else f"{value:.9g}", terminal.score(z.get(name)))
-            for name, value in values.items()
+             "none" if values[name] is None else f"{values[name]:.9g}", terminal.score(z.get(name)))
+            for name in result.shown
         ],
         notes=[
             *([f"no reference: {reason}"] if reason else []),
@@ -239,14 +282,14 @@ def reference(
         return
     from eqsim.master.steady import reference as solve
 
-    result = solve(ensemble, file.constant(path.parent))
+    result = solve(ensemble, file.constant(path.parent), variance=shown.json)
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
         {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
         title=file.title or path.stem,
         columns=("", "value", "error of the solver"),
-        rows=[(name, f"{estimate.value:.10g}", f"{errors[name]:.1e}") for name, estimate in found.items()],
+        rows=[(name, f"{found[name].value:.10g}", f"{errors[name]:.1e}") for name in (*result.shown, "f_k")],
         notes=[f"method: {result.method}"],
     )
 

@@ -1,7 +1,7 @@
 """A stage that pulls infinitely slowly at T = 0: one break after another, and which of them follow from each other.
 
 Without heat, delay, damping and mass the slider is always in balance, kappa (Y - X) = F(X), or slips until it is.
-Contacts break where X reaches X_birth + xi, in the order of a queue; the stage has to be at
+Contacts break where X reaches X_birth + xi - y, y the stretch at birth, in the order of a queue; the stage has to be at
 
     Y(X) = X + F(X)/kappa
 
@@ -42,7 +42,7 @@ def queue_of(p: Population) -> Queue:
 
 
 @routine
-def _put_back(queue: Queue, at: float) -> None:
+def put_back(queue: Queue, at: float) -> None:
     """Give the contact that is next another position, and restore the order."""
     contact, i, n = queue.contact[0], 0, queue.at.size
     while True:
@@ -72,7 +72,7 @@ def _rest(now: Array, stiffness: float) -> float:
 
 
 @maker
-def _longer(events: Array) -> Array:
+def longer(events: Array) -> Array:
     """A copy with twice as many rows."""
     more = np.empty((2 * events.shape[0], events.shape[1]))
     for i in range(events.shape[0]):
@@ -96,13 +96,15 @@ def _break(c: Contacts, stream: Key, first: int, p: Population, queue: Queue, no
     xi, k = p.xi[i], p.stiffness[i]
     now[FORCE] -= k * xi * each
     now[LOST] += 0.5 * k * xi * xi * each
-    p.xi[i], _, _ = draw_life(c, stream, first + i, p.lives[i])
+    p.xi[i], y, _, _ = draw_life(c, stream, first + i, p.lives[i])
     p.stiffness[i] = kappa(c.springs, p.xi[i])
     p.lives[i] += 1
+    now[FORCE] += p.stiffness[i] * y * each
+    now[LOST] -= 0.5 * p.stiffness[i] * y * y * each
     now[STIFFNESS] += (p.stiffness[i] - k) * each
     now[_SIZE] += 1.0
     now[BREAKS] += 1.0
-    _put_back(queue, queue.at[0] + p.xi[i])
+    put_back(queue, queue.at[0] + p.xi[i] - y)
 
 
 @kernel
@@ -123,7 +125,7 @@ def load(
             if now[_SIZE] > 0.0:
                 _slip(now, stiffness, rest)
                 if rows == events.shape[0]:
-                    events = _longer(events)
+                    events = longer(events)
                 events[rows, 0], events[rows, 1], events[rows, 2] = now[Y], now[_BEGUN], now[_SIZE]
                 events[rows, 3], events[rows, 4] = now[_BEFORE] - now[FORCE], now[X] - now[_BEGUN]
                 rows += 1

@@ -24,7 +24,7 @@ class Totals:
 
     def __init__(self, rows: int, replicas: int, points: int | None = None) -> None:
         self.deposits = np.zeros((rows, 6), np.int64)
-        self.batches = np.zeros((BATCHES, 2, 5), np.int64)
+        self.batches = np.zeros((BATCHES, 2, 6), np.int64)
         self.status = np.zeros(2, np.int64)  # lives so far; anything but 0 stops the kernel
         self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
         self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from eqsim.laws.barrier.pooled import Pooled, pooled_hazard_of
 from eqsim.laws.delay import Waits
+from eqsim.laws.newborn import Unstressed, stretched
 from eqsim.laws.stiffness import Springs
 from eqsim.laws.threshold import Thresholds, for_kernels
 from eqsim.model.ensemble import Ensemble
@@ -26,6 +27,7 @@ class Contacts(NamedTuple):
     aging_table : ndarray
         What `laws.aging.base.work` looks up.
     delay : Waits
+    newborn : `Unstressed` or `Stretched`
     """
 
     thresholds: Thresholds
@@ -36,6 +38,7 @@ class Contacts(NamedTuple):
     aging: Any
     aging_table: Array
     delay: Waits
+    newborn: Any
 
 
 def lower(s: Reduced) -> Contacts:
@@ -44,9 +47,10 @@ def lower(s: Reduced) -> Contacts:
     if s.annealed:
         pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
+    born = stretched(s.newborn, s.law, not s.one_sided) if s.newborn.active else Unstressed()
     return Contacts(
         for_kernels(s.law), s.springs, barrier, s.barrier.table(), s.barrier.hazard_table(), s.aging,
-        s.aging.table(s.springs), s.delay.for_kernels(),
+        s.aging.table(s.springs), s.delay.for_kernels(), born,
     )  # fmt: skip
 
 

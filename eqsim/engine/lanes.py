@@ -1,4 +1,4 @@
-"""Lives of many contacts side by side: thresholds and clocks drawn, stretches at breaking and the work done on each."""
+"""Lives of many contacts side by side: thresholds, clocks and births drawn, and how far each contact is carried."""
 
 import functools
 import math
@@ -12,8 +12,10 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.laws.aging import Langevin
 from eqsim.laws.aging.base import break_lives
 from eqsim.laws.aging.base import work as work_of
-from eqsim.laws.barrier.base import thermal
+from eqsim.laws.barrier.base import thermal, travel
 from eqsim.laws.delay import delay_draw
+from eqsim.laws.newborn import Stretched, newborn_draw
+from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import by_law, kernel, maker, routine
@@ -24,6 +26,7 @@ from eqsim.numerics.vector_math import log
 
 LANES = 256  # contacts that advance together
 ROUNDS = 2  # lives of a contact that are drawn together
+_BIRTH = 4  # draw of births; 0 is that of thresholds and clocks, 1 of delays, 2 and 3 of fine thresholds
 
 
 class Lanes(NamedTuple):
@@ -37,13 +40,15 @@ class Lanes(NamedTuple):
 
 
 class Lives(NamedTuple):
-    """The next lives of each, arrays (rounds, LANES). `stretch`: threshold at birth, then stretch at breaking. `clock`:
-    what the exponential clock shows at breaking; of fluctuating thresholds then the work over k, of others scratch.
-    `stiffness`: k_i/k at birth."""
+    """The next lives of each, arrays (rounds, LANES). `stretch`: threshold at birth, then the travel from birth to
+    breaking, which is the stretch there unless the contact was born stretched. `clock`: what the exponential clock
+    shows at breaking; of fluctuating thresholds then the work over k, of others scratch. `stiffness`: k_i/k at birth.
+    `birth`: stretch at birth."""
 
     stretch: Array
     clock: Array
     stiffness: Array
+    birth: Array
 
 
 @maker
@@ -57,15 +62,34 @@ def empty_lanes() -> Lanes:
 def empty_lives(c: Contacts, rounds: int) -> Lives:
     """Lives that clocks never end, of contacts as stiff as uniform ones."""
     shape = (rounds, LANES)
-    return Lives(np.empty(shape), np.full(shape, math.inf), np.full(shape, c.springs.constant))
+    return Lives(np.empty(shape), np.full(shape, math.inf), np.full(shape, c.springs.constant), np.zeros(shape))
+
+
+@by_law
+def draw_lives(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+    """Thresholds, births and, if heat breaks contacts, clocks of the next ROUNDS lives of the first `count` lanes."""
+    _draw_unstressed(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, count)
+
+
+@draw_lives.register(Stretched)
+def _draw_stretched(law: Stretched, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+    for r in range(ROUNDS):
+        for i in range(count):
+            number = ROUNDS * lanes.age[i] + r
+            lives.stretch[r, i], lives.birth[r, i], lives.clock[r, i] = _draw_born(c, key, lanes.contact[i], number)
 
 
 @routine
-def draw_lives(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
-    """Thresholds and, if `thermal`, clocks of the next ROUNDS lives of the first `count` lanes.
+def _draw_born(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float]:
+    """Threshold, birth and clock of a life of a contact that is born stretched."""
+    u, v = uniforms(key, contact, number, 0)
+    xi, y = newborn_draw(c.newborn, c.thresholds, u, uniforms(key, contact, number, _BIRTH)[0])
+    return xi, y, -math.log(v)
 
-    Half of a Philox result serves one draw. Where no clock is needed, the two halves are the thresholds of two lives.
-    """
+
+@routine
+def _draw_unstressed(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+    """Half of a Philox result serves one draw. Without a clock the two halves are the thresholds of two lives."""
     contact, age, index, words = lanes.contact, lanes.age, lanes.number, lanes.words
     threshold, clock = lives.stretch, lives.clock
     for r in range(ROUNDS):
@@ -100,8 +124,19 @@ def draw_lives(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Li
 
 
 @routine
-def draw_life(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float]:
-    """Threshold and clock of a contact's life, the same bits as by `draw_lives`, and the delay after it."""
+def draw_life(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float, float]:
+    """Threshold, birth and clock of a contact's life, the same bits as by `draw_lives`, and the delay after it."""
+    xi, y, clock = draw_one(c.newborn, c, key, contact, number)
+    delay = c.delay.mean
+    if c.delay.random > 0.0:
+        v, w = uniforms(key, contact, number // ROUNDS, 1)
+        delay = delay_draw(c.delay, v if number % ROUNDS == 0 else w)
+    return xi, y, clock, delay
+
+
+@by_law
+def draw_one(law: Any, c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float]:
+    """`draw_life` but for the delay."""
     heat, turn, half = thermal(c.barrier), number // ROUNDS, number % ROUNDS
     row = number if heat else turn
     a, b, d, e = bits(key, contact, row, 0)
@@ -113,11 +148,12 @@ def draw_life(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, 
     else:
         u = uniform(low, high)
     xi = exponential_threshold(u) if c.thresholds.exponentials > 0 else threshold_draw(c.thresholds, u)
-    clock, delay = -log(uniform(d, e)) if heat else math.inf, c.delay.mean
-    if c.delay.random > 0.0:
-        v, w = uniforms(key, contact, turn, 1)
-        delay = delay_draw(c.delay, v if half == 0 else w)
-    return xi, clock, delay
+    return xi, 0.0, -log(uniform(d, e)) if heat else math.inf
+
+
+@draw_one.register(Stretched)
+def _draw_one_stretched(law: Stretched, c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float]:
+    return _draw_born(c, key, contact, number)
 
 
 @routine
@@ -134,9 +170,23 @@ def draw_thresholds(law: Thresholds, r: int, u: Array, row: Array, count: int) -
 
 @by_law
 def complete(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
-    """Stretches at breaking in the place of thresholds, of the first `count` lanes."""
+    """Travels in the place of thresholds, of the first `count` lanes."""
     for r in range(lives.stretch.shape[0]):
-        break_lives(law, c.barrier, c.barrier_table, c.springs, r, lives, lanes.number, count)
+        carry(c.newborn, c, r, lives, lanes.number, count)
+
+
+@by_law
+def carry(law: Any, c: Contacts, r: int, lives: Lives, row: Array, count: int) -> None:
+    """`complete` of round r; `row` is scratch."""
+    break_lives(c.aging, c.barrier, c.barrier_table, c.springs, r, lives, row, count)
+
+
+@carry.register(Stretched)
+def _carry_stretched(law: Stretched, c: Contacts, r: int, lives: Lives, row: Array, count: int) -> None:
+    stretch, stiffness = lives.stretch, lives.stiffness
+    for i in range(count):
+        stiffness[r, i] = kappa(c.springs, stretch[r, i])
+        stretch[r, i] = travel(c, stretch[r, i], stiffness[r, i], lives.birth[r, i], lives.clock[r, i])
 
 
 @complete.register(Langevin)
@@ -151,10 +201,11 @@ def _complete_paths(law: Langevin, c: Contacts, key: Key, lanes: Lanes, lives: L
 
 @by_law
 def note_work(law: Any, c: Contacts, lives: Lives, r: int, count: int) -> None:
-    """int_0^{x_b} (k_i/k) x dx of complete lives in the place of their clocks."""
-    stretch, work, stiffness = lives
+    """int (k_i/k) x dx of complete lives, from birth to breaking, in the place of their clocks."""
+    stretch, work, stiffness, birth = lives
     for i in range(count):
         work[r, i] = work_of(law, c.aging_table, c.springs, stiffness[r, i], stretch[r, i])
+        work[r, i] += stiffness[r, i] * stretch[r, i] * birth[r, i]
 
 
 @note_work.register(Langevin)
@@ -162,13 +213,35 @@ def _note_path_work(law: Langevin, c: Contacts, lives: Lives, r: int, count: int
     pass  # they are there
 
 
-def typical_lives(c: Contacts) -> tuple[Array, Array]:
-    """Work over k and stretch at breaking of 64 x 64 lives, at mid-points of equal shares of thresholds and of clocks:
-    a rough picture of births that costs nothing; of 16 x 16 where thresholds fluctuate and lives cost something."""
+class Sample(NamedTuple):
+    """Lives, arrays (n,): work over k, int (k_i/k) x dx from birth to breaking, travel, k_i/k at birth and stretch at
+    birth."""
+
+    work: Array
+    travel: Array
+    stiffness: Array
+    birth: Array
+
+    @property
+    def square(self) -> Array:
+        """int (k_i x/k)^2 dx from birth to breaking, of contacts whose stiffness does not change."""
+        y, travel = self.birth, self.travel
+        with np.errstate(over="ignore"):  # of laws so broad that it is not finite
+            return self.stiffness**2 * travel * (y * y + travel * (y + travel / 3.0))
+
+
+def typical_lives(c: Contacts) -> Sample:
+    """64 x 64 lives, at mid-points of equal shares of thresholds and of clocks, and births in between: a rough picture
+    that costs nothing; of 16 x 16 where thresholds fluctuate and lives cost something."""
     shares = 16 if c.aging.fluctuates else 64
     share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     return lives(c, key_of(0, 0), 0, u, v)
+
+
+def spread(n: int) -> Array:
+    """Numbers spread evenly over (0, 1), in an order of no pattern: a Kronecker sequence."""
+    return (0.5 + 0.6180339887498949 * np.arange(n)) % 1.0
 
 
 @functools.lru_cache(maxsize=32)
@@ -180,32 +253,47 @@ def rough_stretch(ensemble: Ensemble, velocity: float) -> float | None:
 
     def next_one(log_stretch: float) -> float:
         c = contacts(ensemble, velocity, math.exp(log_stretch))
-        return math.log(float(typical_lives(c)[1].mean()) * ensemble.thresholds.scale)
+        return math.log(float(typical_lives(c).travel.mean()) * ensemble.thresholds.scale)
 
     found = optimize.fixed_point(next_one, math.log(ensemble.thresholds.mean), xtol=1e-3, maxiter=100)
     return math.exp(float(found))
 
 
-def lives(c: Contacts, key: Key, first: int, u: Array, v: Array, step: float = langevin.STEP) -> tuple[Array, Array]:
-    """Work over k and stretch at breaking of lives from uniforms `u` (threshold) and `v` (clock), shape (n,). Paths of
+def lives(
+    c: Contacts, key: Key, first: int, u: Array, v: Array, step: float = langevin.STEP, birth: Array | None = None
+) -> Sample:
+    """Lives from uniforms `u` (threshold), `v` (clock) and `birth` (`spread` evenly unless given), shape (n,). Paths of
     fluctuating thresholds are those of contacts `first`, `first` + 1, ... and take steps of accuracy `step`."""
-    work, stretch = np.empty(u.size), np.empty(u.size)
-    fill_lives(c, key, first, step, u, v, work, stretch)
-    return work, stretch
+    found = Sample(np.empty(u.size), np.empty(u.size), np.empty(u.size), np.zeros(u.size))
+    if isinstance(c.newborn, Stretched):
+        fill_stretched(c, u, v, spread(u.size) if birth is None else birth, found)
+    else:
+        fill_lives(c, key, first, step, u, v, found)
+    return found
 
 
 @kernel
-def fill_lives(c: Contacts, key: Key, first: int, step: float, u: Array, v: Array, work: Array, stretch: Array) -> None:
-    """The kernel of `lives`."""
-    fill(c.aging, c, langevin.Source(key, first, step), u, v, work, stretch)
+def fill_stretched(c: Contacts, u: Array, v: Array, birth: Array, found: Sample) -> None:
+    """The kernel of `lives` of contacts that are born stretched."""
+    for i in range(u.size):
+        xi, y = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
+        k = kappa(c.springs, xi)
+        s = travel(c, xi, k, y, -math.log(v[i]))
+        found.work[i], found.travel[i], found.stiffness[i], found.birth[i] = k * s * (y + 0.5 * s), s, k, y
+
+
+@kernel
+def fill_lives(c: Contacts, key: Key, first: int, step: float, u: Array, v: Array, found: Sample) -> None:
+    """The kernel of `lives` of others."""
+    fill(c.aging, c, langevin.Source(key, first, step), u, v, found)
 
 
 @functools.partial(by_law, makes_arrays=True)
-def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, work: Array, stretch: Array) -> None:
+def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, sample: Sample) -> None:
     """Lives LANES at a time."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     found, row = empty_lives(c, 1), np.empty(LANES, np.int64)
-    x, clock, stiffness = found
+    x, clock, stiffness, _ = found
     for first in range(0, u.size, LANES):
         count = min(LANES, u.size - first)
         for i in range(count):
@@ -213,38 +301,47 @@ def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, wor
         draw_thresholds(c.thresholds, r, x, row, count)
         break_lives(law, c.barrier, c.barrier_table, c.springs, r, found, row, count)
         for i in range(count):
-            stretch[first + i] = x[r, i]
-            work[first + i] = work_of(law, c.aging_table, c.springs, stiffness[r, i], x[r, i])
+            sample.travel[first + i], sample.stiffness[first + i] = x[r, i], stiffness[r, i]
+            sample.work[first + i] = work_of(law, c.aging_table, c.springs, stiffness[r, i], x[r, i])
 
 
 @fill.register(Langevin)
-def _fill_paths(
-    law: Langevin, c: Contacts, source: langevin.Source, u: Array, v: Array, work: Array, stretch: Array
-) -> None:
+def _fill_paths(law: Langevin, c: Contacts, source: langevin.Source, u: Array, v: Array, sample: Sample) -> None:
     for i in range(u.size):
-        stretch[i], work[i] = threshold_draw(c.thresholds, u[i]), -log(v[i])
+        sample.travel[i], sample.work[i] = threshold_draw(c.thresholds, u[i]), -log(v[i])
+        sample.stiffness[i] = c.springs.constant
     contact, first_lives = np.arange(source.first, source.first + u.size), np.zeros(u.size, np.int64)
-    langevin.lives(langevin.pinned(c), source.key, source.step, contact, first_lives, stretch, work)
+    langevin.lives(langevin.pinned(c), source.key, source.step, contact, first_lives, sample.travel, sample.work)
 
 
 @kernel
-def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple[float, float, float, float]:
-    """Sums, and largest terms, of work over k and of stretch at breaking over plainly drawn lives: those of the LANES
-    contacts from `first` on from the age `begin` up to `end`, ROUNDS lives each time."""
+def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple[Array, Array]:
+    """Sums of work over k, travel, square of the force along it, stretch at birth and |work|, and the largest |work|
+    and travel, of plainly drawn lives: those of the LANES contacts from `first` on from the age `begin` up to `end`,
+    ROUNDS lives each time."""
     lanes, found = empty_lanes(), empty_lives(c, ROUNDS)
-    age, stretch, part = lanes.age, found.stretch, found.clock
+    age, stretch, part, stiffness, birth = lanes.age, found.stretch, found.clock, found.stiffness, found.birth
     lanes.contact[:], age[:] = np.arange(first, first + LANES), begin
-    work, total, most_work, most = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    sums, most = np.zeros((5, LANES)), np.zeros((2, LANES))
     for at in range(begin, end):
-        draw_lives(c.thresholds, bool(thermal(c.barrier)), key, lanes, found, LANES)
+        draw_lives(c.newborn, c, key, lanes, found, LANES)
         complete(c.aging, c, key, lanes, found, LANES)
         for r in range(ROUNDS):
             note_work(c.aging, c, found, r, LANES)
             for i in range(LANES):  # sums of each lane: a single one would have to wait for every addition
-                work[i] += part[r, i]
-                total[i] += stretch[r, i]
-                most_work[i] = max(most_work[i], part[r, i])
-                most[i] = max(most[i], stretch[r, i])
+                s, y, w = stretch[r, i], birth[r, i], abs(part[r, i])
+                sums[0, i] += part[r, i]
+                sums[1, i] += s
+                sums[2, i] += stiffness[r, i] * stiffness[r, i] * s * (y * y + s * (y + s / 3.0))
+                sums[3, i] += y
+                sums[4, i] += w
+                most[0, i] = max(most[0, i], w)
+                most[1, i] = max(most[1, i], s)
         for i in range(LANES):
             age[i] = at + 1
-    return work.sum(), total.sum(), most_work.max(), most.max()
+    total, largest = np.empty(5), np.empty(2)
+    for j in range(5):
+        total[j] = sums[j].sum()
+    for j in range(2):
+        largest[j] = most[j].max()
+    return total, largest

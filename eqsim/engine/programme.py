@@ -38,6 +38,11 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
             "drive.programme: annealed contacts cannot age along it: their clock, the mean pinned time C/v, is that of "
             'a steady state; take disorder = "quenched" or aging.rule = "none"'
         )
+    if ensemble.disorder == "annealed" and ensemble.newborn.active and ensemble.newborn.reduced(1.0).range[0] < 0:
+        raise InputError(
+            f'newborn.law = "{ensemble.newborn.law}": the published master equation knows no mechanical breaking of '
+            'contacts stretched against the motion, which a programme may reverse; take disorder = "quenched"'
+        )
     if programme.stage and ensemble.count > _MOST_PULLED:
         raise InputError(f"contacts.count = {ensemble.count}: must be <= {_MOST_PULLED:g} with drive.stage")
     if ensemble.fluctuates and programme.stage:
@@ -158,7 +163,7 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
     found = []
     for leg in reduced.legs(ensemble, programme):
         c = contacts(ensemble, leg.pace)
-        stretch = typical_lives(c)[1] if leg.sign else waits_at_rest(c)
+        stretch = typical_lives(c).travel if leg.sign else waits_at_rest(c)
         mean = float(np.mean(np.minimum(stretch + c.delay.mean, leg.length)))
         found.append(1.0 + leg.length / mean if mean > 0 else math.inf)
     return found
@@ -187,8 +192,9 @@ def along(
     rounding = 1e-15 * max(step.run.distance for step in job.steps)
     force, stderr = found.force * unit, np.sqrt(variance + rounding**2) * unit
     pinned_stderr = np.sqrt(of_pinned)
-    if programme.start == "fresh":  # all contacts are pinned and unstretched
-        stderr[0] = pinned_stderr[0] = 0.0
+    if programme.start == "fresh":  # all contacts are pinned, and alike
+        pinned_stderr[0] = 0.0
+        stderr[0] *= ensemble.newborn.active
     std = total.replica_std(job, replicas)
     return ProgrammeTrajectory(
         X=grid.X,

@@ -21,6 +21,7 @@ from eqsim.engine.stationary import extremes
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
+from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
 from eqsim.numerics.compiled import add_row, inlined, maker, routine, take_row
 from eqsim.numerics.tables import Array
@@ -34,7 +35,7 @@ _BITS = 62  # of a sum; the sign and one more are left
 # all contacts are equally stiff comes first
 COUNT, FORCE, SQUARE, SLOPE, SLOPE2, RAMP2 = range(6)  # 1, kappa Y, (kappa Y)^2, kappa, kappa^2, kappa^2 Y
 # columns of the batch sums, for each of the two quarters of the second half
-AREA, PINNED, ELAPSED, BREAKS, STRETCH = range(5)
+AREA, PINNED, ELAPSED, BREAKS, STRETCH, TRAVEL = range(6)
 
 
 class Run(NamedTuple):
@@ -47,11 +48,12 @@ class Run(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How large what contacts leave may be: the largest stiffness over k and stretch, with a margin, the mean work over
-    k and stretch of typical lives, and whether all are equally stiff."""
+    """How large what contacts leave may be: the largest stiffness over k, stretch and stretch at birth, with a margin,
+    the mean |work| over k and travel of typical lives, and whether all are equally stiff."""
 
     stiffness: float
     stretch: float
+    birth: float
     typical_work: float
     typical_stretch: float
     alike: bool
@@ -59,13 +61,14 @@ class Extent(NamedTuple):
     @classmethod
     def of(cls, c: Contacts) -> "Extent":
         xi, x = extremes(c)
-        work, stretch = typical_lives(c)
+        typical, birth = typical_lives(c), c.newborn.reach(xi)
         stiffness, alike = c.springs.constant + c.springs.slope * xi, c.springs.slope == 0.0
-        return cls(stiffness, x, float(np.mean(work)), float(np.mean(stretch)), alike)
+        work, travel = float(np.mean(np.abs(typical.work))), float(np.mean(typical.travel))
+        return cls(stiffness, max(x, birth), birth, work, travel, alike)
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn the deposits (6 columns), batch sums (5 columns) and replicas' forces into integers, and
+    """Powers of 2 that turn the deposits (6 columns), batch sums (6 columns) and replicas' forces into integers, and
     whether all contacts are equally stiff."""
 
     deposits: Array
@@ -89,11 +92,11 @@ class Scales(NamedTuple):
         Raises InputError if these are too coarse for the typical contact.
         """
         strong, x = lives.stiffness, lives.stretch
-        x = max(x if run.stationary else min(x, run.distance), carried)
-        reach = run.distance + x
+        x = max(x if run.stationary else min(x, run.distance + lives.birth), carried)
+        reach = run.distance + x + lives.birth
         force = strong * x
         deposits = [1.0, strong * reach, (strong * reach) ** 2, strong, strong**2, strong**2 * reach]
-        batches = [force * reach, reach, reach, 1.0, reach]
+        batches = [force * reach, reach, reach, 1.0, reach, reach]
 
         def power(bounds: list[float], terms: int) -> Array:
             return 2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))
@@ -114,7 +117,7 @@ class Scales(NamedTuple):
 
 class Recorder(NamedTuple):
     """Where kernels add up what contacts leave: powers of 2 of the columns, sums over the grid (points, 6) and over
-    batches and quarters (BATCHES, 2, 5), and `status`: lives so far, and anything but 0 stops the kernel."""
+    batches and quarters (BATCHES, 2, 6), and `status`: lives so far, and anything but 0 stops the kernel."""
 
     run: Run
     scales: Array
@@ -179,19 +182,21 @@ def seen(run: Run, born: float, broke: float) -> tuple[int, int]:
 
 
 @inlined
-def deposit(recorder: Recorder, stiffness: float, born: float, broke: float) -> None:
-    """A life pinned at `born` <= X < `broke`."""
+def deposit(recorder: Recorder, stiffness: float, origin: float, born: float, broke: float) -> None:
+    """A life pinned at `born` <= X < `broke` whose stretch is X - `origin`."""
     start, end = seen(recorder.run, born, broke)
     if start < end:  # otherwise no grid point sees it
         if start < recorder.run.points:
-            leave(recorder, start, 1, stiffness, born)
+            leave(recorder, start, 1, stiffness, origin)
         if end < recorder.run.points:
-            leave(recorder, end, -1, stiffness, born)
+            leave(recorder, end, -1, stiffness, origin)
 
 
 @inlined
-def record(recorder: Recorder, batch: int, stiffness: float, born: float, broke: float, reborn: float) -> None:
-    """What a life and the delay after it leave in the two quarters of the second half."""
+def record(
+    recorder: Recorder, batch: int, stiffness: float, origin: float, born: float, broke: float, reborn: float
+) -> None:
+    """What a life whose stretch is X - `origin` and the delay after it leave in the two quarters of the second half."""
     run, batches, scales = recorder.run, recorder.batches, recorder.batch_scales
     for quarter in range(2):
         low = run.distance * (0.5 + 0.25 * quarter)
@@ -200,7 +205,7 @@ def record(recorder: Recorder, batch: int, stiffness: float, born: float, broke:
         end = min(broke, high)
         if end > start:
             batches[batch, quarter, AREA] += fixed(
-                stiffness * (end - start) * (0.5 * (start + end) - born), scales[AREA]
+                stiffness * (end - start) * (0.5 * (start + end) - origin), scales[AREA]
             )
             batches[batch, quarter, PINNED] += fixed(end - start, scales[PINNED])
         end = min(reborn, high)
@@ -208,7 +213,8 @@ def record(recorder: Recorder, batch: int, stiffness: float, born: float, broke:
             batches[batch, quarter, ELAPSED] += fixed(end - start, scales[ELAPSED])
         if low < broke <= high:
             batches[batch, quarter, BREAKS] += 1
-            batches[batch, quarter, STRETCH] += fixed(broke - born, scales[STRETCH])
+            batches[batch, quarter, STRETCH] += fixed(broke - origin, scales[STRETCH])
+            batches[batch, quarter, TRAVEL] += fixed(broke - born, scales[TRAVEL])
 
 
 @inlined
@@ -256,7 +262,8 @@ def empty_columns() -> Columns:
 @inlined
 def joined(c: Contacts, recorder: Recorder) -> bool:
     """Whether a life begins where another ends and nothing changes there but the place of birth."""
-    return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not recorder.run.batch_by_life
+    alone = recorder.run.batch_by_life or born_stretched(c.newborn)
+    return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not alone
 
 
 @routine
@@ -352,7 +359,7 @@ def follow_path(
     run = recorder.run
     if c.springs.slope == 0.0:
         stretch, _ = langevin.life(c, path, langevin.STEP)
-        deposit(recorder, 1.0, born, born + stretch)
+        deposit(recorder, 1.0, born, born, born + stretch)
         return stretch, path
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
     quarters, begin = 0.25 * run.distance, born + path.x

@@ -5,13 +5,14 @@ smallest just where the mean is too low. But the law is known, and with it the m
 From lives, each with a probability, from the law (`births`), with the work they do over k, int_0^{x_b} (k_i/k) x dx,
 that is with an average k_i/k where it follows an aging threshold:
 
-    stationary    E f^p = E[int_0^{x_b} (k_i x/k)^p dx] / (E[x_b] + v<tau>)                       (p = 0: pinned)
-    fresh         E f^p = int_0^X B(Y) m_p(X - Y) dY,   m_p(x) = E[(k_i x/k)^p; x_b > x],   B = delta + B * g
+    stationary    E f^p = E[int_y^{x_b} (k_i x/k)^p dx] / (E[l] + v<tau>)                         (p = 0: pinned)
+    fresh         E f^p = int_0^X B(Y) m_p(X - Y) dY,   m_p(s) = E[(k_i (y + s)/k)^p; l > s],   B = delta + B * g
 
-(derived) and (eta v/k)^p for detached contacts, with B the density of births, that at X = 0 included, and g the law of
-x_b + v tau. On a lattice of displacements B is the power series of 1/(1 - g). Births are shared between the two nearest
-nodes, so that the mean life is kept; forces are averaged over the cells in between. However coarse the lattice, the
-stationary values are exact; the transient is good to a few per cent where a cell is a fraction of a life.
+(derived) and (eta v/k)^p for detached contacts, with y the stretch at birth and l = x_b - y the travel, B the density
+of births, that at X = 0 included, and g the law of l + v tau. On a lattice of displacements B is the power series of
+1/(1 - g). Births are shared between the two nearest nodes, so that the mean life is kept; forces are averaged over the
+cells in between. However coarse the lattice, the stationary values are exact; the transient is good to a few per cent
+where a cell is a fraction of a life.
 
 This serves error bars only: forces come from the contacts that were simulated.
 """
@@ -23,7 +24,7 @@ import numpy as np
 from scipy import signal, special
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import lives
+from eqsim.engine.lanes import lives, spread
 from eqsim.numerics.streams import key
 from eqsim.numerics.tables import Array
 
@@ -38,11 +39,12 @@ ENOUGH = 100  # lives that make the variance, for their mean over its error to b
 
 
 class Births(NamedTuple):
-    """Lives from the law: their shares, mean k_i/k and stretch at breaking."""
+    """Lives from the law: their shares, mean k_i/k, travel and stretch at birth."""
 
     share: Array
     stiffness: Array
-    stretch: Array
+    travel: Array
+    birth: Array
 
 
 def births(c: Contacts) -> Births:
@@ -51,7 +53,7 @@ def births(c: Contacts) -> Births:
     clocks of different thresholds lie between each other."""
     if c.aging.fluctuates:  # a path for each threshold
         u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
-        v = _spread(_PATHS)
+        v = spread(_PATHS)
     else:
         rows, clocks = (500, 70) if c.aging.closed else (150, 30)  # lives that age take long
         u, share = _uniforms(np.linspace(*_RANGE, rows))
@@ -62,21 +64,18 @@ def births(c: Contacts) -> Births:
         v = np.ones(rows)
         if c.barrier.thermal:
             s, spacing = np.linspace(*_RANGE, clocks, retstep=True)
-            v, clock_share = _uniforms(s + spacing * (_spread(rows)[:, None] - 0.5))
+            v, clock_share = _uniforms(s + spacing * (spread(rows)[:, None] - 0.5))
             u, v, share = np.repeat(u, clocks), v.ravel(), (share[:, None] * clock_share).ravel()
-    work, stretch = lives(c, key(0, 0), 0, u, v)
-    return Births(share, 2.0 * work / stretch**2, stretch)
+    found = lives(c, key(0, 0), 0, u, v)
+    # of contacts born unstressed the mean along a life, in which it may change
+    stiffness = found.stiffness if found.birth.any() else 2.0 * found.work / found.travel**2
+    return Births(share, stiffness, found.travel, found.birth)
 
 
 def _uniforms(s: Array) -> tuple[Array, Array]:
     """exp(-ln(1 + exp(s))), and its share in each row."""
     share = special.expit(s) * special.expit(-s)
     return special.expit(-s), share / share.sum(axis=-1, keepdims=True)
-
-
-def _spread(n: int) -> Array:
-    """Numbers spread evenly over (0, 1), in an order of no pattern: a Kronecker sequence."""
-    return (0.5 + 0.6180339887498949 * np.arange(n)) % 1.0
 
 
 class Scatter(NamedTuple):
@@ -106,7 +105,7 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
     if distance is None:
         X, moments = np.zeros(1), _stationary(c, born)[:, None]
     else:
-        size = float(np.sum(born.share * born.stretch**2) / np.sum(born.share * born.stretch))
+        size = float(np.sum(born.share * born.travel**2) / np.sum(born.share * born.travel))
         X, moments = _fresh(c, born, min(size / _FINE, distance / _NODES))
         if X[-1] < distance:
             further, later = _fresh(c, born, distance / _NODES)
@@ -125,25 +124,27 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
             for p in (2, 4, 6)
         )
     lives = 1.0 / float(np.sum(born.share**2)) if c.aging.fluctuates else math.inf  # by quadrature
-    most = np.full(1, math.inf) if distance is None else np.maximum(X, drag) ** 2
+    reach = float(np.abs(born.birth).max())
+    most = np.full(1, math.inf) if distance is None else np.maximum(X + reach, drag) ** 2
     return Scatter(X, mean, pinned, variance, fourth, sixth, one, most, lives)
 
 
 def _stationary(c: Contacts, born: Births) -> Array:
     """E f^p of pinned contacts, p = 0, 1, ..., times the pinned fraction."""
-    cycle = np.sum(born.share * born.stretch) + c.delay.mean
-    carried, moments = born.share * born.stretch, []
-    with np.errstate(over="ignore"):
+    cycle = np.sum(born.share * born.travel) + c.delay.mean
+    ends, begins, moments = born.share * (born.birth + born.travel), born.share * born.birth, []
+    with np.errstate(over="ignore", invalid="ignore"):
         for p in range(_POWERS):
-            moments.append(np.sum(carried) / ((p + 1) * cycle))
-            carried *= born.stiffness * born.stretch
+            moments.append(np.sum(ends - begins) / ((p + 1) * cycle))
+            ends *= born.stiffness * (born.birth + born.travel)
+            begins *= born.stiffness * born.birth
     return np.array(moments)
 
 
 def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts there, shape (p, X)."""
     edges = step * np.arange(_NODES + 1)
-    at = np.minimum(born.stretch / step, _NODES)
+    at = np.minimum(born.travel / step, _NODES)
     cell = at.astype(np.int64)
     ends = np.bincount(cell, born.share * (1.0 - at + cell), _NODES + 2)
     ends[1:] += np.bincount(cell, born.share * (at - cell), _NODES + 1)
@@ -157,15 +158,18 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     moments = np.zeros((_POWERS, _NODES + 1))
     moments[0, 0] = 1.0
     with np.errstate(over="ignore", invalid="ignore"):
-        strength, carried = born.share.copy(), born.share * born.stretch
         for p in range(len(moments)):
-            ending = np.bincount(cell, strength, _NODES + 1)
-            lasting = np.cumsum(ending[::-1])[-2::-1]  # of lives that outlast each cell
-            power = edges ** (p + 1)
-            within = (np.bincount(cell, carried, _NODES + 1) - ending * power)[:-1] + lasting * np.diff(power)
-            moments[p, 1:] = np.convolve(density, within)[:_NODES] / ((p + 1) * step)
-            strength *= born.stiffness
-            carried *= born.stiffness * born.stretch
+            within = np.zeros(_NODES)
+            for q in range(p + 1) if born.birth.any() else (p,):  # (y + s)^p in powers q of s
+                strength = math.comb(p, q) * born.share * born.stiffness**p * born.birth ** (p - q)
+                ending = np.bincount(cell, strength, _NODES + 1)
+                lasting = np.cumsum(ending[::-1])[-2::-1]  # of lives that outlast each cell
+                power = edges ** (q + 1)
+                carried = np.bincount(cell, strength * born.travel ** (q + 1), _NODES + 1) - ending * power
+                within += (carried[:-1] + lasting * np.diff(power)) / (q + 1)
+            moments[p, 1:] = np.convolve(density, within)[:_NODES] / step
+        for p in range(1, len(moments)):
+            moments[p, 0] = np.sum(born.share * (born.stiffness * born.birth) ** p)
     return np.append(0.0, edges[:-1] + 0.5 * step), moments
 
 

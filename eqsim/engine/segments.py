@@ -16,7 +16,7 @@ import numpy as np
 
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Lives, draw_lives, empty_lanes, empty_lives
+from eqsim.engine.lanes import LANES, ROUNDS, Lives, draw_lives, empty_lanes, empty_lives, spread
 from eqsim.engine.recorder import (
     Columns,
     Recorder,
@@ -30,13 +30,13 @@ from eqsim.engine.recorder import (
     leave_uniform_ramps,
 )
 from eqsim.engine.simulate import advance, draw_delays
-from eqsim.engine.stationary import Stationary, found_pinned
+from eqsim.engine.stationary import Stationary, snapshot
 from eqsim.laws.aging import Langevin
 from eqsim.laws.aging.base import growth, spend, spent, stiffness_varies
 from eqsim.laws.barrier.base import thermal
-from eqsim.laws.delay import delay_draw, residual_delay_draw
+from eqsim.laws.delay import delay_draw
+from eqsim.laws.newborn import born_stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.threshold import threshold_draw
 from eqsim.numerics.compiled import by_law, inlined, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array
@@ -91,15 +91,14 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, 
     """Fill a population with contacts from `first` on, as a snapshot of the steady state of `c` finds them."""
     for i in range(p.rest.size):
         contact = first + i
-        u_state, u_residual = uniforms(key, contact, 0, 0)
         p.lives[i] = ROUNDS
-        if u_state >= stationary.pinned:
-            p.rest[i] = residual_delay_draw(c.delay, u_residual)
+        rest, xi, x, y, ends, clock = snapshot(c.newborn, c, stationary, key, contact, uniforms(key, contact, 0, 0))
+        if rest >= 0.0:
+            p.rest[i] = rest
             continue
-        xi, x, ends, clock = found_pinned(c, stationary, key, contact, u_residual)
         stiffness = kappa(c.springs, xi)
-        left = max(clock - spent(c.aging, c, (xi, stiffness, 0.0, 0.0), 1, x), 0.0)
-        p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i], p.ends[i], p.age[i] = -1.0, xi, stiffness, x, ends, x
+        left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), 1, x - y), 0.0)
+        p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i], p.ends[i], p.age[i] = -1.0, xi, stiffness, x, ends, x - y
         p.clock[i] = left
         p.delay[i] = delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
 
@@ -115,6 +114,7 @@ def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: P
     at, broke, delay = np.full(LANES, math.inf), np.empty(LANES), np.full((ROUNDS, LANES), c.delay.mean)
     which = np.empty(LANES, np.int64)
     alone = leg.moves == 0 or stiffness_varies(c.aging, c.springs) or cut_short(c.aging, leg)
+    alone = alone or born_stretched(c.newborn)
     contact, age = lanes.contact, lanes.age
     active: Any = np.int64(0)  # typed: a literal 0 would be compiled for itself
     upcoming: Any = np.int64(0)
@@ -135,19 +135,20 @@ def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: P
         if active == 0 or recorder.status[1] != 0:
             return
         full = min(LANES, (active + 31) // 32 * 32)
-        draw_lives(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, full)
+        draw_lives(c.newborn, c, key, lanes, lives, full)
         if c.delay.random > 0.0:
             draw_delays(c.delay, key, lanes, delay, full)
         for r in range(ROUNDS):
             for i in range(full):
                 xi[r, i], clock[r, i] = lives.stretch[r, i], lives.clock[r, i]
+                lives.birth[r, i] *= leg.sign  # from here on in the direction of motion
         if leg.moves != 0:
             advance(c.aging, c, key, lanes, lives, alone, (active, full))
         for r in range(ROUNDS):
             if alone:
                 for i in range(active):
                     if at[i] <= leg.length:
-                        drawn = xi[r, i], clock[r, i], lives.stretch[r, i]
+                        drawn = xi[r, i], clock[r, i], lives.stretch[r, i], lives.birth[r, i]
                         place = which[i], ROUNDS * age[i] + r, at[i]
                         broke[i] = live(c.aging, c, leg, recorder, source, p, drawn, place)
             else:
@@ -156,7 +157,7 @@ def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: P
                 if at[i] <= leg.length:
                     recorder.status[0] += 1
                     if broke[i] + delay[r, i] > leg.length:
-                        parts = xi[r, i], clock[r, i], delay[r, i]
+                        parts = xi[r, i], clock[r, i], delay[r, i], lives.birth[r, i]
                         hand_on(c.aging, c, leg, p, which[i], parts, at[i], broke[i])
                         p.lives[which[i]] = ROUNDS * (age[i] + 1)
                     at[i] = broke[i] + delay[r, i]
@@ -242,18 +243,18 @@ def _wait(leg: Leg, p: Population, i: int) -> float:
 @by_law
 def live(
     law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population,
-    drawn: tuple[float, float, float], place: tuple[int, int, float],
+    drawn: tuple[float, float, float, float], place: tuple[int, int, float],
 ) -> float:  # fmt: skip
-    """Record a life on its own, `drawn` as threshold, clock and, unless in a hold, stretch at breaking, in its `place`:
-    whose it is, which of its lives, and where that begins. Where it ends."""
-    (xi, clock, stretch), (_, _, born) = drawn, place
+    """Record a life on its own, `drawn` as threshold, clock, travel unless in a hold, and stretch at birth in the
+    direction of motion, in its `place`: whose it is, which of its lives, and where that begins. Where it ends."""
+    (xi, clock, stretch, y), (_, _, born) = drawn, place
     stiffness = kappa(c.springs, xi)
     if leg.moves != 0:
         broke = born + stretch
     else:
-        spent, _ = spend(c.aging, c, (xi, stiffness, 0.0, 0.0), 0, leg.length - born, clock)
+        spent, _ = spend(c.aging, c, (xi, stiffness, y, 0.0), 0, leg.length - born, clock)
         broke = born + spent
-    _leave_life(c, leg, recorder, stiffness, 0.0, 0.0, (born, broke))
+    _leave_life(c, leg, recorder, stiffness, y, 0.0, (born, broke))
     return broke
 
 
@@ -275,17 +276,19 @@ def _record(
 
 @by_law
 def hand_on(
-    law: Any, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float], born: float, broke: float
-) -> None:
-    """Note where a contact is at the end of the segment, whose last life was `drawn` as threshold, clock and delay."""
-    xi, clock, delay = drawn
+    law: Any, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float, float], born: float,
+    broke: float,
+) -> None:  # fmt: skip
+    """Note where a contact is at the end of the segment, whose last life was `drawn` as threshold, clock, delay and
+    stretch at birth in the direction of motion."""
+    xi, clock, delay, y = drawn
     if broke <= leg.length:
         p.rest[i] = broke + delay - leg.length
         return
     stiffness, age = kappa(c.springs, xi), leg.length - born
-    left = max(clock - spent(c.aging, c, (xi, stiffness, 0.0, 0.0), leg.moves, age), 0.0)
+    left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), leg.moves, age), 0.0)
     p.rest[i], p.xi[i], p.stiffness[i], p.clock[i], p.age[i], p.delay[i] = -1.0, xi, stiffness, left, age, delay
-    p.stretch[i], p.ends[i] = leg.sign * leg.moves * age, broke - born
+    p.stretch[i], p.ends[i] = leg.sign * (y + leg.moves * age), y + broke - born
 
 
 # ------------------------------------------------------------------------------------- thresholds that fluctuate
@@ -316,16 +319,16 @@ def _go_on_path(
 @live.register(Langevin)
 def _live_path(
     law: Langevin, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population,
-    drawn: tuple[float, float, float], place: tuple[int, int, float],
+    drawn: tuple[float, float, float, float], place: tuple[int, int, float],
 ) -> float:  # fmt: skip
-    (xi, clock, _), (i, life, born) = drawn, place
+    (xi, clock, _, _), (i, life, born) = drawn, place
     path = langevin.Path(source.key, source.first + i, life, np.int64(0), xi, 0.0, clock)
     return _along(c, leg, recorder, p, path, (i, born))
 
 
 @hand_on.register(Langevin)
 def _hand_on_path(
-    law: Langevin, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float], born: float,
+    law: Langevin, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float, float], born: float,
     broke: float,
 ) -> None:  # fmt: skip
     p.delay[i] = drawn[2]  # the rest is noted where its path ends
@@ -385,29 +388,30 @@ def waits_at_rest(c: Contacts) -> Array:
     share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     found = np.empty(u.size)
-    fill_waits(c, u, v, found)
+    fill_waits(c, u, v, spread(u.size), found)
     return found
 
 
 @kernel
-def fill_waits(c: Contacts, u: Array, v: Array, found: Array) -> None:
+def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, found: Array) -> None:
     """The kernel of `waits_at_rest`."""
     for i in range(u.size):
-        found[i] = wait_at_rest(c.aging, c, threshold_draw(c.thresholds, u[i]), -math.log(v[i]), i)
+        born = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
+        found[i] = wait_at_rest(c.aging, c, born, -math.log(v[i]), i)
 
 
 @by_law
-def wait_at_rest(law: Any, c: Contacts, xi: float, clock: float, i: int) -> float:
-    """How long a life lasts at rest whose threshold is `xi` at birth; path i where that fluctuates."""
-    return spend(law, c, (xi, kappa(c.springs, xi), 0.0, 0.0), 0, math.inf, clock)[0]
+def wait_at_rest(law: Any, c: Contacts, born: tuple[float, float], clock: float, i: int) -> float:
+    """How long a life lasts at rest of a contact `born` with threshold and stretch; path i where those fluctuate."""
+    return spend(law, c, (born[0], kappa(c.springs, born[0]), born[1], 0.0), 0, math.inf, clock)[0]
 
 
 @wait_at_rest.register(Langevin)
-def _path_at_rest(law: Langevin, c: Contacts, xi: float, clock: float, i: int) -> float:
+def _path_at_rest(law: Langevin, c: Contacts, born: tuple[float, float], clock: float, i: int) -> float:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
     key = (np.uint64(0), np.uint64(0))
-    path = langevin.Path(key, i, np.int64(0), np.int64(0), xi, 0.0, clock)
+    path = langevin.Path(key, i, np.int64(0), np.int64(0), born[0], 0.0, clock)
     broke, path, elapsed = langevin.follow(laws, path, _SEEN / law.alpha, langevin.STEP)
     return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion

@@ -15,6 +15,7 @@ from eqsim.engine.recorder import (
     ELAPSED,
     PINNED,
     STRETCH,
+    TRAVEL,
     Columns,
     Recorder,
     deposit,
@@ -30,11 +31,11 @@ from eqsim.engine.recorder import (
     leave_uniform_ramps,
     record,
 )
-from eqsim.engine.stationary import Stationary, found_pinned
+from eqsim.engine.stationary import Stationary, snapshot
 from eqsim.laws.aging import Flow, Langevin
 from eqsim.laws.aging.base import stiffness_varies
-from eqsim.laws.barrier.base import thermal
 from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
+from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
 from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
@@ -68,7 +69,8 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
     all write in one stretch of the grid, and new ones fill the lanes only when half of them have come to the end.
     """
     lanes, lives, journey, columns = empty_lanes(), empty_lives(c, ROUNDS), _empty_journey(c), empty_columns()
-    alone = recorder.run.batch_by_life or stiffness_varies(c.aging, c.springs)  # contacts that are recorded one by one
+    # contacts that are recorded one by one
+    alone = recorder.run.batch_by_life or stiffness_varies(c.aging, c.springs) or born_stretched(c.newborn)
     age, position = lanes.age, journey.position  # out of loops: numba counts references where it takes from a tuple
     active, upcoming = np.int64(0), np.int64(first)  # typed: a literal 0 would be compiled for itself
     while True:
@@ -77,7 +79,7 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
         if active == 0 or recorder.status[1] != 0:
             return
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
-        draw_lives(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, full)
+        draw_lives(c.newborn, c, key, lanes, lives, full)
         if c.delay.random > 0.0:
             draw_delays(c.delay, key, lanes, journey.delay, full)
         advance(c.aging, c, key, lanes, lives, alone, (active, full))
@@ -162,7 +164,7 @@ def draw_delays(law: Waits, key: Key, lanes: Lanes, delay: Array, count: int) ->
 
 @by_law
 def advance(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, alone: bool, counts: tuple[int, int]) -> None:
-    """Stretches at breaking in the place of thresholds of the lanes, `counts` of which are active and in full use."""
+    """Travels in the place of thresholds of the lanes, `counts` of which are active and in full use."""
     complete(law, c, key, lanes, lives, counts[1])
 
 
@@ -231,8 +233,9 @@ def _cross(
         batches[batch, quarter, ELAPSED] += fixed(elapsed, scales[ELAPSED])
         batches[batch, quarter, BREAKS] += life - journey.mark[i]
         batches[batch, quarter, STRETCH] += fixed(pinned, scales[STRETCH])
+        batches[batch, quarter, TRAVEL] += fixed(pinned, scales[TRAVEL])
     reborn = journey.reborn[i]
-    record(recorder, batch, spring, journey.position[i], journey.broke[i], reborn)
+    record(recorder, batch, spring, journey.position[i], journey.position[i], journey.broke[i], reborn)
     journey.edge[i], journey.since[i], journey.mark[i] = edge_after(run, reborn), reborn, life + 1
     journey.work[i], journey.distance[i] = 0.0, 0.0
     if reborn > run.distance:
@@ -253,13 +256,13 @@ def _live(
     life, born, run = ROUNDS * lanes.age[i] + r, journey.position[i], recorder.run
     batch = (lanes.contact[i] + life * run.batch_by_life) % BATCHES
     path = langevin.Path(
-        key, lanes.contact[i], life, np.int64(0), lives.stretch[r, i], 0.0, lives.clock[r, i]
+        key, lanes.contact[i], life, np.int64(0), lives.stretch[r, i], lives.birth[r, i], lives.clock[r, i]
     )  # fmt: skip
     stretch, stiffness = leave_life(c.aging, c, recorder, batch, path, lives.stiffness[r, i], born)
     broke = born + stretch
     reborn = broke + journey.delay[r, i]
     if reborn > 0.5 * run.distance:
-        record(recorder, batch, stiffness, born, broke, reborn)
+        record(recorder, batch, stiffness, born - lives.birth[r, i], born, broke, reborn)
     return reborn
 
 
@@ -267,9 +270,9 @@ def _live(
 def leave_life(
     law: Any, c: Contacts, recorder: Recorder, batch: int, life: langevin.Path, stiffness: float, born: float
 ) -> tuple[float, float]:
-    """What one life leaves that begins at `born`: its stretch at breaking, and the stiffness of which `record` has yet
-    to note the work. `life.xi` is the stretch at breaking, or the threshold at birth if that fluctuates."""
-    deposit(recorder, stiffness, born, born + life.xi)
+    """What one life leaves that begins at `born`: its travel, and the stiffness of which `record` has yet to note the
+    work. `life.x` is the stretch at birth, and `life.xi` the travel, or the threshold at birth if that fluctuates."""
+    deposit(recorder, stiffness, born - life.x, born, born + life.xi)
     return life.xi, stiffness
 
 
@@ -280,7 +283,7 @@ def _leave_flow(
     if c.springs.slope > 0.0:
         follow_growth(c, recorder, batch, stiffness, born, life.xi)
         return life.xi, 0.0
-    deposit(recorder, stiffness, born, born + life.xi)
+    deposit(recorder, stiffness, born, born, born + life.xi)
     return life.xi, stiffness
 
 
@@ -312,18 +315,15 @@ def found(
     """What a snapshot of the stationary state finds at X = 0, and where that contact is pinned again. `which`: the
     contact and its batch; `draws`: uniforms for its state and its remaining delay, and its next delay."""
     (contact, batch), (u_state, u_residual, delay) = which, draws
-    if u_state < stationary.pinned:
-        xi, x, ends, _ = found_pinned(c, stationary, key, contact, u_residual)
-        stiffness = kappa(c.springs, xi)
-        born, broke = -x, ends - x
-        life = langevin.Path(key, contact, np.int64(0), np.int64(0), ends, 0.0, 0.0)
-        _, stiffness = leave_life(law, c, recorder, batch, life, stiffness, born)
-        reborn = broke + delay
-    else:
-        stiffness, born, broke = 0.0, 0.0, 0.0
-        reborn = residual_delay_draw(c.delay, u_residual)
-    record(recorder, batch, stiffness, born, broke, reborn)
-    return reborn
+    rest, xi, x, y, ends, _ = snapshot(c.newborn, c, stationary, key, contact, (u_state, u_residual))
+    if rest >= 0.0:
+        record(recorder, batch, 0.0, 0.0, 0.0, 0.0, rest)
+        return rest
+    broke = ends - x
+    life = langevin.Path(key, contact, np.int64(0), np.int64(0), ends - y, y, 0.0)
+    _, stiffness = leave_life(law, c, recorder, batch, life, kappa(c.springs, xi), y - x)
+    record(recorder, batch, stiffness, -x, y - x, broke, broke + delay)
+    return broke + delay
 
 
 @found.register(Langevin)
@@ -349,5 +349,5 @@ def _found_path(
             rest = residual_delay_draw(c.delay, u_residual) if c.delay.random > 0.0 else stretch + c.delay.mean - age
             born, broke, reborn = -age, min(stretch - age, 0.0), rest
             break
-    record(recorder, batch, c.springs.constant, born, broke, reborn)
+    record(recorder, batch, c.springs.constant, born, born, broke, reborn)
     return reborn

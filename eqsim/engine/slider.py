@@ -76,17 +76,20 @@ def advance(
 @inlined
 def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Population, i: int, total: Array) -> None:
     """Follow contact i along a piece."""
-    left = piece.length
+    left, by_motion = piece.length, False
     while True:
         if p.rest[i] >= 0.0:
             if p.rest[i] > left:
                 p.rest[i] -= left
                 return
             left -= p.rest[i]
-            xi, clock, delay = draw_life(c, stream, first + i, p.lives[i])
+            xi, born, clock, delay = draw_life(c, stream, first + i, p.lives[i])
             p.xi[i], p.clock[i], p.delay[i], p.stiffness[i] = xi, clock, delay, kappa(c.springs, xi)
-            p.stretch[i], p.age[i], p.rest[i] = 0.0, 0.0, -1.0
+            p.stretch[i], p.age[i], p.rest[i] = born, 0.0, -1.0
             p.lives[i] += 1
+            if born != 0.0:  # it brings a force and energy
+                total[MOTION if by_motion else HEAT] -= p.stiffness[i] * born
+                total[LOST] -= 0.5 * p.stiffness[i] * born * born
         y = piece.sign * p.stretch[i]
         contact = p.xi[i], p.stiffness[i], y, p.age[i]
         broke, clock = spend(c.aging, c, contact, piece.moves, left, p.clock[i])

@@ -21,8 +21,12 @@ from eqsim.engine.lanes import lives
 from eqsim.engine.steady import Proposal
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import end, life, whole_hazard
+from eqsim.laws.barrier.base import travel
+from eqsim.laws.delay import residual_delay_draw
+from eqsim.laws.newborn import Stretched, newborn_draw
+from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds, threshold_draw
-from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.compiled import by_law, inlined, kernel
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
@@ -38,7 +42,8 @@ class Stationary(NamedTuple):
 
     `pinned` is the pinned fraction. A smooth law has `biased`, e of a threshold found against -ln of a uniform, and
     `life`, m against e; a discrete one has `share`, the cumulative share of its thresholds, and `step_life`, m of each.
-    `langevin` contacts, whose lives are found by trying, only have `longest`: no life is longer.
+    Contacts of `langevin` thresholds and contacts born stretched, whose lives are found by trying, only have `longest`:
+    no life is longer.
     """
 
     pinned: float
@@ -53,9 +58,9 @@ FRESH = Stationary(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)  # of 
 
 
 def stationary(c: Contacts) -> Stationary:
-    """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where `langevin` contacts
-    that live 1000 times longer than the mean still matter, too rare to be found by trying."""
-    if c.aging.fluctuates:
+    """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where contacts found by
+    trying that live 1000 times longer than the mean still matter, too rare to be found."""
+    if c.aging.fluctuates or isinstance(c.newborn, Stretched):
         return Stationary(1.0, _longest(c), NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
     if c.thresholds.steps.size:
         means = mean_lives(c, c.thresholds.steps)
@@ -94,7 +99,7 @@ def _longest(c: Contacts) -> float:
     proposal = Proposal.of(c)
     p, q = np.random.default_rng(0).random((2, 2**15))
     (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
-    _, stretch = lives(c, key_of(0, 0), 0, u, v)
+    stretch = lives(c, key_of(0, 0), 0, u, v).travel
     order = np.argsort(-stretch)
     stretch, weight = stretch[order], (weight * clock_weight)[order]
     beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(weight)  # time spent beyond each of these lives
@@ -103,9 +108,10 @@ def _longest(c: Contacts) -> float:
     if not longest < 1000.0 * mean:
         raise InputError(
             'drive.start = "stationary": contacts that live 1000 times longer than the mean still matter, and are too '
-            'rare to be found where thresholds fluctuate; start "fresh"'
+            'rare to be found where thresholds fluctuate or contacts are born stretched; start "fresh"'
         )
-    return min(1.1 * longest, extremes(c)[1])
+    xi, stretch_at_most = extremes(c)
+    return min(1.1 * longest, stretch_at_most + c.newborn.reach(xi))
 
 
 def mean_lives(c: Contacts, xi: Array) -> Array:
@@ -167,6 +173,38 @@ def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
     """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show `clock`."""
     for i in range(xi.size):
         stretch[i] = life(c.aging, c.barrier, c.barrier_table, c.springs, xi[i], clock[i])
+
+
+@by_law
+def snapshot(
+    law: Any, c: Contacts, s: Stationary, key: Key, contact: int, u: tuple[float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """A contact of the stationary state, from uniforms `u` for its state and its remaining delay: that delay, -1 if it
+    is pinned; and then its threshold at birth, stretch now, at birth and at breaking, and exponential clock."""
+    if u[0] >= s.pinned:
+        return residual_delay_draw(c.delay, u[1]), 0.0, 0.0, 0.0, 0.0, 0.0
+    xi, x, ends, clock = found_pinned(c, s, key, contact, u[1])
+    return -1.0, xi, x, 0.0, ends, clock
+
+
+@snapshot.register(Stretched)
+def _try_cycles(
+    law: Stretched, c: Contacts, s: Stationary, key: Key, contact: int, u: tuple[float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """A cycle of life and delay is found in proportion to its length (derived), so cycles are tried, each begun at a
+    uniform time before now within the longest one, until one is still under way."""
+    for attempt in range(32000):
+        rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
+        birth, part = uniforms(key, contact, 0, 2 * attempt + 2)
+        age, clock = (s.longest + c.delay.mean) * part, -math.log(tick)
+        xi, y = newborn_draw(law, c.thresholds, rank, birth)
+        length = travel(c, xi, kappa(c.springs, xi), y, clock)
+        if length > age:
+            return -1.0, xi, y + age, y, y + length, clock
+        if length + c.delay.mean > age:
+            rest = residual_delay_draw(c.delay, u[1]) if c.delay.random > 0.0 else length + c.delay.mean - age
+            return rest, 0.0, 0.0, 0.0, 0.0, 0.0
+    return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # one in e^32
 
 
 @inlined

@@ -1,11 +1,15 @@
 """Steady averages by renewal-reward: contacts at constant velocity are independent renewal processes, so averages
 over whole lives are averages over time (derived):
 
-    friction = E[int_0^{x_b} (k_i/k) x dx] / (E[x_b] + v<tau>) + (eta v/k)(1 - pinned)
-    pinned   = E[x_b] / (E[x_b] + v<tau>)            (eq:ncnf, for any law of the delay)
-    break_stretch = E[x_b] = C[P]                    (Gamma0)
+    friction = E[int_y^{x_b} (k_i/k) x dx] / (E[l] + v<tau>) + (eta v/k)(1 - pinned)
+    pinned   = E[l] / (E[l] + v<tau>)                (eq:ncnf, for any law of the delay)
+    travel   = E[l] = C[P, R],    break_stretch = E[x_b] = travel + E[y]                            (Gamma0)
+    force_variance = E[int_y^{x_b} (k_i x/k)^2 dx] / (E[l] + v<tau>) + (eta v/k)^2 (1 - pinned) - friction^2
 
-A life needs two uniforms, threshold and clock, so it is sampled by randomised quasi-Monte Carlo: 32 independently
+with y the stretch at birth and l = x_b - y the travel.
+
+A life needs two uniforms, threshold and clock, and a third for its birth unless contacts are born unstressed or all at
+the same stretch, so it is sampled by randomised quasi-Monte Carlo: 32 independently
 scrambled Sobol sequences, whose scatter is the error. Births are a poor sample where strong contacts are rare at birth
 but dominate time, so both are drawn from densities proportional to births times the root mean square of what a life
 contributes, found beforehand on a fixed grid, and weighted back: exact for any such density, and of finite variance
@@ -29,11 +33,13 @@ from scipy import integrate, interpolate
 from scipy.stats import qmc
 
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums, rough_stretch
+from eqsim.engine.lanes import LANES, ROUNDS, Sample, lives, plain_sums, rough_stretch
 from eqsim.engine.langevin import STEP, step_error
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
+from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.pooled import Pooled
+from eqsim.laws.newborn import DeltaBirths, Stretched
 from eqsim.laws.threshold import Distribution
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
@@ -61,8 +67,8 @@ class Steady(Averages):
 
     Attributes
     ----------
-    friction, pinned, break_stretch : Estimate
-        As in `Averages`.
+    friction, pinned, break_stretch, travel, birth_stretch, force_variance : Estimate
+        As in `Averages`; no `force_variance` where the stiffness of a contact follows its aging threshold.
     lives, seed, engine_seconds
         Lives of contacts that were simulated, and how.
     reached : bool
@@ -154,14 +160,15 @@ def steady(
         done += lives_used
         count = RANDOMISATIONS * size
         hidden = math.hypot(tables, _unseen(c, proposal, count), _uneven(c, count))
-        result = _averages(sums, c.delay.mean, drag, unit, size, proposal is None or proposal.covered, hidden)
-        error = max((e.stderr or 0.0) / (e.value or 1.0) for e in result)
+        result = _averages(c, sums, (drag, unit), size, proposal is None or proposal.covered, hidden)
+        error = _relative(result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
         # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
         aim, decay = (1.3, 0.5) if plain or c.aging.fluctuates else (2.0, _DECAY)
         needed = 2 ** math.ceil(math.log2(max(size * (aim * excess) ** (1 / decay), 2.0 * size)))
         if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
-            return Steady(*result, done, seed, time.perf_counter() - begin, error <= rel_error, hidden)
+            how = done, seed, time.perf_counter() - begin, error <= rel_error, hidden
+            return Steady(*result, *how)  # type: ignore[call-arg,arg-type]  # in the order of the fields
         size = needed
 
 
@@ -205,7 +212,7 @@ def _self_consistent(job: _Job, stretch: float, response: Array | None, size: in
         stretch += float(shift.mean()) * unit
         if abs(shift.mean()) * unit < _NUDGE * _NUDGE * stretch:
             break
-    rows[:, :2] += shift[:, None] * response[:2]
+    rows[:, :4] += shift[:, None] * response[:4]
     return rows, stretch, response, used
 
 
@@ -274,9 +281,8 @@ class Proposal(NamedTuple):
         log_clock = np.linspace(-12, math.log(40), fine[1])
         births, clock_births = np.exp(log_e - np.exp(log_e)), np.exp(log_clock - np.exp(log_clock))
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
-        work, stretch = lives(c, key(0, STEADY), 0, u, v)
-        squares, sizes = [], []
-        for part in (stretch, work):
+        found, squares, sizes = _typical(c, u, v), [], []
+        for part in (found.travel, np.abs(found.work)):
             part = part.reshape(log_e.size, log_clock.size)
             size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
             squares.append((part / size[:, None]) ** 2)
@@ -300,27 +306,31 @@ class Proposal(NamedTuple):
 
 
 def _randomise(job: _Job, c: Contacts, size: int) -> Array:
-    """Per randomisation: mean elastic work per k, mean stretch at breaking, largest single share of either."""
+    """Per randomisation: mean elastic work per k, travel, square of the force added up over the travel and stretch at
+    birth; and the largest single share of the first two, shape (RANDOMISATIONS, 5)."""
+    third = isinstance(c.newborn, Stretched) and not isinstance(c.newborn.law, DeltaBirths)
     stream: Key = key(job.seed, STEADY + job.identity)
 
-    def one(index: int) -> tuple[float, float, float]:
+    def one(index: int) -> tuple[float, ...]:
         if job.proposal is None:
             rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
-            work, stretch, *most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
-            return work / size, stretch / size, max(most[0] / work, most[1] / stretch)
-        sobol = qmc.Sobol(2, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
-        sums, largest = np.zeros(2), np.zeros(2)
+            plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
+            return *(plain[:4] / size), float(np.max(most / plain[[4, 1]]))
+        sobol = qmc.Sobol(2 + third, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
+        sums, largest = np.zeros(5), np.zeros(2)
         for first in range(0, size, _BLOCK):
             points = sobol.random(min(size, _BLOCK)) + 2.0**-31  # 30 bits, centred in their cells, away from 0
             u, weight = job.proposal.threshold.draw(points[:, 0])
             v, clock_weight = job.proposal.clock.draw(points[:, 1])
-            work, stretch = lives(c, stream, index * size + first, u, v, job.step)
-            terms = weight * clock_weight * np.stack((work, stretch))
+            birth = points[:, 2] if third else None
+            found = lives(c, stream, index * size + first, u, v, job.step, birth)
+            parts = (found.work, found.travel, found.square, found.birth, np.abs(found.work))
+            terms = weight * clock_weight * np.stack(parts)
             sums += terms.sum(axis=1)
-            largest = np.maximum(largest, terms.max(axis=1))
-        return sums[0] / size, sums[1] / size, float(np.max(largest / sums))
+            largest = np.maximum(largest, terms[[4, 1]].max(axis=1))
+        return *(sums[:4] / size), float(np.max(largest / sums[[4, 1]]))
 
-    rows: list[tuple[float, float, float]] = []
+    rows: list[tuple[float, ...]] = []
     report = job.progress or (lambda *_: None)
     report(0, RANDOMISATIONS * size)
     pool = ThreadPoolExecutor(max(1, job.threads))
@@ -342,10 +352,11 @@ def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:
     clock, weight = proposal.clock.draw(p) if proposal else (p, np.ones(p.size))
     u, v = (grid.ravel() for grid in np.meshgrid(share, clock, indexing="ij"))
     errors = []
-    for part in lives(c, key(0, STEADY), 0, u, v):
+    found = _typical(c, u, v)
+    for part in (found.work, found.travel):
         part = part.reshape(share.size, 2, rare.size)
         change = np.abs(part - part[:, :, :1]).mean(axis=0) * weight.reshape(2, rare.size)  # grows with rarity
-        errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / part[:, :, 0].mean()))
+        errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / np.abs(part[:, :, 0]).mean()))
     return max(errors)
 
 
@@ -360,16 +371,41 @@ def _uneven(c: Contacts, count: int) -> float:
     return max(3.0 * float(np.ptp(part) / part.mean()) / jumps / count for part in parts)
 
 
+def _typical(c: Contacts, u: Array, v: Array) -> Sample:
+    """Lives from uniforms of thresholds and clocks, in the mean over births: root mean squares, with the sign lost."""
+    many = 16 if isinstance(c.newborn, Stretched) and not isinstance(c.newborn.law, DeltaBirths) else 1
+    if many == 1:
+        return lives(c, key(0, STEADY), 0, u, v)
+    births = [np.full(u.size, (i + 0.5) / many) for i in range(many)]
+    found = [lives(c, key(0, STEADY), 0, u, v, birth=birth) for birth in births]
+    return Sample(*(np.sqrt(np.mean([part[j] ** 2 for part in found], axis=0)) for j in range(4)))
+
+
+def _relative(found: tuple[Estimate, ...]) -> float:
+    """The largest relative error; of the friction, where forces cancel, over a thousandth of what single contacts
+    scatter by at least."""
+    friction, pinned, stretch, travel, birth, variance = found
+    least = 1e-3 * math.sqrt(abs(variance.value or 0.0))
+    relative = [(e.stderr or 0.0) / (e.value or 1.0) for e in (pinned, travel)]
+    relative.append((friction.stderr or 0.0) / (max(abs(known(friction)), least) or 1.0))
+    if birth.stderr or birth.value:  # else it is the travel
+        relative.append((stretch.stderr or 0.0) / (abs(known(stretch)) + abs(known(birth))))
+    return max(relative)
+
+
 def _averages(
-    sums: Array, delay: float, drag: float, unit: float, size: int, covered: bool, hidden: float
-) -> tuple[Estimate, Estimate, Estimate]:
-    """Delta-method estimates from the randomisations; `drag` is eta v/k in units of length, `hidden` a relative error
-    of the means over lives that does not show in their scatter."""
-    reliable = covered and float(sums[:, 2].max()) < _DOMINANT
-    work, stretch = sums[:, 0], sums[:, 1]
-    cycle = stretch + delay
+    c: Contacts, sums: Array, units: tuple[float, float], size: int, covered: bool, hidden: float
+) -> tuple[Estimate, ...]:
+    """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`; `units` are eta v/k and the unit
+    of length, `hidden` a relative error of the means over lives that does not show in their scatter."""
+    reliable = covered and float(sums[:, 4].max()) < _DOMINANT
+    (drag, unit), delay = units, c.delay.mean
+    work, travel, square, birth = sums[:, :4].T
+    cycle = travel + delay
     friction = float((work.mean() + drag * delay) / cycle.mean())
-    pinned = float(stretch.mean() / cycle.mean())
+    pinned = float(travel.mean() / cycle.mean())
+    second = float((square.mean() + drag**2 * delay) / cycle.mean())
+    size_of_force = max(abs(friction), math.sqrt(second) if birth.any() else 0.0)
     n = RANDOMISATIONS * size
 
     def estimate(value: float, residual: Array, hidden: float, unit: float) -> Estimate:
@@ -377,8 +413,17 @@ def _averages(
         return Estimate(value * unit, stderr * unit, n, RANDOMISATIONS - 1, reliable)
 
     waiting = delay / float(cycle.mean())
+    of_friction = (work + drag * delay - friction * cycle) / cycle.mean()
+    of_second = (square + drag**2 * delay - second * cycle) / cycle.mean()
+    scale = float(np.mean(np.abs(travel)) + np.mean(np.abs(birth)))
+    variance = estimate(second - friction**2, of_second - 2.0 * friction * of_friction, hidden * second, unit * unit)
+    if stiffness_varies(c.aging, c.springs):
+        variance = Estimate(None, None, n)
     return (
-        estimate(friction, (work + drag * delay - friction * cycle) / cycle.mean(), hidden * friction, unit),
-        estimate(pinned, (stretch - pinned * cycle) / cycle.mean(), hidden * pinned * waiting, 1.0),
-        estimate(float(stretch.mean()), stretch, hidden * float(stretch.mean()), unit),
+        estimate(friction, of_friction, hidden * size_of_force, unit),
+        estimate(pinned, (travel - pinned * cycle) / cycle.mean(), hidden * pinned * waiting, 1.0),
+        estimate(float((travel + birth).mean()), travel + birth, hidden * scale, unit),
+        estimate(float(travel.mean()), travel, hidden * float(travel.mean()), unit),
+        estimate(float(birth.mean()), birth, hidden * float(np.mean(np.abs(birth))), unit),
+        variance,
     )

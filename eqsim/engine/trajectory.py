@@ -24,6 +24,7 @@ from eqsim.engine.recorder import (
     ELAPSED,
     PINNED,
     STRETCH,
+    TRAVEL,
     Moments,
     Recorder,
     Run,
@@ -53,7 +54,7 @@ def predicted_lives(ensemble: Ensemble, drive: Drive | Programme, replicas: int 
         return ensemble.count * replicas * (sum(cycles(ensemble, drive)) + ahead)
     c = contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
     distance = drive.over(ensemble) / ensemble.thresholds.scale
-    _, stretch = typical_lives(c)
+    stretch = typical_lives(c).travel
     mean = float(np.mean(np.minimum(stretch + c.delay.mean, distance)))
     return ensemble.count * replicas * (1.0 + distance / mean) if mean > 0 else math.inf
 
@@ -152,7 +153,7 @@ def trajectory(
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         scatter_of_pinned[0] = 0.0
     one = replace(ensemble, count=1)
-    law, level, alike = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
+    law, level, (alike, noise) = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
     force_variance, rare = known_variance(law.at(grid / unit), level, variance, count)
     _, always_rare = known_variance(level, level, level.variance, count)
     # what steps of fluctuating thresholds cost, relative, where that is more than usual: the usual is below scatter
@@ -163,10 +164,13 @@ def trajectory(
     std = total.replica_std(job, replicas)
     second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
+    second_half += (_force_variance(variance, level, run, count, noise),)
     friction, pinned_fraction = second_half[:2]
     gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
-    units = [unit if shown.unit == "length" else 1.0 for shown in OBSERVABLES.values()]
+    settled_too = _is_over(second_half[-1], late.variance, level.variance[0])
+    units = [shown.size(unit) for shown in OBSERVABLES.values()]
     enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
+    enough[-1] = enough[-1] and settled_too
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
@@ -218,7 +222,7 @@ class ConstantDrive(NamedTuple):
 @lru_cache(maxsize=32)
 def _expected(
     ensemble: Ensemble, velocity: float, mean_stretch: float | None, distance: float | None
-) -> tuple[Scatter, Scatter, tuple[float, ...]]:
+) -> tuple[Scatter, Scatter, tuple[tuple[float, ...], float]]:
     """What the law says of the scatter of forces over a distance and in the stationary state, and of how many
     `independent` lives there are to a unit of displacement. Remembered: it takes 20 ms, and seeds share it."""
     c, drag = contacts(ensemble, velocity, mean_stretch), drag_of(ensemble, velocity)
@@ -228,16 +232,22 @@ def _expected(
     return law, level, independent(c, born, drag)
 
 
-def independent(c: Contacts, born: Births, drag: float) -> tuple[float, ...]:
-    """How many lives like those that make the scatter there are to a unit of displacement, for their averages:
-    friction, pinned fraction and stretch at breaking. Of n lives with residuals r = work + drag T - friction (x_b + T)
-    these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse square root bounds the skewness of the mean of r, and
-    half of it how far Student's t is off in the mean (derived)."""
+def independent(c: Contacts, born: Births, drag: float) -> tuple[tuple[float, ...], float]:
+    """How many lives like those that make the scatter there are to a unit of displacement, for each of `OBSERVABLES`;
+    and the variance, per unit of displacement, of (f - F)^2 added up along it, f the force of a contact. Of n lives
+    with residuals r = work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse
+    square root bounds the skewness of the mean of r, and half of it how far Student's t is off in the mean (derived).
+    """
     waits = c.delay.law.sample()
     share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
-    stretch = np.repeat(born.stretch, waits.size)
-    work = 0.5 * np.repeat(born.stiffness, waits.size) * stretch**2
-    cycle = stretch + wait
+    travel, birth = np.repeat(born.travel, waits.size), np.repeat(born.birth, waits.size)
+    stiffness = np.repeat(born.stiffness, waits.size)
+    work, cycle = stiffness * travel * (birth + 0.5 * travel), travel + wait
+    square = stiffness**2 * travel * (birth**2 + travel * (birth + travel / 3.0))
+    force = np.sum(share * (work + drag * wait)) / np.sum(share * cycle)
+    deviation = square - 2.0 * force * work + force**2 * travel + (drag - force) ** 2 * wait
+    residual = deviation - np.sum(share * deviation) / np.sum(share * cycle) * cycle
+    noise = float(np.sum(share * residual**2) / np.sum(share * cycle))
 
     def alike(reward: Array, per: Array) -> float:
         with np.errstate(all="ignore"):
@@ -247,14 +257,18 @@ def independent(c: Contacts, born: Births, drag: float) -> tuple[float, ...]:
             square, cube = np.sum(share * residual**2), max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0]))
             return float(1.0 / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
 
-    return alike(work + drag * wait, cycle), alike(stretch, cycle), alike(stretch, np.ones(stretch.size))
+    once = np.ones(travel.size)
+    reached, gone, begun = alike(birth + travel, once), alike(travel, once), alike(birth, once)
+    return (
+        (alike(work + drag * wait, cycle), alike(travel, cycle), reached, gone, begun, alike(deviation, cycle)), noise
+    )  # fmt: skip
 
 
 def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tuple[Estimate, ...]:
     """Averages over the second half of the distance; unreliable if its two quarters differ by more than 4 sigma, or
     fewer contacts broke in it than there are batches."""
-    columns = (AREA, PINNED, ELAPSED, BREAKS, STRETCH)
-    area, pinned, elapsed, breaks, stretch = (batches[:, :, column] for column in columns)
+    columns = (AREA, PINNED, ELAPSED, BREAKS, STRETCH, TRAVEL)
+    area, pinned, elapsed, breaks, stretch, travel = (batches[:, :, column] for column in columns)
     seen = breaks.sum()
     enough = seen >= BATCHES and (contacts >= BATCHES or seen >= 4 * BATCHES)
 
@@ -266,12 +280,28 @@ def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tupl
         steady = found.reliable and not drifts(numerator, denominator, sigmas=4.0)
         return replace(found, reliable=bool(steady and enough))
 
-    return over(area + drag * (elapsed - pinned), elapsed), over(pinned, elapsed), over(stretch, breaks)
+    births = stretch - travel
+    return (
+        over(area + drag * (elapsed - pinned), elapsed), over(pinned, elapsed),
+        *(over(numerator, breaks) for numerator in (stretch, travel, births)),
+    )  # fmt: skip
+
+
+def _force_variance(variance: Array, level: Scatter, run: Run, contacts: int, noise: float) -> Estimate:
+    """From the variance over contacts at every grid point, shape (points,), those of the second half; its error from
+    the law: what `noise` says of the time average, and what instants that far apart may miss."""
+    late = variance[run.points // 2 :]
+    if contacts < 2:
+        return Estimate(None, None, contacts)
+    over_time = noise / (0.5 * run.distance)
+    at_once = max(float(level.fourth[0] - level.variance[0] ** 2), 0.0) / late.size
+    value = float(np.mean(late)) * contacts / (contacts - 1)
+    return Estimate(value, math.sqrt((over_time + at_once) / contacts), contacts * late.size)
 
 
 def _is_over(estimate: Estimate, expected: Array, level: float) -> bool:
     """Whether the transient, as the law expects it, moves an average by less than half its error, or by rounding."""
-    return bool(abs(np.mean(expected) - level) <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * level)
+    return bool(abs(np.mean(expected) - level) <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * abs(level))
 
 
 def _widened(estimate: Estimate, relative: float) -> Estimate:

@@ -16,7 +16,6 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.estimate import OBSERVABLES
 from eqsim.fitting.data import Row, Table
 from eqsim.fitting.section import Fit, Parameter, variable
 from eqsim.io.runfile import RunFile, at
@@ -29,6 +28,7 @@ from eqsim.numerics.tables import Array
 STEP = 1e-4  # of derivatives, in the variables of parameters
 STUDENT = 4.0  # degrees of freedom of the robust loss
 REFUSED = 1e4  # residual where the reference refuses
+AVERAGES = ("friction", "pinned", "break_stretch")  # of `Curve`
 _PEAK_POINTS, _PEAK_DISTANCE = 401, 4.0  # of the transient in which the first peak is sought, in rms thresholds
 
 
@@ -81,10 +81,10 @@ class SteadyForward:
             ensemble = file.ensemble(self.folder)
             v = np.array([self.velocity(index, file) for index in members])
             names = [self.observable[index] for index in members]
-            here = np.array([name in OBSERVABLES for name in names])
+            here = np.array([name in AVERAGES for name in names])
             if here.any():
                 known = curve(ensemble, v)
-                for name in OBSERVABLES:
+                for name in AVERAGES:
                     mine = np.array([one == name for one in names])
                     value[members[mine]] = getattr(known, name)[mine]
                     error[members[mine]] = getattr(known, f"{name}_error")[mine]

@@ -20,9 +20,11 @@ from pydantic.fields import FieldInfo
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
 from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
+from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 
 
@@ -66,6 +68,16 @@ class AgingSection(_Section):
     x_star_final: float | None = None
     beta: float | None = None
     cutoff_time: float | None = None
+
+
+class NewbornSection(_Section):
+    law: str = "unstressed"
+    of: str = "length"
+    stretch: float | None = None
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    std: float | None = None
 
 
 class DelaySection(_Section):
@@ -113,6 +125,18 @@ class DriveSection(_Section):
     stage: StageSection | None = None
 
 
+def _whole_numbers(value: Any) -> Any:
+    """One number of blocks, or two."""
+    return [_whole(part) for part in value] if isinstance(value, list) else _whole(value)
+
+
+class ElasticSection(_Section):
+    blocks: Annotated[Any, BeforeValidator(_whole_numbers)]
+    coupling: float
+    drive_stiffness: float
+    edges: str = "open"
+
+
 class Output(_Section):
     points: Whole = 2001
     seed: Whole = 1  # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
@@ -127,10 +151,12 @@ class RunFile(_Section):
     contacts: Contacts = Contacts()
     thresholds: Thresholds = Thresholds()
     thermal: ThermalSection = ThermalSection()
+    newborn: NewbornSection = NewbornSection()
     aging: AgingSection = AgingSection()
     delay: DelaySection = DelaySection()
     viscosity: Viscosity = Viscosity()
     drive: DriveSection = DriveSection()
+    elastic: ElasticSection | None = None
     output: Output = Output()
     sweep: dict[str, Any] = {}
     fit: dict[str, Any] = {}  # `fitting.section`
@@ -161,6 +187,9 @@ class RunFile(_Section):
                 raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
         with under("viscosity"):
             require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
+        with under("newborn"):
+            newborn = Newborn(**self.newborn.model_dump())
+            newborn.check(law, self.disorder, aging.active)
         many = self.contacts
         with under("contacts"):
             return Ensemble(
@@ -173,6 +202,7 @@ class RunFile(_Section):
                 aging=aging,
                 disorder=self.disorder,  # type: ignore[arg-type]
                 eta=self.viscosity.eta,
+                newborn=newborn,
             )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
@@ -197,8 +227,12 @@ class RunFile(_Section):
             return self._programme(folder)
         if given.velocity is None:
             raise InputError("drive.velocity: is required")
+        elastic = None
+        if self.elastic is not None:
+            with under("elastic"):
+                elastic = Elastic(**self.elastic.model_dump())
         with under("drive"):
-            return Drive(given.velocity, given.distance, start=given.start)  # type: ignore[arg-type]  # checked there
+            return Drive(given.velocity, given.distance, given.start, elastic)  # type: ignore[arg-type]  # checked there
 
     def constant(self, folder: Path) -> Drive:
         """How it moves where only a constant velocity has an answer. Raises InputError."""
@@ -206,6 +240,9 @@ class RunFile(_Section):
 
     def _programme(self, folder: Path) -> Programme:
         given = self.drive
+        if self.elastic is not None:
+            name = next(name for name in ("programme", "file", "stage") if getattr(given, name) is not None)
+            raise InputError(f"drive.{name}: not allowed with [elastic], whose plate moves at drive.velocity")
         if given.programme is not None and given.file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
         alone = given.programme is None and given.file is None
@@ -298,8 +335,11 @@ def _read(path: Path) -> str:
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str.
-    Given a `file`, also those that its programme or stage has, such as drive.programme.1.hold."""
+    Given a `file`, also those that its programme, stage or coupled blocks have, such as drive.programme.1.hold."""
     known = dict(_keys())
+    if file and file.elastic:
+        kinds: dict[str, type] = {"blocks": int, "edges": str}
+        known |= {f"elastic.{name}": kinds.get(name, float) for name in ElasticSection.model_fields}
     if file and file.drive.stage:
         known |= {f"drive.stage.{name}": float for name in StageSection.model_fields}
     for index, segment in enumerate((file.drive.programme if file else None) or []):
@@ -316,7 +356,7 @@ def _keys() -> dict[str, type]:
         first, *_ = get_args(field.annotation) or (field.annotation,)  # of float | None; of a Literal it is text
         return first if isinstance(first, type) else str
 
-    others = {"title", "sweep", "fit", *_SECTIONS}
+    others = {"title", "sweep", "fit", "elastic", *_SECTIONS}
     known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
     for name, section in _SECTIONS.items():
         fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
@@ -400,6 +440,8 @@ def _nearest(location: list[str]) -> str:
     for name, part in (("programme", SegmentSection), ("stage", StageSection)):
         if location[:2] == ["drive", name]:
             return meant(last, part.model_fields) or "known here: " + ", ".join(part.model_fields)
+    if len(location) > 1 and location[0] == "elastic":
+        return meant(last, ElasticSection.model_fields) or "known here: " + ", ".join(ElasticSection.model_fields)
     here = list(section.model_fields) if section else []
     others = [(name, kind) for name, kind in _SECTIONS.items() if kind != section]
     elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]

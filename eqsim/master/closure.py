@@ -105,6 +105,8 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale
     if not isinstance(law, Gamma) or ensemble.disorder != "annealed":
         raise InputError('disorder, thresholds.law: the closure needs "annealed" contacts of law "gamma"')
+    if ensemble.newborn.active:
+        raise InputError(f'newborn.law = "{ensemble.newborn.law}": the closure is that of contacts born unstretched')
     if ensemble.stiffness_law != "uniform" or ensemble.delay.time > 0 or drive.start != "fresh":
         raise InputError('the closure needs contacts.stiffness_law = "uniform", no delay, and drive.start = "fresh"')
     require_integer("points", points, 2, 10**6)

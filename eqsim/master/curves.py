@@ -55,6 +55,9 @@ class StationaryState:
         require_drive(self.drive)
         if self.ensemble.aging.active:
             raise InputError("aging: the densities are those of contacts that do not age")
+        if self.ensemble.newborn.active:
+            law = self.ensemble.newborn.law
+            raise InputError(f'newborn.law = "{law}": the densities are those of contacts born unstretched')
         return reduced(self.ensemble, self.drive.velocity)
 
     @functools.cached_property

@@ -167,6 +167,9 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
         raise InputError("aging: that of annealed contacts is defined at constant velocity only, not along a programme")
     if ensemble.fluctuates:
         raise InputError('rule = "langevin": has no reference along a programme')
+    if ensemble.newborn.active:
+        law = ensemble.newborn.law
+        raise InputError(f'newborn.law = "{law}": contacts born stretched have no reference along a programme')
     unit = ensemble.thresholds.scale
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])

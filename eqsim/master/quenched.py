@@ -44,12 +44,19 @@ _SMOOTH = 1e-9  # what interpolation of survivors may miss
 
 
 class Moments(NamedTuple):
-    """C = E[x_b], work = E[int_0^{x_b} kappa x dx], and absolute errors of both."""
+    """C = E[x_b], work = E[int_0^{x_b} kappa x dx], and absolute errors of both.
+
+    Of contacts born stretched: the travel E[l] = E[x_b - y], work = E[int_y^{x_b} kappa x dx], the mean birth E[y], and
+    square = E[int_y^{x_b} kappa^2 x^2 dx] and its error; None where nobody asked for it.
+    """
 
     stretch: float
     work: float
     stretch_error: float
     work_error: float
+    birth: float = 0.0
+    square: float | None = None
+    square_error: float = 0.0
 
 
 def kappa_of(s: Reduced, xi: Array) -> Array:

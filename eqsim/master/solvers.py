@@ -3,7 +3,7 @@
 from typing import Protocol
 
 from eqsim.laws.aging import Flow, Langevin, Logarithmic, Unaged
-from eqsim.master import annealed, flow, fokker_planck, quenched
+from eqsim.master import annealed, flow, fokker_planck, newborn, quenched
 from eqsim.master.quenched import Moments
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
@@ -31,4 +31,6 @@ _SOLVERS: dict[type, Solver] = {  # of quenched contacts
 
 def solver(s: Reduced) -> Solver:
     """Which equation describes these contacts."""
+    if s.newborn.active:
+        return newborn
     return annealed if s.annealed else _SOLVERS[type(s.aging)]

@@ -289,7 +289,7 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     s, unit = settled(ensemble, velocity), ensemble.thresholds.scale
     steady = reference(ensemble, Drive(velocity))
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
-    distance = _LIVES * known(steady.break_stretch) / unit
+    distance = _LIVES * known(steady.travel) / unit
     if s.law.steps.size:
         way = transient(ensemble, Drive(velocity, distance * unit))
         at = int(np.argmax(way.force))

@@ -1,10 +1,13 @@
 """Steady averages of either ensemble from the master equation, as the engine reports them."""
 
 import functools
+import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from eqsim.estimate import Averages, Estimate
-from eqsim.master import annealed
+from eqsim.master import annealed, newborn
 from eqsim.master.quenched import Moments
 from eqsim.master.solvers import solver
 from eqsim.master.velocities import bare, delay_of, lives_of
@@ -19,8 +22,8 @@ class Reference(Averages):
 
     Attributes
     ----------
-    friction, pinned, break_stretch : Estimate
-        The observables of `Averages`.
+    friction, pinned, break_stretch, travel, birth_stretch, force_variance : Estimate
+        The observables of `Averages`; the last without a value unless it was asked for.
     f_k : Estimate
         Elastic part of the friction per pinned contact (length).
     method : str
@@ -41,14 +44,24 @@ def settled(ensemble: Ensemble, velocity: float) -> Reduced:
     return reduced(ensemble, velocity, stretch * ensemble.thresholds.scale)
 
 
-def reference(ensemble: Ensemble, drive: Drive) -> Reference:
+def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Reference:
     """The steady averages of an ensemble by quadrature (nt13, star1 and derived equations).
+
+    Contacts travel from their birth at y to where they break; with the mean travel E[l] = 1/Gamma (Q5aG)
+
+        pinned = E[l]/(E[l] + v<tau>),    friction = E[W]/(E[l] + v<tau>) + (eta v/k)(1 - pinned),    f_k = E[W]/E[l],
+
+    W = int_y^{x_b} kappa x dx, and with V = int_y^{x_b} kappa^2 x^2 dx the variance of the force of one contact over k
+    is E[V]/(E[l] + v<tau>) + (eta v/k)^2 (1 - pinned) - friction^2 (derived).
 
     Parameters
     ----------
     ensemble : Ensemble
     drive : Drive
         Only its velocity counts.
+    variance : bool
+        Whether to find the force variance of contacts born unstretched, too, which takes longer; it is known anyway of
+        those born stretched.
 
     Returns
     -------
@@ -61,23 +74,52 @@ def reference(ensemble: Ensemble, drive: Drive) -> Reference:
     """
     require_drive(drive)
     v = drive.velocity
-    published = ensemble.disorder == "annealed" and ensemble.aging.active  # also where heat breaks none
-    unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
     if ensemble.self_consistent:
-        found, method = Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,)))), annealed.METHOD
+        found, method = Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,))[:4])), annealed.METHOD
     else:
         s = settled(ensemble, v)
-        found, method = solver(s).stationary(s), annealed.METHOD if published else solver(s).METHOD
-    stretch, work, stretch_error, work_error = found
-    relative = stretch_error / stretch + work_error / work
-    pinned = stretch / (stretch + delay)
-    pinned_error = pinned * (1.0 - pinned) * stretch_error / stretch
-    elastic = work / (stretch + delay)
-    friction, error = elastic + drag * (delay / (stretch + delay)), elastic * relative + drag * pinned_error
+        found, method = solver(s).stationary(s), _method(ensemble, s)
+    if variance and found.square is None:
+        found = _with_square(settled(ensemble, v), found)
+    unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
+    travel, work = found.stretch, found.work
+    travel_error, work_error = found.stretch_error, found.work_error
+    relative, cycle = travel_error / travel, travel + delay
+    pinned = travel / cycle
+    pinned_error = pinned * (1.0 - pinned) * relative
+    elastic = work / cycle
+    friction = elastic + drag * (delay / cycle)
+    error = (work_error + abs(work) * pinned * relative) / cycle + drag * pinned_error
+    f_k, f_k_error = work / travel, work_error / travel + abs(work) / travel * relative
+    spread = Estimate(None, None, 0, None, False)
+    if found.square is not None:
+        square = found.square / cycle + drag**2 * (1.0 - pinned)
+        missed = (found.square_error + found.square * pinned * relative) / cycle + drag**2 * pinned_error
+        missed += 2.0 * abs(friction) * error
+        spread = Estimate((square - friction**2) * unit**2, missed * unit**2, 0)
     return Reference(
         friction=Estimate(friction * unit, error * unit, 0),
         pinned=Estimate(pinned, pinned_error, 0),
-        break_stretch=Estimate(stretch * unit, stretch_error * unit, 0),
-        f_k=Estimate(work / stretch * unit, work / stretch * relative * unit, 0),
+        break_stretch=Estimate((found.birth + travel) * unit, travel_error * unit, 0),
+        travel=Estimate(travel * unit, travel_error * unit, 0),
+        birth_stretch=Estimate(found.birth * unit, 0.0, 0),
+        force_variance=spread,
+        f_k=Estimate(f_k * unit, f_k_error * unit, 0),
         method=method,
     )
+
+
+def _method(ensemble: Ensemble, s: Reduced) -> str:
+    if s.newborn.active:
+        return newborn.method(s)
+    published = ensemble.disorder == "annealed" and ensemble.aging.active  # also where heat breaks none
+    return annealed.METHOD if published else solver(s).METHOD
+
+
+def _with_square(s: Reduced, found: Moments) -> Moments:
+    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], from the profile of a life."""
+    from eqsim.master.profile import profile_of  # which needs the solvers
+
+    profile = profile_of(s)
+    square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
+    return found._replace(square=square, square_error=profile.error * square)

@@ -1,7 +1,8 @@
 """Transients from a fresh start and stationary fluctuations, by the renewal equation (derived).
 
-All contacts start pinned and unstretched. With S(x) the probability that a life outlasts x and m(x) = x k1(x) the mean
-force of a life at x, k1(x) = E[k_i/k; x_b > x], births B and breaks Gamma per contact and unit displacement obey
+All contacts start pinned, as newborn ones. With S(x) the probability that a life outlasts a travel x, and m(x) the mean
+force of a life there, E[(k_i/k)(y + x); l > x] of births at y, births B and breaks Gamma per contact and unit
+displacement obey
 
     Gamma = -dS/dX + B * (-dS/dx),     B = Gamma * (law of v delay)
     pinned = S + B * S,     friction = m + B * m + (eta v/k)(1 - pinned)
@@ -101,8 +102,8 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     Raises
     ------
     InputError
-        For arguments out of range; along a programme for annealed contacts that age, the rule "langevin", and more
-        steps than can be solved for.
+        For arguments out of range; along a programme for annealed contacts that age, the rule "langevin", contacts born
+        stretched, and more steps than can be solved for.
     """
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
@@ -117,7 +118,7 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     solved = [means_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
     X, edges = np.linspace(0.0, distance, points), cells.x[::2]
     # what the mean may be while all are in step
-    strongest = float((cells.profile.x * cells.profile.at(cells.profile.x)[1]).max())
+    strongest = float(np.abs(cells.profile.at(cells.profile.x, 1)[1]).max())
     delayed = s.delay.mean > 0
     found = []
     for name, loudest in (("force", max(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
@@ -162,23 +163,19 @@ def _along(ensemble: Ensemble, drive: Programme, points: int, variance: bool) ->
 
 def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """A stationary start: nothing changes."""
-    exact, level = reference(ensemble, drive), np.ones(points)
-    force, pinned, stretch = known(exact.friction), known(exact.pinned), known(exact.break_stretch)
+    exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
+    force, pinned, travel = known(exact.friction), known(exact.pinned), known(exact.travel)
     force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
     spread: tuple[Array | None, Array | None] = None, None
     if variance:
-        s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
-        profile = profile_of(s)
-        square = float(profile.integral(_EVERYTHING, 2)[2, 0]) / (stretch / unit + s.delay.mean)
-        square = (square + s.drag**2 * (1.0 - pinned)) * unit**2
-        error = profile.error * square + (s.drag * unit) ** 2 * pinned_error + 2 * force * force_error
-        spread = (square - force**2) * level, error * level
+        squared = exact.force_variance
+        spread = known(squared) * level, (squared.stderr or 0.0) * level
     X = np.linspace(0.0, drive.over(ensemble), points)
     return Transient(
         X,
         force * level,
         pinned * level,
-        pinned / stretch * level,
+        pinned / travel * level,
         force_error * level,
         pinned_error * level,
         X / drive.velocity,
@@ -203,7 +200,7 @@ def cells_of(s: Reduced, distance: float, points: int) -> Cells:
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
     # every threshold of a discrete law takes time in every cell
     finest = _FINEST // (4 * np.unique(s.law.steps).size) if discrete else _FINEST
-    smooth = None if discrete else profile_of(s)
+    smooth = None if discrete and not s.newborn.active else profile_of(s)
     while True:
         cells = int(least)
         if points - 1 <= max(finest, _MOST_CELLS):
@@ -257,7 +254,7 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     taken on a circle |z| < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive, stiff, _ = np.concatenate(([[1.0], [profile.at(x[1:2] * 1e-9)[1, 0]], [0.0]], profile.at(x[1:])), axis=1)
+    survive, first = np.append(1.0, profile.at(x[1:])[0]), profile.at(np.append(x[1] * 1e-9, x[1:]), 1)[1]
     size = fft.next_fast_len(_AROUND * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -273,18 +270,18 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     reborn = 1.0 - (1.0 - z) * waiting
     breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
-    force = x * stiff + np.append(0.0, back(reborn * breaks * work))
+    force = first + np.append(0.0, back(reborn * breaks * work))
     return _Means(force + s.drag * detached, 1.0 - detached, back(breaks) / h)
 
 
 def _squares(cells: Cells, s: Reduced, solved: list[_Means]) -> tuple[Array, Array]:
     """Mean square of the force of a contact at the edges of the coarser grid, and its error: as the mean force, with
-    m_2(x) = x^2 k2 in the place of m = x k1 (derived)."""
+    E[(k_i/k)^2 (y + x)^2; l > x] in the place of m (derived)."""
     found, profile = [], cells.profile
     for step, means in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
         births = means.breaks + np.diff(means.pinned) / x[1]
-        first = np.append(0.0, x[1:] ** 2 * profile.at(x[1:])[2])
+        first = profile.at(np.append(x[1] * 1e-9, x[1:]), 2)[2]
         later = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
         found.append((first + np.append(0.0, later) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
     best, missed = _extrapolated(*found)
@@ -367,7 +364,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
     exact = reference(ensemble, drive)
-    cycle = known(exact.break_stretch) / unit + s.delay.mean
+    cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
     profile, solved = cells.profile, []

@@ -56,12 +56,13 @@ _THINNEST = 1e-4
 
 class Lives(NamedTuple):
     """C = E[x_b] and work = E[int_0^{x_b} kappa x dx] at each velocity, and absolute errors of both, arrays
-    (velocities,), in units of the threshold law's scale."""
+    (velocities,), in units of the threshold law's scale; of contacts born stretched `Moments`, and the mean birth."""
 
     stretch: Array
     work: Array
     stretch_error: Array
     work_error: Array
+    birth: float | Array = 0.0
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,9 @@ def curve(ensemble: Ensemble, velocities: Array) -> Curve:
     off = lives.stretch_error / lives.stretch
     pinned_error = pinned * (1.0 - pinned) * off
     friction = elastic + drag * (delay / time)
-    friction_error = elastic * (off + lives.work_error / lives.work) + drag * pinned_error
+    friction_error = (lives.work_error + np.abs(lives.work) * pinned * off) / time + drag * pinned_error
     return Curve(
-        v, friction * unit, pinned, lives.stretch * unit,
+        v, friction * unit, pinned, (lives.birth + lives.stretch) * unit,
         friction_error * unit, pinned_error, lives.stretch_error * unit,
     )  # fmt: skip
 
@@ -141,7 +142,7 @@ def lives_of(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
     InputError."""
     law, aging = ensemble.thresholds, ensemble.aging
     mixed = ensemble.disorder == "annealed" and aging.active and isinstance(law, Gamma)
-    if aging.active and not mixed:
+    if ensemble.newborn.active or (aging.active and not mixed):
         return _one_by_one(ensemble, velocities)
     plain = replace(ensemble, aging=Aging()) if mixed else ensemble
     every = [reduced(plain, v) for v in velocities]
@@ -158,7 +159,7 @@ def lives_of(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
 
 def _one_by_one(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
     every = [reduced(ensemble, velocity) for velocity in velocities]
-    return Lives(*np.array([solver(s).stationary(s) for s in every]).T)
+    return Lives(*np.array([solver(s).stationary(s)[:5] for s in every]).T)
 
 
 # ------------------------------------------------------------------------------------------------------------ annealed

@@ -16,6 +16,7 @@ from eqsim.errors import (
     shown,
     under,
 )
+from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
@@ -24,7 +25,7 @@ Start = Literal["fresh", "stationary"]
 
 @dataclass(frozen=True)
 class Drive:
-    """Rigid slider at constant velocity.
+    """Rigid slider at constant velocity, or a plate that pulls coupled blocks.
 
     Parameters
     ----------
@@ -34,6 +35,8 @@ class Drive:
         How far (length); by default 200 mean newborn thresholds.
     start : str
         "fresh": all contacts pinned and unstretched at X = 0. "stationary": the steady state.
+    elastic : Elastic, optional
+        The blocks that a plate pulls so far and so fast (`elastic_trajectory`); else the slider is rigid.
 
     Raises
     ------
@@ -44,6 +47,7 @@ class Drive:
     velocity: float
     distance: float | None = None
     start: Start = "fresh"
+    elastic: Elastic | None = None
 
     def __post_init__(self) -> None:
         require_number("velocity", self.velocity, **POSITIVE)
@@ -231,6 +235,8 @@ def require_drive(drive: Drive | Programme) -> Drive:
         raise InputError(f"{what} has no steady state; this needs a constant drive.velocity of the slider itself")
     if not isinstance(drive, Drive):
         raise InputError(f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)")
+    if drive.elastic is not None:
+        raise InputError("elastic: coupled blocks are simulated by `eqsim run` alone; this needs a rigid slider")
     return drive
 
 

@@ -4,11 +4,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number, under
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.pooled import pooled_hazard_of
 from eqsim.laws.delay import Delay
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma, ThresholdLaw
@@ -41,6 +42,8 @@ class Ensemble:
         thermal attempt draws a fresh threshold (the published master equation).
     eta : float
         Viscous coefficient of a detached contact, of force eta v.
+    newborn : Newborn
+        Law of their stretches at birth.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Ensemble:
     stiffness_law: StiffnessLaw = "sqrt"
     disorder: Disorder = "quenched"
     eta: float = 0.0
+    newborn: Newborn = field(default_factory=Newborn)
 
     def __post_init__(self) -> None:
         require_integer("count", self.count, 1, 10**12)
@@ -65,6 +69,8 @@ class Ensemble:
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         require_number("eta", self.eta, **NOT_NEGATIVE)
         self.aging.check(self.thresholds, self.disorder)
+        with under("newborn"):
+            self.newborn.check(self.thresholds, self.disorder, self.aging.active)
 
     def declared(self, velocity: float) -> tuple[Any, ...]:
         """What a life depends on, as it was declared, for the names of random streams: texts and dimensionless numbers,
@@ -78,7 +84,11 @@ class Ensemble:
             ages = rule, aging.beta, aging.cutoff_time * velocity / unit
         elif aging.active:
             ages = rule, aging.rate / (unit * velocity), aging.x_star_final / unit
-        return (self.disorder, self.stiffness_law, *law, *heat, delay.law, delay.time * velocity / unit, *ages)
+        births: tuple[Any, ...] = ()
+        if self.newborn.active:
+            scale = 1.0 if self.newborn.of == "threshold" else unit
+            births = tuple(part if isinstance(part, str) else part / scale for part in self.newborn.declared)
+        return (self.disorder, self.stiffness_law, *law, *heat, delay.law, delay.time * velocity / unit, *ages, *births)
 
     @property
     def self_consistent(self) -> bool:

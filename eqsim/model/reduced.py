@@ -14,9 +14,11 @@ from eqsim.laws.aging import AgingLaw, PooledThresholds, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
 from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.model.drive import Drive, Programme
+from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 
 _LEAST_B = 1e-100  # b below which the barrier is 0
@@ -42,6 +44,10 @@ class Reduced(NamedTuple):
         With mean v<tau>/x_*.
     drag : float
         eta v/(k x_*), force of a detached contact.
+    newborn : Newborn
+        Stretches at birth, in the user's unit.
+    one_sided : bool
+        Whether the threshold of a newborn contact has to be above y, not |y|: the published master equation.
     """
 
     law: ThresholdLaw
@@ -51,6 +57,8 @@ class Reduced(NamedTuple):
     aging: AgingLaw
     delay: Fixed | Exponential
     drag: float
+    newborn: Newborn = Newborn()
+    one_sided: bool = False
 
     @property
     def rms(self) -> float:
@@ -88,6 +96,8 @@ def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = No
         aging=aging.law(law, velocity) if newborn else Unaged(),  # births that have aged age no more
         delay=delay,
         drag=drag_of(ensemble, velocity),
+        newborn=ensemble.newborn,
+        one_sided=ensemble.disorder == "annealed" and ensemble.newborn.of == "length",
     )
 
 
@@ -245,12 +255,20 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     elif aging.active:
         found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
         found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "aging over sliding"))
+    if ensemble.newborn.active:
+        births = ensemble.newborn.reduced(unit)
+        low, high = births.range
+        per = "xi" if ensemble.newborn.of == "threshold" else "x_*"
+        found.append(Group(f"<y>/{per}", births.mean, "mean stretch of newborn contacts"))
+        found.append(Group(f"least y/{per}", low, "of newborn contacts (1e-16 of a normal law is below)"))
+        found.append(Group(f"greatest y/{per}", high, "of newborn contacts (1e-16 of an unbounded law is above)"))
     if ensemble.delay.time > 0:
         found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
     if ensemble.eta > 0:
         found.append(Group("eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"))
     if isinstance(drive, Drive):
         found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+        found += _of_blocks(ensemble.count, drive.elastic) if drive.elastic else []
     else:
         segments, path = drive.segments, sum(segment.path for segment in drive.segments)
         found.append(Group("segments", len(segments), "of the programme"))
@@ -273,3 +291,19 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
             text = "b >= 1/2: rare strong contacts dominate time" if heavy else "no: b < 1/2, linear creep at low v"
         found.append(Group("heavy tails", "yes" if heavy else "no", text))
     return found
+
+
+def _of_blocks(contacts: int, elastic: Elastic) -> list[Group]:
+    """Groups of coupled blocks. Raises InputError unless the contacts can be divided among them."""
+    nx, ny = elastic.shape
+    shape = f"{nx}" if ny == 1 else f"{nx} x {ny}"
+    return [
+        Group("blocks", shape, f"{'chain' if ny == 1 else 'sheet'} with {elastic.edges} edges"),
+        Group("n", elastic.contacts_per_block(contacts), "contacts of a block, N over blocks"),
+        Group("kappa_b/(n k)", elastic.coupling, "spring between neighbours over the contacts of a block"),
+        Group("K_d/(n k)", elastic.drive_stiffness, "spring of a block to the plate, over the same"),
+        Group("lambda", elastic.length, "blocks over which the displacement by a break decays"),
+        Group("rho", elastic.load, "n k/(n k + K_d), breaks that follow from one directly"),
+        Group("mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"),
+        Group("cutoff size", 1.0 / (1.0 - elastic.load) ** 2, "up to which P(s) ~ s^(-3/2)"),
+    ]

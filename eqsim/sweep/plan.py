@@ -53,6 +53,8 @@ class Plan:
         self.file, self.folder = file, folder
         if file.drive.file is not None:
             raise InputError("drive.file: a sweep has columns for the segments of a drive.programme only")
+        if file.elastic is not None and isinstance(file.elastic.blocks, list):
+            raise InputError(f"elastic.blocks = {shown(file.elastic.blocks)}: a sweep has a column for chains only")
         self.axes = _axes(file.sweep, folder, file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:

@@ -5,8 +5,8 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     id                         SHA-256 of parameters, seed and `results_version()`
     disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
                                with their defaults filled in
-    kind                       "steady" (averages to a relative error), "transient" (the run's second half) or
-                               "programme" (its segments or slips; averages are null)
+    kind                       "steady" (averages to a relative error), "transient" (the run's second half; of coupled
+                               blocks always) or "programme" (its segments or slips; averages are null)
     status, message            "ok"; "unreliable", error bars not to be trusted or larger than asked for; "failed"
     each of `OBSERVABLES`, with
       _stderr, _dof, _reliable             its standard error, degrees of freedom (null: normal) and whether to trust it
@@ -15,6 +15,8 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     of each segment of a programme, with _stderr, _reference, _reference_error and _z:
     segment_0_end, _peak, _at                force at its end, that which differs most from its beginning, and where
     segment_0_direct, _evolution, _memory    of a velocity step
+    size, single               of coupled blocks, with _stderr, _reference and _z: breaks per avalanche and the fraction
+                               of single breaks; `friction` is then that over displacement
     slips, period, drop        of a slider that a stage pulls: how many, mean time between them, mean drop of the force
     reference_method           the solver
     lives                      lives simulated
@@ -28,7 +30,7 @@ numbers and round differently: values agree to 1e-9, and to 1e-6 where threshold
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from eqsim.errors import InputError, require_number
@@ -76,6 +78,8 @@ def schema(file: RunFile) -> Any:
     for name in OBSERVABLES:
         fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
         fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
+    for name in ("size", "single") if file.elastic else ():
+        fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number, f"{name}_z": number}
     if file.drive.stage:
         fields |= {"slips": integer, "period": number, "period_stderr": number, "drop": number, "drop_stderr": number}
     for index in range(0 if file.drive.stage else len(file.drive.programme or [])):
@@ -102,6 +106,8 @@ def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     try:
         if isinstance(task.drive, Programme):
             row = _programme(task, task.drive, asked, threads)
+        elif task.drive.elastic:
+            row = _elastic(task, task.drive, asked, threads)
         else:
             row = (_transient if asked.transient else _steady)(task, task.drive, asked, threads)
     except MemoryError:  # the machine's fault, not the point's
@@ -127,7 +133,9 @@ def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, A
         return row | {"message": "; ".join(filter(None, (row["message"], f"no reference: {error}")))}
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
+        row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr, f"{name}_z": None}
+        if level.value is None:
+            continue
         row[f"{name}_z"] = z_score(found.averages()[name], known(level), level.stderr or 0.0)
     return row
 
@@ -141,6 +149,34 @@ def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str
         max_lives=asked.max_lives,
     )  # fmt: skip
     return _columns(found.averages, found.lives, [])
+
+
+def _elastic(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
+    from eqsim.engine.elastic import elastic_trajectory
+    from eqsim.master.avalanche_sizes import size_law
+    from eqsim.master.steady import reference
+
+    points, replicas = task.output
+    found = elastic_trajectory(
+        task.ensemble, drive, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        max_lives=asked.max_lives,
+    )  # fmt: skip
+    exact, e = reference(task.ensemble, replace(drive, elastic=None)), found.friction
+    doubtful = not (e.reliable and found.size.reliable)
+    row: dict[str, Any] = {
+        "lives": found.lives, "status": "unreliable" if doubtful else "ok", "reference_method": exact.method,
+        "message": "the second half is too short, or not steady" if doubtful else None,
+        "friction": e.value, "friction_stderr": e.stderr, "friction_dof": e.dof, "friction_reliable": e.reliable,
+        "friction_reference": exact.friction.value, "friction_reference_error": exact.friction.stderr,
+        "friction_z": z_score(e, known(exact.friction), exact.friction.stderr or 0.0),
+    }  # fmt: skip
+    elastic = drive.elastic
+    assert elastic
+    single = float(size_law(task.ensemble.thresholds, elastic.load, 1)[0])
+    for name, estimate, law in (("size", found.size, elastic.mean_size), ("single", found.single, single)):
+        row |= {name: estimate.value, f"{name}_stderr": estimate.stderr, f"{name}_reference": law}
+        row[f"{name}_z"] = z_score(estimate, law)
+    return row
 
 
 def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> dict[str, Any]:

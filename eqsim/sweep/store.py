@@ -35,6 +35,8 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
         self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
+        if plan.file.elastic is not None:
+            self.kind = "transient"
         if plan.file.drive.programme is not None or plan.file.drive.stage is not None:
             self.kind = "programme"
         theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))

@@ -135,10 +135,10 @@ def typical_life(ensemble: Ensemble, v: float) -> float:
     threshold, which is also the answer where there is no telling."""
     mean = ensemble.thresholds.mean
     try:
-        _, stretch = typical_lives(contacts(ensemble, v, mean))
+        travel = typical_lives(contacts(ensemble, v, mean)).travel
     except InputError:
         return mean
-    return float(stretch.mean()) * ensemble.thresholds.scale
+    return float(travel.mean()) * ensemble.thresholds.scale
 
 
 def law_text(law: ThresholdLaw) -> str:

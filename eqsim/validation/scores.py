@@ -202,12 +202,14 @@ def averages(point: Point, found: Steady) -> Found:
     scores: Found = []
     for name, ours in found.averages().items():
         theirs = exact[name]
+        if name not in found.shown or theirs.value is None:
+            continue
         if ours.stderr == theirs.stderr == 0.0:
             continue  # pinned without delay: 1, exactly
         if not ours.reliable:  # and says so
             scores += point.without((name,), "unreliable")
             continue
-        response = known(ours) * (1.0 - known(ours) if name == "pinned" else 1.0)
+        response = abs(known(ours)) * (1.0 - known(ours) if name == "pinned" else 1.0)
         hidden, stderr = found.hidden * response, ours.stderr or 0.0
         scatter = math.sqrt(max(stderr**2 - hidden**2, 0.0))
         if point.shown.fluctuates and scatter > hidden:  # what steps may cost is a bound, mostly far from reached
@@ -366,11 +368,13 @@ def hazards(point: Point) -> Found:
     s = settled(point.ensemble, point.velocity)
     if not (s.barrier.thermal or s.aging.fluctuates):
         return []  # no hazard
+    if s.newborn.active:
+        return point.without(_HAZARD, "contacts born stretched")
     u, clock = np.random.default_rng((point.seed, 2)).random((2, 20_000)) * (1 - 2e-16) + 1e-16
     if not (s.aging.closed or s.aging.fluctuates):  # hazards along paths are quadratures
         u, clock = u[:4000], clock[:4000]
     c = contacts(point.shown, point.velocity)
-    _, stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock)
+    stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock).travel
     unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
     if s.aging.fluctuates:
         return [point.uniform(profile_of(s).at(stretch * unit)[0])]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from eqsim.engine.elastic import ElasticTrajectory
 from eqsim.engine.records import SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
@@ -128,6 +129,8 @@ def _file(settings: dict[str, Any]) -> RunFile:
 def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
     file, folder = _file(origin["settings"]), Path(origin["folder"])
     found = run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory
+    if isinstance(found, ElasticTrajectory):
+        return found.avalanches if "drop" in table else found.blocks if "block" in table else found.columns()
     avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
     return avalanches if avalanches is not None and "breaks" in table else found.columns()
 

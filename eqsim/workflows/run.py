@@ -17,6 +17,7 @@ from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.sweep.workers import Workers
+from eqsim.workflows.elastic import ElasticResult, run_elastic
 
 Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
@@ -153,7 +154,7 @@ def run(
     workers: Workers | None = None,
     max_lives: float = 1e10,
     progress: Progress = lambda *_: None,
-) -> RunResult | ProgrammeResult:
+) -> RunResult | ProgrammeResult | ElasticResult:
     """Simulate a run file, and at constant velocity estimate the steady averages that belong to it.
 
     Parameters
@@ -172,7 +173,7 @@ def run(
 
     Returns
     -------
-    RunResult or ProgrammeResult
+    RunResult, ProgrammeResult or ElasticResult
 
     Raises
     ------
@@ -180,6 +181,10 @@ def run(
         If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
     """
     ensemble, drive, output = file.ensemble(folder), file.driven(folder), file.output
+    if isinstance(drive, Drive) and drive.elastic:
+        if workers:
+            raise InputError("--workers, --dask: coupled blocks are simulated in one process; threads share replicas")
+        return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with workers.fixed_pool() if workers else nullcontext() as pool:

@@ -56,7 +56,7 @@ def measured(ages: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndar
     def one(index: int) -> tuple[float, float, float]:
         u, clock = (qmc.Sobol(2, rng=np.random.default_rng((seed, index))).random(size) + 2.0**-31).T
         begin = time.thread_time()
-        work, stretch = lives(c, key(seed, index), 0, u, clock, step)
+        work, stretch, *_ = lives(c, key(seed, index), 0, u, clock, step)
         return work.mean(), stretch.mean(), (time.thread_time() - begin) / size
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.numerics.compiled import by_law
+from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.tables import NO_TABLE, Array
 
 
@@ -163,6 +163,32 @@ def hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> flo
 def rate(law: Any, xi: float, stiffness: float, x: float) -> float:
     """(omega/v) r at stretch 0 <= x <= xi."""
     return math.exp(law.log_w - height(law, xi, x, law.b * stiffness)) * prefactor(law, xi, x)
+
+
+@by_law
+def onward(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+    """How far a contact of threshold `xi` and relative stiffness `stiffness` is carried from stretch 0 < y < xi before
+    it breaks, whose clock has `clock` left; to 1e-8 of itself, however short. `c` holds the tables."""
+    return xi - y
+
+
+@by_law
+def back(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+    """How far it is carried from stretch -y < 0 before it breaks, up to stretch 0, and what the clock has left there,
+    less than 0 if it breaks before."""
+    return y, clock
+
+
+@routine
+def travel(c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+    """How far a contact born at stretch y is carried before it breaks; `c` is an `engine.contacts.Contacts`."""
+    if y > 0.0:
+        return onward(c.barrier, c, xi, stiffness, y, clock)
+    if y < 0.0:
+        s, clock = back(c.barrier, c, xi, stiffness, -y, clock)
+        if clock < 0.0:
+            return s
+    return -y + stretch(c.barrier, c.barrier_table, xi, stiffness, clock)
 
 
 _FLAT = 1e-4  # relative change of a rate up to which it is a straight line, to 1e-5

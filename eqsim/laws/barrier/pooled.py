@@ -14,7 +14,7 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, hazard, is_flat, rate, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, back, hazard, is_flat, onward, rate, stretch, stretches
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
 from eqsim.numerics.compiled import inlined, routine
@@ -276,3 +276,35 @@ def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
     t = math.log(target / G[low]) / width
     left, right = slopes[low, 0] * width, slopes[low, 1] * width
     return x[low] * math.exp(t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise))))
+
+
+_SHORT = 1e-3  # travel over stretch below which their difference would be lost in the table
+
+
+@onward.register(Pooled)
+def _onward(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+    ticks = clock * math.exp(-law.log_w)
+    G, h = _hermite(law.x, law.G, law.slopes, y)
+    s = _inverse(law.x, law.G, law.slopes, G + ticks) - y
+    return min(_corrected(law, y, h, ticks, 1.0) if s < _SHORT * y else s, xi - y)
+
+
+@back.register(Pooled)
+def _back(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+    ticks = clock * math.exp(-law.log_w)
+    G, h = _hermite(law.x, law.G, law.slopes, y)
+    if ticks >= G:
+        return y, clock * (1.0 - G / ticks)
+    s = y - _inverse(law.x, law.G, law.slopes, G - ticks)
+    return (_corrected(law, y, h, ticks, -1.0) if s < _SHORT * y else min(s, y)), -1.0
+
+
+@routine
+def _corrected(law: Pooled, y: float, h: float, ticks: float, sign: float) -> float:
+    """The short travel from y in which the rate, h at y, adds up to `ticks`."""
+    if ticks <= 0.0:
+        return 0.0
+    s = ticks / h if h > 0.0 else 0.0
+    for _ in range(3):
+        s = 2.0 * ticks / (h + _hermite(law.x, law.G, law.slopes, y + sign * min(s, 2.0 * _SHORT * y))[1])
+    return s

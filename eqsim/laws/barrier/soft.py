@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import special
 
-from eqsim.laws.barrier.base import Barrier, Numbers, hazard, height, height_slope, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, Numbers, back, hazard, height, height_slope, onward, stretch, stretches
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
@@ -169,3 +169,82 @@ def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> f
     a = law.b * stiffness
     per_dawson = look_up(table, max(math.sqrt(a) * x, _LEAST_Z))
     return math.exp(law.log_w - a * max(xi - x, 0.0) * (xi + x)) * x / per_dawson
+
+
+# Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock sqrt(a) exp(a (xi^2 - y^2)):
+#     I(z, s) = int_0^s exp(2 z t + t^2) dt = exp(s^2 + 2 z s) D(z + s) - D(z) = T,   D Dawson's function     (derived)
+
+_NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
+
+
+@inlined
+def _ahead(z: float, s: float) -> float:
+    """I(z, s) where its integrand changes by a factor of a few."""
+    total = 0.0
+    for i in range(8):
+        t = 0.5 * s * (1.0 + _NODES[i])
+        total += _WEIGHTS[i] * math.exp(t * (2.0 * z + t))
+    return 0.5 * s * total
+
+
+@inlined
+def _dawson(table: Array, z: float) -> float:
+    return z / look_up(table, max(z, _LEAST_Z))
+
+
+@inlined
+def _log_ticks(law: Soft, xi: float, a: float, y: float, clock: float) -> float:
+    """ln T."""
+    return math.log(clock) - law.log_w + 0.5 * math.log(a) + a * (xi - y) * (xi + y)
+
+
+@inlined
+def _short(z: float, ticks: float) -> float:
+    """s where (2|z| + 1) T < 1e-4, z of any sign."""
+    return ticks * (1.0 + ticks * (-z + ticks * (4.0 * z * z - 1.0) / 3.0))
+
+
+@onward.register(Soft)
+def _onward(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+    a = law.b * stiffness
+    root = math.sqrt(a)
+    z, log_ticks = root * y, _log_ticks(law, xi, a, y, max(clock, 1e-300))
+    ticks, D = math.exp(min(log_ticks, 700.0)), _dawson(c.hazard_table, z)
+    if (2.0 * z + 1.0) * ticks < 1e-4:
+        s = _short(z, ticks)
+    else:
+        s = math.log1p(2.0 * z * ticks) / (2.0 * z) if z > 1e-8 else ticks  # not less than it is
+        if s * (2.0 * z + s) < 1.0:
+            for _ in range(5):  # Newton
+                s += (ticks - _ahead(z, s)) * math.exp(-s * (2.0 * z + s))
+        else:
+            level = log_ticks + math.log1p(D * math.exp(-log_ticks))
+            e = max(1.0, level + 0.5 * math.log(4.0 * (z * z + max(level, 1.0))))  # s^2 + 2 z s
+            for _ in range(6):  # Newton
+                end = math.sqrt(z * z + e)
+                D = _dawson(c.hazard_table, end)
+                e = max(e - (e + math.log(D) - level) * 2.0 * end * D, 0.1)
+            s = e / (z + math.sqrt(z * z + e))
+    return min(s / root, xi - y)
+
+
+@back.register(Soft)
+def _back(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+    a = law.b * stiffness
+    root = math.sqrt(a)
+    z, D = root * y, _dawson(c.hazard_table, root * y)
+    ticks = math.exp(min(_log_ticks(law, xi, a, y, max(clock, 1e-300)), 700.0))
+    if ticks >= D:
+        return y, clock * (1.0 - D / ticks)
+    if (2.0 * z + 1.0) * ticks < 1e-4:
+        s = _short(-z, ticks)
+    elif 2.0 * z * ticks < 0.5:
+        s = ticks
+        for _ in range(6):  # Newton
+            s += (ticks - _ahead(-z, s)) * math.exp(s * (2.0 * z - s))
+    else:
+        rest = D - ticks
+        level = z * z + math.log(_SOFT * rest)  # ln erfi(z - s)
+        end = look_up(c.barrier_table, math.log1p(math.exp(level)) if level < FLAT else level)
+        s = max(math.log(_dawson(c.hazard_table, end) / rest), 0.0) / (z + end)
+    return min(s / root, y), -1.0

@@ -14,9 +14,11 @@ import numpy as np
 from eqsim.laws.barrier.base import (
     Barrier,
     Numbers,
+    back,
     hazard,
     height,
     height_slope,
+    onward,
     path_step,
     prefactor,
     stretch,
@@ -132,3 +134,26 @@ def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> 
     barrier = a * xi * xi
     spent = -math.expm1(1.5 * math.log1p(-min(x / xi, 1.0)))  # 1 - (1 - x/xi)^(3/2)
     return -math.exp(law.log_w - barrier * (1.0 - spent)) * math.expm1(-barrier * spent) / (1.5 * a * xi)
+
+
+@onward.register(Stiff)
+def _onward(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+    """As a contact of threshold xi - y at rest whose barrier is the one that is left at y (derived)."""
+    a, gap = law.b * stiffness, xi - y
+    left = gap / xi
+    barrier = max(a * xi * xi * left * math.sqrt(left), 1e-300)
+    odds = 1.5 * a * xi * clock * bounded_exp(min(barrier - law.log_w, FLAT))
+    return _end(gap, (log_one_plus(odds) + max(barrier - law.log_w - FLAT, 0.0)) / barrier)
+
+
+@back.register(Stiff)
+def _back(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+    a, left = law.b * stiffness, (xi - y) / xi
+    whole = a * xi * xi
+    barrier = whole * left * math.sqrt(left)
+    odds = 1.5 * a * xi * clock * bounded_exp(min(barrier - law.log_w, FLAT))
+    most = -math.expm1(barrier - whole)
+    if odds >= most:
+        return y, clock * (1.0 - most / odds)
+    rise = -math.log1p(-odds) / barrier
+    return min(xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise)), y), -1.0

@@ -1,0 +1,383 @@
+"""Stretches y of newborn contacts: R of the master equation (Q5a of Braun and Peyrard, 2011) in general.
+
+A contact is born at y, is carried to y + s, and breaks at x_b; l = x_b - y is its travel. y is a length, or a fraction
+of the contact's own threshold. In the first case a contact that forms is one that holds: its threshold is drawn given
+that it is above |y|; that of an annealed contact given that it is above y, for the master equation knows no mechanical
+breaking at negative stretch, P(x) = P_c/J_c for x > 0 only. In the second the threshold is drawn first.
+
+`LAWS` lists the laws. Each is a NamedTuple of its numbers, lengths in units of the threshold law's scale, with NumPy's
+formulas as methods and a body of the kernel routine `birth_draw`.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import special
+
+from eqsim.errors import InputError, require_choice, require_number
+from eqsim.laws.threshold import Gamma, ThresholdLaw, Thresholds, threshold_draw
+from eqsim.numerics.compiled import by_law, routine
+from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+from eqsim.numerics.vector_math import log
+
+_NUMBERS = {
+    "unstressed": (),
+    "delta": ("stretch",),
+    "uniform": ("low", "high"),
+    "exponential": ("mean",),
+    "normal": ("mean", "std"),
+}
+_LOST = 1e-9  # share of births that may be so stretched that hardly a threshold is above them
+_RAREST = 470.0  # -ln J_c of a threshold that counts as the greatest
+_FIRST_OCTAVE = -40  # of stretches over the scale of the thresholds; below, hardly a threshold is passed
+
+
+class DeltaBirths(NamedTuple):
+    """All births at `stretch`."""
+
+    stretch: float
+    table: Array = NO_TABLE
+
+    @property
+    def mean(self) -> float:
+        """E[y], or of fractions E[y/xi]."""
+        return self.stretch
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Beyond these are 1e-16 of all births, or none."""
+        return self.stretch, self.stretch
+
+    def pdf(self, y: Array) -> Array:
+        """R(y)."""
+        raise NotImplementedError("identical births have no density")
+
+    def sf(self, y: float) -> float:
+        """Share of births beyond y."""
+        return float(self.stretch > y)
+
+
+class UniformBirths(NamedTuple):
+    """From `low` to `high`; methods are those of `DeltaBirths`."""
+
+    low: float
+    high: float
+    table: Array = NO_TABLE
+
+    @property
+    def mean(self) -> float:
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def pdf(self, y: Array) -> Array:
+        return np.where((y >= self.low) & (y <= self.high), 1.0 / (self.high - self.low), 0.0)
+
+    def sf(self, y: float) -> float:
+        return min(max((self.high - y) / (self.high - self.low), 0.0), 1.0)
+
+
+class ExponentialBirths(NamedTuple):
+    """Positive, of this mean; methods are those of `DeltaBirths`."""
+
+    mean: float
+    table: Array = NO_TABLE
+
+    @property
+    def range(self) -> tuple[float, float]:
+        return 0.0, 36.0 * self.mean
+
+    def pdf(self, y: Array) -> Array:
+        return np.where(y >= 0.0, np.exp(-np.maximum(y, 0.0) / self.mean) / self.mean, 0.0)
+
+    def sf(self, y: float) -> float:
+        return math.exp(-max(y, 0.0) / self.mean)
+
+
+class NormalBirths(NamedTuple):
+    """Of this mean and standard deviation; methods are those of `DeltaBirths`. `table`: |z| of a normal deviate against
+    -ln P(|Z| > |z|)."""
+
+    mean: float
+    std: float
+    table: Array
+
+    @property
+    def range(self) -> tuple[float, float]:
+        return self.mean - 8.3 * self.std, self.mean + 8.3 * self.std
+
+    def pdf(self, y: Array) -> Array:
+        z = (np.asarray(y, float) - self.mean) / self.std
+        return np.asarray(np.exp(-0.5 * z**2) / (math.sqrt(2.0 * math.pi) * self.std))
+
+    def sf(self, y: float) -> float:
+        return float(special.ndtr((self.mean - y) / self.std))
+
+
+BirthLaw = DeltaBirths | UniformBirths | ExponentialBirths | NormalBirths
+
+
+@functools.cache
+def _deviates() -> Array:
+    """|z| against e = -ln P(|Z| > |z|), for |z| up to 12."""
+    first, last = -54, 7
+    e = octave_edges(first, last)
+    z = np.where(e < 1.0, special.erfinv(-np.expm1(-e)), special.erfcinv(np.exp(-np.minimum(e, 600.0)))) * math.sqrt(
+        2.0
+    )
+    return octave_table(first, z, np.exp(0.5 * z**2 - e) * math.sqrt(0.5 * math.pi))
+
+
+LAWS: dict[str, Any] = {
+    "delta": DeltaBirths,
+    "uniform": UniformBirths,
+    "exponential": ExponentialBirths,
+    "normal": NormalBirths,
+}
+
+
+@dataclass(frozen=True)
+class Newborn:
+    """How newborn contacts are stretched, R(x) of Q5a.
+
+    Parameters
+    ----------
+    law : str
+        "unstressed", "delta", "uniform", "exponential" or "normal".
+    of : str
+        "length", or "threshold": the numbers are fractions of the contact's own threshold, between -1 and 1 ("delta"
+        and "uniform" only).
+    stretch : float, optional
+        Of "delta" (length, positive in the direction of X, or fraction).
+    low, high : float, optional
+        Of "uniform".
+    mean : float, optional
+        Of "exponential", > 0, and "normal".
+    std : float, optional
+        Of "normal", > 0.
+
+    Raises
+    ------
+    InputError
+        For an unknown law, values out of range, parameters of another law, and missing ones.
+    """
+
+    law: str = "unstressed"
+    of: str = "length"
+    stretch: float | None = None
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    std: float | None = None
+
+    def __post_init__(self) -> None:
+        require_choice("law", self.law, tuple(_NUMBERS))
+        require_choice("of", self.of, ("length", "threshold"))
+        for name in ("stretch", "low", "high", "mean", "std"):
+            value = getattr(self, name)
+            if name not in _NUMBERS[self.law]:
+                if value is not None:
+                    raise InputError(f'{name} = {value!r}: not allowed with law = "{self.law}"')
+            elif value is None:
+                raise InputError(f'{name}: is required with law = "{self.law}"')
+            elif name == "std" or self.law == "exponential":
+                require_number(name, value, above=0.0, least=1e-100, most=1e100)
+            else:
+                require_number(name, value, least=-1e100, most=1e100)
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise InputError(f"high = {self.high!r}: must be > low = {self.low!r}")
+        if self.of == "threshold":
+            if self.law in ("exponential", "normal"):
+                raise InputError(f'law = "{self.law}": reaches beyond any threshold; of = "threshold" takes "delta" or '
+                                 '"uniform"')  # fmt: skip
+            if self.stretch is not None and not -1.0 < self.stretch < 1.0:
+                raise InputError(f'stretch = {self.stretch!r}: must be > -1 and < 1 with of = "threshold"')
+            for name in ("low", "high"):
+                if self.law == "uniform":
+                    require_number(name, getattr(self, name), least=-1.0, most=1.0)
+
+    @property
+    def active(self) -> bool:
+        """Whether any contact is born stretched."""
+        return self.law != "unstressed" and not (self.law == "delta" and self.stretch == 0.0)
+
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        """What names random streams: texts and numbers as they were given, lengths to be divided by a unit."""
+        return self.law, self.of, *(getattr(self, name) for name in _NUMBERS[self.law])
+
+    def reduced(self, unit: float) -> Any:
+        """The law of births that are `active`, one of `LAWS`, lengths in units of `unit`."""
+        scale = 1.0 if self.of == "threshold" else unit
+        numbers: list[Any] = [getattr(self, name) / scale for name in _NUMBERS[self.law]]
+        if self.law == "normal":
+            numbers.append(_deviates())
+        return LAWS[self.law](*numbers)
+
+    def check(self, thresholds: ThresholdLaw, disorder: str, ages: bool) -> None:
+        """Raise InputError if contacts are born beyond the thresholds there are, or age."""
+        if not self.active:
+            return
+        if ages:
+            raise InputError(f'law = "{self.law}": contacts that age are born unstressed; take aging.rule = "none"')
+        if self.of == "threshold":
+            return
+        law, unit = self.reduced(thresholds.scale), thresholds.scale
+        top = _greatest(thresholds)
+        below = 1.0 - law.sf(-top) if disorder == "quenched" or thresholds.steps.size == 1 else 0.0
+        if law.sf(top) + below > _LOST or (law.range[1] >= top and law.range[0] == law.range[1]):
+            at = max(abs(part) for part in law.range) * unit
+            raise InputError(
+                f'law = "{self.law}": contacts are born with stretches up to {at:.3g}, where no threshold is above '
+                f"{top * unit:.3g}; a contact that forms is one that holds"
+            )
+
+
+def _greatest(thresholds: ThresholdLaw) -> float:
+    """The greatest threshold that counts, in units of the scale."""
+    steps = thresholds.steps
+    return float(steps[-1] if steps.size else thresholds.inverse_survival(_RAREST)) / thresholds.scale
+
+
+# --------------------------------------------------------------------------------------------------------- kernels
+
+
+class Unstressed(NamedTuple):
+    """For kernels: every contact is born at stretch 0."""
+
+    most: float = 0.0
+
+    def reach(self, xi: float) -> float:
+        """As that of `Stretched`."""
+        return 0.0
+
+
+class Stretched(NamedTuple):
+    """For kernels: a law of births; whether it is one of fractions of the threshold; whether a threshold has to be
+    above |y|, or above y only; the stretch that births beyond it, as good as none, count as; and -ln J_c(|y|) against
+    |y|, an empty table where that is sought in the thresholds' own."""
+
+    law: Any
+    of_threshold: bool
+    two_sided: bool
+    most: float
+    ranks: Array
+
+    def reach(self, xi: float) -> float:
+        """The greatest |y| of contacts whose thresholds are at most `xi`."""
+        low, high = self.law.range
+        if self.of_threshold:
+            return xi * max(abs(low), abs(high))
+        return max(min(high, self.most), min(-low, self.most) if self.two_sided else -low)
+
+
+def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> Stretched:
+    """Births for kernels, lengths in units of the thresholds' scale."""
+    law, ranks = newborn.reduced(thresholds.scale), NO_TABLE
+    if newborn.of == "threshold":
+        return Stretched(law, True, two_sided, math.inf, ranks)
+    if isinstance(thresholds, Gamma):
+        ranks = _ranks(thresholds.n)
+    top = _greatest(thresholds)
+    return Stretched(law, False, two_sided, top if not thresholds.steps.size else math.inf, ranks)
+
+
+@functools.lru_cache(maxsize=32)
+def _ranks(n: float) -> Array:
+    """-ln J_c of a gamma law against the stretch."""
+    law = Gamma(n)
+    last = math.ceil(math.log2(float(law.inverse_survival(_RAREST)))) + 1
+    x = octave_edges(_FIRST_OCTAVE, last)
+    weak = x < float(law.inverse_survival(0.7))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        e = np.where(weak, -np.log1p(-law.cdf(x)), -np.log(law.sf(x)))
+        slope = law.pdf(x) / np.where(weak, 1.0 - law.cdf(x), law.sf(x))
+    good = np.isfinite(e) & np.isfinite(slope)  # beyond, no birth
+    e, slope = np.where(good, e, e[good].max()), np.where(good, slope, 0.0)
+    return octave_table(_FIRST_OCTAVE, e, slope)
+
+
+@by_law
+def birth_draw(law: Any, u: float) -> float:
+    """A stretch, or fraction of the threshold, from a uniform u in (0, 1)."""
+    raise TypeError("this law has no births")
+
+
+@birth_draw.register(DeltaBirths)
+def _delta(law: DeltaBirths, u: float) -> float:
+    return law.stretch
+
+
+@birth_draw.register(UniformBirths)
+def _uniform(law: UniformBirths, u: float) -> float:
+    return law.low + (law.high - law.low) * u
+
+
+@birth_draw.register(ExponentialBirths)
+def _exponential(law: ExponentialBirths, u: float) -> float:
+    return -law.mean * log(u)
+
+
+@birth_draw.register(NormalBirths)
+def _normal(law: NormalBirths, u: float) -> float:
+    z = look_up(law.table, -log(2.0 * min(u, 1.0 - u)))
+    return law.mean + law.std * (z if u > 0.5 else -z)
+
+
+@by_law
+def born_stretched(law: Any) -> bool:
+    """Whether contacts are."""
+    return False
+
+
+@born_stretched.register(Stretched)
+def _born_stretched(law: Stretched) -> bool:
+    return True
+
+
+@by_law
+def newborn_draw(born: Any, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
+    """Threshold and stretch of a newborn contact from uniforms u (the share of possible thresholds that are greater)
+    and v (its birth)."""
+    return threshold_draw(thresholds, u), 0.0
+
+
+@newborn_draw.register(Stretched)
+def _draw(born: Stretched, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
+    y = birth_draw(born.law, v)
+    if born.of_threshold:
+        xi = threshold_draw(thresholds, u)
+        return xi, xi * y
+    y = min(y, born.most)
+    if born.two_sided:
+        y = max(y, -born.most)
+    bound = abs(y) if born.two_sided else max(y, 0.0)
+    if bound == 0.0:
+        return threshold_draw(thresholds, u), y
+    return threshold_above(thresholds, born.ranks, bound, u), y
+
+
+@routine
+def threshold_above(thresholds: Thresholds, ranks: Array, bound: float, u: float) -> float:
+    """A threshold given that it is above `bound`."""
+    steps = thresholds.steps
+    if steps.size > 0:
+        above = steps.size - np.searchsorted(steps, bound, side="right")
+        return steps[steps.size - 1 - np.int64(u * above)]
+    if ranks.shape[0] > 0:
+        e = look_up(ranks, bound)
+    else:  # by bisection in ln e
+        low, high = -54.0, 9.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if look_up(thresholds.table, 2.0**middle) < bound:
+                low = middle
+            else:
+                high = middle
+        e = 2.0**high
+    return max(look_up(thresholds.table, e - log(u)), bound)

@@ -1,0 +1,100 @@
+"""What `eqsim run` computes of coupled blocks, and the exact numbers beside it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+from eqsim.engine.elastic import ElasticTrajectory, check_elastic, elastic_trajectory
+from eqsim.estimate import Estimate, difference
+from eqsim.io import storage
+from eqsim.io.runfile import RunFile
+from eqsim.master.avalanche_sizes import size_law
+from eqsim.master.steady import reference
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
+
+_SHOWN = 1000  # sizes whose law is drawn
+
+
+@dataclass(frozen=True)
+class ElasticResult:
+    """A run file with coupled blocks that was simulated."""
+
+    file: RunFile
+    folder: Path
+    ensemble: Ensemble
+    drive: Drive
+    trajectory: ElasticTrajectory
+    names: ClassVar[tuple[str, ...]] = (
+        "trajectory.parquet", "avalanches.parquet", "blocks.parquet", "summary.json", "force.png", "avalanches.png",
+        "fronts.png",
+    )  # fmt: skip
+
+    @cached_property
+    def sizes(self) -> Array:
+        """P(1), P(2), ... of infinitely many contacts, shape (1000,)."""
+        assert self.drive.elastic
+        return size_law(self.ensemble.thresholds, self.drive.elastic.load, _SHOWN)
+
+    def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
+        """By name what was found, over the second half of the plate's way, and what is exact: friction over
+        displacement of any contacts (length), breaks per avalanche and fraction of single breaks of infinitely many."""
+        found, elastic = self.trajectory, self.drive.elastic
+        assert elastic
+        friction = reference(self.ensemble, replace(self.drive, elastic=None)).friction
+        return {
+            "friction": (found.friction, friction),
+            "size": (found.size, Estimate(elastic.mean_size, 0.0, 0)),
+            "single": (found.single, Estimate(float(self.sizes[0]), 0.0, 0)),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The content of `summary.json`."""
+        found = self.trajectory
+        names = ("lives", "engine_seconds", "threads", "seed")
+        averages = self.averages()
+        return {
+            "title": self.file.title,
+            **{name: estimate.as_dict() for name, (estimate, _) in averages.items()},
+            "force_reliable": found.force_reliable,
+            "reference": {name: exact.value for name, (_, exact) in averages.items()},
+            "z": {name: difference(*pair) for name, pair in averages.items()},
+            "avalanches": len(found.avalanches["breaks"]),
+            **{name: getattr(found, name) for name in names},
+            "versions": storage.versions(),
+        }
+
+    def files(self, title: str = "") -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the pictures, unless the run file has one."""
+        from eqsim.io.plots import avalanches_png, elastic_png, fronts_png
+
+        file, found, elastic = self.file, self.trajectory, self.drive.elastic
+        assert elastic
+        title = file.title or title
+        origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, self.folder)
+        tables = (found.columns(), found.avalanches, found.blocks)
+        contents = (
+            *(storage.parquet(table, origin) for table in tables),
+            storage.to_json(self.summary()).encode(),
+            elastic_png(found, self.averages()["friction"][1], title),
+            avalanches_png(found, self.sizes, title),
+            fronts_png(found, elastic.shape, title),
+        )
+        return dict(zip(self.names, contents, strict=True))
+
+
+def run_elastic(
+    file: RunFile, folder: Path, drive: Drive, *, threads: int, max_lives: float, progress: Callable[[int, float], None]
+) -> ElasticResult:
+    """`workflows.run.run` of a run file with coupled blocks, and the drive of its plate. Raises InputError."""
+    ensemble, output = file.ensemble(folder), file.output
+    _, expected = check_elastic(ensemble, drive, (output.points, output.seed, output.replicas), max_lives)
+    progress(0, expected)
+    found = elastic_trajectory(
+        ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,
+        max_lives=max_lives, progress=lambda lives: progress(lives, expected),
+    )  # fmt: skip
+    return ElasticResult(file, folder, ensemble, drive, found)
