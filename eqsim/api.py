@@ -6,6 +6,7 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
+from eqsim.fitting.fit import FitResult, fit
 from eqsim.io.runfile import RunFile, load
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
@@ -35,6 +36,7 @@ __all__ = [
     "ElasticTrajectory",
     "Ensemble",
     "Estimate",
+    "FitResult",
     "Fluctuations",
     "FreshSlip",
     "Gamma",
@@ -59,6 +61,7 @@ __all__ = [
     "Validation",
     "closure",
     "elastic_trajectory",
+    "fit",
     "fluctuations",
     "fresh_slip",
     "load",

@@ -50,7 +50,7 @@ def call(*args):
 def drawn(monkeypatch, *args, **kwargs):
     """The figure instead of its pixels."""
     figures = []
-    monkeypatch.setattr("eqsim.io.plots._png", lambda figure: figures.append(figure) or b"")
+    monkeypatch.setattr("eqsim.io.plots.as_png", lambda figure: figures.append(figure) or b"")
     _, notes = sweep_png(*args, **kwargs)
     return figures[0], notes
 

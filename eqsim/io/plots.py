@@ -53,7 +53,7 @@ def trajectory_png(run: "Trajectory", steady: "Steady", exact: "Transient | None
     drawn |= _compare(top, run, "force", "C0", steady.friction, exact)
     top.set(ylabel="friction force  F / (N k)\n[length unit of the run file]")
     top.set_ylim(bottom=0)
-    top.set_title(_plain(title), fontsize=10)
+    top.set_title(plain_title(title), fontsize=10)
     # forces start at 0 or stay near the steady value: the space below the curve is empty
     top.legend(drawn.values(), drawn.keys(), loc="lower right", fontsize=8, framealpha=1)
     if exact is not None:
@@ -70,7 +70,7 @@ def trajectory_png(run: "Trajectory", steady: "Steady", exact: "Transient | None
     figure.align_ylabels(panels)
     for panel in panels:
         panel.grid(alpha=0.3)
-    return _png(figure)
+    return as_png(figure)
 
 
 def programme_png(run: "ProgrammeTrajectory", exact: "Transient | None", title: str) -> bytes:
@@ -89,7 +89,7 @@ def programme_png(run: "ProgrammeTrajectory", exact: "Transient | None", title: 
     drawn = _band(panels[0], run.t, run, exact)
     panels[0].legend(drawn.values(), drawn.keys(), loc="best", fontsize=8)
     panels[0].set(xlabel="time  t", ylabel="friction force  F / (N k)", xlim=(run.t[0], run.t[-1]))
-    panels[0].set_title(_plain(title), fontsize=10)
+    panels[0].set_title(plain_title(title), fontsize=10)
     _band(panels[1], run.X, run, exact)
     panels[1].set(xlabel="slider displacement  X  [length unit of the run file]", ylabel="friction force  F / (N k)")
     if exact is not None:
@@ -117,7 +117,7 @@ def programme_png(run: "ProgrammeTrajectory", exact: "Transient | None", title: 
         panels[-len(holds)].set(ylabel="friction force  F / (N k)")
     for panel in panels:
         panel.grid(alpha=0.3)
-    return _png(figure)
+    return as_png(figure)
 
 
 def slider_png(run: "SliderTrajectory", exact: "Transient | None", title: str) -> bytes:
@@ -137,7 +137,7 @@ def slider_png(run: "SliderTrajectory", exact: "Transient | None", title: str) -
             force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
     force.legend(loc="best", fontsize=8)
     force.set(xlabel="time  t", ylabel="force / (N k)\n[length unit of the run file]", xlim=(run.t[0], run.t[-1]))
-    force.set_title(_plain(title), fontsize=10)
+    force.set_title(plain_title(title), fontsize=10)
     place.plot(run.t, run.stage, color="C1", linewidth=1, label="stage")
     place.plot(run.t, run.X, color="C0", linewidth=1, label="slider")
     place.legend(loc="best", fontsize=8)
@@ -147,7 +147,7 @@ def slider_png(run: "SliderTrajectory", exact: "Transient | None", title: str) -
     phase.set_xscale("symlog", linthresh=max(np.abs(np.diff(run.stage) / np.diff(run.t)).max(), 1e-300))
     for panel in (force, place, phase):
         panel.grid(alpha=0.3)
-    return _png(figure)
+    return as_png(figure)
 
 
 def stability_png(found: "Stability", borders: dict[str, Any], title: str) -> bytes:
@@ -177,10 +177,10 @@ def stability_png(found: "Stability", borders: dict[str, Any], title: str) -> by
     axes.set(xscale="log", yscale="log", xlabel=_LABELS["drive.velocity"], ylabel="stiffness  kappa_s = K / (N k)")
     values = np.concatenate((steady[known], fresh[shown], [found.stiffness]))
     axes.set_ylim(0.3 * values.min(), 3.0 * values.max())
-    axes.set_title(_plain(title), fontsize=10)
+    axes.set_title(plain_title(title), fontsize=10)
     axes.legend(loc="best", fontsize=8)
     axes.grid(alpha=0.3)
-    return _png(figure)
+    return as_png(figure)
 
 
 def elastic_png(run: "ElasticTrajectory", friction: Estimate, title: str) -> bytes:
@@ -199,14 +199,14 @@ def elastic_png(run: "ElasticTrajectory", friction: Estimate, title: str) -> byt
     label = "exact mean over displacement, steady sliding"
     top.axhline(friction.value or 0.0, color="C3", linewidth=1, linestyle="--", label=label)
     top.set(ylabel="friction force  F / (N k)\n[length unit of the run file]", ylim=(0, None))
-    top.set_title(_plain(title), fontsize=10)
+    top.set_title(plain_title(title), fontsize=10)
     top.legend(loc="lower right", fontsize=8)
     X = _in_space(run, "X")
     low.plot(run.D, X.std(axis=1), color="C2", linewidth=1)
     low.set(xlabel=_PLATE, ylabel="standard deviation\nof X between blocks", xlim=(run.D[0], run.D[-1]), ylim=(0, None))
     for axes in (top, low):
         axes.grid(alpha=0.3)
-    return _png(figure)
+    return as_png(figure)
 
 
 def avalanches_png(run: "ElasticTrajectory", law: Array, title: str) -> bytes:
@@ -237,10 +237,10 @@ def avalanches_png(run: "ElasticTrajectory", law: Array, title: str) -> bytes:
     right.plot([1, most], [1, most], color="0.6", linewidth=0.8, linestyle=":", label="every break in another block")
     right.set(xscale="log", yscale="log", xlabel="breaks of an avalanche  s", ylabel="blocks that take part")
     right.legend(loc="upper left", fontsize=8)
-    left.set_title(_plain(title), fontsize=10)
+    left.set_title(plain_title(title), fontsize=10)
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    return _png(figure)
+    return as_png(figure)
 
 
 def fronts_png(run: "ElasticTrajectory", shape: tuple[int, int], title: str) -> bytes:
@@ -264,8 +264,8 @@ def fronts_png(run: "ElasticTrajectory", shape: tuple[int, int], title: str) -> 
         _image(panels[1, 1], force, (0, nx, 0, ny), "force F / (n k), at the end")
         for axes in panels[1]:
             axes.set(xlabel="column", ylabel="row")
-    panels[0, 0].set_title(_plain(title), fontsize=10)
-    return _png(figure)
+    panels[0, 0].set_title(plain_title(title), fontsize=10)
+    return as_png(figure)
 
 
 def _in_space(run: "ElasticTrajectory", name: str) -> Array:
@@ -349,7 +349,7 @@ def validation_png(result: "Validation") -> bytes:
         axes.axhline(0, color="0.5", linewidth=0.5)
         axes.grid(alpha=0.3)
     left.set_ylim(min(-4.5, every.min() - 0.5), max(4.5, every.max() + 0.5))
-    return _png(figure)
+    return as_png(figure)
 
 
 def read_points(folder: Path) -> Points:
@@ -418,9 +418,9 @@ def sweep_png(
         look: dict[str, Any] = {"loc": "outside right upper", "fontsize": 8, "title_fontsize": 8}
         figure.legend(handles=legend, title=by, ncols=1 + len(legend) // 26, **look)
     axes.set(xlabel=_LABELS.get(x, f"{x}  [units of the run files]"), ylabel=_LABELS.get(y, y))
-    axes.set_title("\n".join(filter(None, (_plain(title), "; ".join(notes)))), fontsize=10)
+    axes.set_title("\n".join(filter(None, (plain_title(title), "; ".join(notes)))), fontsize=10)
     axes.grid(alpha=0.3)
-    return _png(figure), notes
+    return as_png(figure), notes
 
 
 def _drawable(table: Points, x: str, y: str, by: str | None) -> tuple[Points, list[str]]:
@@ -494,12 +494,12 @@ def _text(value: Any) -> str:
     return str(value)
 
 
-def _plain(title: str) -> str:
+def plain_title(title: str) -> str:
     """A title for a picture: no mathematics, nothing that no font has."""
     return title.encode(errors="backslashreplace").decode().replace("$", r"\$")
 
 
-def _png(figure: Figure) -> bytes:
+def as_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": "eqsim"})
     return buffer.getvalue()

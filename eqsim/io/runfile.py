@@ -159,6 +159,7 @@ class RunFile(_Section):
     elastic: ElasticSection | None = None
     output: Output = Output()
     sweep: dict[str, Any] = {}
+    fit: dict[str, Any] = {}  # `fitting.section`
     _text: str = PrivateAttr("")
 
     @property
@@ -359,7 +360,7 @@ def _keys() -> dict[str, type]:
         first, *_ = get_args(field.annotation) or (field.annotation,)  # of float | None; of a Literal it is text
         return first if isinstance(first, type) else str
 
-    others = {"title", "sweep", "elastic", *_SECTIONS}
+    others = {"title", "sweep", "fit", "elastic", *_SECTIONS}
     known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
     for name, section in _SECTIONS.items():
         fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
@@ -384,7 +385,7 @@ def _part(data: Any, name: str) -> Any:
 
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
-    data = file.model_dump(exclude={"sweep"}, exclude_unset=True)
+    data = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
     known = keys(file)
     for key, value in changes.items():
         if key not in known:
@@ -400,7 +401,8 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
 
 def check(data: dict[str, Any]) -> RunFile:
     """A run file from its content. Raises InputError with one line that names the field."""
-    _check_plain("sweep", data.get("sweep"))
+    for name in ("sweep", "fit"):
+        _check_plain(name, data.get(name))
     try:
         return RunFile.model_validate(data)
     except pydantic.ValidationError as error:

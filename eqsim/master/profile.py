@@ -11,7 +11,7 @@ from eqsim.laws.aging import Langevin, PooledThresholds
 from eqsim.laws.newborn import DeltaBirths
 from eqsim.laws.threshold import Gamma
 from eqsim.master import fokker_planck, newborn, newborn_lives, quenched
-from eqsim.master.steady import solver
+from eqsim.master.solvers import solver
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array

@@ -173,23 +173,14 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     InputError
         For what has no reference along a programme, and where it takes too many steps.
     """
-    stage = programme.stage
-    assert stage is not None
-    s, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
-    numerics = numerics_of(s, course)
-    typical = s.law.mean / s.law.scale
-    marks, speeds, at = _marks(grid.t / time, course.ends, course.velocity)
-    in_balance = stage.preload is None and course.before > 0.0
-    spring = Spring(
-        stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
-        math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
-    )  # fmt: skip
-    coarse, _ = _solved(numerics, 1, spring, typical, marks, speeds, at)
-    fine, steps = _solved(numerics, 2, spring, typical, marks, speeds, at)
+    task = _task(ensemble, programme, grid)
+    spring = task.spring
+    coarse, _ = _solved(task, 1)
+    fine, steps = _solved(task, 2)
     off = np.abs(fine - coarse)
     if steps <= _FEW_STEPS:
-        coarse, (fine, _) = fine, _solved(numerics, 4, spring, typical, marks, speeds, at)
+        coarse, (fine, _) = fine, _solved(task, 4)
         off = np.abs(fine - coarse) + 0.5 * off
     missed = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
     missed += 1e-6 * np.abs(fine).max(axis=1, keepdims=True)
@@ -204,6 +195,45 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
 
 
+def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: int) -> Array:
+    """The force at the instants of a grid by one solve, in the user's unit, shape (points,): that with fine = 1 takes a
+    tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2.
+
+    Raises
+    ------
+    InputError
+        As `pulled_of` does.
+    """
+    unit, time = ensemble.thresholds.scale, float(grid.t[-1])
+    force, pinned, _, _, _, V, _ = _solved(_task(ensemble, programme, grid), fine)[0]
+    return np.asarray((force + drag_of(ensemble, unit / time) * V * (1.0 - pinned)) * unit)
+
+
+class _Task(NamedTuple):
+    """What is solved at any accuracy: typical threshold, marks, speeds up to them, and the marks asked for."""
+
+    numerics: Numerics
+    spring: Spring
+    typical: float
+    marks: Array
+    speeds: Array
+    at: Array
+
+
+def _task(ensemble: Ensemble, programme: Programme, grid: Grid) -> _Task:
+    stage = programme.stage
+    assert stage is not None
+    s, course = course_of(ensemble, programme)
+    unit, time = ensemble.thresholds.scale, float(grid.t[-1])
+    marks, speeds, at = _marks(grid.t / time, course.ends, course.velocity)
+    in_balance = stage.preload is None and course.before > 0.0
+    spring = Spring(
+        stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
+        math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
+    )  # fmt: skip
+    return _Task(numerics_of(s, course), spring, s.law.mean / s.law.scale, marks, speeds, at)
+
+
 def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]:
     """Times that steps end at, the speed of the stage up to each, and where of these the instants `t` are."""
     marks = np.unique(np.concatenate((t, ends)))
@@ -213,15 +243,14 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
     return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
 
 
-def _solved(
-    numerics: Numerics, fine: int, spring: Spring, typical: float, marks: Array, speeds: Array, at: Array
-) -> tuple[Array, int]:
+def _solved(task: _Task, fine: int) -> tuple[Array, int]:
     """What is found at the marks `at`, and X, shape (7, points); and in how many steps."""
+    numerics = task.numerics
     c, path = numerics.contacts(fine), numerics.path(np.full(MOST_STEPS, math.inf), np.zeros(MOST_STEPS), fine)
     path.t[0] = 0.0
-    spring = spring._replace(longest=path.width, missed=_MISSED * typical / fine**2)
-    found, edges = pull(c, path, spring, marks, speeds)
+    spring = task.spring._replace(longest=path.width, missed=_MISSED * task.typical / fine**2)
+    found, edges = pull(c, path, spring, task.marks, task.speeds)
     if edges < 0:
         raise InputError(f"drive.stage: takes more than {MOST_STEPS} steps of the mean field")
-    index = np.searchsorted(path.t[:edges], np.append(0.0, marks))[at]
+    index = np.searchsorted(path.t[:edges], np.append(0.0, task.marks))[task.at]
     return np.concatenate((found[:, index], path.X[None, index])), edges

@@ -286,7 +286,7 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     InputError
         As `transient`.
     """
-    s, unit = settled(ensemble, velocity).reduced, ensemble.thresholds.scale
+    s, unit = settled(ensemble, velocity), ensemble.thresholds.scale
     steady = reference(ensemble, Drive(velocity))
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _LIVES * known(steady.travel) / unit

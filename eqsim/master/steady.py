@@ -3,19 +3,17 @@
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy import optimize
 
 from eqsim.estimate import Averages, Estimate
-from eqsim.laws.aging import Flow, Langevin, Logarithmic, Unaged
-from eqsim.master import annealed, flow, fokker_planck, newborn, quenched
+from eqsim.master import annealed, newborn
 from eqsim.master.quenched import Moments
+from eqsim.master.solvers import solver
+from eqsim.master.velocities import bare, delay_of, lives_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Reduced, reduced
-from eqsim.numerics.tables import Array
+from eqsim.model.reduced import Reduced, drag_of, reduced
 
 
 @dataclass(frozen=True)
@@ -36,60 +34,14 @@ class Reference(Averages):
     method: str
 
 
-class Solver(Protocol):
-    """What the module of each equation has."""
-
-    METHOD: str
-
-    def stationary(self, s: Reduced) -> Moments:
-        """Moments of lives."""
-
-    def survivors(self, s: Reduced, x: Array) -> Array:
-        """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n)."""
-
-
-_SOLVERS: dict[type, Solver] = {  # of quenched contacts
-    Unaged: quenched,
-    Flow: flow,
-    Logarithmic: flow,
-    Langevin: fokker_planck,
-}
-
-
-def solver(s: Reduced) -> Solver:
-    """Which equation describes these contacts."""
-    if s.newborn.active:
-        return newborn
-    return annealed if s.annealed else _SOLVERS[type(s.aging)]
-
-
-class Settled(NamedTuple):
-    """An ensemble at a velocity, its births included; errors of moments count `sensitivity` times."""
-
-    reduced: Reduced
-    sensitivity: float
-
-
 @functools.lru_cache(maxsize=64)
-def settled(ensemble: Ensemble, velocity: float) -> Settled:
-    """What the solvers need to know; births of annealed contacts that age are the fixed point C = int J_c exp(-Delta U)
-    dx of star1. Raises InputError."""
+def settled(ensemble: Ensemble, velocity: float) -> Reduced:
+    """An ensemble at a velocity as the solvers need it; births of annealed contacts that age are the fixed point
+    C = int J_c exp(-Delta U) dx of star1. Raises InputError."""
     if not ensemble.self_consistent:
-        return Settled(reduced(ensemble, velocity), 1.0)
-    unit = ensemble.thresholds.scale
-
-    def of(log_stretch: float) -> Reduced:
-        return reduced(ensemble, velocity, math.exp(log_stretch) * unit)
-
-    def excess(log_stretch: float) -> float:
-        s = of(log_stretch)
-        return math.log(solver(s).stationary(s).stretch) - log_stretch
-
-    first = math.log(ensemble.thresholds.mean / unit)
-    second = first + excess(first) + 1e-3  # in case births do not age at all
-    fixed = float(optimize.root_scalar(excess, method="secant", x0=first, x1=second, xtol=1e-9).root)
-    slope = -(excess(fixed + 1e-3) - excess(fixed)) / 1e-3  # 1 - d ln C/d ln C of births
-    return Settled(of(fixed), 1.0 / max(slope, 1e-3))
+        return reduced(ensemble, velocity)
+    stretch = float(lives_of(bare(ensemble), (velocity,)).stretch[0])
+    return reduced(ensemble, velocity, stretch * ensemble.thresholds.scale)
 
 
 def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Reference:
@@ -121,13 +73,17 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         If a dimensionless number is out of range, and for annealed contacts of more than 1000 different thresholds.
     """
     require_drive(drive)
-    s, sensitivity = settled(ensemble, drive.velocity)
-    found = solver(s).stationary(s)
+    v = drive.velocity
+    if ensemble.self_consistent:
+        found, method = Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,))[:4])), annealed.METHOD
+    else:
+        s = settled(ensemble, v)
+        found, method = solver(s).stationary(s), _method(ensemble, s)
     if variance and found.square is None:
-        found = _with_square(s, found)
-    unit, delay, drag = s.law.scale, s.delay.mean, s.drag
+        found = _with_square(settled(ensemble, v), found)
+    unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
     travel, work = found.stretch, found.work
-    travel_error, work_error = (sensitivity * error for error in (found.stretch_error, found.work_error))
+    travel_error, work_error = found.stretch_error, found.work_error
     relative, cycle = travel_error / travel, travel + delay
     pinned = travel / cycle
     pinned_error = pinned * (1.0 - pinned) * relative
@@ -149,7 +105,7 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         birth_stretch=Estimate(found.birth * unit, 0.0, 0),
         force_variance=spread,
         f_k=Estimate(f_k * unit, f_k_error * unit, 0),
-        method=_method(ensemble, s),
+        method=method,
     )
 
 

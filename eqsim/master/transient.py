@@ -109,7 +109,7 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     if isinstance(drive, Programme):
         return _along(ensemble, drive, points, variance)
     require_drive(drive)
-    s, unit = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale
+    s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
     if drive.start == "stationary":
@@ -360,7 +360,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
-    s, unit, distance = settled(ensemble, drive.velocity).reduced, ensemble.thresholds.scale, drive.over(ensemble)
+    s, unit, distance = settled(ensemble, drive.velocity), ensemble.thresholds.scale, drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
     exact = reference(ensemble, drive)

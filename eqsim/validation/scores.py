@@ -366,7 +366,7 @@ def hazards(point: Point) -> Found:
     U = (1 - exp(-Lambda))/(1 - exp(-Lambda(xi))) ends where they did or earlier: U of those it did end is uniform.
     Of `langevin` contacts S(x_b) is uniform, S the mean over paths.
     """
-    s = settled(point.ensemble, point.velocity).reduced
+    s = settled(point.ensemble, point.velocity)
     if not (s.barrier.thermal or s.aging.fluctuates):
         return []  # no hazard
     if s.newborn.active:
@@ -440,7 +440,7 @@ def fluctuating(point: Point, size: tuple[int, int]) -> Found:
     """Mean, variance and one autocovariance of F/(N k) of stationary ensembles. Raises InputError where lives are too
     rare and too long to be found."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
-    s = settled(ensemble, v).reduced
+    s = settled(ensemble, v)
     if s.stiffness == "sqrt" and s.aging.stiffens:
         return point.without(_FLUCTUATIONS, "no reference")
     count, ensembles = size

@@ -238,4 +238,4 @@ def picture(found):
     right.legend(fontsize=6, loc="upper left")
     for axes in (left, middle, right):
         axes.grid(alpha=0.3)
-    return plots._png(figure)
+    return plots.as_png(figure)

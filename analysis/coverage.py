@@ -1,0 +1,222 @@
+"""What steady friction can tell, expected (Fisher information), and whether intervals of fits cover the truth.
+
+    python -m analysis.coverage [--sets 40] [--seed 1] [--only NAME]
+
+First a table of expected standard deviations of the logarithms of F0 = N k x_*, v0 = omega x_*, b and n + 1, from 12
+velocities per temperature with 5 % noise; then, for some models, how often the profile intervals of fits to synthetic
+data hold the truth, with the range that is expected of a binomial number.
+"""
+
+import argparse
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from eqsim import Ensemble, Gamma, Thermal
+from eqsim.fitting.data import Row, Table
+from eqsim.fitting.estimate import covariance, minimise
+from eqsim.fitting.model import Problem, problem_of
+from eqsim.fitting.profiles import LEVELS
+from eqsim.fitting.record import record_problem
+from eqsim.fitting.section import parameters_of, scales_of, section_of
+from eqsim.io.runfile import check
+
+NOISE, VELOCITIES, N = 0.05, 12, 1.0
+
+
+class Case(NamedTuple):
+    """Contacts with b = k x_*^2/(2 kT), n = 1 and k = omega = x_* = 1, measured over some decades of velocity (around
+    v_* if annealed, else around omega x_*/100) at several temperatures."""
+
+    disorder: str
+    b: float
+    law: str
+    decades: float
+    heats: tuple[float, ...]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Of each temperature."""
+        center = 1e-2
+        if self.disorder == "annealed":
+            contacts = Ensemble(Gamma(N), Thermal(0.5 / self.b), disorder="annealed", stiffness_law=self.law)
+            center = contacts.crossover_velocity
+        return center * np.logspace(-0.5 * self.decades, 0.5 * self.decades, VELOCITIES)
+
+
+FREE = ("thermal.kT", "thermal.attempt_frequency", "thresholds.n")
+
+
+def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Problem:
+    """A fit of exact data: F0, v0, b and n + 1 are fit.scale, attempt_frequency, 1/kT and n + 1, as x_* = k = 1."""
+    bounds = {
+        "thermal.kT": {"bounds": [1e-3, 20.0]},
+        "thermal.attempt_frequency": {"bounds": [1e-4, 1e4]},
+        "thresholds.n": {"bounds": [0.0, 15.0], "transform": "log1p"},
+    }
+    content = {
+        "disorder": case.disorder,
+        "contacts": {"stiffness_law": case.law},
+        "thermal": {"kT": 0.5 / case.b, "attempt_frequency": 1.0},
+        "thresholds": {"n": N, "x_star": 1.0},
+        **changes,
+        "fit": {
+            "scale": {"start": 1.0, "bounds": [1e-3, 1e3]},
+            "noise": {"relative": NOISE},
+            "free": {key: bounds.get(key, {"bounds": [1e-4, 1e4]}) for key in free},
+        },
+    }
+    file = check(content)
+    fit = section_of(file)
+    rows = [Row((("drive.velocity", float(v)),), heat, "") for heat in case.heats for v in case.velocities]
+    ones = np.ones(len(rows))
+    table = Table(rows, np.arange(len(rows)), ["friction"] * len(rows), ones, ones, ["drive.velocity"], ones, "")
+    found = problem_of(file, Path("."), fit, table, parameters_of(file, fit), *scales_of(fit, [""]))
+    exact = found.given(found.start)
+    return replace(found, value=exact, sigma=NOISE * exact)
+
+
+def expected(one: Problem) -> dict[str, float]:
+    """Standard deviation of each parameter's logarithm, by key."""
+    sd = np.sqrt(np.diag(covariance(one.jacobian(one.start))))
+    return {parameter.key: float(x) for parameter, x in zip(one.parameters, sd, strict=True)}
+
+
+# expected standard deviations of F0, v0, b and n + 1
+TABLE = {
+    Case("annealed", 5.0, "uniform", 2.0, (1.0,)): (1.1, 9.6, 12.0, 2.6),
+    Case("annealed", 5.0, "uniform", 4.0, (1.0,)): (0.14, 0.78, 1.12, 0.34),
+    Case("annealed", 5.0, "uniform", 4.0, (1.0, 1.3)): (0.072, 0.41, 0.54, 0.16),
+    Case("annealed", 5.0, "uniform", 4.0, (1.0, 3.0)): (0.061, 0.41, 0.49, 0.13),
+    Case("annealed", 50.0, "uniform", 4.0, (1.0,)): (0.061, 1.2, 1.4, 0.14),
+    Case("annealed", 50.0, "uniform", 4.0, (1.0, 3.0)): (0.022, 0.17, 0.17, 0.035),
+    Case("quenched", 5.0, "uniform", 4.0, (1.0,)): (1.1, 6.2, 3.1, 2.6),
+    Case("quenched", 5.0, "uniform", 4.0, (1.0, 3.0)): (0.12, 0.80, 0.054, 0.32),
+    Case("quenched", 5.0, "sqrt", 4.0, (1.0,)): (0.75, 4.6, 7.5, 2.5),
+    Case("quenched", 5.0, "sqrt", 4.0, (1.0, 3.0)): (0.084, 1.9, 0.60, 0.16),
+}
+COLUMNS = ("fit.scale", "thermal.attempt_frequency", "thermal.kT", "thresholds.n")
+
+RECORD = """
+[contacts]
+stiffness_law = "uniform"
+[thresholds]
+n = 1.0
+x_star = 1.0
+[aging]
+rule = "logarithmic"
+beta = 0.05
+cutoff_time = 0.1
+[drive]
+start = "stationary"
+velocity = 0.1
+programme = [{ velocity = 0.1, time = 3.0 }, { velocity = 1.0, time = 2.0 }]
+[drive.stage]
+stiffness = 0.5
+[fit]
+record = { file = "" }
+noise = { absolute = 0.003 }
+scale = { start = 1.0, bounds = [0.1, 10.0] }
+[fit.free]
+"aging.beta" = { bounds = [1e-3, 0.5] }
+"drive.stage.stiffness" = { bounds = [0.05, 5.0] }
+"fit.drift" = { bounds = [-0.1, 0.1] }
+"""
+RHO = 0.7  # correlation of neighbours in a record
+
+
+def record() -> Problem:
+    """A velocity step of contacts at T = 0 that strengthen as ln t, through a spring: 81 points, exact."""
+    file = check(tomllib.loads(RECORD))
+    fit, time = section_of(file), np.linspace(0.0, 5.0, 81)
+    ones = np.ones(time.size)
+    table = Table([], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time)
+    found = record_problem(file, Path("."), fit, table, parameters_of(file, fit), scales_of(fit, [""]))
+    return replace(found, value=found.given(found.start), correlation=np.full(time.size - 1, RHO))
+
+
+COVERED = {
+    "annealed": lambda: problem(Case("annealed", 5.0, "uniform", 4.0, (1.0, 1.3))),
+    "quenched sqrt": lambda: problem(Case("quenched", 5.0, "sqrt", 4.0, (1.0, 3.0))),
+    "record": record,
+}
+
+
+def markov(rng: np.random.Generator, size: int, rho: float = RHO) -> np.ndarray:
+    """Errors of variance 1 with the correlation rho between neighbours."""
+    noise = rng.standard_normal(size)
+    for i in range(1, size):
+        noise[i] = rho * noise[i - 1] + math.sqrt(1.0 - rho**2) * noise[i]
+    return noise
+
+
+def sample(exact: Problem, rng: np.random.Generator) -> Problem:
+    """Data with errors: of a table relative ones, as without a column of them, and of a record correlated ones."""
+    if exact.correlation is not None:
+        return replace(exact, value=exact.value + exact.sigma * markov(rng, exact.value.size))
+    value = exact.value * (1.0 + NOISE * rng.standard_normal(exact.value.size))
+    return replace(exact, value=value, sigma=NOISE * value)
+
+
+def rises(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
+    """Of each synthetic data set and key: by how much the least chi-square with the key at its true value exceeds that
+    with all free. An interval holds the truth if this is below its level."""
+    rng = np.random.default_rng(seed)
+    for _ in range(sets):
+        one = sample(exact, rng)
+        fits = [minimise(one, exact.start), *(minimise(one, u) for u in _starts(exact, rng))]
+        held = [minimise(one, exact.start, i) for i in range(len(exact.parameters))]
+        least = min([*fits, *held], key=lambda found: found.chi2)
+        yield {
+            parameter.key: minimum.chi2 - least.chi2 for parameter, minimum in zip(exact.parameters, held, strict=True)
+        }
+
+
+def _starts(exact: Problem, rng: np.random.Generator) -> list[np.ndarray]:
+    """Two more starts between the bounds."""
+    return list(exact.low + (exact.high - exact.low) * rng.random((2, exact.low.size)))
+
+
+def binomial(sets: int, share: float) -> tuple[float, float]:
+    """Shares between which a fair count of `sets` falls but in one of a thousand cases."""
+    low, high = stats.binom.ppf([0.5e-3, 1.0 - 0.5e-3], sets, share)
+    return low / sets, high / sets
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(prog="python -m analysis.coverage", description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", type=int, default=40, help="data sets of each model")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", choices=sorted(COVERED), help="one model")
+    asked = parser.parse_args()
+    print("expected standard deviations of ln F0, ln v0, ln b, ln(n + 1)")
+    for case in TABLE:
+        found = expected(problem(case))
+        temperatures = " and ".join("T" if heat == 1.0 else f"{heat:g} T" for heat in case.heats)
+        where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}, {case.decades:g} decades"
+        print(f"  {where:50s}", *(f"{found[key]:8.3g}" for key in COLUMNS))
+    for name, made in COVERED.items():
+        if asked.only not in (None, name):
+            continue
+        every = list(rises(made(), asked.sets, asked.seed))
+        print(f"{name}: share of {asked.sets} data sets whose interval holds the truth")
+        for key in every[0]:
+            covered = {level: np.mean([one[key] < rise for one in every]) for level, rise in LEVELS.items()}
+            said = ", ".join(
+                "{} %: {:.1f} ({:.1f} to {:.1f} expected)".format(
+                    level, 100 * share, *(100 * x for x in binomial(asked.sets, int(level) / 100))
+                )
+                for level, share in covered.items()
+            )
+            print(f"  {key:28s} {said}")
+
+
+if __name__ == "__main__":
+    main()

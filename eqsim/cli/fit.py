@@ -1,0 +1,121 @@
+"""Commands that go from measurements to parameters: fit, design."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Exit, Option
+
+from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
+from eqsim.errors import InputError, require_integer
+
+if TYPE_CHECKING:
+    from eqsim.fitting.design import Design
+
+_ALLOW = "Fit also what the data cannot separate, with a warning."
+_VELOCITY = "Within these limits. Default: up to ten times beyond the velocities of the data."
+_TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
+_COMPARE = "Another model of the same data: its chi-square, AICc and BIC beside this one's."
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How a fit is made."""
+
+    data: Annotated[Path | None, Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")] = None
+    starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
+    compare: Annotated[Path | None, Option(metavar="OTHER.toml", help=_COMPARE)] = None
+    allow_degenerate: Annotated[bool, Option("--allow-degenerate", help=_ALLOW)] = False
+
+
+def fit(
+    path: RunFilePath,
+    out: Annotated[Path, Option(help="Folder for fit.json, tables, pictures and the run file of the best fit.")],
+    options: FitOptions,
+    changes: Changes,
+    workers: Processes = None,
+    *,
+    shown: Shown,
+) -> None:
+    """Fit keys of the run file, its [fit] section, to measurements: estimates, intervals, and what stays undecided."""
+    file = changes.load(path)
+    count = cores() if workers is None else workers
+    require_integer("--workers", count, 1, 1024)
+    require_integer("--starts", options.starts, 1, 1000)
+    from eqsim.fitting import fit as fitting
+    from eqsim.fitting import report
+    from eqsim.io import storage
+    from eqsim.io.runfile import load
+
+    storage.check_folder(out)
+    other = None if options.compare is None else load(options.compare)
+    with shown.bar("fitting", "fits") as progress:
+        found = fitting.fit(
+            file, path.parent, data=options.data, starts=options.starts, workers=count,
+            allow_degenerate=options.allow_degenerate, progress=progress,
+        )  # fmt: skip
+        rival = None
+        if options.compare is not None and other is not None:
+            rival = fitting.compared(found, other, options.compare.parent, options.starts)
+    files = report.files(found, out, path.stem)
+    storage.publish(out, files)
+    data = report.summary(found)
+    lines = list(report.remarks(found))
+    if rival is not None:
+        data["compare"] = {"file": str(options.compare), **rival._asdict()}
+        lines.insert(1, report.quality(str(options.compare), rival))
+    lines.append(f"{out}/: {', '.join(files)}")
+    shown.report(data, title=file.title or path.stem, columns=report.COLUMNS, rows=report.rows(found), notes=lines)
+    if found.rejected or not found.converged:
+        raise Exit(1)
+
+
+@dataclass(frozen=True)
+class DesignOptions:
+    """What measurements are sought."""
+
+    fitted: Annotated[Path, Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)]
+    key: Annotated[str, Option("--for", metavar="KEY", help="The key to be known better.", show_default=False)]
+    count: Annotated[int, Option("--next", help="How many measurements, one after the other.")] = 4
+    velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
+    temperature: Annotated[str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)] = None
+
+    def limits(self, name: str) -> tuple[float, float] | None:
+        """Of an option that is a range."""
+        text = getattr(self, name)
+        if text is None:
+            return None
+        try:
+            low, high = (float(part) for part in text.split(","))
+        except ValueError:
+            raise InputError(f"--{name} {text}: must be two numbers, LOW,HIGH") from None
+        return low, high
+
+
+def design(path: RunFilePath, options: DesignOptions, changes: Changes, *, shown: Shown) -> None:
+    """The next measurements for a key of a fit: velocities and temperatures, and how well it would be known after."""
+    file = changes.load(path)
+    require_integer("--next", options.count, 1, 1000)
+    from eqsim.fitting import design as designing
+
+    found = designing.design(
+        file, path.parent, options.fitted, options.key, options.count,
+        options.limits("velocity"), options.limits("temperature"),
+    )  # fmt: skip
+    data = {**found._asdict(), "steps": [step._asdict() for step in found.steps]}
+    shown.report(
+        data,
+        title=f"{file.title or path.stem}: the next measurements of friction for {options.key}",
+        columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
+        rows=_steps(found),
+        notes=["expected by the Fisher information at the best fit, for errors like those of the data"],
+    )
+
+
+def _steps(found: "Design") -> Iterator[tuple[str, str, str, str]]:
+    yield "now", "", "", f"{found.now:.3g}"
+    for number, step in enumerate(found.steps, 1):
+        kelvin = "" if step.temperature is None else f"{step.temperature:.4g}"
+        yield f"+{number}", f"{step.velocity:.3g}", kelvin, f"{step.sd:.3g}"
+    yield "all again", "", "", f"{found.repeated:.3g}"

@@ -1,0 +1,1 @@
+"""From measurements to parameters: what they decide, with intervals, and what they cannot."""

@@ -1,0 +1,36 @@
+"""Which equation describes an ensemble."""
+
+from typing import Protocol
+
+from eqsim.laws.aging import Flow, Langevin, Logarithmic, Unaged
+from eqsim.master import annealed, flow, fokker_planck, newborn, quenched
+from eqsim.master.quenched import Moments
+from eqsim.model.reduced import Reduced
+from eqsim.numerics.tables import Array
+
+
+class Solver(Protocol):
+    """What the module of each equation has."""
+
+    METHOD: str
+
+    def stationary(self, s: Reduced) -> Moments:
+        """Moments of lives."""
+
+    def survivors(self, s: Reduced, x: Array) -> Array:
+        """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n)."""
+
+
+_SOLVERS: dict[type, Solver] = {  # of quenched contacts
+    Unaged: quenched,
+    Flow: flow,
+    Logarithmic: flow,
+    Langevin: fokker_planck,
+}
+
+
+def solver(s: Reduced) -> Solver:
+    """Which equation describes these contacts."""
+    if s.newborn.active:
+        return newborn
+    return annealed if s.annealed else _SOLVERS[type(s.aging)]
