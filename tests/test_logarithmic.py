@@ -378,10 +378,10 @@ def test_ends_of_the_ranges():
                 e = Ensemble(stiffness_law=stiffness, thermal=Thermal(kT), aging=aging(0.1, 1.0))
                 s = reduced(e, v)._replace(aging=Logarithmic(0.1, 1.0 / slid))
                 found = flow.stationary(s)
-                assert np.all(np.isfinite(found))
+                assert np.all(np.isfinite(found[:4]))
                 assert found.stretch_error < 1e-8 * found.stretch
                 assert found.work_error < 1e-8 * found.work
-                assert min(found) > 0
+                assert min(found[:4]) > 0
 
 
 # ------------------------------------------------------------------------------------------------------ the engine

@@ -165,7 +165,7 @@ def scan(laws, seed):
 
 def covered(law, m, exact):
     """Errors cover the difference; they are below 1e-9 except for laws whose density has no power series at an end."""
-    for value, error, true in zip(m[:2], m[2:], exact[:2], strict=True):
+    for value, error, true in zip(m[:2], m[2:4], exact[:2], strict=True):
         assert 0 < error < (1e-9 if law is not OTHERS[1] else 1e-6) * value
         assert abs(value - true) < error
 

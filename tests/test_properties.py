@@ -316,7 +316,7 @@ def toml(content):
     lines = [
         f"{key} = {json.dumps(value, ensure_ascii=False)}"
         for key, value in content.items()
-        if not isinstance(value, dict)
+        if not (value is None or isinstance(value, dict))
     ]
     for section, part in content.items():
         if isinstance(part, dict):

@@ -27,6 +27,7 @@ from eqsim import (
 )
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
+from eqsim.laws.newborn import Newborn
 from eqsim.master.transient import transient
 from eqsim.validation import columns, law_text, points, scores, validate, verdict
 from eqsim.validation.points import LAWS, SUITES, Suite, sample
@@ -77,7 +78,7 @@ def made(found):
         (
             4,
             changed(disorder="quenched"),
-            lambda e, v: e.thermal.kT > 0 and not e.thresholds.steps.size,
+            lambda e, v: e.thermal.kT > 0 and not e.thresholds.steps.size and not e.newborn.active,
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
         ),
         pytest.param(
@@ -187,7 +188,7 @@ def test_signs_of_scores(wrong):
     contacts = Ensemble(thermal=Thermal(0.3), delay=Delay(2.0))
     shown = dataclasses.replace(contacts, thermal=Thermal(0.3 * wrong))
     found = steady(shown, Drive(0.1), rel_error=1e-4)
-    table = columns(made(averages(at(contacts, 0.1, shown), found)))
+    table = columns(made(averages(at(contacts, 0.1, shown), found))[:3])
     assert table["kind"] == ["friction", "pinned", "break_stretch"]
     ours, exact, sigma, z = (np.array(table[name]) for name in ("value", "reference", "sigma", "z"))
     assert list(ours) == [found.friction.value, found.pinned.value, found.break_stretch.value]
@@ -267,6 +268,7 @@ def test_points_can_be_made_again():
             assert (index % 3, v, law_text(ensemble.thresholds)) == (part, first_v, text)
             same = dataclasses.replace(ensemble, thresholds=first.thresholds)
             assert same == first
+    births = [f"newborn_{name}" for name in ("stretch", "low", "high", "mean", "std")]
     names = {"Gamma": Gamma, "Table": Table, "Distribution": Distribution, "stats": stats}
     for _, ensemble, v, text in once:
         law = eval(text, names)
@@ -285,6 +287,10 @@ def test_points_can_be_made_again():
             stiffness_law=row["stiffness_law"][0],
             disorder=row["disorder"][0],
             eta=row["eta"][0],
+            newborn=Newborn(
+                *(row[f"newborn_{name}"][0] for name in ("law", "of")),
+                *(None if math.isnan(row[name][0]) else row[name][0] for name in births),
+            ),
         )
         assert again == ensemble
 
@@ -303,7 +309,7 @@ def test_averages_that_call_themselves_unreliable_are_not_scored():
     """Few contacts that live long carry the force, and 2^16 lives of fluctuating thresholds say that they miss some."""
     aging = Aging("langevin", 1.4e-3, 4.0)
     warm = Ensemble(Gamma(0.0), Thermal(1.9, barrier="stiff"), aging=aging, stiffness_law="uniform")
-    for velocity, scored in ((2.7e-4, []), (0.1, ["friction", "break_stretch"])):
+    for velocity, scored in ((2.7e-4, []), (0.1, ["friction", "break_stretch", "force_variance"])):
         found = steady(warm, Drive(velocity), rel_error=1.0)
         assert found.friction.reliable == bool(scored)
         found = averages(at(warm, velocity), found)

@@ -408,7 +408,8 @@ def _averages(
     cycle = travel + delay
     friction = float((work.mean() + drag * delay) / cycle.mean())
     pinned = float(travel.mean() / cycle.mean())
-    second = float((square.mean() + drag**2 * delay) / cycle.mean())
+    with np.errstate(over="ignore"):
+        second = float((square.mean() + drag**2 * delay) / cycle.mean())
     size_of_force = max(abs(friction), math.sqrt(second) if birth.any() else 0.0)
     n = RANDOMISATIONS * size
 
@@ -418,10 +419,12 @@ def _averages(
 
     waiting = delay / float(cycle.mean())
     of_friction = (work + drag * delay - friction * cycle) / cycle.mean()
-    of_second = (square + drag**2 * delay - second * cycle) / cycle.mean()
     scale = float(np.mean(np.abs(travel)) + np.mean(np.abs(birth)))
-    variance = estimate(second - friction**2, of_second - 2.0 * friction * of_friction, hidden * second, unit * unit)
-    if stiffness_varies(c.aging, c.springs):
+    with np.errstate(over="ignore", invalid="ignore"):  # of laws so broad that there is no variance
+        residual = (square + drag**2 * delay - second * cycle) / cycle.mean() - 2.0 * friction * of_friction
+        variance = estimate(second - friction**2, residual, hidden * second, unit * unit)
+    known_too = math.isfinite(known(variance)) and math.isfinite(variance.stderr or 0.0)
+    if stiffness_varies(c.aging, c.springs) or not known_too:
         variance = Estimate(None, None, n)
     return (
         estimate(friction, of_friction, hidden * size_of_force, unit),

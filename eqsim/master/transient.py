@@ -238,6 +238,13 @@ def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
     return share, 2 * around + 1
 
 
+def _from_birth(profile: Profile, s: Reduced, x: Array, power: int) -> Array:
+    """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0 without births y."""
+    found = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
+    found[0] *= s.newborn.active
+    return found
+
+
 class _Means(NamedTuple):
     """Force and pinned at the edges of a uniform grid of cells, breaks in each cell per unit displacement."""
 
@@ -254,7 +261,7 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     taken on a circle |z| < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive, first = np.append(1.0, profile.at(x[1:])[0]), profile.at(np.append(x[1] * 1e-9, x[1:]), 1)[1]
+    survive, first = np.append(1.0, profile.at(x[1:])[0]), _from_birth(profile, s, x, 1)
     size = fft.next_fast_len(_AROUND * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -281,7 +288,7 @@ def _squares(cells: Cells, s: Reduced, solved: list[_Means]) -> tuple[Array, Arr
     for step, means in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
         births = means.breaks + np.diff(means.pinned) / x[1]
-        first = profile.at(np.append(x[1] * 1e-9, x[1:]), 2)[2]
+        first = _from_birth(profile, s, x, 2)
         later = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
         found.append((first + np.append(0.0, later) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
     best, missed = _extrapolated(*found)

@@ -51,6 +51,7 @@ from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
 from eqsim.laws.aging import RULES, Aging, Flow, Logarithmic, Unaged
+from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
@@ -512,6 +513,7 @@ _COLUMNS = {
     "beta": "ensemble.aging.beta", "cutoff_time": "ensemble.aging.cutoff_time",
     "delay": "ensemble.delay.time", "delay_law": "ensemble.delay.law", "eta": "ensemble.eta", "velocity": "velocity",
     "value": "value", "reference": "reference", "sigma": "sigma", "z": "z", "even": "even",
+    **{f"newborn_{field.name}": f"ensemble.newborn.{field.name}" for field in dataclasses.fields(Newborn)},
 }  # fmt: skip
 
 
@@ -524,4 +526,6 @@ def columns(scores: list[Score]) -> dict[str, list[Any]]:
     for name in ("x_star_final", "beta", "cutoff_time"):
         ages = zip(table["aging"], table[name], strict=True)
         table[name] = [value if rule in RULES and name in RULES[rule].keys else math.nan for rule, value in ages]
+    for name in (name for name in table if name.startswith("newborn_")):
+        table[name] = [math.nan if value is None else value for value in table[name]]
     return table
