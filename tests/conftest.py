@@ -23,19 +23,20 @@ def pytest_sessionstart(session):
             done.touch()
 
 
-# of these, tests with many cases; the others of a test with four cases or more run with -m verification
+# of these, tests with many cases; the others of a test with three cases or more run with -m verification
 THINNED = {
     *("test_aging", "test_aging_engine", "test_closure", "test_flow", "test_fokker_planck", "test_langevin_programme"),
     *("test_logarithmic", "test_oracle", "test_programme", "test_programme_reference", "test_reference", "test_steady"),
     *("test_thermal", "test_stability", "test_master_edges", "test_asymptotics", "test_densities", "test_lives"),
-    *("test_threshold", "test_trajectory"),
+    *("test_threshold", "test_trajectory", "test_elastic", "test_newborn", "test_newborn_reference", "test_slider"),
+    *("test_velocities", "test_scatter"),
 }
 
 
 @pytest.hookimpl(tryfirst=True)  # before cases are chosen by their marks
 def pytest_collection_modifyitems(config, items):
-    """By default every other case of a test that has four or more, in `THINNED` modules, and one in three of eight or
-    more, unless asked for by name."""
+    """By default every other case of a test that has three or more, in `THINNED` modules, one in three of six or more
+    and one in four of twelve or more, unless asked for by name."""
     cases = {}
     if any("::" in arg for arg in config.args):
         return
@@ -43,7 +44,7 @@ def pytest_collection_modifyitems(config, items):
         if item.module.__name__ in THINNED and not any(map(item.get_closest_marker, ("long", "verification"))):
             cases.setdefault((item.module.__name__, item.originalname), []).append(item)
     for found in cases.values():
-        every = 3 if len(found) >= 8 else 2 if len(found) >= 4 else 1
+        every = next((every for every, least in ((4, 12), (3, 6), (2, 3)) if len(found) >= least), 1)
         for index, item in enumerate(found):
             if index % every:
                 item.add_marker(pytest.mark.verification)

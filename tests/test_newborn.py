@@ -203,6 +203,7 @@ def test_travel_of_annealed_contacts(barrier):
         assert s >= 1e3 - y - 1e-9 or found == pytest.approx(clock, rel=2e-3, abs=1e-9)
 
 
+@pytest.mark.verification
 def test_nothing_overflows():
     """Lives of extreme ranks and clocks, at points all over the parameter space: finite, and forwards."""
     rng = np.random.default_rng(1)
@@ -376,7 +377,7 @@ def test_time_steps_agree(name):
 
 
 def test_one_segment_has_the_bits_of_the_constant_drive():
-    ensemble = Ensemble(thermal=Thermal(0.2), count=2000, newborn=Newborn("delta", "threshold", stretch=-0.4))
+    ensemble = Ensemble(thermal=Thermal(0.2), count=2000, newborn=Newborn("uniform", "threshold", low=-0.4, high=0.1))
     one, other = (
         trajectory(ensemble, drive, points=17, seed=2)
         for drive in (Drive(0.3, 8.0), Programme([Segment(0.3, distance=8.0)]))
@@ -390,7 +391,7 @@ def test_annealed_births_against_the_motion_follow_no_programme():
         trajectory(ensemble, Programme([Segment(1.0, distance=1.0)]))
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.1])
+@pytest.mark.parametrize("damping", [pytest.param(0.0, marks=pytest.mark.verification), 0.1])
 def test_a_stiff_stage_is_the_rigid_slider(damping):
     """Contact by contact: where the spring is 1e5 times as stiff as they are, X is that of the stage to 1e-5, and F
     changes by less than its slope of 1 times as much."""
@@ -406,8 +407,8 @@ def test_a_stiff_stage_is_the_rigid_slider(damping):
 
 def test_energy_with_a_stage():
     """What the stage has done is stored, dissipated or missing, and births bring energy with them: contacts born at
-    half their threshold, whose breaks take three quarters of what a break from 0 takes."""
-    ensemble = Ensemble(count=2000, newborn=Newborn("delta", "threshold", stretch=0.5), **UNIFORM)
+    about half their threshold."""
+    ensemble = Ensemble(count=2000, newborn=Newborn("uniform", "threshold", low=0.4, high=0.6), **UNIFORM)
     stage = Stage(0.3, damping=0.1)
     run = trajectory(ensemble, Programme([Segment(0.1, distance=20.0)], stage=stage), points=41, seed=3)
     energy = {name: run.columns()[name] for name in ("work", "stored", "dissipated", "missing")}

@@ -91,11 +91,19 @@ def made(found):
         pytest.param(
             6, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}, marks=pytest.mark.verification
         ),
+        pytest.param(
+            4,
+            changed(newborn=Newborn()),
+            lambda e, v: e.newborn.active,
+            {"friction", "break_stretch"},
+            marks=pytest.mark.verification,
+        ),
     ],
     ids=[
         "quenched instead of annealed",
         "flow instead of langevin",
         "x_*f ignored",
+        "births ignored",
     ],
 )
 def test_negative_controls(points, wrong, of, kinds, monkeypatch):
