@@ -321,17 +321,22 @@ def _randomise(job: _Job, c: Contacts, size: int) -> Array:
             plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
             return *(plain[:4] / size), float(np.max(most / plain[[4, 1]]))
         sobol = qmc.Sobol(2 + third, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
-        sums, largest = np.zeros(5), np.zeros(2)
+        sums, largest, born = np.zeros(5), np.zeros(2), isinstance(c.newborn, Stretched)
         for first in range(0, size, _BLOCK):
             points = sobol.random(min(size, _BLOCK)) + 2.0**-31  # 30 bits, centred in their cells, away from 0
             u, weight = job.proposal.threshold.draw(points[:, 0])
             v, clock_weight = job.proposal.clock.draw(points[:, 1])
             birth = points[:, 2] if third else None
             found = lives(c, stream, index * size + first, u, v, job.step, birth)
-            parts = (found.work, found.travel, found.square, found.birth, np.abs(found.work))
-            terms = weight * clock_weight * np.stack(parts)
-            sums += terms.sum(axis=1)
-            largest = np.maximum(largest, terms[[4, 1]].max(axis=1))
+            weight *= clock_weight
+            for i, part in enumerate((found.work, found.travel, found.square)):
+                terms = weight * part
+                sums[i] += terms.sum()
+                if i < 2:
+                    largest[i] = max(largest[i], (np.abs(terms) if born else terms).max())
+            if born:
+                sums[3:] += (weight * found.birth).sum(), (weight * np.abs(found.work)).sum()
+        sums[4] = sums[4] if born else sums[0]
         return *(sums[:4] / size), float(np.max(largest / sums[[4, 1]]))
 
     rows: list[tuple[float, ...]] = []
