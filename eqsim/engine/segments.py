@@ -141,7 +141,9 @@ def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: P
         for r in range(ROUNDS):
             for i in range(full):
                 xi[r, i], clock[r, i] = lives.stretch[r, i], lives.clock[r, i]
-                lives.birth[r, i] *= leg.sign  # from here on in the direction of motion
+            if born_stretched(c.newborn):
+                for i in range(full):
+                    lives.birth[r, i] *= leg.sign  # from here on in the direction of motion
         if leg.moves != 0:
             advance(c.aging, c, key, lanes, lives, alone, (active, full))
         for r in range(ROUNDS):

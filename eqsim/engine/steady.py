@@ -312,7 +312,7 @@ class Proposal(NamedTuple):
 def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, travel, square of the force added up over the travel and stretch at
     birth; and the largest single share of the first two, shape (RANDOMISATIONS, 5)."""
-    third = isinstance(c.newborn, Stretched) and not isinstance(c.newborn.law, DeltaBirths)
+    third = _births_vary(c)
     stream: Key = key(job.seed, STEADY + job.identity)
 
     def one(index: int) -> tuple[float, ...]:
@@ -380,12 +380,16 @@ def _uneven(c: Contacts, count: int) -> float:
     return max(3.0 * float(np.ptp(part) / part.mean()) / jumps / count for part in parts)
 
 
+def _births_vary(c: Contacts) -> bool:
+    """Whether a birth takes a random number."""
+    return isinstance(c.newborn, Stretched) and not isinstance(c.newborn.law, DeltaBirths)
+
+
 def _typical(c: Contacts, u: Array, v: Array) -> Sample:
     """Lives from uniforms of thresholds and clocks, in the mean over births: root mean squares, with the sign lost."""
-    many = 16 if isinstance(c.newborn, Stretched) and not isinstance(c.newborn.law, DeltaBirths) else 1
-    if many == 1:
+    if not _births_vary(c):
         return lives(c, key(0, STEADY), 0, u, v)
-    births = [np.full(u.size, (i + 0.5) / many) for i in range(many)]
+    births = [np.full(u.size, (i + 0.5) / 16) for i in range(16)]
     found = [lives(c, key(0, STEADY), 0, u, v, birth=birth) for birth in births]
     return Sample(*(np.sqrt(np.mean([part[j] ** 2 for part in found], axis=0)) for j in range(4)))
 
