@@ -156,9 +156,10 @@ def test_intervals_cover(name):
 
 
 def test_exact_data_are_fitted_exactly():
-    """Chi-square of data without noise is 0, from another start."""
+    """Chi-square of data without noise is 0, from another start: below 1e-6, which is a thousandth of a standard error,
+    the largest of which is .54."""
     problem = coverage.problem(coverage.Case("annealed", 5.0, "uniform", 4.0, (1.0, 1.3)))
     found = minimise(problem, problem.start + 0.3)
     assert found.converged
     assert found.chi2 < 1e-6
-    np.testing.assert_allclose(found.u, problem.start, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(found.u, problem.start, rtol=0, atol=6e-4)
