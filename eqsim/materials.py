@@ -22,6 +22,7 @@ from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Disorder, Ensemble
+from eqsim.paper import equation
 
 BOLTZMANN: float = constants.k  # J/K
 ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
@@ -367,7 +368,7 @@ _UNITS = {
 def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> list[Parameter]:
     """The material's constants and what follows from them at `temperature` (K). Raises InputError."""
     names = [field.name for field in dataclasses.fields(material) if field.name in _UNITS]
-    only_annealed = "crossover velocity of the annealed ensemble (nt12); quenched contacts have none there"
+    only_annealed = f"crossover velocity of the annealed ensemble ({equation('nt12')}); quenched contacts have none there"
     return [
         *(Parameter(name, getattr(material, name), _UNITS[name], "given") for name in names),
         Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
@@ -376,7 +377,7 @@ def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> lis
         Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
         Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
         *_elastic_lengths(material),
-        Parameter("b", material.b(temperature), "", "k x_*^2/(2 kT) (nt08a)"),
+        Parameter("b", material.b(temperature), "", f"k x_*^2/(2 kT) ({equation('nt08a')})"),
         Parameter("v_*", material.crossover_velocity(temperature), "m/s", only_annealed),
         Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
     ]

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from eqsim import Ensemble, Thermal
 from eqsim.master.closed_forms import Published
+from eqsim.paper import numbered, printed
 
 from .common import ANNEALED, BLUE, QUENCHED, SCORES_LABEL, WIDTH, Curve, draw, formula, log_grid, scores, solved
 
@@ -61,10 +62,10 @@ def plot(table: pd.DataFrame) -> Figure:
     """f_k, how far the closed forms are from it, and particles against the master equation."""
     figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3.2, 1.2, 0.8])
-    draw(top, table, "annealed", ANNEALED, "annealed: the published master equation (nt13)")
+    draw(top, table, "annealed", ANNEALED, f"annealed: the published master equation ({printed('nt13')})")
     draw(top, table, "quenched", QUENCHED, "quenched: literal contacts")
     for name, style in FORMULAS.items():
-        draw(top, table, name, style, name)
+        draw(top, table, name, style, numbered(name))
     top.axvline(PAPER.v_star, color="0.8", linewidth=0.8, zorder=0)
     top.annotate("$v_*$", (PAPER.v_star, 0.8), (3, 0), textcoords="offset points", color="0.4")
     top.set(xscale="log", ylim=(0, 0.85), ylabel=r"kinetic friction  $f_k \,/\, x_*$")

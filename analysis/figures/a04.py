@@ -5,6 +5,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from eqsim.master.closed_forms import PublishedAging
+from eqsim.paper import printed
 
 from . import a02
 from .common import (
@@ -67,10 +68,10 @@ def plot(table: pd.DataFrame) -> Figure:
             exact.plot(line.velocity, line.friction, **LOOKS[source])
             deviation = (line.friction / truth.loc[line.velocity].to_numpy() - 1).abs()
             panel.plot(line.velocity, deviation, color=style["color"], linestyle=style["linestyle"])
-    exact.set(xscale="log", yscale="log", ylim=(0.04, 1), title="annealed (published), with star4")
+    exact.set(xscale="log", yscale="log", ylim=(0.04, 1), title=f"annealed (published), with {printed('star4')}")
     exact.set_ylabel(r"kinetic friction  $f_k \,/\, x_{*f}$")
     for source, look in LOOKS.items():
-        exact.plot([], [], label=f"star4, {source}", **look)
+        exact.plot([], [], label=f"{printed('star4')}, {source}", **look)
     literal.set_title("quenched, flow")
     for panel, source in ((left, "printed"), (right, "corrected")):
         power = 1 if source == "printed" else 2
@@ -78,7 +79,7 @@ def plot(table: pd.DataFrame) -> Figure:
         panel.plot(v, 0.3 * (v / 1e3) ** -power, color="0.7", linewidth=2.5, zorder=0)
         panel.annotate(f"$v^{{-{power}}}$", (1e3, 0.3), (-24, -4), color="0.4", textcoords="offset points")
         panel.set(yscale="log", ylim=(1e-9, 1), xlabel=r"velocity  $v \,/\, \omega x_{*f}$")
-        panel.set_title(f"star4 against the exact curve: {source}")
+        panel.set_title(f"{printed('star4')} against the exact curve: {source}")
     left.set_ylabel(r"|approximate / exact $-$ 1|")
     handles, labels = exact.get_legend_handles_labels()
     title = r"$k_BT = k x_{*f}^2$;  $D$ in $\omega x_{*f}^2$;  $x_{*i} = 0.1\, x_{*f}$;  markers: particles"

@@ -3,13 +3,14 @@
 import io
 import os
 import sys
-from typing import Any, NoReturn, cast
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
+from rich.markup import escape
 from typer.core import TyperGroup
 
 from eqsim.cli import check, describe, fit, simulate, stability, survey
-from eqsim.cli.options import complain, grouped, typed
+from eqsim.cli.options import WORDS, complain, grouped, typed
 from eqsim.errors import InputError, shown
 from eqsim.io import signals
 
@@ -59,12 +60,31 @@ app = typer.Typer(
     help="Stochastic earthquake-model simulator of multi-contact friction.",
     add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(f"eqsim {version('eqsim')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _top(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")]
+    = False,
+) -> None:
+    """What belongs to no command."""
+
+
 for command in (
     simulate.run, simulate.steady, simulate.reference, stability.stability, check.validate, survey.sweep, fit.fit,
     fit.design, describe.info, survey.plot, survey.figures, check.replay, describe.material,
 ):  # fmt: skip
-    app.command()(grouped(command))
+    app.command(epilog=escape("\n\n".join(WORDS.get(command.__name__, ()))))(grouped(command))
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
 """Options that commands share, and commands whose options come in groups."""
 
+import copy
 import functools
 import inspect
 import os
@@ -10,8 +11,9 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
+from rich.markup import escape
 from typer import Argument, Option
 
 from eqsim.errors import InputError, require_integer
@@ -84,6 +86,20 @@ class Shown:
         terminal.Report(data, **more).show(self.json, self.quiet)
 
 
+_Z = "z: difference from the expected value in standard errors, both errors in quadrature."
+_STDERR = "stderr: statistical standard error, of a value simulated."
+_ERROR = "error: bound of the error of a numerical solution."
+_F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
+WORDS = {  # what commands mean by words of their tables, columns and JSON
+    "run": (_Z, _STDERR),
+    "steady": (_Z, _STDERR),
+    "reference": (_ERROR, _F_K),
+    "validate": (_Z,),
+    "sweep": ("Columns end in _stderr, _reference_error and _z.", _STDERR, _ERROR, _Z),
+    "figures": (_Z,),
+}
+
+
 def complain(message: str) -> None:
     """One line on standard error."""
     print("eqsim: " + " ".join(message.split()), file=sys.stderr)
@@ -104,7 +120,8 @@ def cores(asked: int | None = None) -> int:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer: where `command` takes a dataclass, the dataclass's fields are options."""
+    """A command for typer: where `command` takes a dataclass, the dataclass's fields are options. Help is text: what it
+    has in brackets, as a [section], is no markup."""
     given = inspect.signature(command).parameters
     kinds: dict[str, Any] = {name: part.annotation for name, part in given.items() if is_dataclass(part.annotation)}
     fields = {name: inspect.signature(kind).parameters for name, kind in kinds.items()}
@@ -116,6 +133,18 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{field: values.pop(field) for field in fields[name]})
         command(**values)
 
-    call.__signature__ = inspect.Signature([one.replace(kind=one.KEYWORD_ONLY) for one in every])  # type: ignore[attr-defined]
+    every = [one.replace(kind=one.KEYWORD_ONLY, annotation=_escaped(one.annotation)) for one in every]
+    call.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in every}
+    call.__doc__ = escape(inspect.cleandoc(command.__doc__ or ""))
     return call
+
+
+def _escaped(annotation: Any) -> Any:
+    """An annotated option or argument whose help shows as it is written."""
+    kind, given = get_args(annotation)
+    shown = copy.copy(given)
+    shown.help = escape(given.help or "")
+    if kind is bool:
+        shown.metavar = " "
+    return Annotated[kind, shown]

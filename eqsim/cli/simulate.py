@@ -85,10 +85,10 @@ def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, A
     return {"columns": _SEGMENTS, "rows": _segments(result)}
 
 
-_AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
+_AVERAGES = ("", "this run", "expected", "z")
 _SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t")
 _SLIPS = ("slip", "at t", "at X", "drop of the force", "takes", "over")
-_COUPLED = ("", "second half of the run", "exact", "difference / s.e.")
+_COUPLED = ("", "this run", "expected", "z")
 _MOST_ROWS = 40
 
 
@@ -147,6 +147,12 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
         estimate = getattr(averages, name)
         z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
         yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
+    if result.peak is not None:
+        for name in ("force", "X"):
+            estimate, exact = getattr(result.peak, name), getattr(result.exact_peak, name, None)
+            known = "none" if exact is None else terminal.value_and_error(exact)
+            z = "none" if exact is None or estimate.value is None else terminal.score(difference(estimate, exact))
+            yield f"peak_{name}", terminal.value_and_error(estimate), known, z
 
 
 def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path, who: str) -> Iterator[str]:
@@ -164,6 +170,8 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path
             shown = ((name, getattr(segment.step, name)) for name in ("direct", "evolution", "memory"))
             effects = ", ".join(f"{name} {terminal.value_and_error(estimate)}" for name, estimate in shown)
             yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
+    if getattr(result, "peak", None):
+        yield "averages: over the second half of the run; peak: the first maximum of the force after the start"
     slips = getattr(found, "slips", None)
     if slips is not None:
         yield f"{len(slips)} slips" + ("" if slips else ": the slider follows the stage")

@@ -39,7 +39,7 @@ def sweep(
     *,
     shown: Shown,
 ) -> None:
-    """A grid of points, the "sweep" table of the run file: a resumable Parquet dataset, one row per point."""
+    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
     file = changes.load(path)
     if options.dask is not None and options.workers is not None:
         raise InputError("--workers: not with --dask, whose cluster has its own")

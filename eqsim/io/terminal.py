@@ -1,6 +1,8 @@
 """What a terminal shows: results of commands, values with their errors, progress."""
 
 import math
+import os
+import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +15,8 @@ if TYPE_CHECKING:
     from eqsim.estimate import Estimate
 
 _LONG = 20.0  # seconds from which on the time left is announced
+_COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
+_FILE_WIDTH, _LEAST_TEXT = 100, 24  # of a table that no terminal shows; of a column of text
 
 
 @dataclass(frozen=True)
@@ -36,17 +40,41 @@ class Report:
                 print(line)
 
     def _table(self) -> None:
+        """Only meanings may wrap, at their spaces. Heads break where the table would be wider than the terminal, and a
+        table that is wider even so is printed as it is: no name and no number is cut."""
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
 
+        console, rows = Console(), [tuple(row) for row in self.rows]
+        if not console.is_terminal and "COLUMNS" not in os.environ:
+            console.width = _FILE_WIDTH
+        cells = [max((len(row[place]) for row in rows), default=0) for place in range(len(self.columns))]
+        texts = [place for place, column in enumerate(self.columns) if column == "meaning"]
+        heads = [str(column) for column in self.columns]
+        if _width(heads, cells) > console.width:
+            heads = [_broken(head, width) for head, width in zip(heads, cells, strict=True)]
+        least = [_LEAST_TEXT if place in texts else width for place, width in enumerate(cells)]
+        console.width = max(console.width, _width(heads, least))
         table = Table()
-        for place, column in enumerate(self.columns):
-            justify: Any = "left" if column in ("", "group", "meaning", "unit") else "right"
-            table.add_column(column, justify=justify, overflow="fold", no_wrap=place == 0)  # names stay whole
-        for row in self.rows:
-            table.add_row(*row)
-        Console().print(Text(self.title, style="bold"), table)
+        for place, (column, head) in enumerate(zip(self.columns, heads, strict=True)):
+            justify: Any = "left" if column in ("", "group", "meaning", "unit", "method") else "right"
+            table.add_column(Text(head), justify=justify, no_wrap=place not in texts)
+        for row in rows:
+            table.add_row(*map(Text, row))
+        console.print(Text(self.title, style="bold"), table, soft_wrap=False)
+
+
+def _width(heads: Sequence[str], cells: Sequence[int]) -> int:
+    """Of a table with these heads, whose lines are broken already, and cells as wide as that."""
+    wide = (max([width, *map(len, head.splitlines())]) for head, width in zip(heads, cells, strict=True))
+    return sum(width + 3 for width in wide) + 1
+
+
+def _broken(head: str, width: int) -> str:
+    """A head in lines as wide as the cells below it, or as its longest word."""
+    words = head.split()
+    return "\n".join(textwrap.wrap(head, max([width, *map(len, words)]), break_on_hyphens=False)) if words else head
 
 
 def value_and_error(estimate: "Estimate") -> str:
@@ -118,10 +146,11 @@ def announcing(progress: Callable[[int, int], None], note: Callable[[str], None]
 
 @contextmanager
 def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], None]]:
-    """A progress bar on the terminal's standard error, for `progress(done, total)`; it tells when kernels are
-    compiled."""
+    """A progress bar on the terminal's standard error, for `progress(done, total)`; it tells when kernels are compiled
+    for longer than a moment."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.text import Text
 
     console = Console(stderr=True)
     if silent or not console.is_terminal:
@@ -129,8 +158,15 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
         return
     from numba.core import event
 
+    compiling: list[float] = []  # since when; kernels compile those that they call
+
+    class Doing(TextColumn):
+        def render(self, task: Any) -> Any:
+            long = compiling and time.monotonic() - compiling[0] > _COMPILING
+            return super().render(task) if not long else Text("compiling kernels, once for these laws")
+
     shown = Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
+        Doing("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
         TimeRemainingColumn(), console=console, transient=True, speed_estimate_period=3600.0,
     )  # fmt: skip
     task = shown.add_task(title, total=None, rate="0")
@@ -138,10 +174,10 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
 
     class Compiling(event.Listener):  # type: ignore[misc]
         def on_start(self, _: Any) -> None:
-            shown.update(task, description="compiling kernels, first run only")
+            compiling.append(time.monotonic())
 
         def on_end(self, _: Any) -> None:
-            shown.update(task, description=title)
+            compiling.pop()
 
     def progress(done: int, total: float) -> None:
         now = time.perf_counter()

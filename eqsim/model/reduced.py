@@ -20,6 +20,7 @@ from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
+from eqsim.paper import equation
 
 _LEAST_B = 1e-100  # b below which the barrier is 0
 _LARGEST_POOLED_B = 1e15  # above it a pooled hazard would be made of differences between neighbouring numbers
@@ -233,8 +234,8 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     found = [
         Group("disorder", ensemble.disorder, "quenched: literal contacts; annealed: the published master equation"),
         Group("x_star", unit, "unit of length: x_* of the threshold law, or its mean"),
-        Group("b", b, "k x_*^2 / (2 kT), barrier over temperature (nt08a)"),
-        Group("T/T_*", 0.0 if math.isinf(b) else 1.0 / b, "temperature over its crossover (nt09a)"),
+        Group("b", b, f"k x_*^2 / (2 kT), barrier over temperature ({equation('nt08a')})"),
+        Group("T/T_*", 0.0 if math.isinf(b) else 1.0 / b, f"temperature over its crossover ({equation('nt09a')})"),
     ]
     if thermal.attempt_frequency > 0:
         reduced = v / (thermal.attempt_frequency * unit)
@@ -244,8 +245,9 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
         not_here = "" if ensemble.disorder == "annealed" else ", not of these quenched contacts"
         found += [
             Group(
-                "v_*", star, f"crossover velocity of the annealed ensemble{not_here}, Delta U(inf) = 1 (nt12, derived)"
-            ),
+                "v_*", star,
+                f"crossover velocity of the annealed ensemble{not_here}, Delta U(inf) = 1 ({equation('nt12')}; derived)",
+            ),  # fmt: skip
             Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
         ]
     aging = ensemble.aging

@@ -1,5 +1,6 @@
 """Everything that `eqsim run` computes: a run, and what it is compared with."""
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
@@ -11,13 +12,17 @@ from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTraje
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
+from eqsim.master.peak import Peak, first_peak
+from eqsim.master.steady import reference
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.sweep.workers import Workers
 from eqsim.workflows.elastic import ElasticResult, run_elastic
+from eqsim.workflows.peak import static_peak
 
 Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
@@ -40,12 +45,37 @@ class RunResult:
         """The exact mean, or None and why there is none."""
         return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
 
+    @cached_property
+    def peak(self) -> Peak | None:
+        """The static peak; None of a stationary start."""
+        return static_peak(self.ensemble, self.drive, self.trajectory)
+
+    @cached_property
+    def exact_peak(self) -> Peak | None:
+        """The static peak of the exact mean, if there is one."""
+        if self.peak is None:
+            return None
+        return if_any(lambda: first_peak(self.ensemble, self.drive.velocity))[0]
+
+    def _peaks(self) -> dict[str, Any]:
+        """For JSON."""
+        seen, exact = self.peak, self.exact_peak
+        if seen is None:
+            return {}
+        level, known = self.steady.friction, None
+        if exact is not None:
+            known = {name: getattr(exact, name).value for name in Peak._fields}
+            known["ratio"] = _over(exact.force, reference(self.ensemble, self.drive).friction).value
+        found = {**seen._asdict(), "ratio": _over(seen.force, level)}
+        return {"peak": {**{name: one.as_dict() for name, one in found.items()}, "exact": known}}
+
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
         found = self.trajectory
         return {
             "title": self.file.title,
             **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
+            **self._peaks(),
             "force_reliable": found.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
             **_how(found),
@@ -124,6 +154,15 @@ class SliderResult(ProgrammeResult):
         if self.trajectory.avalanches is not None:
             found["avalanches.parquet"] = storage.parquet(self.trajectory.avalanches, _origin(self))
         return found
+
+
+def _over(peak: Estimate, level: Estimate) -> Estimate:
+    """A static peak over the steady friction."""
+    if not peak.value or not level.value:
+        return Estimate(None, None, peak.n, reliable=False)
+    relative = math.hypot((peak.stderr or 0.0) / peak.value, (level.stderr or 0.0) / level.value)
+    value = peak.value / level.value
+    return Estimate(value, abs(value) * relative, peak.n, None, peak.reliable)
 
 
 def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:

@@ -1,0 +1,75 @@
+"""The static peak: the first maximum of the force after a fresh start, while contacts are still in step."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from eqsim.errors import InputError
+from eqsim.estimate import Estimate
+from eqsim.master.transient import transient
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
+
+WINDOW = 4.0  # the peak is sought over so many rms thresholds
+_POINTS, _ALIKE = 401, 1e-3  # of the mean; peaks that differ by less, relative, are alike
+_STRAIGHT = 1e-2  # curvature of a flank over that of the peak
+
+
+class Peak(NamedTuple):
+    """The static peak: where it is, X, and the force <F>/(N k) there (lengths), each with its error; without values
+    where there is none."""
+
+    X: Estimate
+    force: Estimate
+
+
+def top_of(X: Array, force: Array, error: Array, period: float) -> int:
+    """The index of the first maximum, arrays (points,): of those that are as high within errors, such as all teeth of
+    contacts that stay in step, the highest within half a `period` of the first. The last index if it still rises."""
+    highest = int(np.argmax(force))
+    first = int(np.argmax(force + error >= force[highest] - error[highest]))
+    top = int(np.argmax(np.where(X <= X[first] + 0.5 * period, force, -np.inf)))
+    while top + 1 < force.size and force[top + 1] > force[top]:
+        top += 1
+    return top
+
+
+def vertex(X: Array, force: Array, top: int) -> tuple[float, float]:
+    """Place and height of the parabola through three neighbouring points, arrays (points,); the point itself where it
+    is the tip of a straight flank, as of contacts that all break at once."""
+    low, middle, high = force[top - 1 : top + 2]
+    bends = np.abs(np.diff(force[max(top - 2, 0) : top + 3], 2))
+    if bends.min() < _STRAIGHT * bends.max():
+        return float(X[top]), float(middle)
+    bend = min(low - 2.0 * middle + high, -1e-300)
+    shift = min(max(0.5 * (low - high) / bend, -1.0), 1.0)
+    return float(X[top] + shift * (X[1] - X[0])), float(middle - 0.25 * (low - high) * shift)
+
+
+def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
+    """The exact static peak at a constant velocity, from the renewal equation over four rms thresholds.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    velocity : float
+
+    Returns
+    -------
+    Peak
+        With errors that bound those of the solver.
+
+    Raises
+    ------
+    InputError
+        Where `eqsim.transient` does, and where the force rises without a peak.
+    """
+    period = ensemble.thresholds.rms
+    found = transient(ensemble, Drive(velocity, WINDOW * period), _POINTS)
+    error = np.minimum(found.force_error, _ALIKE * found.force.max())
+    top = top_of(found.X, found.force, error, period)
+    if not 0 < top < _POINTS - 1:
+        raise InputError("the force rises without a first peak")
+    place, height = vertex(found.X, found.force, top)
+    return Peak(Estimate(place, 0.1 * float(found.X[1]), 0), Estimate(height, float(found.force_error[top]), 0))

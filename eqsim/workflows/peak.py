@@ -1,0 +1,53 @@
+"""The static peak of a simulated run, as `master.peak` has it of the exact mean."""
+
+import math
+
+import numpy as np
+
+from eqsim.engine.records import Trajectory, extreme
+from eqsim.estimate import Estimate, known
+from eqsim.master.peak import WINDOW, Peak, top_of, vertex
+from eqsim.model.drive import Drive
+from eqsim.model.ensemble import Ensemble
+
+_PLATEAU = 0.25  # of the window
+
+
+def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | None:
+    """The first maximum of the force of a run after a fresh start, within four rms thresholds.
+
+    Parameters
+    ----------
+    ensemble, drive
+        What was simulated.
+    found : Trajectory
+        Its force, on a grid that has several points on the way to the peak.
+
+    Returns
+    -------
+    Peak or None
+        With standard errors; without values where no maximum is seen. None of a stationary start, which has no peak.
+    """
+    if drive.start == "stationary":
+        return None
+    period = ensemble.thresholds.rms
+    size = int(np.searchsorted(found.X, WINDOW * period, side="right"))
+    X, force, stderr = (column[:size] for column in (found.X, found.force, found.force_stderr))
+    top = top_of(X, force, 2.0 * stderr, period)
+    if not 0 < top < size - 1:
+        none = Estimate(None, None, size, reliable=False)
+        return Peak(none, none)
+    error = float(stderr[top])
+    fallen = np.flatnonzero(force < force[top] - 4.0 * error)
+    first, last = max(fallen[fallen < top], default=-1) + 1, min(fallen[fallen > top], default=size)
+    peak, place = extreme(X[:last], force[:last], stderr[:last], 1.0)
+    where, height = known(place), known(peak)
+    if height == force[top]:  # no neighbours that are as high within errors
+        where, height = vertex(X, force, top)
+        error = math.hypot(error, height - force[top])
+    else:
+        error = known(Estimate(peak.stderr, None, 0))
+    near = X[first:last][force[first:last] >= force[top] - 2.0 * stderr[top]]  # on a plateau it may be anywhere
+    spread = max(place.stderr or 0.0, 0.5 * float(np.ptp(near)))
+    reliable = found.force_reliable and float(np.ptp(near)) < _PLATEAU * WINDOW * period  # else the largest of many
+    return Peak(Estimate(where, spread, size, None, reliable), Estimate(height, error, size, None, reliable))
