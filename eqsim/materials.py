@@ -10,11 +10,21 @@ import json
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from scipy import constants
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_integer, require_number, under
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    meant,
+    require_choice,
+    require_integer,
+    require_number,
+    shown,
+    under,
+)
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.stiffness import StiffnessLaw
@@ -26,6 +36,11 @@ from eqsim.paper import equation
 
 BOLTZMANN: float = constants.k  # J/K
 ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
+
+
+def _decimal(value: float) -> float:
+    """To 15 digits, all that every decimal number keeps as a float: 0.4 and not 0.39999999999999997."""
+    return float(f"{value:.15g}")
 
 
 @dataclass(frozen=True)
@@ -190,10 +205,10 @@ class Material(ABC):
             If they are out of range, or delay and aging are at this temperature.
         """
         bare = Ensemble(
-            thresholds=Gamma(1.0, self.x_star),
+            thresholds=Gamma(1.0, _decimal(self.x_star)),
             thermal=self._thermal(temperature),
             count=count,
-            stiffness=self.stiffness,
+            stiffness=_decimal(self.stiffness),
             stiffness_law=stiffness_law,
             disorder=disorder,
         )
@@ -204,7 +219,7 @@ class Material(ABC):
 
     def _thermal(self, temperature: float) -> Thermal:
         require_number("temperature", temperature, **NOT_NEGATIVE)
-        return Thermal(BOLTZMANN * temperature, self.attempt_frequency)
+        return Thermal(_decimal(BOLTZMANN * temperature), _decimal(self.attempt_frequency))
 
     def _newborn(self, temperature: float) -> Ensemble:
         """Without delay and aging, which have no part in b and v_*."""
@@ -325,6 +340,72 @@ OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
     name="octamethylcyclotetrasiloxane", density=956.0, thickness=3.5e-9, shear_strength=2e5, gamma_c=0.5, spacing=1e-6
 )
 MATERIALS: dict[str, Material] = {material.name: material for material in (STEEL, OCTAMETHYLCYCLOTETRASILOXANE)}
+ALIASES = {"omcts": "octamethylcyclotetrasiloxane"}
+KINDS: dict[str, type[Material]] = {"rough": RoughContacts, "islands": LubricantIslands}
+
+
+def preset(name: str) -> Material | None:
+    """The material of `MATERIALS` with this name or alias, in upper or lower case; None if there is none."""
+    lower = name.lower()
+    return MATERIALS.get(ALIASES.get(lower, lower))
+
+
+def from_constants(constants: dict[str, Any], name: str = "material") -> Material:
+    """A material from its constants by name, as they stand in a TOML file.
+
+    Parameters
+    ----------
+    constants : dict
+        `kind`, "rough" (`RoughContacts`) or "islands" (`LubricantIslands`), and the parameters of that class; its
+        `delay`, `aging` and the `rate` of that are such dicts, too.
+    name : str
+        Where the constants have none.
+
+    Returns
+    -------
+    Material
+
+    Raises
+    ------
+    InputError
+        With the constant that is missing, unknown or out of range.
+    """
+    given = {"name": name, **constants}
+    if "kind" not in given:
+        raise InputError("kind: is required; must be one of " + ", ".join(f'"{kind}"' for kind in KINDS))
+    require_choice("kind", given.pop("kind"), tuple(KINDS))
+    if not isinstance(given["name"], str):
+        raise InputError(f"name = {shown(given['name'])}: must be text")
+    found: Material = _made(KINDS[constants["kind"]], given)
+    return found
+
+
+def constants_of(material: Material) -> dict[str, Any]:
+    """The constants of which `from_constants` makes a material."""
+    kind = next(kind for kind, made in KINDS.items() if isinstance(material, made))
+    return {"kind": kind} | {key: value for key, value in dataclasses.asdict(material).items() if value is not None}
+
+
+_PARTS: dict[str, type] = {"delay": ArrheniusTime, "aging": ActivatedAging, "rate": ArrheniusRate}
+
+
+def _made(of: Any, given: dict[str, Any]) -> Any:
+    """A dataclass from its fields by name."""
+    fields = {field.name: field for field in dataclasses.fields(of)}
+    for name in given:
+        if name not in fields:
+            raise InputError(f"{name}: unknown constant; {meant(name, fields) or 'known here: ' + ', '.join(fields)}")
+    required = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
+    missing = ", ".join(name for name in required if name not in given)
+    if missing:
+        raise InputError(f"{missing}: required, in SI units")
+    values = dict(given)
+    for name in _PARTS.keys() & given.keys():
+        if not isinstance(given[name], dict):
+            raise InputError(f"{name} = {shown(given[name])}: must be a section of constants")
+        with under(name):
+            values[name] = _made(_PARTS[name], given[name])
+    return of(**values)
 
 
 def omcts_film(layers: int) -> LubricantIslands:
@@ -368,7 +449,9 @@ _UNITS = {
 def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> list[Parameter]:
     """The material's constants and what follows from them at `temperature` (K). Raises InputError."""
     names = [field.name for field in dataclasses.fields(material) if field.name in _UNITS]
-    only_annealed = f"crossover velocity of the annealed ensemble ({equation('nt12')}); quenched contacts have none there"
+    only_annealed = (
+        f"crossover velocity of the annealed ensemble ({equation('nt12')}); quenched contacts have none there"
+    )
     return [
         *(Parameter(name, getattr(material, name), _UNITS[name], "given") for name in names),
         Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
@@ -463,7 +546,8 @@ def run_file_text(
         If a value is out of range.
     """
     contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
-    drive = Drive(material.crossover_velocity() if velocity is None else velocity, 20.0 * material.x_star)
+    wanted = _decimal(material.crossover_velocity()) if velocity is None else velocity
+    drive = Drive(wanted, _decimal(20.0 * material.x_star))
     title = json.dumps(f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)", ensure_ascii=False)
     decade = math.floor(math.log10(drive.velocity))
     sections = _RUN_FILE + (_AGING if material.aging else "") + (_DELAY if material.delay else "") + _DRIVE

@@ -6,7 +6,7 @@ Numbered displays and figures are counted as they follow one another in the sour
 import re
 
 ARTICLE = "O. M. Braun and M. Peyrard, Phys. Rev. E 83, 046129 (2011)"
-NOTE = f"Eq. and Fig.: numbers in {ARTICLE}, beside the labels of its source text"
+NOTE = f"Eq.: of {ARTICLE}; beside it the label in its source"
 
 _LABELS = (
     *("Q5a", "PcP", "Q5aG", "Q6", "Q11a", "Gamma0", "eq:pcf", "PxPf2"),  # section II

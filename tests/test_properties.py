@@ -361,7 +361,8 @@ def a_material_survives_its_run_file(name, kelvin, v, disorder):
         path.write_text(run_file_text(MATERIALS[name], kelvin, v, disorder=disorder), encoding="utf-8")
         file = load(path)
     assert file.ensemble(path.parent) == MATERIALS[name].ensemble(kelvin, disorder=disorder)
-    assert file.driven(Path()) == Drive(v, 20.0 * MATERIALS[name].x_star)
+    distance = 20.0 * MATERIALS[name].x_star
+    assert file.driven(Path()) == Drive(v, float(f"{distance:.15g}"))
 
 
 # ---- no NaN ----

@@ -21,6 +21,7 @@ from scipy import stats
 from eqsim import Drive, Estimate, reference, steady, z_score
 from eqsim.errors import require_choice
 from eqsim.io import storage
+from eqsim.paper import FIGURES
 
 from .common import STYLE, Curve
 
@@ -44,7 +45,9 @@ class _Job(NamedTuple):
 
 
 def check(names: list[str]) -> list[str]:
-    """The names in the order of the paper, all if none is given. Raises InputError."""
+    """The names in the order of the source text, all if none is given; numbers of the published figures are names,
+    too. Raises InputError."""
+    names = [next((label for label in NAMES if name == str(FIGURES[label])), name) for name in names]
     for name in names:
         require_choice("figure", name, NAMES)
     return [name for name in NAMES if name in (names or NAMES)]

@@ -131,4 +131,4 @@ def scores(axes: Axes, table: pd.DataFrame, styles: dict[str, dict[str, Any]]) -
     axes.set(ylim=(-limit, limit), yticks=(-2, 0, 2), xscale="log")
 
 
-SCORES_LABEL = "difference\n[std. errors]"
+SCORES_LABEL = "z"

@@ -74,15 +74,16 @@ def _version(asked: bool) -> None:
 
 @app.callback()
 def _top(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")]
-    = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
     """What belongs to no command."""
 
 
 for command in (
     simulate.run, simulate.steady, simulate.reference, stability.stability, check.validate, survey.sweep, fit.fit,
-    fit.design, describe.info, survey.plot, survey.figures, check.replay, describe.material,
+    fit.design, describe.info, survey.plot, survey.figures, check.replay, check.export, describe.material,
 ):  # fmt: skip
     app.command(epilog=escape("\n\n".join(WORDS.get(command.__name__, ()))))(grouped(command))
 

@@ -1,5 +1,6 @@
-"""Commands that check: validate, replay."""
+"""Commands that check and hand on results: validate, replay, export."""
 
+import os
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -8,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Shown, Threads, cores
-from eqsim.errors import require_integer
+from eqsim.errors import InputError, require_integer
 
 if TYPE_CHECKING:
     from eqsim.workflows.replay import Replay
 
 _OUT = Path("runs/out/validation")
+_CSV = "Of several tables their folder. Default: NAME.csv beside NAME.parquet, DIR.csv beside the folder of a sweep."
 
 
 def validate(
@@ -90,3 +92,28 @@ def _compared(path: Path, found: "Replay") -> Iterator[str]:
     for name, (rows, most) in found.differences.items():
         by = f", by up to {most:.3g}" if most else ""
         yield f"{path}: {name} differs in {rows} of {max(rows, found.rows)} rows{by}"
+
+
+def export(
+    path: Annotated[Path, Argument(metavar="PATH", help="Parquet file, or the folder of a run, sweep or fit.")],
+    out: Annotated[Path | None, Option(metavar="FILE.csv", help=_CSV)] = None,
+    *,
+    shown: Shown,
+) -> None:
+    """Tables as CSV; comment lines hold the run file and what columns mean: pandas.read_csv(FILE, comment="#")."""
+    from eqsim.io import export as tables
+    from eqsim.io import storage
+
+    found = tables.tables(path)
+    dataset = next(iter(found.values()))[0].parent
+    dataset = dataset.parent if dataset.name == "_parts" else dataset
+    sweep = (dataset / "_sweep.json").exists()
+    alone = len(found) == 1 and out is not None and not out.is_dir()
+    folder = out.parent if alone and out else out or (dataset.absolute().parent if sweep else dataset)
+    if sweep and folder.resolve().is_relative_to(dataset.resolve()):
+        raise InputError(f"--out {out}: must be outside {dataset}, where everything is read as points")
+    storage.check_folder(folder)
+    names = {name: out.name if alone and out else f"{name}.csv" for name in found}
+    storage.publish(folder, {names[name]: tables.as_csv(files) for name, files in found.items()})
+    written = [os.path.relpath(folder / name) for name in names.values()]
+    shown.report({"files": written}, notes=written)

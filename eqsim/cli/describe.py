@@ -1,16 +1,23 @@
 """Commands that say what parameters mean: info, material."""
 
-from typing import TYPE_CHECKING, Annotated, cast
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from typer import Argument, Option
 
 from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
 from eqsim.errors import InputError, require_choice
+from eqsim.errors import shown as short
 from eqsim.io import terminal
+from eqsim.paper import NOTE
 
 if TYPE_CHECKING:
+    from eqsim.materials import Material
     from eqsim.model.ensemble import Disorder
 
+_NAME = '"steel", "octamethylcyclotetrasiloxane" ("omcts"), or MINE.toml, a file of constants.'
+_CONSTANT = "Change a constant, or give those of a material of kind rough or islands; repeatable."
 _KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
 _VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
 
@@ -24,29 +31,32 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
     from eqsim.model.reduced import groups
 
     found, lives = groups(ensemble, drive), predicted_lives(ensemble, drive, file.output.replicas)
+    shown.doubt(ensemble, drive)
     rows = [(g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning) for g in found]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
         title=file.title or path.stem,
         columns=("group", "value", "meaning"),
         rows=[*rows, ("lives", terminal.count(lives), "predicted for `eqsim run`")],
+        notes=[NOTE],
     )
 
 
 def material(
-    name: Annotated[str, Argument(metavar="NAME", help='"steel" or "octamethylcyclotetrasiloxane".')],
+    name: Annotated[str, Argument(metavar="NAME", help=_NAME)],
     temperature: Annotated[float | None, Option(help=_KELVIN)] = None,
     toml: Annotated[bool, Option("--toml", help="Print a run file instead.")] = False,
     disorder: Annotated[str | None, Option(help='Of the run file. Default: "quenched".')] = None,
     velocity: Annotated[float | None, Option(help=_VELOCITY)] = None,
+    set_: Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help=_CONSTANT)] = None,
     *,
     shown: Shown,
 ) -> None:
     """SI parameters of a real interface, from its material constants."""
-    from eqsim.materials import MATERIALS, ROOM_TEMPERATURE, parameters, run_file_text
+    from eqsim.materials import ROOM_TEMPERATURE, parameters, run_file_text
 
-    require_choice("NAME", name, tuple(MATERIALS))
-    found, kelvin = MATERIALS[name], ROOM_TEMPERATURE if temperature is None else temperature
+    found = _material(name, {key: value for key, (value, _) in Changes(set_).given().items()})
+    kelvin = ROOM_TEMPERATURE if temperature is None else temperature
     if toml:
         if shown.json:
             raise InputError("--toml: prints a run file; it cannot be asked for with --json")
@@ -60,8 +70,39 @@ def material(
     rows = parameters(found, kelvin)
     shown.report(
         {row.name: row.value for row in rows},
-        title=f"{name} at {kelvin:.4g} K",
+        title=f"{found.name} at {kelvin:.4g} K",
         columns=("", "value", "unit", "meaning"),
         rows=[(row.name, f"{row.value:.5g}", row.unit, row.meaning) for row in rows],
-        notes=[] if found.elastic_length else ["no elastic correlation length a^2 E/k: E of the walls is not given"],
+        notes=[
+            *([] if found.elastic_length else ["no elastic correlation length a^2 E/k: E of the walls is not given"]),
+            NOTE,
+        ],
     )
+
+
+def _material(name: str, changes: dict[str, Any]) -> "Material":
+    """A preset, the material of a TOML file, or one that is all in the `changes`. Raises InputError."""
+    from eqsim.io.runfile import read_toml
+    from eqsim.materials import KINDS, constants_of, from_constants, preset
+
+    known = preset(name)
+    if known is not None:
+        constants = constants_of(known)
+        constants["name"] = ", ".join([known.name, *(f"{key} = {value}" for key, value in changes.items())])
+    elif name.lower() in KINDS:
+        constants = {"kind": name.lower()}
+    elif name.lower().endswith(".toml") or os.path.lexists(name):
+        _, constants = read_toml(Path(name))
+    else:
+        kinds = " or ".join(f'"{kind}"' for kind in KINDS)
+        known_names = '"steel", "octamethylcyclotetrasiloxane" ("omcts"), a TOML file of constants'
+        raise InputError(f"NAME = {short(name)}: must be {known_names}, or {kinds} with all of them as --set KEY=VALUE")
+    for key, value in changes.items():
+        *sections, last = key.split(".")
+        place = constants
+        for section in sections:
+            place = place.setdefault(section, {})
+            if not isinstance(place, dict):
+                raise InputError(f"{key}: {section} is not a section")
+        place[last] = value
+    return from_constants(constants, Path(name).stem)

@@ -21,6 +21,8 @@ from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.io.runfile import RunFile
+    from eqsim.model.drive import Drive, Programme
+    from eqsim.model.ensemble import Ensemble
 
 RunFilePath = Annotated[Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)]
 Threads = Annotated[int | None, Option(help="Threads: speed only, never a number. Default: all cores.")]
@@ -81,6 +83,13 @@ class Shown:
         if not (self.quiet or self.json):
             print(line)
 
+    def doubt(self, ensemble: "Ensemble", drive: "Drive | Programme") -> None:
+        """Warn, on standard error, of numbers that are hardly meant."""
+        from eqsim.model.reduced import doubts
+
+        for line in doubts(ensemble, drive) if not self.quiet else ():
+            complain(f"warning: {line}")
+
     def report(self, data: Any, **more: Any) -> None:
         """The result, as in `terminal.Report`."""
         terminal.Report(data, **more).show(self.json, self.quiet)
@@ -109,6 +118,13 @@ def typed(message: str) -> str:
     """A message in which arguments of functions have the names of the options they come from."""
     names = r"(?<![\w.-])(rel_error|max_lives|temperature|velocity)(?= (= |was ))"
     return re.sub(names, lambda found: "--" + found[1].replace("_", "-"), message)
+
+
+def results_folder(path: Path, out: Path | None) -> Path:
+    """Where the results of a run file go: to `out`, or to out/NAME beside it. Raises InputError."""
+    if out is None and not path.is_file():
+        raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
+    return out or path.parent / "out" / path.stem
 
 
 def cores(asked: int | None = None) -> int:

@@ -1,17 +1,18 @@
 """Commands that compute one ensemble: run, steady, reference."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from eqsim.cli.options import Changes, MaxLives, RunFilePath, Shown, Threads, complain, cores
+from eqsim.cli.options import Changes, MaxLives, RunFilePath, Shown, Threads, complain, cores, results_folder
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
 
 if TYPE_CHECKING:
+    from eqsim.io.runfile import RunFile
     from eqsim.sweep.workers import Workers
     from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
@@ -53,9 +54,7 @@ def run(
     from eqsim.io import storage
 
     require_number("--max-lives", max_lives, above=0)
-    if out is None and not path.is_file():
-        raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
-    folder = out or path.parent / "out" / path.stem
+    folder = results_folder(path, out)
     storage.check_folder(folder)
     count, workers = cores(threads), split.chosen()
     from eqsim.workflows.run import run as simulate
@@ -63,6 +62,7 @@ def run(
     with shown.bar("simulating", "lives") as progress:
         result = simulate(file, path.parent, threads=count, workers=workers, max_lives=max_lives, progress=progress)
     storage.publish(folder, result.files(path.stem))
+    shown.doubt(result.ensemble, result.drive)
     shown.report(
         result.summary(),
         title=file.title or folder.name,
@@ -90,6 +90,7 @@ _SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t
 _SLIPS = ("slip", "at t", "at X", "drop of the force", "takes", "over")
 _COUPLED = ("", "this run", "expected", "z")
 _MOST_ROWS = 40
+_SHOWN = 10  # parts of a curve at whose ends it is shown
 
 
 def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
@@ -221,6 +222,7 @@ def steady(
     from eqsim.engine.steady import steady as estimate_steady
     from eqsim.estimate import z_score
     from eqsim.master.steady import reference as solve
+    from eqsim.model.drive import Drive
     from eqsim.workflows.run import if_any
 
     with shown.bar("simulating", "lives") as progress:
@@ -228,6 +230,7 @@ def steady(
             ensemble, drive, rel_error=rel_error, seed=file.output.seed, threads=count, max_lives=max_lives,
             progress=terminal.announcing(progress, shown.note),
         )  # fmt: skip
+    shown.doubt(ensemble, Drive(drive.velocity))
     if not result.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
     exact, reason = if_any(lambda: solve(ensemble, drive))
@@ -247,7 +250,7 @@ def steady(
         columns=("", "contacts", "relative error", "reference", "z"),
         rows=[
             (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
-             "none" if values[name] is None else f"{values[name]:.9g}", terminal.score(z.get(name)))
+             *(("none", "none") if values[name] is None else (f"{values[name]:.9g}", terminal.score(z.get(name)))))
             for name in result.shown
         ],
         notes=[
@@ -257,12 +260,16 @@ def steady(
     )  # fmt: skip
 
 
+_CURVE_FOLDER = "Folder for the table of --transient or --closure. Default: out/NAME beside the run file."
+
+
 def reference(
     path: RunFilePath,
     transient: Annotated[bool, Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
     closure: Annotated[
         bool, Option("--closure", help="F(X) of annealed contacts whose pool of thresholds ages from newborn.")
     ] = False,
+    out: Annotated[Path | None, Option(help=_CURVE_FOLDER)] = None,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -271,38 +278,50 @@ def reference(
     """Exact averages from the master equation, without random numbers."""
     if transient and closure:
         raise InputError("--transient, --closure: only one of them")
+    if out is not None and not (transient or closure):
+        raise InputError(f"--out {out}: is for the table of --transient or --closure")
     file = changes.load(path)
     cores(threads)
-    ensemble = file.ensemble(path.parent)
     if transient or closure:
-        from eqsim.master.closure import closure as solve_closure
-        from eqsim.master.transient import transient as solve_transient
-
-        points = file.output.points
-        curve: Any
-        if closure:
-            curve = solve_closure(ensemble, file.constant(path.parent), points)
-        else:
-            curve = solve_transient(ensemble, file.driven(path.parent), points)
-        every = {field.name: getattr(curve, field.name) for field in fields(curve)}
-        columns = {name: column for name, column in every.items() if column is not None}
-        shown.report(columns, notes=_tab_separated(columns))
+        _curve(path, file, closure, out, shown)
         return
+    ensemble = file.ensemble(path.parent)
     from eqsim.master.steady import reference as solve
+    from eqsim.model.drive import Drive
 
-    result = solve(ensemble, file.constant(path.parent), variance=shown.json)
+    drive = file.constant(path.parent)
+    result = solve(ensemble, drive, variance=shown.json)
+    shown.doubt(ensemble, Drive(drive.velocity))
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
         {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
         title=file.title or path.stem,
-        columns=("", "value", "error of the solver"),
+        columns=("", "value", "error"),
         rows=[(name, f"{found[name].value:.10g}", f"{errors[name]:.1e}") for name in (*result.shown, "f_k")],
-        notes=[f"method: {result.method}"],
+        notes=[f"method: {result.method}", "error: bound of the solver's; f_k: F/(N_c k), friction per pinned contact"],
     )
 
 
-def _tab_separated(columns: dict[str, Any]) -> Iterator[str]:
-    yield "\t".join(columns)
-    for row in zip(*columns.values(), strict=True):
-        yield "\t".join(f"{number:.10g}" for number in row)
+def _curve(path: Path, file: "RunFile", closure: bool, out: Path | None, shown: Shown) -> None:
+    """An exact curve as a table in a folder, unless only JSON is wanted, and some of its rows."""
+    from eqsim.io import storage
+    from eqsim.workflows.curve import curve
+
+    folder = None if shown.json and out is None else results_folder(path, out)
+    if folder is not None:
+        storage.check_folder(folder)
+    columns, notes = curve(file, path.parent, closure=closure), []
+    if folder is not None:
+        origin = storage.provenance("reference", file.model_dump(), file.text, file.output.seed, path.parent)
+        name = "closure.parquet" if closure else "transient.parquet"
+        storage.publish(folder, {name: storage.parquet(columns, origin)})
+        notes = ["columns end in _error: bound of the solver's", f"{folder}/: {name}, {len(columns['X'])} rows"]
+    wanted = [name for name in ("t", "X", "stage", "force", "force_error", "pinned", "pinned_error") if name in columns]
+    last = len(columns["X"]) - 1
+    some = sorted({round(last * part / _SHOWN) for part in range(_SHOWN + 1)})
+    title = file.title or path.stem
+    rows = [
+        tuple(f"{columns[name][row]:{'.1e' if name.endswith('_error') else '.8g'}}" for name in wanted) for row in some
+    ]
+    shown.report(columns, title=title, columns=wanted, rows=rows, notes=notes)

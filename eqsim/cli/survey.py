@@ -10,6 +10,7 @@ from typer import Argument, Exit, Option
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, complain, cores, typed
 from eqsim.errors import InputError, require_integer
 from eqsim.io import signals
+from eqsim.paper import ARTICLE, FIGURES, figure
 
 if TYPE_CHECKING:
     from eqsim.sweep.scheduler import Summary
@@ -52,13 +53,16 @@ def sweep(
     for key in sorted(given.keys() & plan.swept(file, path.parent)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
+    points = plan.Plan(file, path.parent)
+    first = points.at(0)
+    shown.doubt(first.ensemble(path.parent), first.driven(path.parent))
     asked = rows.Asked(options.rel_error, max_lives, options.transient)
     who = workers.Workers(count, each or (1 if options.dask else max(1, cores() // count)), options.dask)
     stores: list[Store] = []
     try:
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(
-                plan.Plan(file, path.parent), out, asked=asked, workers=who, progress=progress, note=shown.note,
+                points, out, asked=asked, workers=who, progress=progress, note=shown.note,
                 opened=stores.append,
             )  # fmt: skip
     except KeyboardInterrupt:
@@ -123,7 +127,7 @@ def plot(
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])
 
 
-_Names = Argument(metavar="NAME", help="Of A01, A01num, A02, A02ab, A03, A04, A05. Default: all.")
+_Names = Argument(metavar="NAME", help=f"Of {', '.join(map(figure, FIGURES))}, by name or number. Default: all.")
 _FIGURES = Path("runs/out/figures")
 
 
@@ -148,17 +152,20 @@ def figures(
     made: list[Any] = []
     try:
         with Workers(count).fixed_pool() as pool, shown.bar("computing", "points") as progress:
-            for figure in make(wanted, out, quick=quick, executor=pool.executor, progress=progress):
-                made.append(figure)
+            for one in make(wanted, out, quick=quick, executor=pool.executor, progress=progress):
+                made.append(one)
     except KeyboardInterrupt:
         signals.acknowledge()
-        finished = ", ".join(figure.name for figure in made)
+        finished = ", ".join(one.name for one in made)
         raise KeyboardInterrupt(f"finished in {out}/: {finished}" if made else "") from None
-    made.sort(key=lambda figure: wanted.index(figure.name))
+    made.sort(key=lambda one: wanted.index(one.name))
     shown.report(
-        {"out": str(out), "figures": [figure._asdict() for figure in made]},
+        {"out": str(out), "figures": [one._asdict() for one in made]},
         title="figures: simulated contacts against the master equation of their ensemble",
-        columns=("", "curves", "estimates", "largest |z|", "chi-square p"),
-        rows=[(f.name, str(f.curves), str(f.particles), f"{f.largest:.2f}", f"{f.p:.2g}") for f in made],
-        notes=[f"{out}/: {', '.join(figure.name for figure in made)}, each .pdf, .png and .parquet"],
+        columns=("", "Fig.", "curves", "estimates", "largest |z|", "chi-square p"),
+        rows=[
+            (f.name, str(FIGURES[f.name]), str(f.curves), str(f.particles), f"{f.largest:.2f}", f"{f.p:.2g}")
+            for f in made
+        ],
+        notes=[f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and .parquet", f"Fig.: of {ARTICLE}"],
     )

@@ -9,7 +9,7 @@ import functools
 import math
 import stat
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
@@ -54,6 +54,8 @@ class Thresholds(_Section):
     n: float | None = None
     x_star: float | None = None
     file: str | None = None
+    column: str | None = None
+    scale: float | None = None
 
 
 class ThermalSection(_Section):
@@ -211,15 +213,18 @@ class RunFile(_Section):
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
         given = self.thresholds
-        allowed = {"gamma": {"n", "x_star"}, "delta": {"x_star"}, "table": {"file"}}[given.law]
-        for key in ("n", "x_star", "file"):
+        tabled = ("file", "column", "scale")
+        allowed = {"gamma": ("n", "x_star"), "delta": ("x_star",), "table": tabled}[given.law]
+        for key in ("n", "x_star", *tabled):
             value = getattr(given, key)
             if value is not None and key not in allowed:
                 raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{given.law}"')
         if given.law == "table":
             if given.file is None:
                 raise InputError('thresholds.file: is required with law = "table"')
-            return read_thresholds(folder / given.file)
+            if given.scale is not None:
+                require_number("thresholds.scale", given.scale, **POSITIVE)
+            return read_thresholds(folder / given.file, given.column, 1.0 if given.scale is None else given.scale)
         x_star = 1.0 if given.x_star is None else given.x_star
         with under("thresholds"):
             return Delta(x_star) if given.law == "delta" else Gamma(1.0 if given.n is None else given.n, x_star)
@@ -298,11 +303,8 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     InputError
         If the file cannot be read, or holds what is not allowed.
     """
-    text, changes = _read(path), changes or {}
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
-        raise InputError(f"{path}: is not valid TOML: {error}") from None
+    changes = changes or {}
+    text, data = read_toml(path)
     for key, value in changes.items():
         *sections, last = key.split(".")
         axes, axis = data.get("sweep"), key.removeprefix("sweep.")
@@ -322,6 +324,15 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     file = check(data)
     file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return file
+
+
+def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
+    """The text and the content of a TOML file, which may be a pipe. Raises InputError."""
+    text = _read(path)
+    try:
+        return text, tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
+        raise InputError(f"{path}: is not valid TOML: {error}") from None
 
 
 def _read(path: Path) -> str:
@@ -453,15 +464,24 @@ def _nearest(location: list[str]) -> str:
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
 
 
-def read_thresholds(path: Path) -> Table:
-    """The empirical law of a CSV file with a column `threshold`, one positive number a row.
+def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
+    """The empirical law of a CSV file, one positive number a row; lines that begin with # are comments.
+
+    Parameters
+    ----------
+    path : Path
+    column : str, optional
+        Where the thresholds stand. Default: `threshold`, or the only column there is, which needs no name.
+    scale : float
+        What they are multiplied by, such as 1e-9 of nanometres where lengths are in metres.
 
     Raises
     ------
     InputError
         With the line that cannot be used.
     """
-    return _of_file(_thresholds, f"thresholds.file = {path}", path)
+    read = functools.partial(_thresholds, column=column, scale=scale)
+    return _of_file(read, f"thresholds.file = {path}", path)
 
 
 def read_drive(path: Path) -> list[Segment]:
@@ -488,14 +508,16 @@ def _of_file(read: Callable[[Path, str, tuple[int, int] | None], Result], field:
 
 
 @functools.lru_cache(maxsize=8)
-def _thresholds(path: Path, field: str, stamp: tuple[int, int] | None) -> Table:
+def _thresholds(
+    path: Path, field: str, stamp: tuple[int, int] | None, column: str | None = None, scale: float = 1.0
+) -> Table:
     """All points of a sweep share it."""
     values = []
-    for line, (text,) in _columns(path, field, ("threshold",)):
+    for line, (text,) in _columns(path, field, (column or "threshold",), alone=column is None):
         value = _number(text)
         if not 0 < value < math.inf:
             raise InputError(f"{field}, line {line}: {text[:40]!r} must be a finite number > 0")
-        values.append(value)
+        values.append(value * scale)
     if not values:
         raise InputError(f"{field}: is empty; at least one threshold is needed")
     try:
@@ -527,22 +549,42 @@ def _recorded(path: Path, field: str, stamp: tuple[int, int] | None) -> list[Seg
     return segments
 
 
-def _columns(path: Path, field: str, wanted: tuple[str, ...]) -> Iterator[tuple[int, list[str]]]:
-    """What stands in the columns `wanted` of a CSV file, and in which lines."""
+class _Lines:
+    """The lines of a text file but for comments, and which `number` the last one has."""
+
+    def __init__(self, file: Iterable[str]) -> None:
+        self.file, self.number = file, 0
+
+    def __iter__(self) -> Iterator[str]:
+        for line in self.file:
+            self.number += 1
+            if not line.lstrip().startswith("#"):
+                yield line
+
+
+def _columns(path: Path, field: str, wanted: tuple[str, ...], alone: bool = False) -> Iterator[tuple[int, list[str]]]:
+    """What stands in the columns `wanted` of a CSV file, and in which lines; `alone`: or in the only column, whatever
+    its name, if it has one."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, skipinitialspace=True, strict=True)
+            lines = _Lines(file)
+            rows = csv.DictReader(lines, skipinitialspace=True, strict=True)
             rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
+            if alone and len(names) == 1 and wanted[0] not in names:
+                if not math.isnan(_number(names[0])):
+                    yield lines.number, names
+                wanted = tuple(names)
             for name in wanted:
                 if name not in names:
                     found = ", ".join(names)[:60] or "nothing"
-                    raise InputError(f'{field}: needs a column "{name}" in its first line; found {found}')
+                    key = " (thresholds.column names another)" if alone and names else ""
+                    raise InputError(f'{field}: needs a column "{name}" in its first line; found {found}{key}')
                 if names.count(name) > 1:
                     raise InputError(f'{field}: has {names.count(name)} columns "{name}"')
             for row in rows:
                 if any(rest.strip() for rest in row.get(None, [])):
-                    raise InputError(f"{field}, line {rows.line_num}: more values than columns (a decimal comma?)")
-                yield rows.line_num, [row[name] or "" for name in wanted]
+                    raise InputError(f"{field}, line {lines.number}: more values than columns (a decimal comma?)")
+                yield lines.number, [row[name] or "" for name in wanted]
     except OSError as error:
         raise InputError(f"{field}: cannot be read ({error.strerror})") from None
     except InputError:

@@ -84,7 +84,7 @@ def value_and_error(estimate: "Estimate") -> str:
     mark = "" if estimate.reliable else "  unreliable"
     if not estimate.stderr:
         return f"{estimate.value:.8g}{mark}"
-    exponent = math.floor(math.log10(abs(estimate.value))) if estimate.value else 0
+    exponent = math.floor(math.log10(max(abs(estimate.value), estimate.stderr))) if estimate.value else 0
     exponent = 0 if -4 < exponent < 6 else exponent
     scale = 10.0**exponent
     digits = max(0, 1 - math.floor(math.log10(float(f"{estimate.stderr / scale:.1e}"))))

@@ -29,7 +29,7 @@ def top_of(X: Array, force: Array, error: Array, period: float) -> int:
     contacts that stay in step, the highest within half a `period` of the first. The last index if it still rises."""
     highest = int(np.argmax(force))
     first = int(np.argmax(force + error >= force[highest] - error[highest]))
-    top = int(np.argmax(np.where(X <= X[first] + 0.5 * period, force, -np.inf)))
+    top = int(np.argmax(np.where(X[first] + 0.5 * period >= X, force, -np.inf)))
     while top + 1 < force.size and force[top + 1] > force[top]:
         top += 1
     return top

@@ -7,6 +7,7 @@ stiffness is in units of k and energy in units of kT.
 
 import functools
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
@@ -23,6 +24,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.paper import equation
 
 _LEAST_B = 1e-100  # b below which the barrier is 0
+_DOUBTFUL_B, _DOUBTFUL_DISTANCE = 1e15, 1e-4  # beyond these numbers are more likely in mixed units than meant
 _LARGEST_POOLED_B = 1e15  # above it a pooled hazard would be made of differences between neighbouring numbers
 
 
@@ -243,11 +245,9 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
     if star > 0:
         not_here = "" if ensemble.disorder == "annealed" else ", not of these quenched contacts"
+        solved = f"Delta U(inf) = 1 ({equation('nt12')}; derived)"
         found += [
-            Group(
-                "v_*", star,
-                f"crossover velocity of the annealed ensemble{not_here}, Delta U(inf) = 1 ({equation('nt12')}; derived)",
-            ),  # fmt: skip
+            Group("v_*", star, f"crossover velocity of the annealed ensemble{not_here}, {solved}"),
             Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
         ]
     aging = ensemble.aging
@@ -293,6 +293,19 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
             text = "b >= 1/2: rare strong contacts dominate time" if heavy else "no: b < 1/2, linear creep at low v"
         found.append(Group("heavy tails", "yes" if heavy else "no", text))
     return found
+
+
+def doubts(ensemble: Ensemble, drive: Drive | Programme) -> Iterator[str]:
+    """What is hardly meant, as it comes of mixed units: a line for each group that no interface has."""
+    b, unit = ensemble.b, ensemble.thresholds.scale
+    scale = "; thresholds.scale = 1e-9 turns those of a table from nm into m" if ensemble.thresholds.steps.size else ""
+    are = f"are all numbers in the same units? Thresholds are about {unit:.3g}{scale}"
+    if ensemble.thermal.kT > 0 and not 1.0 / _DOUBTFUL_B <= b <= _DOUBTFUL_B:
+        yield f"b = k x_*^2/(2 kT) = {b:.3g}, energy of a contact over heat: {are}"
+    if isinstance(drive, Drive):
+        distance = drive.over(ensemble) / unit
+        if distance < _DOUBTFUL_DISTANCE:
+            yield f"drive.distance is {distance:.3g} of a threshold, so that hardly any contact breaks: {are}"
 
 
 def _of_blocks(contacts: int, elastic: Elastic) -> list[Group]:

@@ -95,7 +95,8 @@ class Store:
             return
         try:
             before = json.loads(path.read_bytes())["asked"]
-            changed = [key for key in sorted({*now, *before}) if now.get(key) != before.get(key)]
+            known = {*now, *before} - plan.swept  # whatever the run file says of these
+            changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{path}: is damaged; this folder cannot be continued") from None
         if changed:

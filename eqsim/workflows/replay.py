@@ -16,6 +16,7 @@ from eqsim.sweep.plan import Plan
 from eqsim.sweep.rows import Asked
 from eqsim.sweep.scheduler import sweep
 from eqsim.sweep.workers import Workers
+from eqsim.workflows.curve import curve
 from eqsim.workflows.run import Progress, run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
@@ -89,17 +90,18 @@ def _read(path: Path) -> tuple[Table, dict[str, Any]]:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    known = ", ".join(f"`eqsim {name}`" for name in _REPEAT)
+    origin: Any = {}
     try:
         table = pq.read_table(pyarrow.BufferReader(content))
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
-        if (
-            origin["command"] in _REPEAT
-            and isinstance(origin["settings"], dict)
-            and isinstance(origin["versions"], dict)
-        ):
+        sound = isinstance(origin["settings"], dict) and isinstance(origin["versions"], dict)
+        if sound and origin["command"] in _REPEAT:
             return table.to_pandas(), origin
     except (pyarrow.ArrowException, OSError, KeyError, ValueError, TypeError, RecursionError):
-        pass
+        sound = False
+    if sound and isinstance(origin["command"], str):
+        raise InputError(f"{path}: was written by `eqsim {origin['command']}`; only tables of {known} can be replayed")
     raise InputError(f"{path}: is not a Parquet file that eqsim has written, or is damaged")
 
 
@@ -133,6 +135,10 @@ def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress)
         return found.avalanches if "drop" in table else found.blocks if "block" in table else found.columns()
     avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
     return avalanches if avalanches is not None and "breaks" in table else found.columns()
+
+
+def _reference(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
+    return curve(_file(origin["settings"]), Path(origin["folder"]), closure="mean_threshold" in table)
 
 
 def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
@@ -174,6 +180,7 @@ def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress)
 
 _REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
     "run": _run,
+    "reference": _reference,
     "stability": _stability,
     "validate": _validate,
     "sweep": _sweep,
