@@ -1,19 +1,22 @@
 """The command line, in process where that is enough and as a real process where it matters."""
 
+import importlib.metadata
+import inspect
 import json
 import os
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import time
 
-import numba
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
-import rich.progress
+from numba.core import event
 from typer.testing import CliRunner
 from waiting import once
 
@@ -328,6 +331,7 @@ def test_help_needs_no_numba():
         (123.4, 20.0, "123(20)"),
         (2.5e7, 1.0e5, "2.500(10)e+07"),
         (0.0996, 0.000996, "0.0996(10)"),
+        (1e-15, 4.1e-3, "0.0000(41)"),
     ],
 )
 def test_printed_errors(value, stderr, text):
@@ -348,39 +352,124 @@ def test_reference_curves(tmp_path):
         columns = json.loads(result.stdout)
         assert {"X", "force", "breaks", "force_error", extra} <= set(columns)
         assert all(len(column) == 21 for column in columns.values())
-        header, *rows = CliRunner().invoke(app, ["reference", str(path), flag]).stdout.splitlines()
-        assert header.split("\t") == list(columns)
-        assert [float(row.split("\t")[1]) for row in rows] == pytest.approx(columns["force"], rel=1e-9, abs=0)
+        assert tree(tmp_path) == ["a.toml"]
+        said = call("reference", path, flag, "--out", tmp_path / "o")
+        name = flag.removeprefix("--") + ".parquet"
+        assert name in said.stdout
+        assert said.stdout.count("\n") < 25
+        table = pq.read_table(tmp_path / "o" / name)
+        assert table.column_names == list(columns)
+        assert table["force"].to_pylist() == columns["force"]
+        again = call("replay", tmp_path / "o" / name)
+        assert again.exit_code == 0, again.output
+        shutil.rmtree(tmp_path / "o")
+    assert call("reference", path, "--transient", "--quiet").exit_code == 0
+    assert tree(tmp_path / "out") == ["a", "a/transient.parquet"]  # where `run` puts its results
+    assert "is for the table of --transient" in call("reference", path, "--out", tmp_path / "o").stderr
     result = CliRunner().invoke(app, ["reference", str(path), "--closure", "--set", "disorder=quenched"])
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")
     assert result.stderr.count("\n") == 1
 
 
-def test_help_has_all_its_words():
-    """What is in brackets is markup, and vanishes."""
-    assert 'the "sweep" table' in " ".join(call("sweep", "--help").output.split())
-    assert "A02ab" in call("figures", "--help").output
+def words(text):
+    """What stands there, without frames and line breaks."""
+    return " ".join(re.sub("[│╭╮╰╯─]", " ", text).split())
+
+
+COMMANDS = [info.callback.__name__ for info in app.registered_commands]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_what_is_written(command, monkeypatch):
+    """Every word of docstrings, options and epilogs, also [sections], which rich takes for markup; -h is --help."""
+    monkeypatch.setenv("COLUMNS", "300")
+    (info,) = [info for info in app.registered_commands if info.callback.__name__ == command]
+    shown = call(command, "-h")
+    assert shown.exit_code == 0
+    assert shown.output == call(command, "--help").output
+    written = [inspect.cleandoc(info.callback.__doc__), info.epilog or ""]
+    for option in inspect.signature(info.callback).parameters.values():
+        written.append(option.annotation.__metadata__[0].help)
+    for text in written:
+        for part in text.replace("\\[", "[").split("\n\n"):
+            assert words(part) in words(shown.output)
+    assert ("[sweep]" in shown.output) == (command == "sweep")
+    assert ("[fit]" in shown.output) == (command == "fit")
+
+
+def test_help_of_everything():
+    for flag in ("-h", "--help"):
+        shown = words(call(flag).output)
+        assert "its [fit] section" in shown
+        assert "the [sweep] table" in shown
+        assert all(f" {command} " in shown for command in COMMANDS)
+    assert "A02ab (Fig. 4)" in words(call("figures", "--help").output)
     assert "1e10" in call("run", "--help").output
+    assert call("--version").stdout == f"eqsim {importlib.metadata.version('eqsim')}\n"
 
 
-def test_names_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    columns = ("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict")
-    rows = [("transient variance", "55", "49.1", "0.61", "2.48", "0.51", "passed")]
-    Report(None, "suite", columns, rows).show()
-    assert "transient variance" in capsys.readouterr().out
+def test_words_of_tables_are_explained():
+    """One word for a difference in standard errors, and two for two kinds of errors."""
+    for command in ("run", "steady", "validate", "sweep", "figures"):
+        assert "z: difference from the expected value in standard errors" in words(call(command, "-h").output)
+    shown = words(call("sweep", "-h").output)
+    for word in ("_stderr, _reference_error and _z", "stderr: statistical", "error: bound of the error of a numerical"):
+        assert word in shown
+    assert "f_k: F/(N_c k)" in words(call("reference", "-h").output)
 
 
-def test_the_bar_tells_of_compiling(monkeypatch):
+WIDE = [
+    (
+        ("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict"),
+        ("transient variance", "55", "49.1/46", "0.61", "2.48", "0.51", "passed"),
+    ),
+    (
+        ("slip", "at t", "at X", "drop of the force", "takes", "over"),
+        ("mean", "every 60.06(11)", "39.8891", "0.4600(17)", "3.60654", "4.9512"),
+    ),
+    (("", "value", "unit", "meaning"), ("contact_radius", "4.7124e+05", "kg/m^3", "elastic correlation " * 6)),
+]
+
+
+@pytest.mark.parametrize(("columns", "row"), WIDE)
+@pytest.mark.parametrize("width", [60, 80])
+def test_tables_break_no_word(columns, row, width, capsys, monkeypatch):
+    """At 80 columns all fit; on a narrower terminal a table is wider than that rather than cut."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    Report(None, "suite", columns, [row]).show()
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert len({len(line) for line in lines}) == 1
+    assert width < 80 or len(lines[0]) <= 80
+    shown = re.findall(r"[^\s┃│┏┓┗┛━┳┻┡┩╇└┘─┴]+", "\n".join(lines))
+    assert sorted(shown) == sorted(" ".join([*columns, *row]).split())
+
+
+@pytest.mark.parametrize("command", [("info",), ("reference",), ("steady",), ("run", "--out", "o"), ("material",)])
+def test_tables_of_commands_fit(command, run_file, tmp_path, monkeypatch):
+    """On a terminal of 80 columns, and in a file."""
+    monkeypatch.chdir(tmp_path)
+    target = "steel" if command == ("material",) else run_file
+    for width in (80, 100):
+        monkeypatch.setenv("COLUMNS", "80")
+        if width == 100:
+            monkeypatch.delenv("COLUMNS")
+        shown = call(command[0], target, *command[1:])
+        assert shown.exit_code == 0, shown.output
+        table = [line for line in shown.stdout.splitlines() if line[:1] in "┏┃│└"]
+        assert table
+        assert max(map(len, table)) <= width
+
+
+@pytest.mark.parametrize(("least", "long"), [(0.0, True), (60.0, False)])
+def test_the_bar_tells_of_compiling_that_takes_time(monkeypatch, capsys, least, long):
+    """And of nothing where kernels are known."""
     monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, to rich
-    said = []
-    monkeypatch.setattr(rich.progress.Progress, "update", lambda *_, description, **__: said.append(description))
-    fresh = numba.njit(lambda x: x + 1.0)
+    monkeypatch.setattr(terminal, "_COMPILING", least)
     for turn in ("compiled", "known"):
         with bar("simulating", False, "lives") as progress:
-            assert fresh(2.0) == 3.0
+            if turn == "compiled":
+                with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
+                    time.sleep(0.3)  # ten looks a second
             progress(1, 2)
-        assert ("compiling kernels, first run only" in said) == (turn == "compiled")
-        assert said[-1] == "simulating"
-        said.clear()
+        assert ("compiling kernels" in capsys.readouterr().err) == (long and turn == "compiled")

@@ -445,6 +445,8 @@ def _explain(error: pydantic.ValidationError) -> str:
         return f"{field}: unknown key; {_nearest(location)}{more}"
     if first["type"] in ("model_type", "dict_type"):
         return f"{field} = {value}: must be a section, [{field}]{more}"
+    if first["type"] == "missing":
+        return f"{field}: is required{more}"
     allowed = first["msg"].replace("Input should be", "must be").replace("String should", "must").replace("'", '"')
     return f"{field} = {value}: {allowed}{more}"
 
