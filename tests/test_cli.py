@@ -409,6 +409,32 @@ def test_help_of_everything():
     assert call("--version").stdout == f"eqsim {importlib.metadata.version('eqsim')}\n"
 
 
+@pytest.mark.parametrize(
+    "command", ["info", "steady", "reference", "run", pytest.param("sweep", marks=pytest.mark.long)]
+)
+def test_mixed_units_are_doubted(command, tmp_path):
+    """Thresholds in nm beside SI: one line on standard error, and the result all the same; none with the scale."""
+    (tmp_path / "x.csv").write_text("xs_nm\n2.1\n1.9\n3.0\n")
+    path = tmp_path / "a.toml"
+    path.write_text(
+        '[contacts]\ncount = 100\nstiffness = 4e5\n[thresholds]\nlaw = "table"\nfile = "x.csv"\n'
+        "[thermal]\nkT = 4e-21\nattempt_frequency = 1e9\n[output]\npoints = 11\n"
+        '[drive]\nvelocity = 1e-8\n[sweep]\n"drive.velocity" = [1e-8]\n'
+    )
+    for scale in ("1.0", "1e-9"):
+        more = ["--out", tmp_path / scale, "--workers", 1] if command == "sweep" else []
+        found = call(command, path, "--set", f"thresholds.scale={scale}", *more)
+        assert found.exit_code == 0, found.output
+        assert found.stderr.count("\n") == (scale == "1.0")
+        if scale == "1.0":
+            assert "warning: b = k x_*^2/(2 kT) = 2.72e+26" in found.stderr
+            assert "thresholds.scale = 1e-9" in found.stderr
+    if command == "info":
+        assert call(command, path, "--quiet").stderr == ""
+        short = call(command, path, "--set", "thermal.kT=0", "--set", "drive.distance=1e-8")
+        assert "hardly any contact breaks" in short.stderr
+
+
 def test_words_of_tables_are_explained():
     """One word for a difference in standard errors, and two for two kinds of errors."""
     for command in ("run", "steady", "validate", "sweep", "figures"):

@@ -157,4 +157,5 @@ def test_bad_input_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     refused("is not a folder", "A01", "--out", str(tmp_path / "file"))
     assert check(["A04", "A01"]) == ["A01", "A04"]
+    assert check(["5", "A01"]) == ["A01", "A04"]  # by the number of the published figure
     assert list(make([], tmp_path, executor=Here())) == []

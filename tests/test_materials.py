@@ -7,6 +7,7 @@ import dataclasses
 import json
 import math
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,8 @@ from eqsim.materials import (
     ArrheniusTime,
     LubricantIslands,
     RoughContacts,
+    constants_of,
+    from_constants,
     omcts_film,
     parameters,
     run_file_text,
@@ -275,6 +278,102 @@ def test_parameters(material):
     assert hot["b"] == pytest.approx(0.5 * found["b"].value, rel=1e-14, abs=0)
     table = CliRunner().invoke(app, ["material", material.name, "--temperature", str(2 * ROOM_TEMPERATURE)]).stdout
     assert all(f"{value:.5g}" in table for value in hot.values())
+
+
+# ---- own materials ----
+
+GRANITE = """
+kind = "rough"
+name = "granite"
+density = 2700.0
+young_modulus = 6e10
+shear_strength = 5e8
+contact_radius = 2e-6
+delay = { prefactor = 1e-9, energy = 1e-20 }
+[aging]
+rule = "flow"
+x_star_final = 4e-8
+rate = { prefactor = 1e-15, energy = 2e-20 }
+"""
+
+
+def material_of(*args):
+    return CliRunner().invoke(app, ["material", *map(str, args)])
+
+
+@pytest.mark.parametrize(
+    ("name", "known"), [("Steel", "steel"), ("STEEL", "steel"), ("omcts", "octamethylcyclotetrasiloxane"),
+                        ("OMCTS", "octamethylcyclotetrasiloxane")],
+)  # fmt: skip
+def test_names_in_any_case(name, known):
+    assert material_of(name).stdout == material_of(known).stdout
+    assert known in material_of(name).stdout
+
+
+def test_a_material_from_a_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GRANITE)
+    rate = ArrheniusRate(1e-15, 2e-20)
+    granite = RoughContacts(
+        name="granite", density=2700.0, young_modulus=6e10, shear_strength=5e8, contact_radius=2e-6,
+        delay=ArrheniusTime(1e-9, 1e-20), aging=ActivatedAging(rate, 4e-8, "flow"),
+    )  # fmt: skip
+    assert from_constants(tomllib.loads(GRANITE)) == granite
+    assert {row.name: row.value for row in parameters(granite)} == json.loads(material_of(path, "--json").stdout)
+    assert material_of(path, "--toml").stdout == run_file_text(granite)
+    file = stored(tmp_path, material_of(path, "--toml", "--temperature", 350, "--disorder", "annealed").stdout)
+    assert file.ensemble(tmp_path) == granite.ensemble(350.0, disorder="annealed")
+    path.write_text(GRANITE.replace('name = "granite"\n', ""))
+    assert material_of(path).stdout.startswith("mine at")
+
+
+@BOTH
+def test_constants_make_the_material_again(material):
+    assert from_constants(constants_of(material)) == material
+
+
+def test_a_material_from_options():
+    """All of its constants, or other ones than those of a preset."""
+    given = {"density": 1e4, "young_modulus": 2e11, "shear_strength": 1e9, "contact_radius": 5e-7}
+    options = [part for key, value in given.items() for part in ("--set", f"{key}={value}")]
+    own = dataclasses.replace(STEEL, contact_radius=5e-7)
+    known = {row.name: row.value for row in parameters(own)}
+    assert json.loads(material_of("rough", *options, "--json").stdout) == known
+    assert json.loads(material_of("steel", "--set", "contact_radius=5e-7", "--json").stdout) == known
+    assert material_of("steel", "--set", "contact_radius=5e-7").stdout.startswith("steel, contact_radius = 5e-07 at")
+
+
+@pytest.mark.parametrize(
+    ("change", "args", "said"),
+    [
+        (("density", "densty"), [], 'densty: unknown constant; did you mean "density"?'),
+        (('kind = "rough"', ""), [], 'kind: is required; must be one of "rough", "islands"'),
+        (("rough", "smooth"), [], "kind = 'smooth': must be one of"),
+        (("density = 2700.0", ""), [], "density: required, in SI units"),
+        (("2700.0", '"heavy"'), [], "density = 'heavy': must be a finite number"),
+        (("1e-9, energy", "-1.0, energy"), [], "delay.prefactor = -1.0: must be"),
+        (("prefactor = 1e-15", "prefacto = 1"), [], 'aging.rate.prefacto: unknown constant; did you mean "prefactor"?'),
+        (("x_star_final = 4e-8", ""), [], "aging.x_star_final: required, in SI units"),
+        (('"flow"', '"flaw"'), [], "aging.rule = 'flaw'"),
+        (('"granite"', "3"), [], "name = 3: must be text"),
+        (("", ""), ["--set", "delay=3"], "delay = 3: must be a section of constants"),
+        (("", ""), ["--set", "density.x=3"], "density.x: density is not a section"),
+        (("[aging]", "[aging"), [], "mine.toml: is not valid TOML"),
+    ],
+)
+def test_bad_materials(tmp_path, change, args, said):
+    path = tmp_path / "mine.toml"
+    path.write_text(GRANITE.replace(*change) if change[0] else GRANITE)
+    done = material_of(path, *args)
+    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert said in done.stderr
+
+
+def test_unknown_materials():
+    for name in ("brass", "", "none.toml"):
+        done = material_of(name)
+        assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+        assert ("cannot be read" if name == "none.toml" else f'NAME = {name!r}: must be "steel"') in done.stderr
 
 
 # ---- Arrhenius ----

@@ -132,6 +132,17 @@ def test_compare():
     assert set(compare(left, left.drop(columns="b"))) == set(compare(left.drop(columns="b"), left)) == {"b"}
 
 
+def test_what_cannot_be_replayed_says_so(tmp_path):
+    """A table of a fit carries its provenance, but a fit is not repeated."""
+    origin = {"command": "fit", "settings": {}, "versions": {}}
+    table = pa.table({"a": [1]}).replace_schema_metadata({"eqsim": json.dumps(origin)})
+    pq.write_table(table, tmp_path / "fitted.parquet")
+    done = call("replay", tmp_path / "fitted.parquet")
+    assert done.exit_code == 2
+    assert "was written by `eqsim fit`; only tables of `eqsim run`, `eqsim reference`" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 def test_bad_input_is_one_line(tmp_path):
     pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "other.parquet")
     (tmp_path / "text.parquet").write_text("no table")

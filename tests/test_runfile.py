@@ -186,7 +186,12 @@ def test_not_toml(tmp_path, content, message):
     ("content", "message"),
     [
         ("", 'needs a column "threshold" in its first line; found nothing'),
-        ("xi\n1.0\n", 'needs a column "threshold" in its first line; found xi'),
+        (
+            "xi,y\n1.0,2\n",
+            'needs a column "threshold" in its first line; found xi, y (thresholds.column names another)',
+        ),
+        ("# a comment\nxi\n# another\n-1.0\n", "line 4: '-1.0' must be"),
+        ("2.0\n-1.0\n", "line 2: '-1.0' must be"),
         ("threshold\n", "is empty"),
         ("threshold\n1.0\nsoft\n", "line 3: 'soft' must be a finite number > 0"),
         ("threshold\n1.0\n-2\n", "line 3: '-2' must be"),
@@ -211,6 +216,47 @@ def test_good_tables(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("\ufeffsample, threshold\n1, 2.5\n2, 0.5\n\n3, 1e3\n", encoding="utf-8")
     assert list(read_thresholds(path).steps) == [0.5, 2.5, 1000.0]
+
+
+@pytest.mark.parametrize(
+    ("content", "column"),
+    [
+        ("# measured in nm\nsample,xs_nm\na,2.5\n# doubtful\nb,0.5\n", "xs_nm"),
+        ("  # in nm\nxs_nm\n2.5\n0.5\n", None),  # the only column there is
+        ("2.5\n0.5\n", None),  # without a name
+        ("threshold, other\n2.5, 1\n0.5, 1\n", None),
+    ],
+)
+def test_columns_and_scale_of_tables(tmp_path, content, column):
+    (tmp_path / "x.csv").write_text(content)
+    key = f'column = "{column}"\n' if column else ""
+    text = f'[thresholds]\nlaw = "table"\nfile = "x.csv"\n{key}scale = 1e-9\n[drive]\nvelocity = 1.0\n'
+    (tmp_path / "run.toml").write_text(text)
+    file = load(tmp_path / "run.toml")
+    assert list(file.ensemble(tmp_path).thresholds.steps) == [0.5e-9, 2.5e-9]
+    other = at(file, {"thresholds.scale": 1.0})  # remembered are the values of both
+    assert list(other.ensemble(tmp_path).thresholds.steps) == [0.5, 2.5]
+    assert list(file.ensemble(tmp_path).thresholds.steps) == [0.5e-9, 2.5e-9]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"thresholds.scale": 0.0}, "thresholds.scale = 0.0: must be a finite number > 0"),
+        ({"thresholds.column": "b"}, 'needs a column "b" in its first line; found a, c'),
+        (
+            {"thresholds.law": "gamma", "thresholds.file": None},
+            'thresholds.scale = 1.0: not allowed with law = "gamma"',
+        ),
+    ],
+)
+def test_bad_columns_and_scales(tmp_path, changes, message):
+    (tmp_path / "x.csv").write_text("a,c\n1,2\n")
+    text = '[thresholds]\nlaw = "table"\nfile = "x.csv"\nscale = 1.0\n[drive]\nvelocity = 1.0\n'
+    (tmp_path / "run.toml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        at(load(tmp_path / "run.toml"), changes).ensemble(tmp_path)
+    assert message in str(caught.value)
 
 
 def test_changes(tmp_path):

@@ -199,6 +199,19 @@ def test_another_sweep_in_the_same_folder_is_refused(small, monkeypatch):
     assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before
 
 
+def test_what_the_sweep_replaces_may_change(small):
+    """The base value of a swept key is no part of any point: the folder goes on, and computes nothing."""
+    before = (small / "one" / "sweep.parquet").stat().st_mtime_ns
+    file = file_of(GRID)
+    other = file.model_copy(update={"drive": file.drive.model_copy(update={"velocity": 77.0})})
+    assert other.drive.velocity != file.drive.velocity
+    plan = Plan(other, small)
+    assert plan.ids == plan_of(GRID).ids
+    done = sweep(plan, small / "one")
+    assert (done.resumed, done.computed) == (12, 0)
+    assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before
+
+
 def test_a_worker_with_other_code_is_refused():
     with pytest.raises(InputError, match="other code"):
         rows_module.compute([], Asked(), 1, "another version")

@@ -83,7 +83,7 @@ class Shown:
         if not (self.quiet or self.json):
             print(line)
 
-    def doubt(self, ensemble: "Ensemble", drive: "Drive | Programme") -> None:
+    def doubt(self, ensemble: "Ensemble", drive: "Drive | Programme | None" = None) -> None:
         """Warn, on standard error, of numbers that are hardly meant."""
         from eqsim.model.reduced import doubts
 

@@ -12,6 +12,7 @@ from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
 
 if TYPE_CHECKING:
+    from eqsim.estimate import Estimate
     from eqsim.io.runfile import RunFile
     from eqsim.sweep.workers import Workers
     from eqsim.workflows.elastic import ElasticResult
@@ -220,9 +221,7 @@ def steady(
     file = changes.load(path)
     ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
-    from eqsim.estimate import z_score
     from eqsim.master.steady import reference as solve
-    from eqsim.model.drive import Drive
     from eqsim.workflows.run import if_any
 
     with shown.bar("simulating", "lives") as progress:
@@ -230,16 +229,13 @@ def steady(
             ensemble, drive, rel_error=rel_error, seed=file.output.seed, threads=count, max_lives=max_lives,
             progress=terminal.announcing(progress, shown.note),
         )  # fmt: skip
-    shown.doubt(ensemble, Drive(drive.velocity))
+    shown.doubt(ensemble)
     if not result.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
     exact, reason = if_any(lambda: solve(ensemble, drive))
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
-    z = {
-        name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
-        for name, level in levels.items()
-    }
+    z = _scores(found, levels)
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
@@ -258,6 +254,16 @@ def steady(
             f"{terminal.lives(result.lives, result.engine_seconds)}, seed {result.seed}",
         ],
     )  # fmt: skip
+
+
+def _scores(found: "dict[str, Estimate]", exact: "dict[str, Estimate]") -> dict[str, float | None]:
+    """z of each estimate that has an exact value."""
+    from eqsim.estimate import z_score
+
+    return {
+        name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
+        for name, level in exact.items()
+    }
 
 
 _CURVE_FOLDER = "Folder for the table of --transient or --closure. Default: out/NAME beside the run file."
@@ -287,11 +293,10 @@ def reference(
         return
     ensemble = file.ensemble(path.parent)
     from eqsim.master.steady import reference as solve
-    from eqsim.model.drive import Drive
 
     drive = file.constant(path.parent)
     result = solve(ensemble, drive, variance=shown.json)
-    shown.doubt(ensemble, Drive(drive.velocity))
+    shown.doubt(ensemble)
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(

@@ -69,7 +69,7 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     found = transient(ensemble, Drive(velocity, WINDOW * period), _POINTS)
     error = np.minimum(found.force_error, _ALIKE * found.force.max())
     top = top_of(found.X, found.force, error, period)
-    if not 0 < top < _POINTS - 1:
+    if not 0 < top < _POINTS - 1 or found.force[top] - found.force[top:].min() <= found.force_error[top]:
         raise InputError("the force rises without a first peak")
     place, height = vertex(found.X, found.force, top)
     return Peak(Estimate(place, 0.1 * float(found.X[1]), 0), Estimate(height, float(found.force_error[top]), 0))

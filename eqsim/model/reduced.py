@@ -295,8 +295,9 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     return found
 
 
-def doubts(ensemble: Ensemble, drive: Drive | Programme) -> Iterator[str]:
-    """What is hardly meant, as it comes of mixed units: a line for each group that no interface has."""
+def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:
+    """What is hardly meant, as it comes of mixed units: a line for each group that no interface has. Without a drive
+    the distance does not count."""
     b, unit = ensemble.b, ensemble.thresholds.scale
     scale = "; thresholds.scale = 1e-9 turns those of a table from nm into m" if ensemble.thresholds.steps.size else ""
     are = f"are all numbers in the same units? Thresholds are about {unit:.3g}{scale}"
