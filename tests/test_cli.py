@@ -454,6 +454,10 @@ WIDE = [
         ("slip", "at t", "at X", "drop of the force", "takes", "over"),
         ("mean", "every 60.06(11)", "39.8891", "0.4600(17)", "3.60654", "4.9512"),
     ),
+    (
+        ("", "best", "68 %", "95 %", ""),
+        ("thermal.attempt_frequency", "0.01123", "0.00995 to 0.0123", "0.00895 to 0.0143", "determined"),
+    ),
     (("", "value", "unit", "meaning"), ("contact_radius", "4.7124e+05", "kg/m^3", "elastic correlation " * 6)),
 ]
 

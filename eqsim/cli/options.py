@@ -100,7 +100,7 @@ _STDERR = "stderr: statistical standard error, of a value simulated."
 _ERROR = "error: bound of the error of a numerical solution."
 _F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
 WORDS = {  # what commands mean by words of their tables, columns and JSON
-    "run": (_Z, _STDERR),
+    "run": (_Z, _STDERR, "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."),
     "steady": (_Z, _STDERR),
     "reference": (_ERROR, _F_K),
     "validate": (_Z,),

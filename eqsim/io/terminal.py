@@ -2,7 +2,6 @@
 
 import math
 import os
-import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -40,8 +39,6 @@ class Report:
                 print(line)
 
     def _table(self) -> None:
-        """Only meanings may wrap, at their spaces. Heads break where the table would be wider than the terminal, and a
-        table that is wider even so is printed as it is: no name and no number is cut."""
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
@@ -49,32 +46,39 @@ class Report:
         console, rows = Console(), [tuple(row) for row in self.rows]
         if not console.is_terminal and "COLUMNS" not in os.environ:
             console.width = _FILE_WIDTH
-        cells = [max((len(row[place]) for row in rows), default=0) for place in range(len(self.columns))]
-        texts = [place for place, column in enumerate(self.columns) if column == "meaning"]
-        heads = [str(column) for column in self.columns]
-        if _width(heads, cells) > console.width:
-            heads = [_broken(head, width) for head, width in zip(heads, cells, strict=True)]
-        least = [_LEAST_TEXT if place in texts else width for place, width in enumerate(cells)]
-        console.width = max(console.width, _width(heads, least))
+        widths = _widths(self.columns, rows, console.width)
+        console.width = max(console.width, _total(widths))
         table = Table()
-        for place, (column, head) in enumerate(zip(self.columns, heads, strict=True)):
-            justify: Any = "left" if column in ("", "group", "meaning", "unit", "method") else "right"
-            table.add_column(Text(head), justify=justify, no_wrap=place not in texts)
+        for column, width in zip(self.columns, widths, strict=True):
+            justify: Any = "left" if column in ("", "group", "meaning", "unit") else "right"
+            table.add_column(Text(column), justify=justify, width=width)
         for row in rows:
             table.add_row(*map(Text, row))
-        console.print(Text(self.title, style="bold"), table, soft_wrap=False)
+        console.print(Text(self.title, style="bold"), table)
 
 
-def _width(heads: Sequence[str], cells: Sequence[int]) -> int:
-    """Of a table with these heads, whose lines are broken already, and cells as wide as that."""
-    wide = (max([width, *map(len, head.splitlines())]) for head, width in zip(heads, cells, strict=True))
-    return sum(width + 3 for width in wide) + 1
+def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> list[int]:
+    """Of the columns of a table in so much room. Where it is scarce heads break, then meanings, then other cells, all
+    of them at spaces: no word and no number is cut, and a table may be too wide."""
+    words = [max(map(len, " ".join(parts).split()), default=0) for parts in zip(columns, *rows, strict=True)]
+    cells = [max(map(len, parts), default=0) for parts in zip(*rows, strict=True)] or [0] * len(columns)
+    heads = [max(map(len, column.split()), default=0) for column in columns]
+    widths = [max(cell, len(column)) for cell, column in zip(cells, columns, strict=True)]
+    texts = [max(word, _LEAST_TEXT) for word in words]
+    unbroken = [max(both) for both in zip(cells, heads, strict=True)]
+    meant = [
+        text if column == "meaning" else width for text, column, width in zip(texts, columns, unbroken, strict=True)
+    ]
+    for least in (unbroken, meant, words):
+        for place in sorted(range(len(widths)), key=lambda place: least[place] - widths[place]):
+            spare = max(widths[place] - least[place], 0)
+            widths[place] -= min(spare, max(_total(widths) - room, 0))
+    return widths
 
 
-def _broken(head: str, width: int) -> str:
-    """A head in lines as wide as the cells below it, or as its longest word."""
-    words = head.split()
-    return "\n".join(textwrap.wrap(head, max([width, *map(len, words)]), break_on_hyphens=False)) if words else head
+def _total(widths: Sequence[int]) -> int:
+    """How wide a table with such columns is."""
+    return sum(width + 3 for width in widths) + 1
 
 
 def value_and_error(estimate: "Estimate") -> str:

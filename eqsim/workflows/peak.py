@@ -35,7 +35,7 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
     X, force, stderr = (column[:size] for column in (found.X, found.force, found.force_stderr))
     top = top_of(X, force, 2.0 * stderr, period)
     if not 0 < top < size - 1:
-        none = Estimate(None, None, size, reliable=False)
+        none = Estimate(None, None, found.lives, reliable=False)
         return Peak(none, none)
     error = float(stderr[top])
     fallen = np.flatnonzero(force < force[top] - 4.0 * error)
@@ -46,8 +46,9 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
         where, height = vertex(X, force, top)
         error = math.hypot(error, height - force[top])
     else:
-        error = known(Estimate(peak.stderr, None, 0))
+        error = peak.stderr or error
     near = X[first:last][force[first:last] >= force[top] - 2.0 * stderr[top]]  # on a plateau it may be anywhere
     spread = max(place.stderr or 0.0, 0.5 * float(np.ptp(near)))
     reliable = found.force_reliable and float(np.ptp(near)) < _PLATEAU * WINDOW * period  # else the largest of many
-    return Peak(Estimate(where, spread, size, None, reliable), Estimate(height, error, size, None, reliable))
+    lives = found.lives
+    return Peak(Estimate(where, spread, lives, None, reliable), Estimate(height, error, lives, None, reliable))
