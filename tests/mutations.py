@@ -544,7 +544,7 @@ MISTAKES = [
       "values.append(value)", "test_runfile.py::test_columns_and_scale_of_tables"),
     M("help: sections are markup", "cli/options.py", 'escape(inspect.cleandoc(command.__doc__ or ""))',
       'inspect.cleandoc(command.__doc__ or "")', "test_cli.py::test_help_says_what_is_written"),
-    M("peak: the highest of many teeth", "master/peak.py", "np.where(X <= X[first] + 0.5 * period, force, -np.inf)",
+    M("peak: the highest of many teeth", "master/peak.py", "np.where(X[first] + 0.5 * period >= X, force, -np.inf)",
       "force", "test_peak.py::test_contacts_in_step_have_the_first_of_many_peaks"),
     M("peak: a grid point, however coarse", "workflows/peak.py", "where, height = vertex(X, force, top)",
       "where, height = X[top], 0.97 * force[top]", "test_peak.py::test_simulated_peaks_are_the_exact_one"),

@@ -441,7 +441,7 @@ def test_many_threshold_tables(tmp_path):
         ("threshold\n1_5\n", "'1_5' must be a finite number"),
         ('threshold\n1\n"2\n', "is not a CSV text file"),
         ("threshold\n1e-40\n1\n", "x.csv: threshold table: spans"),
-        ("a\x1b[31mb\n", "found a\\x1b[31mb"),
+        ("a\x1b[31mb,c\n", "found a\\x1b[31mb"),
     ],
 )
 def test_tables_once_misread(tmp_path, content, message):
