@@ -53,13 +53,13 @@ def sweep(
     for key in sorted(given.keys() & plan.swept(file, path.parent)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
-    points = plan.Plan(file, path.parent)
-    first = points.at(0)
-    shown.doubt(first.ensemble(path.parent), first.driven(path.parent))
     asked = rows.Asked(options.rel_error, max_lives, options.transient)
     who = workers.Workers(count, each or (1 if options.dask else max(1, cores() // count)), options.dask)
     stores: list[Store] = []
     try:
+        points = plan.Plan(file, path.parent)
+        first = points.at(0)
+        shown.doubt(first.ensemble(path.parent), first.driven(path.parent))
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(
                 points, out, asked=asked, workers=who, progress=progress, note=shown.note,
