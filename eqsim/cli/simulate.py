@@ -12,6 +12,7 @@ from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
 
 if TYPE_CHECKING:
+    from eqsim.io.units import Quantity, Row
     from eqsim.sweep.workers import Workers
     from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
@@ -58,6 +59,7 @@ def run(
     folder = out or path.parent / "out" / path.stem
     storage.check_folder(folder)
     count, workers = cores(threads), split.chosen()
+    from eqsim.io.labels import headline
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
@@ -65,7 +67,7 @@ def run(
     storage.publish(folder, result.files(path.stem))
     shown.report(
         result.summary(),
-        title=file.title or folder.name,
+        title=headline(file.title or folder.name, result.ensemble, file.in_units()),
         **_table(result),
         notes=_remarks(result, folder, "workers" if workers else "threads"),
     )
@@ -79,10 +81,16 @@ def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, A
     if isinstance(result, ElasticResult):
         return {"columns": _COUPLED, "rows": _coupled(result)}
     if isinstance(result, RunResult):
-        return {"columns": _AVERAGES, "rows": _averages(result)}
+        rows = result.file.rows(result.ensemble, result.trajectory.averages)
+        return {"columns": (*_AVERAGES[:3], *_unit(rows), _AVERAGES[3]), "rows": _averages(result)}
     if isinstance(result, SliderResult):
         return {"columns": _SLIPS, "rows": _slips(result)}
-    return {"columns": _SEGMENTS, "rows": _segments(result)}
+    shown = result.file.preferred(result.ensemble, result.trajectory.segments[0].peak)
+    columns = _SEGMENTS
+    if shown:
+        unit = f" [{shown.unit}]" * bool(shown.unit)
+        columns = (*_SEGMENTS[:3], f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak", _SEGMENTS[6])
+    return {"columns": columns, "rows": _segments(result, shown)}
 
 
 _AVERAGES = ("", "second half of the run", "steady value", "difference / s.e.")
@@ -92,8 +100,9 @@ _COUPLED = ("", "second half of the run", "exact", "difference / s.e.")
 _MOST_ROWS = 40
 
 
-def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
-    """What each segment shows; z is the difference of the force at its end from the exact mean in standard errors."""
+def _segments(result: "ProgrammeResult", shown: "Quantity | None") -> Iterator[tuple[str, ...]]:
+    """What each segment shows, forces as a quantity of the interface, if there is one; z is the difference of the force
+    at its end from the exact mean in standard errors."""
     from eqsim.estimate import difference
 
     exact, found = result.exact_segments, result.trajectory.segments
@@ -101,9 +110,10 @@ def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
         if index < _MOST_ROWS:
             z = terminal.score(difference(segment.end, exact[index].end)) if exact else "none"
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
+            end, peak = ((shown.of(one) if shown else one) for one in (segment.end, segment.peak))
             yield (
-                str(index), velocity, f"{segment.t:.6g}", terminal.value_and_error(segment.end), z,
-                terminal.value_and_error(segment.peak), terminal.value_and_error(segment.at),
+                str(index), velocity, f"{segment.t:.6g}", terminal.value_and_error(end), z,
+                terminal.value_and_error(peak), terminal.value_and_error(segment.at),
             )  # fmt: skip
     if len(found) > _MOST_ROWS:
         yield ("...", *[""] * (len(_SEGMENTS) - 1))
@@ -138,15 +148,21 @@ def _coupled(result: "ElasticResult") -> Iterator[tuple[str, ...]]:
         yield names[name], terminal.value_and_error(found), f"{exact.value:.8g}", z
 
 
+def _unit(rows: "list[tuple[str, Row]]") -> tuple[str, ...]:
+    """The column of units, if the rows have one."""
+    return ("unit",) * any(row.unit for _, row in rows)
+
+
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     from eqsim.estimate import difference
 
     steady = result.steady.averages()
     averages = result.trajectory.averages
-    for name in averages.shown:
+    for name, row in result.file.rows(result.ensemble, averages):
         estimate = getattr(averages, name)
         z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
-        yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
+        both = (terminal.value_and_error(row.of(one)) for one in (estimate, steady[name]))
+        yield row.label, *both, *row.unit, z
 
 
 def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path, who: str) -> Iterator[str]:
@@ -212,6 +228,8 @@ def steady(
     ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
     from eqsim.estimate import z_score
+    from eqsim.io.labels import headline
+    from eqsim.io.units import physical
     from eqsim.master.steady import reference as solve
     from eqsim.workflows.run import if_any
 
@@ -229,18 +247,20 @@ def steady(
         name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
         for name, level in levels.items()
     }
+    rows = file.rows(ensemble, result)
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
             **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
             **{"reference": values, "z": {name: z.get(name) for name in found}},
+            **physical(file.quantities(ensemble), result.friction, values["friction"]),
         },
-        title=file.title or path.stem,
-        columns=("", "contacts", "relative error", "reference", "z"),
+        title=headline(file.title or path.stem, ensemble, file.in_units()),
+        columns=("", "contacts", *_unit(rows), "relative error", "reference", "z"),
         rows=[
-            (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
-             "none" if values[name] is None else f"{values[name]:.9g}", terminal.score(z.get(name)))
-            for name in result.shown
+            (row.label, terminal.value_and_error(row.of(found[name])), *row.unit,
+             terminal.relative_error(found[name]), row.exact(levels.get(name), ".9g"), terminal.score(z.get(name)))
+            for name, row in rows
         ],
         notes=[
             *([f"no reference: {reason}"] if reason else []),
@@ -280,16 +300,26 @@ def reference(
         columns = {name: column for name, column in every.items() if column is not None}
         shown.report(columns, notes=_tab_separated(columns))
         return
+    from eqsim.io.labels import headline
+    from eqsim.io.units import physical
     from eqsim.master.steady import reference as solve
 
     result = solve(ensemble, file.constant(path.parent), variance=shown.json)
     found = {**result.averages(), "f_k": result.f_k}
     errors = {name: estimate.stderr for name, estimate in found.items()}
+    rows = file.rows(ensemble, result)
     shown.report(
-        {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
-        title=file.title or path.stem,
-        columns=("", "value", "error of the solver"),
-        rows=[(name, f"{found[name].value:.10g}", f"{errors[name]:.1e}") for name in (*result.shown, "f_k")],
+        {
+            **{name: estimate.value for name, estimate in found.items()},
+            **{"error": errors, "method": result.method},
+            **physical(file.quantities(ensemble), result.friction),
+        },
+        title=headline(file.title or path.stem, ensemble, file.in_units()),
+        columns=("", "value", *_unit(rows), "error of the solver"),
+        rows=[
+            (row.label, row.exact(found[name], ".10g"), *row.unit, f"{row.of(found[name]).stderr:.1e}")
+            for name, row in [*rows, ("f_k", rows[0][1]._replace(label="f_k"))]
+        ],
         notes=[f"method: {result.method}"],
     )
 

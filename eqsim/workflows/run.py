@@ -13,6 +13,7 @@ from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
+from eqsim.io.units import physical
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
@@ -48,6 +49,7 @@ class RunResult:
             **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
             "force_reliable": found.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
+            **physical(self.file.quantities(self.ensemble), found.averages.friction, self.steady.friction.value),
             **_how(found),
         }
 
@@ -93,9 +95,15 @@ class ProgrammeResult:
         return {
             "title": self.file.title,
             "segments": segments,
+            **self._physical(),
             "force_reliable": found.force_reliable,
             **_how(found),
         }
+
+    def _physical(self) -> dict[str, Any]:
+        """Of each quantity of the interface, what a force F/(N k) is multiplied by, and its unit."""
+        known = self.file.quantities(self.ensemble)
+        return {"physical": {one.name: {"factor": one.factor, "unit": one.unit} for one in known}} if known else {}
 
     def files(self, title: str = "") -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
