@@ -21,7 +21,6 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
     cores(threads)
     ensemble, drive = file.ensemble(path.parent), file.driven(path.parent)
     from eqsim.engine.trajectory import predicted_lives
-    from eqsim.io.labels import headline
     from eqsim.io.units import scales
     from eqsim.model.reduced import groups
 
@@ -30,7 +29,7 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
     rows = [(g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning) for g in found]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
-        title=headline(file.title or path.stem, ensemble, file.in_units()),
+        title=file.headline(ensemble, path.stem),
         columns=("group", "value", "meaning"),
         rows=[*rows, ("lives", terminal.count(lives), "predicted for `eqsim run`")],
     )

@@ -59,7 +59,6 @@ def run(
     folder = out or path.parent / "out" / path.stem
     storage.check_folder(folder)
     count, workers = cores(threads), split.chosen()
-    from eqsim.io.labels import headline
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
@@ -67,7 +66,7 @@ def run(
     storage.publish(folder, result.files(path.stem))
     shown.report(
         result.summary(),
-        title=headline(file.title or folder.name, result.ensemble, file.in_units()),
+        title=file.headline(result.ensemble, folder.name),
         **_table(result),
         notes=_remarks(result, folder, "workers" if workers else "threads"),
     )
@@ -228,8 +227,6 @@ def steady(
     ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
     from eqsim.engine.steady import steady as estimate_steady
     from eqsim.estimate import z_score
-    from eqsim.io.labels import headline
-    from eqsim.io.units import physical
     from eqsim.master.steady import reference as solve
     from eqsim.workflows.run import if_any
 
@@ -243,19 +240,17 @@ def steady(
     exact, reason = if_any(lambda: solve(ensemble, drive))
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
-    z = {
-        name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
-        for name, level in levels.items()
-    }
+    known = {name: level for name, level in levels.items() if level.value is not None}
+    z = {name: z_score(found[name], values[name], level.stderr or 0.0) for name, level in known.items()}
     rows = file.rows(ensemble, result)
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
             **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
             **{"reference": values, "z": {name: z.get(name) for name in found}},
-            **physical(file.quantities(ensemble), result.friction, values["friction"]),
+            **file.physical(ensemble, result.friction, values["friction"]),
         },
-        title=headline(file.title or path.stem, ensemble, file.in_units()),
+        title=file.headline(ensemble, path.stem),
         columns=("", "contacts", *_unit(rows), "relative error", "reference", "z"),
         rows=[
             (row.label, terminal.value_and_error(row.of(found[name])), *row.unit,
@@ -300,21 +295,18 @@ def reference(
         columns = {name: column for name, column in every.items() if column is not None}
         shown.report(columns, notes=_tab_separated(columns))
         return
-    from eqsim.io.labels import headline
-    from eqsim.io.units import physical
     from eqsim.master.steady import reference as solve
 
     result = solve(ensemble, file.constant(path.parent), variance=shown.json)
-    found = {**result.averages(), "f_k": result.f_k}
+    found, rows = {**result.averages(), "f_k": result.f_k}, file.rows(ensemble, result)
     errors = {name: estimate.stderr for name, estimate in found.items()}
-    rows = file.rows(ensemble, result)
     shown.report(
         {
             **{name: estimate.value for name, estimate in found.items()},
             **{"error": errors, "method": result.method},
-            **physical(file.quantities(ensemble), result.friction),
+            **file.physical(ensemble, result.friction),
         },
-        title=headline(file.title or path.stem, ensemble, file.in_units()),
+        title=file.headline(ensemble, path.stem),
         columns=("", "value", *_unit(rows), "error of the solver"),
         rows=[
             (row.label, row.exact(found[name], ".10g"), *row.unit, f"{row.of(found[name]).stderr:.1e}")

@@ -149,11 +149,6 @@ def described(contacts: Ensemble, units: Units, tex: bool = False) -> str:
     return ", ".join(parts)
 
 
-def headline(title: str, contacts: Ensemble, units: Units) -> str:
-    """Of a table: the title of the run file, and what is simulated."""
-    return f"{title}: {described(contacts, units)}"
-
-
 def _power(value: float) -> str:
     """A number in mathematics: 1.9e-09 is 1.9 times a power of ten."""
     number, _, exponent = f"{value:.3g}".partition("e")

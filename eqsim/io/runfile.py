@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.estimate import Averages, Estimate
+from eqsim.io.labels import described
 from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
@@ -202,6 +203,15 @@ class RunFile(_Section):
     def quantities(self, ensemble: Ensemble) -> tuple[Quantity, ...]:
         """What friction is as a force, a shear stress and a coefficient, as far as that is known."""
         return quantities(ensemble, self.in_units(), self.of_interface())
+
+    def physical(self, ensemble: Ensemble, friction: Estimate, reference: float | None = None) -> dict[str, Any]:
+        """For JSON: friction, and that of the reference, as `quantities` under the key "physical", if any is known."""
+        found = {one.name: one.as_dict(friction, reference) for one in self.quantities(ensemble)}
+        return {"physical": found} if found else {}
+
+    def headline(self, ensemble: Ensemble, name: str) -> str:
+        """Of a table: the title, or `name` without one, and what is simulated."""
+        return f"{self.title or name}: {described(ensemble, self.in_units())}"
 
     def preferred(self, ensemble: Ensemble, friction: Estimate) -> Quantity | None:
         """That of `quantities` which says most, a coefficient before a stress before a force, in a unit fit for

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from scipy import constants
 
@@ -308,9 +308,3 @@ def rows_of(averages: Averages, units: Units, found: Iterable[Quantity]) -> list
         if name == "friction":
             rows += [(name, Row("mu" if one.symbol == "mu" else one.name, (one.unit,), one)) for one in found]
     return rows
-
-
-def physical(found: Iterable[Quantity], friction: Estimate, reference: float | None = None) -> dict[str, Any]:
-    """For JSON: the key "physical", if anything of it is known."""
-    known = {quantity.name: quantity.as_dict(friction, reference) for quantity in found}
-    return {"physical": known} if known else {}

@@ -13,7 +13,6 @@ from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
-from eqsim.io.units import physical
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
@@ -49,7 +48,7 @@ class RunResult:
             **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
             "force_reliable": found.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
-            **physical(self.file.quantities(self.ensemble), found.averages.friction, self.steady.friction.value),
+            **self.file.physical(self.ensemble, found.averages.friction, self.steady.friction.value),
             **_how(found),
         }
 
