@@ -373,7 +373,7 @@ def start(path, out, *options):
 def on_disk(out):
     """id -> seconds of every row a reader can find."""
     rows = []
-    for path in [*(out / "_parts").glob("part-*.parquet"), *out.glob("sweep.parquet")]:
+    for path in [*out.glob("*parts/part-*.parquet"), *out.glob("sweep.parquet")]:
         with contextlib.suppress(FileNotFoundError):  # a sweep at work has just moved these rows
             rows += pq.read_table(path).to_pylist()
     return {row["id"]: row["seconds"] for row in rows}

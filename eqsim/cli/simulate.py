@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from eqsim.cli.options import Changes, MaxLives, RunFilePath, Shown, Threads, complain, cores
+from eqsim.cli.options import Changes, Formats, MaxLives, RunFilePath, Shown, Threads, complain, cores, pictured
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
 
@@ -47,6 +47,7 @@ def run(
     threads: Threads = None,
     split: Split,
     max_lives: MaxLives = 1e10,
+    format_: Formats = None,
     shown: Shown,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
@@ -58,17 +59,22 @@ def run(
         raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
     folder = out or path.parent / "out" / path.stem
     storage.check_folder(folder)
-    count, workers = cores(threads), split.chosen()
+    count, workers, formats = cores(threads), split.chosen(), pictured(format_)
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
         result = simulate(file, path.parent, threads=count, workers=workers, max_lives=max_lives, progress=progress)
-    storage.publish(folder, result.files(path.stem))
+    files = result.files(path.stem, formats)
+    storage.publish(folder, files)
     shown.report(
         result.summary(),
         title=file.headline(result.ensemble, folder.name),
         **_table(result),
-        notes=_remarks(result, folder, "workers" if workers else "threads"),
+        notes=[
+            *_remarks(result, "workers" if workers else "threads"),
+            f"{folder}/: {', '.join(files)}",
+            *([f"no exact curve: {reason}"] if (reason := getattr(result, "exact", (None, ""))[1]) else []),
+        ],
     )
 
 
@@ -164,11 +170,11 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
         yield row.label, *both, *row.unit, z
 
 
-def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path, who: str) -> Iterator[str]:
+def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) -> Iterator[str]:
     from eqsim.workflows.elastic import ElasticResult
 
     if isinstance(result, ElasticResult):
-        yield from _remarks_on_blocks(result, folder)
+        yield from _remarks_on_blocks(result)
         return
     found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
     averages = getattr(found, "averages", None)
@@ -188,14 +194,9 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"
-    files = [*result.names, *(["avalanches.parquet"] if getattr(found, "avalanches", None) else [])]
-    yield f"{folder}/: {', '.join(files)}"
-    _, reason = result.exact
-    if reason:
-        yield f"no exact curve: {reason}"
 
 
-def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
+def _remarks_on_blocks(result: "ElasticResult") -> Iterator[str]:
     found, elastic = result.trajectory, result.drive.elastic
     assert elastic
     breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
@@ -210,7 +211,6 @@ def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
     contacts = f" of {terminal.count(result.ensemble.count * result.file.output.replicas)} contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, contacts)
     yield f"{lives}, {found.threads} threads, seed {found.seed}"
-    yield f"{folder}/: {', '.join(result.names)}"
 
 
 def steady(
@@ -241,7 +241,7 @@ def steady(
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
     known = {name: level for name, level in levels.items() if level.value is not None}
-    z = {name: z_score(found[name], values[name], level.stderr or 0.0) for name, level in known.items()}
+    z = {name: z_score(found[name], level.value or 0.0, level.stderr or 0.0) for name, level in known.items()}
     rows = file.rows(ensemble, result)
     shown.report(
         {

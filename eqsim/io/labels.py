@@ -68,13 +68,15 @@ _OF_SEGMENT = {
 }  # fmt: skip
 
 
-def unit_text(units: Units, of: Dimension) -> str:
-    """A unit as pictures show it, in mathtext; what the run file is said to have, if it is not known."""
+def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:
+    """A unit as pictures show it, in mathtext; if it is not known, that it is the run file's, unless not `unknown`."""
     if of == dimensions.NUMBER:
         return ""
     label = units.label(of)
     if label:
         return _tex(label)
+    if not unknown:
+        return ""
     return f"length {_FREE}" if of == dimensions.LENGTH else _FREE
 
 
@@ -93,16 +95,16 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text}  [{unit}]" if unit else text
 
 
-def axis(name: str, units: Units, stress: str = "") -> str:
-    """A label for the axis of a key, an observable or a column of a sweep; `stress`: the unit of a shear stress, if it
-    is known."""
+def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True) -> str:
+    """A label for the axis of a key, an observable or a column of a sweep, or the head of a legend, which says nothing
+    of an `unknown` unit; `stress`: the unit of a shear stress, if it is known."""
     if name == "thermal.temperature":
         return "temperature  $T$  [K]"
     if name == "shear_stress":
         return with_unit(r"shear stress  $\tau$", stress or unit_text(units, dimensions.STRESS))
     if name in _KNOWN:
         words, symbol, dimension = _KNOWN[name]
-        return with_unit(f"{words}  {symbol}".strip(), unit_text(units, dimension))
+        return with_unit(f"{words}  {symbol}".strip(), unit_text(units, dimension, unknown))
     found = re.fullmatch(r"segment_(\d+)_(\w+)", name)
     if found and found[2] in _SEGMENT:
         words, segment_dimension = _SEGMENT[found[2]]
@@ -112,7 +114,7 @@ def axis(name: str, units: Units, stress: str = "") -> str:
     found = re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name)
     if found and found[2] in _OF_SEGMENT:
         words = "hold" if found[2] == "hold" else found[2]
-        return with_unit(f"{words} of segment {found[1]}", unit_text(units, _OF_SEGMENT[found[2]]))
+        return with_unit(f"{words} of segment {found[1]}", unit_text(units, _OF_SEGMENT[found[2]], unknown))
     return plain(name)
 
 

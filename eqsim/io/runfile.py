@@ -6,6 +6,7 @@ what comes out, and `model.reduced` makes it dimensionless.
 
 import csv
 import functools
+import json
 import math
 import stat
 import tomllib
@@ -492,6 +493,11 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
             place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
         place[last] = value
     return check(data)
+
+
+def stored(settings: dict[str, Any]) -> RunFile:
+    """A run file as it was in force, from the provenance of a table, infinite rates included. Raises InputError."""
+    return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
 
 
 def check(data: dict[str, Any]) -> RunFile:

@@ -2,7 +2,7 @@
 
 import functools
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec
 
 import matplotlib
@@ -57,7 +57,7 @@ def saved(figure: Figure, form: str = "png") -> bytes:
     return buffer.getvalue()
 
 
-def pictures(name: str, figure: Figure, formats: tuple[str, ...] = ("png",)) -> dict[str, bytes]:
+def pictures(name: str, figure: Figure, formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
     """A picture in some formats, by the names of the files."""
     return {f"{name}.{form}": saved(figure, form) for form in formats}
 

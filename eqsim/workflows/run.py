@@ -1,16 +1,19 @@
 """Everything that `eqsim run` computes: a run, and what it is compared with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTrajectory, Trajectory, shown_by
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
 from eqsim.master.transient import Transient, transient
@@ -18,6 +21,9 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.sweep.workers import Workers
 from eqsim.workflows.elastic import ElasticResult, run_elastic
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
@@ -33,7 +39,6 @@ class RunResult:
     drive: Drive
     steady: Steady
     trajectory: Trajectory
-    names: ClassVar[tuple[str, ...]] = ("trajectory.parquet", "summary.json", "force.png")
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
@@ -52,12 +57,16 @@ class RunResult:
             **_how(found),
         }
 
-    def files(self, title: str = "") -> dict[str, bytes]:
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        from eqsim.io.plots import trajectory_png
+        return _files(self, formats, self.picture(title))
 
-        picture = trajectory_png(self.trajectory, self.steady, self.exact[0], self.file.title or title)
-        return _files(self, picture)
+    def picture(self, title: str = "") -> "Figure":
+        """The force against displacement beside the exact mean and the steady value."""
+        from eqsim.io.plots import caption, trajectory_figure
+
+        said = caption(self.file, self.ensemble, self.steady.friction, title)
+        return trajectory_figure(self.trajectory, self.steady, self.exact[0], said)
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,6 @@ class ProgrammeResult:
     ensemble: Ensemble
     drive: Programme
     trajectory: ProgrammeTrajectory
-    names: ClassVar[tuple[str, ...]] = RunResult.names
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
@@ -104,11 +112,16 @@ class ProgrammeResult:
         known = self.file.quantities(self.ensemble)
         return {"physical": {one.name: {"factor": one.factor, "unit": one.unit} for one in known}} if known else {}
 
-    def files(self, title: str = "") -> dict[str, bytes]:
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        from eqsim.io.plots import programme_png
+        return _files(self, formats, self.picture(title))
 
-        return _files(self, programme_png(self.trajectory, self.exact[0], self.file.title or title))
+    def picture(self, title: str = "") -> "Figure":
+        """The force along the programme."""
+        from eqsim.io.plots import caption, programme_figure
+
+        largest = Estimate(float(np.abs(self.trajectory.force).max()), None, 0)
+        return programme_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
 
 
 @dataclass(frozen=True)
@@ -123,11 +136,16 @@ class SliderResult(ProgrammeResult):
         slips = {"slips": [asdict(slip) for slip in found.slips]}
         return super().summary() | {"period": found.period.as_dict(), "drop": found.drop.as_dict()} | slips
 
-    def files(self, title: str = "") -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        from eqsim.io.plots import slider_png
+    def picture(self, title: str = "") -> "Figure":
+        """Forces and displacements of slider and stage."""
+        from eqsim.io.plots import caption, slider_figure
 
-        found = _files(self, slider_png(self.trajectory, self.exact[0], self.file.title or title))
+        largest = Estimate(float(np.abs(self.trajectory.spring).max()), None, 0)
+        return slider_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
+
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        found = super().files(title, formats)
         if self.trajectory.avalanches is not None:
             found["avalanches.parquet"] = storage.parquet(self.trajectory.avalanches, _origin(self))
         return found
@@ -144,13 +162,14 @@ def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
     return storage.provenance("run", file.model_dump(), file.text, file.output.seed, result.folder)
 
 
-def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, bytes]:
-    contents = (
-        storage.parquet(result.trajectory.columns(), _origin(result)),
-        storage.to_json(result.summary()).encode(),
-        picture,
-    )
-    return dict(zip(result.names, contents, strict=True))
+def _files(result: RunResult | ProgrammeResult, formats: Sequence[str], picture: "Figure") -> dict[str, bytes]:
+    from eqsim.io.style import pictures
+
+    return {
+        "trajectory.parquet": storage.parquet(result.trajectory.columns(), _origin(result)),
+        "summary.json": storage.to_json(result.summary()).encode(),
+        **pictures("force", picture, formats),
+    }
 
 
 def run(
