@@ -79,7 +79,7 @@ def test_every_point_bar_and_line_is_where_it_should_be():
     np.testing.assert_allclose(bars[:, 1, 1] - bars[:, 0, 1], 4 * 0.01, rtol=1e-12)  # +- 2 standard errors
     # nothing is known of the run file: references are dashes at the points, not lines that pretend to be curves
     assert all(line.get_linestyle() == "None" for line in axes.lines)
-    dashes = [line for line in axes.lines if line.get_marker() == "_"]
+    dashes = [line for line in axes.lines if line.get_marker() == "_" and line.get_markersize() == 13]
     assert len(dashes) == 3
     for line, kT in zip(dashes, TEMPERATURES, strict=True):
         here = good[good["thermal.kT"] == kT]
