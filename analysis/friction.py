@@ -56,7 +56,9 @@ def plot(points: int = 11, fine: int = 61) -> Figure:
         for disorder, (dashes, marker) in ENSEMBLES.items()
     ]
     said = "lines: exact; markers: simulated, ± 2 standard errors"
-    figure.legend(handles=[*heat, *kinds], ncols=5, loc="outside lower center", frameon=False, handlelength=3, title=said)
+    figure.legend(
+        handles=[*heat, *kinds], ncols=5, loc="outside lower center", frameon=False, handlelength=3, title=said
+    )
     for panel in (left, right):
         panel.grid(alpha=0.3)
     return figure

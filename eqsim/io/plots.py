@@ -50,8 +50,12 @@ class Caption(NamedTuple):
     @property
     def force(self) -> str:
         """Label of a friction force per contact."""
-        text = with_unit("friction  $F / (N k)$", unit_text(self.units, LENGTH))
-        return text if self.units.length else text.replace("  [", "\n[")
+        return self.length("friction  $F / (N k)$")
+
+    def length(self, text: str) -> str:
+        """Label of a length up an axis."""
+        label = with_unit(text, unit_text(self.units, LENGTH))
+        return label if self.units.length else label.replace("  [", "\n[")
 
     @property
     def band(self) -> str:
@@ -125,10 +129,10 @@ def trajectory_figure(run: "Trajectory", steady: "Steady", exact: "Transient | N
             panel.grid(alpha=0.3)
     left = columns[0]
     if len(wide) > 1:
-        left[-1].set_xlim(0.0, first)
+        left[-1].set(xlim=(0.0, first), xlabel=with_unit("$X$", unit_text(caption.units, LENGTH, unknown=False)))
         left[0].set_title("the first thresholds")
         columns[1][0].set_title("the whole run")
-    figure.supxlabel(caption.along("X"), fontsize=10)
+    columns[-1][-1].set_xlabel(caption.along("X"))
     left[0].set(ylabel=caption.force)
     if run.force.min() >= 0:
         left[0].set_ylim(bottom=0)
@@ -220,16 +224,15 @@ def slider_figure(run: "SliderTrajectory", exact: "Transient | None", caption: C
     if len(run.slips) <= _MOST_MARKS:
         for slip in run.slips:
             force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
-    length = unit_text(caption.units, LENGTH)
-    force.set(ylabel=with_unit("force / $(N k)$", length), xlim=(run.t[0], run.t[-1]))
+    force.set(ylabel=caption.length("force / $(N k)$"), xlim=(run.t[0], run.t[-1]))
     caption.beside(force)
     force.set_title(caption.heading)
     place.plot(run.t, run.stage, color="C3", linewidth=1)
     drawn["displacement of the slider"] = place.plot(run.t, run.X, color="C0", linestyle="--", linewidth=1)[0]
-    place.set(ylabel=with_unit("displacement", length), xlim=(run.t[0], run.t[-1]))
+    place.set(ylabel=caption.length("displacement"), xlim=(run.t[0], run.t[-1]))
     phase.plot(np.gradient(run.X, run.t), run.spring, color="C3", linewidth=0.7)
     speed = with_unit("velocity of the slider, between two records", unit_text(caption.units, VELOCITY))
-    phase.set(xlabel=speed, ylabel=with_unit("force of the spring / $(N k)$", length))
+    phase.set(xlabel=speed, ylabel=caption.length("force of the spring / $(N k)$"))
     phase.set_xscale("symlog", linthresh=max(np.abs(np.diff(run.stage) / np.diff(run.t)).max(), 1e-300))
     for panel in (force, place):
         panel.set_xlabel(caption.along("time"))
@@ -336,7 +339,7 @@ def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) ->
     right.plot([1, most], [1, most], color="0.6", linewidth=0.8, linestyle=":", label="every break in another block")
     right.set(xscale="log", yscale="log", xlabel="breaks of an avalanche  $s$", ylabel="blocks that take part")
     right.legend(loc="upper left", fontsize=8)
-    left.set_title(caption.heading)
+    figure.suptitle(caption.heading, fontsize=10)
     for axes in (left, right):
         axes.grid(alpha=0.3)
     return figure
@@ -364,7 +367,7 @@ def fronts_figure(run: "ElasticTrajectory", shape: tuple[int, int], caption: Cap
         _image(panels[1, 1], force, (0, nx, 0, ny), "force $F / (n k)$, at the end")
         for axes in panels[1]:
             axes.set(xlabel="column", ylabel="row")
-    panels[0, 0].set_title(caption.heading)
+    figure.suptitle(caption.heading, fontsize=10)
     return figure
 
 

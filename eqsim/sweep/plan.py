@@ -67,6 +67,11 @@ class Plan:
                 same = ", ".join(f"{key} = {shown(value)}" for key, value in self.changes(index).items())
                 raise InputError(f"sweep: points {seen[point_id] + 1} and {index + 1} are the same ({same})")
 
+    @property
+    def swept(self) -> set[str]:
+        """The keys that are set at every point."""
+        return _everywhere(self.axes)
+
     def _checked(self, index: int) -> str:
         """The identity of a point that can be computed."""
         try:
@@ -128,7 +133,11 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
 
 def swept(file: RunFile, folder: Path) -> set[str]:
     """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
-    return {key for axis in _axes(file.sweep, folder, file) for key in set.intersection(*map(set, axis))}
+    return _everywhere(_axes(file.sweep, folder, file))
+
+
+def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
+    return {key for axis in axes for key in set.intersection(*map(set, axis))}
 
 
 def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -21,7 +21,7 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
-from eqsim.sweep.plan import Plan, entries, results_version, seed_of, swept
+from eqsim.sweep.plan import Plan, entries, results_version, seed_of
 from eqsim.sweep.rows import SCHEMA, Asked, physical, schema
 
 _TABLE, _MANIFEST, _LOCK, _PARTS, _HIDDEN = "sweep.parquet", "_sweep.json", "_lock", "parts", "_parts"
@@ -90,8 +90,7 @@ class Store:
         """Note what is asked for, or compare it with what was."""
         plan, path = self.plan, self.out / _MANIFEST
         names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
-        axes = swept(plan.file, plan.folder)  # of these keys the run file's own values play no part
-        now = {key: repr(value) for key, value in parameters(plan.file).items() if key not in axes}
+        now = {key: repr(value) for key, value in parameters(plan.file).items()}
         for section in ("units", "interface"):
             now |= {f"{section}.{key}": repr(value) for key, value in getattr(plan.file, section) if value}
         now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
@@ -104,7 +103,8 @@ class Store:
             return
         try:
             before = json.loads(path.read_bytes())["asked"]
-            changed = [key for key in sorted({*now, *before} - axes) if now.get(key) != before.get(key)]
+            known = {*now, *before} - plan.swept  # whatever the run file says of these
+            changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{path}: is damaged; this folder cannot be continued") from None
         if changed:
