@@ -123,8 +123,9 @@ def _figure(sweep: Sweep, table: Points, columns: tuple[str, str], by: list[str]
     if bar is not None:
         figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
     handles = [*legends, *_explained(table, y, kinds)]
-    if handles:  # beside the axes, where it covers nothing
-        figure.legend(handles=handles, ncols=1 + len(handles) // 26, loc="outside right upper")
+    if handles:  # outside of the axes, where it covers nothing
+        look = (1 + len(handles) // 26, "outside right upper") if bar is None else (4, "outside lower center")
+        figure.legend(handles=handles, ncols=look[0], loc=look[1])
     axes.set(xlabel=axis(x, sweep.units), ylabel=axis(y, sweep.units, quantity.unit if quantity else ""))
     if y == "friction":
         beside = _beside(sweep, table)
