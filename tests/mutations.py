@@ -527,7 +527,7 @@ MISTAKES = [
     M("sweep: damaged parts are taken", "sweep/store.py", 'path.stem == f"part-{_digest(content)}"', "True",
       "test_sweep.py::test_damaged_parts_are_named_and_computed_again"),
     M("sweep: hidden parts are forgotten", "sweep/store.py", '*(self.out / _HIDDEN).glob("*.parquet")]', "]",
-      "test_sweep.py::test_death_between_the_table_and_its_parts_doubles_nothing"),
+      "test_sweep.py::test_death_before_the_table_has_its_name_loses_nothing"),
     # units
     M("units: the unit of energy is left out", "io/units.py", "constants.k * temperature / (self.size(ENERGY) or 1.0)",
       "constants.k * temperature", "test_units.py::test_kelvin"),

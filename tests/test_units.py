@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from eqsim import Ensemble, Estimate, load
 from eqsim.cli.app import app
 from eqsim.errors import InputError
+from eqsim.fitting.report import to_toml
 from eqsim.io import units as dimensions
 from eqsim.io.runfile import at, parameters
 from eqsim.io.units import Dimension, Interface, Units, quantities
@@ -138,6 +139,8 @@ def test_a_temperature_is_a_kT(run_file):
     hot = at(file, {"thermal.temperature": 600.0})
     assert hot.thermal.kT == pytest.approx(2 * kT, rel=1e-14, abs=0)
     assert at(hot, {"drive.velocity": 1.0}).thermal.kT == hot.thermal.kT
+    run_file.write_text("\n".join(to_toml(hot.model_dump(exclude_unset=True, exclude_none=True))))
+    assert load(run_file).thermal == hot.thermal  # as fits write their best run file: with one of the two
     plain = load(run_file, {"thermal.kT": 0.5})
     assert (plain.thermal.kT, plain.thermal.temperature) == (0.5, None)
     assert at(plain, {"thermal.temperature": 300.0}).thermal.kT == file.thermal.kT
