@@ -501,7 +501,7 @@ def run_file_text(
     decade = math.floor(math.log10(drive.velocity))
     sections = _RUN_FILE + (_AGING if material.aging else "") + (_DELAY if material.delay else "") + _DRIVE
     numbers = {
-        "per_area": material.contacts_per_area,
+        "per_area": f"{material.contacts_per_area:.12g}",
         "load": load,
         "contacts": contacts,
         "drive": drive,
