@@ -135,7 +135,7 @@ def _curve(result: "FitResult", members: Array, velocity: Array, covariance_root
 @styled
 def profiles_figure(result: "FitResult", title: str) -> Figure:
     """Chi-square over each parameter with all others at their best, and the levels of the intervals."""
-    parameters = result.problem.parameters
+    parameters, units = result.problem.parameters, result.file.in_units()
     wide = min(3, len(parameters))
     tall = -(-len(parameters) // wide)
     figure = Figure(figsize=(4.0 * wide, 0.6 + 3.0 * tall), layout="constrained")
@@ -168,7 +168,7 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
                 panel.axvline(float(one.value(bound)), color="k", linewidth=1.5)
         if one.transform != "linear" and one.value(u).min() > 0 and np.ptp(np.log(one.value(u))) > 1.0:
             panel.set_xscale("log")
-        panel.set(ylim=(-0.03 * top, top), xlabel=f"{one.key}: {known.status}")
+        panel.set(ylim=(-0.03 * top, top), xlabel=f"{axis(one.key, units, unknown=False)}: {known.status}")
         panel.grid(alpha=0.3)
     for panel in panels[len(parameters) :]:
         panel.set_visible(False)
