@@ -19,6 +19,7 @@ from rich.progress import track
 from scipy import optimize
 
 from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, steady, z_score
+from eqsim.io import style
 
 MODELS = ("annealed", "flow", "langevin")
 RATES = (1.0, 0.1, 0.01)
@@ -83,12 +84,13 @@ def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+@style.styled
 def picture(frame: pd.DataFrame, found: pd.DataFrame) -> Figure:
     """f_k(v), one panel per D, with the particles' estimates at the maxima."""
-    figure = Figure(figsize=(12, 4.4), dpi=150, layout="constrained")
+    figure = Figure(figsize=(12, 4.4), layout="constrained")
     panels = figure.subplots(1, len(RATES), sharex=True)
     for axes, D in zip(panels, RATES, strict=True):
-        for color, marker, model in zip(("C1", "C0", "C2"), "^os", MODELS, strict=True):
+        for color, marker, model in zip((style.ORANGE, style.BLUE, style.GREEN), "^os", MODELS, strict=True):
             curve = frame[(frame.model == model) & (frame.D == D)]
             top = found[(found.model == model) & (found.D == D)]
             drawn = pd.concat((curve, top)).sort_values("velocity")
@@ -104,10 +106,10 @@ def picture(frame: pd.DataFrame, found: pd.DataFrame) -> Figure:
                 capsize=3,
                 label=f"{model}, particles",
             )
-        axes.set(xscale="log", xlabel="velocity  v / (omega x_*f)", title=f"D = {D:g} omega x_*f^2")
+        axes.set(xscale="log", xlabel=r"velocity  $v / (\omega x_{*f})$", title=rf"$D = {D:g}\,\omega x_{{*f}}^2$")
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
-    panels[0].set_ylabel("f_k / (k x_*f)")
+    panels[0].set_ylabel(r"$f_k / (k x_{*f})$")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=9)
     return figure
@@ -123,7 +125,7 @@ def main(
     frame.to_parquet(out / "aging_maximum.parquet", index=False)
     found = peaks(frame, 1e-3 if quick else 1e-4)
     found.to_parquet(out / "aging_maximum_peaks.parquet", index=False)
-    picture(frame, found).savefig(out / "aging_maximum.png")
+    (out / "aging_maximum.png").write_bytes(style.saved(picture(frame, found)))
     for row in found.itertuples():
         print(
             f"{row.model:9} D = {row.D:<5g} "

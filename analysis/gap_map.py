@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 
 from eqsim import Drive, Ensemble, Thermal, reference
+from eqsim.io import style
 
 
 def table(points: int) -> pd.DataFrame:
@@ -39,21 +40,22 @@ def table(points: int) -> pd.DataFrame:
     return frame
 
 
+@style.styled
 def picture(frame: pd.DataFrame) -> Figure:
     """Decimal logarithm of the ratio, with lines where the ensembles differ by 1 and by 10 per cent."""
-    figure = Figure(figsize=(10, 4.4), dpi=150, layout="constrained")
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     norm = TwoSlopeNorm(0.0, min(-0.1, np.log10(frame.ratio.min())), np.log10(frame.ratio.max()))
     for axes, law in zip(panels, ("uniform", "sqrt"), strict=True):
         grid = frame[frame.stiffness_law == law].pivot(index="kT", columns="velocity", values="ratio")
         mesh = axes.pcolormesh(grid.columns, grid.index, np.log10(grid), norm=norm, cmap="RdBu_r", shading="nearest")
-        for level, style in ((0.01, ":"), (0.1, "-")):
-            axes.contour(grid.columns, grid.index, abs(grid - 1), levels=[level], colors="k", linestyles=style)
-            axes.plot([], [], color="k", linestyle=style, label=f"differ by {level:.0%}")
-        axes.set(xscale="log", yscale="log", xlabel="velocity  v / (omega x_*)", title=f"{law} stiffness")
+        for level, dashes in ((0.01, ":"), (0.1, "-")):
+            axes.contour(grid.columns, grid.index, abs(grid - 1), levels=[level], colors="k", linestyles=dashes)
+            axes.plot([], [], color="k", linestyle=dashes, label=f"differ by {level:.0%}")
+        axes.set(xscale="log", yscale="log", xlabel=r"velocity  $v / (\omega x_*)$", title=f"{law} stiffness")
     panels[0].legend(fontsize=8, loc="lower right")
-    panels[0].set_ylabel("temperature  kT / (k x_*^2)")
-    figure.colorbar(mesh, ax=panels, label="log10 (quenched friction / annealed friction)")
+    panels[0].set_ylabel(r"temperature  $k_B T / (k x_*^2)$")
+    figure.colorbar(mesh, ax=panels, label=r"$\log_{10}$ (quenched friction / annealed friction)")
     return figure
 
 
@@ -65,7 +67,7 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     frame = table(points)
     frame.to_parquet(out / "gap_map.parquet", index=False)
-    picture(frame).savefig(out / "gap_map.png")
+    (out / "gap_map.png").write_bytes(style.saved(picture(frame)))
     close = (frame.ratio - 1).abs() < 0.01
     print(f"the ensembles agree to 1 % at {close.mean():.0%} of the plane; ratio up to {frame.ratio.max():.3g}")
 

@@ -171,6 +171,11 @@ class Material(ABC):
         return None
 
     @property
+    def hardness(self) -> float | None:
+        """Normal stress that the contacts carry (Pa); None where it is not known."""
+        return None
+
+    @property
     def spacing_of_contacts(self) -> float:
         """a (m), of the contacts' centres."""
         return 1.0 / math.sqrt(self.contacts_per_area)
@@ -274,6 +279,12 @@ class RoughContacts(Material):
     def contacts_per_area(self) -> float:
         """1/r_c^2 (1/m^2)."""
         return self.contact_radius**-2
+
+    @property
+    def hardness(self) -> float:
+        """3 sqrt(3) sigma_* (Pa), of plastic contacts: three times the yield stress (Tabor), which is sqrt(3) times
+        that in shear (von Mises)."""
+        return 3.0 * math.sqrt(3.0) * self.shear_strength
 
     @property
     def elastic_modulus(self) -> float:
@@ -463,6 +474,15 @@ def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> lis
         Parameter("b", material.b(temperature), "", f"k x_*^2/(2 kT) ({equation('nt08a')})"),
         Parameter("v_*", material.crossover_velocity(temperature), "m/s", only_annealed),
         Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
+        *_hardness(material),
+    ]
+
+
+def _hardness(material: Material) -> list[Parameter]:
+    if material.hardness is None:
+        return []
+    return [
+        Parameter("H", material.hardness, "Pa", "hardness of plastic contacts, 3 sqrt(3) sigma_*; mu = shear stress/H")
     ]
 
 
@@ -481,6 +501,15 @@ def _elastic_lengths(material: Material) -> list[Parameter]:
 
 _RUN_FILE = """title = {title}
 disorder = "{contacts.disorder}"
+
+[units]
+length = "m"
+time = "s"
+force = "N"
+
+[interface]
+contacts_per_area = {per_area}  # 1/m^2
+{load}
 
 [contacts]
 count = {contacts.count}
@@ -548,8 +577,21 @@ def run_file_text(
     contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
     wanted = _decimal(material.crossover_velocity()) if velocity is None else velocity
     drive = Drive(wanted, _decimal(20.0 * material.x_star))
-    title = json.dumps(f"{material.name}, {disorder}, {stiffness_law} stiffness (SI units)", ensure_ascii=False)
+    title, load = (
+        json.dumps(material.name, ensure_ascii=False),
+        "# normal_stress = 1e6  # Pa, for a friction coefficient",
+    )
+    if material.hardness is not None:
+        load = f"normal_stress = {material.hardness:.4g}  # Pa, hardness of plastic contacts, 3 sqrt(3) sigma_*"
     decade = math.floor(math.log10(drive.velocity))
     sections = _RUN_FILE + (_AGING if material.aging else "") + (_DELAY if material.delay else "") + _DRIVE
-    numbers = {"contacts": contacts, "drive": drive, "temperature": temperature, "low": decade - 2, "high": decade + 3}
+    numbers = {
+        "per_area": f"{material.contacts_per_area:.12g}",
+        "load": load,
+        "contacts": contacts,
+        "drive": drive,
+        "temperature": temperature,
+        "low": decade - 2,
+        "high": decade + 3,
+    }
     return sections.format(title=title, **numbers)

@@ -181,7 +181,7 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
 def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_file, tmp_path):
     grid, out = tmp_path / "grid.toml", tmp_path / "o"
     process = start("sweep", grid, "--out", out, *WORKERS, code=EAGER)
-    once(lambda: [*(out / "_parts").glob("part-*")], process)
+    once(lambda: [*(out / "parts").glob("part-*")], process)
     second = CliRunner().invoke(app, ["sweep", str(grid), "--out", str(out)])
     assert (second.exit_code, second.stderr) == (2, f"eqsim: --out {out}: another sweep is at work in this folder\n")
     os.killpg(process.pid, signal.SIGTERM)
@@ -189,7 +189,7 @@ def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_
     assert code == 143
     said = re.fullmatch(r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n", errors)
     assert said, errors
-    assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
+    assert sum(pq.read_metadata(part).num_rows for part in (out / "parts").iterdir()) == int(said[1])
 
 
 SLOW = (
@@ -203,7 +203,7 @@ def test_a_sweep_interrupted_again_and_again_counts_what_is_on_disk(run_file, tm
     """Impatience, or `timeout`, which sends its signal to the leader and to the group; writing takes its time."""
     out = tmp_path / "o"
     process = start("sweep", tmp_path / "grid.toml", "--out", out, *WORKERS, code=SLOW)
-    once(lambda: [*(out / "_parts").glob("part-*")], process)
+    once(lambda: [*(out / "parts").glob("part-*")], process)
     os.killpg(process.pid, signal.SIGINT)
     for gap in (0.0, 0.1, 0.1, 0.1):
         time.sleep(gap)
@@ -213,7 +213,7 @@ def test_a_sweep_interrupted_again_and_again_counts_what_is_on_disk(run_file, tm
     said = re.fullmatch(r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n", errors)
     assert said, errors
     assert code == 130
-    assert sum(pq.read_metadata(part).num_rows for part in (out / "_parts").iterdir()) == int(said[1])
+    assert sum(pq.read_metadata(part).num_rows for part in (out / "parts").iterdir()) == int(said[1])
 
 
 def test_a_signal_while_modules_are_imported(tmp_path):
@@ -254,7 +254,7 @@ def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, 
         assert re.fullmatch(r"eqsim: interrupted; .*\n", errors), errors
         assert command == "sweep" or output == "" or (command == "steady" and output.startswith("about "))  # to go
         if command == "sweep":
-            assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "_parts"}
+            assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "parts"}
         elif command == "figures":  # each is whole as soon as its points are there
             assert {name.partition(".")[2] for name in names(tmp_path / "o")} <= {"pdf", "png", "parquet"}
         else:

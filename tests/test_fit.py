@@ -228,6 +228,25 @@ def test_derived_contacts_per_area(folder):
     assert found["derived"]["spacing of contacts"] == pytest.approx(math.sqrt(8.0 / scale), rel=1e-12, abs=0)
 
 
+def test_the_interface_of_the_run_file_serves_a_fit(folder):
+    """Its area or normal stress, unless the section has its own, or both are given: a force, or a coefficient?"""
+
+    def seen(**changes):
+        found = section_of(load(folder / "run.toml", changes))
+        return found.area, found.normal_stress
+
+    assert seen() == (None, None)
+    assert seen(**{"interface.area": 4.0}) == (4.0, None)
+    assert seen(**{"interface.contacts_per_area": 1.0, "interface.normal_stress": 2.0}) == (None, 2.0)
+    assert seen(**{"interface.area": 4.0, "fit.area": 3.0}) == (3.0, None)
+    assert seen(**{"interface.area": 4.0, "interface.normal_stress": 2.0}) == (None, None)
+    units = {"units.length": "m", "units.force": "N", "thermal.temperature": 300.0}
+    free = {"thermal.temperature": {"bounds": [1.0, 1e3]}}
+    file = load(folder / "run.toml", {**units, "fit.free": free})
+    with pytest.raises(InputError, match=r"fit\.free\.thermal\.temperature: must be thermal\.kT"):
+        parameters_of(file, section_of(file))
+
+
 ALL = ["thermal.kT", "thermal.attempt_frequency", "contacts.stiffness", "thresholds.x_star"]
 DATA = "drive.velocity,friction\n0.01,0.2\n0.03,0.3\n0.1,0.5\n0.3,0.6\n1,0.7\n3,0.7\n10,0.75\n30,0.76\n"
 

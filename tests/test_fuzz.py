@@ -671,10 +671,10 @@ def test_a_full_disk(tmp_path, monkeypatch):
             assert result.exit_code == 2, result.output
             assert result.stderr.count("\n") == 1
             assert "No space left" in result.stderr
-            left = [name for name in tree(tmp_path / "s") if name not in ("_lock", "_parts")]
+            left = [name for name in tree(tmp_path / "s") if name not in ("_lock", "parts")]
             assert left == []
             (tmp_path / "s" / "_lock").unlink(missing_ok=True)
-            for folder in (tmp_path / "s" / "_parts", tmp_path / "s"):
+            for folder in (tmp_path / "s" / "parts", tmp_path / "s"):
                 if folder.exists():
                     folder.rmdir()
 

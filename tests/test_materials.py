@@ -251,7 +251,7 @@ KNOWN = {  # the numbers of section 7 and what follows from them, by hand, to th
     "steel": {
         "density": 1e4, "young_modulus": 2e11, "contact_radius": 1e-6, "kT": 4e-21, "k": 4.7124e5, "x_*": 2.1221e-9,
         "omega": 7.8710e9, "1/a^2": 1e12, "a": 1e-6, "lambda_c": 4.2441e-7, "b": 2.6526e8, "v_*": 2.7902e-8,
-        "sigma_*": 1e9,
+        "sigma_*": 1e9, "H": 5.1962e9,
     },
     "octamethylcyclotetrasiloxane": {
         "density": 956.0, "thickness": 3.5e-9, "spacing": 1e-6, "gamma_c": 0.5, "kT": 4e-21, "k": 0.4, "x_*": 5e-7,
@@ -269,7 +269,7 @@ def test_parameters(material):
     assert {name: row.value for name, row in found.items()} == json.loads(shown.stdout)
     assert {name: float(f"{row.value:.5g}") for name, row in found.items()} == KNOWN[material.name]
     lengths = {"contact_radius": "m", "thickness": "m", "spacing": "m", "x_*": "m", "a": "m", "lambda_c": "m"}
-    forces = {"young_modulus": "Pa", "sigma_*": "Pa", "k": "N/m", "kT": "J", "density": "kg/m^3"}
+    forces = {"young_modulus": "Pa", "sigma_*": "Pa", "H": "Pa", "k": "N/m", "kT": "J", "density": "kg/m^3"}
     rest = {"omega": "1/s", "v_*": "m/s", "1/a^2": "1/m^2", "gamma_c": "", "b": ""}
     units = lengths | forces | rest
     assert {name: row.unit for name, row in found.items()} == {name: units[name] for name in found}

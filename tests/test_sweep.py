@@ -296,6 +296,28 @@ def test_death_between_the_table_and_its_parts_doubles_nothing(small, tmp_path, 
     assert pq.read_table(tmp_path / "o" / "sweep.parquet").equals(pq.read_table(small / "one" / "sweep.parquet"))
 
 
+def test_death_before_the_table_has_its_name_loses_nothing(small, tmp_path, monkeypatch):
+    """Parts are hidden by then, so that no reader sees a row twice, and found again, with others that are not."""
+    from eqsim.io import storage
+
+    out = tmp_path / "o"
+    parts_of(small, out, size=6, rows=12)
+    with monkeypatch.context() as patch:
+        patch.setattr(storage, "save", lambda *_: (_ for _ in ()).throw(SystemError("killed")))
+        with pytest.raises(SystemError):
+            sweep(plan_of(GRID), out)
+    assert len(list((out / "_parts").iterdir())) == 2
+    assert not (out / "sweep.parquet").exists()
+    (out / "parts").mkdir()
+    hidden = next((out / "_parts").iterdir())
+    hidden.replace(out / "parts" / hidden.name)
+    assert len(pd.read_parquet(out)) == 6
+    found = sweep(plan_of(GRID), out)
+    assert found.computed == 0
+    assert sorted(path.name for path in out.iterdir()) == ["_lock", "_sweep.json", "sweep.parquet"]
+    assert pq.read_table(out / "sweep.parquet").equals(pq.read_table(small / "one" / "sweep.parquet"))
+
+
 # ---- deaths ----
 
 
@@ -386,7 +408,7 @@ def start(path, out, *options):
 def on_disk(out):
     """id -> seconds of every row a reader can find."""
     rows = []
-    for path in [*(out / "_parts").glob("part-*.parquet"), *out.glob("sweep.parquet")]:
+    for path in [*out.glob("*parts/part-*.parquet"), *out.glob("sweep.parquet")]:
         with contextlib.suppress(FileNotFoundError):  # a sweep at work has just moved these rows
             rows += pq.read_table(path).to_pylist()
     return {row["id"]: row["seconds"] for row in rows}

@@ -5,7 +5,6 @@ approximations and fits; and `plot(table)`. Every velocity of every curve comes 
 every marker from an estimate by particles (`eqsim.steady`). Installed as `eqsim_figures`, for `eqsim figures`.
 """
 
-import io
 import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, as_completed
@@ -15,12 +14,11 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import pandas as pd
-from matplotlib.figure import Figure
 from scipy import stats
 
 from eqsim import Drive, Estimate, reference, steady, z_score
 from eqsim.errors import require_choice
-from eqsim.io import storage
+from eqsim.io import storage, style
 from eqsim.paper import FIGURES
 
 from .common import STYLE, Curve
@@ -66,7 +64,7 @@ def make(
     for name, table in tabulate(names, quick=quick, executor=executor, progress=progress):
         with matplotlib.rc_context(STYLE):
             figure = _module(name).plot(table)
-            files = {f"{name}.{form}": _saved(figure, form) for form in ("pdf", "png")}
+            files = style.pictures(name, figure, ("pdf", "png"))
         origin = storage.provenance("figures", {"figure": name, "quick": quick}, "", 1)
         storage.publish(out, {**files, f"{name}.parquet": storage.parquet(table, origin)})
         z = table.z.dropna()
@@ -139,10 +137,3 @@ def _rows(curve: Curve, found: dict[_Job, Estimate]) -> Iterator[dict[str, Any]]
                 "reliable": value.reliable,
                 "z": z_score(value, exact.value, exact.stderr) if particles else None,
             }
-
-
-def _saved(figure: Figure, form: str) -> bytes:
-    buffer = io.BytesIO()
-    undated = {"pdf": {"CreationDate": None, "Creator": "eqsim"}, "png": {"Software": "eqsim"}}
-    figure.savefig(buffer, format=form, metadata=undated[form])
-    return buffer.getvalue()

@@ -6,6 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from eqsim import Ensemble, Thermal
+from eqsim.io.style import VERMILION
 from eqsim.master.closed_forms import Published
 from eqsim.paper import numbered, printed
 
@@ -17,7 +18,7 @@ FORMULAS = {
     "nt15, low v": {"color": BLUE, "linestyle": "-."},
     "nt16, printed": {"color": "0.55", "linestyle": (0, (5, 1.5))},
     "nt16, corrected": {"color": BLUE, "linestyle": (0, (5, 1.5))},
-    "logarithm, fitted": {"color": "#C1440E", "linestyle": ":"},
+    "logarithm, fitted": {"color": VERMILION, "linestyle": ":"},
 }
 
 

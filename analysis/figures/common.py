@@ -9,27 +9,27 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from eqsim import Aging, Delay, Ensemble, Gamma, Thermal
+from eqsim.io.style import BLUE, GREEN, ORANGE, VERMILION
+from eqsim.io.style import STYLE as HOUSE
 
 WIDTH = 7.0  # inches, of a figure across two columns
-STYLE = {
+STYLE = HOUSE | {
     "font.size": 8.5,
     "axes.titlesize": 9,
     "legend.fontsize": 7.5,
     "lines.linewidth": 1.2,
     "lines.markersize": 4.5,
-    "savefig.dpi": 220,
-    "pdf.fonttype": 42,
     "legend.framealpha": 0.9,
 }
-BLACK, BLUE, ORANGE = "black", "#0072B2", "#E69F00"  # also three shades of grey
+BLACK = "black"
 ANNEALED: dict[str, Any] = {"color": BLACK, "linestyle": "-", "marker": "o"}
 QUENCHED: dict[str, Any] = {"color": ORANGE, "linestyle": "--", "marker": "s"}
-SERIES: list[dict[str, Any]] = [  # of one parameter, from dark to light
+SERIES: list[dict[str, Any]] = [  # of one parameter
     {"color": "#000000", "linestyle": "-", "marker": "o"},
-    {"color": "#0D3B66", "linestyle": (0, (6, 1.5)), "marker": "s"},
-    {"color": "#0072B2", "linestyle": (0, (4, 1, 1, 1)), "marker": "^"},
-    {"color": "#C1440E", "linestyle": (0, (1.2, 1)), "marker": "D"},
-    {"color": "#E08A1E", "linestyle": (0, (6, 1, 1, 1, 1, 1)), "marker": "v"},
+    {"color": GREEN, "linestyle": (0, (6, 1.5)), "marker": "s"},
+    {"color": BLUE, "linestyle": (0, (4, 1, 1, 1)), "marker": "^"},
+    {"color": VERMILION, "linestyle": (0, (1.2, 1)), "marker": "D"},
+    {"color": ORANGE, "linestyle": (0, (6, 1, 1, 1, 1, 1)), "marker": "v"},
     {"color": "#9A9A9A", "linestyle": "-", "marker": "P"},
 ]
 MODELS = ("annealed", "flow", "langevin")  # the published master equation, and two kinds of literal contacts

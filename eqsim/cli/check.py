@@ -31,7 +31,8 @@ def validate(
     count = cores(threads)
     from eqsim import validation
     from eqsim.io import storage
-    from eqsim.io.plots import validation_png
+    from eqsim.io.plots import validation_figure
+    from eqsim.io.style import saved
 
     storage.check_folder(out)
     with shown.bar("validating", "points") as progress:
@@ -50,7 +51,7 @@ def validate(
     }
     origin = storage.provenance("validate", {"suite": suite}, "", seed)
     table = storage.parquet(validation.columns(result.scores), origin)
-    files = {"scores.parquet": table, "validation.png": validation_png(result)}
+    files = {"scores.parquet": table, "validation.png": saved(validation_figure(result))}
     storage.publish(out, {**files, "summary.json": storage.to_json(summary).encode()})
     reasons = [f"{sum(of.get(reason, 0) for of in absent.values())} {reason}" for reason in validation.REASONS]
     shown.report(

@@ -28,14 +28,16 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
     cores(threads)
     ensemble, drive = file.ensemble(path.parent), file.driven(path.parent)
     from eqsim.engine.trajectory import predicted_lives
+    from eqsim.io.units import scales
     from eqsim.model.reduced import groups
 
     found, lives = groups(ensemble, drive), predicted_lives(ensemble, drive, file.output.replicas)
+    found += scales(ensemble, file.in_units(), file.of_interface())
     shown.doubt(ensemble, drive)
     rows = [(g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning) for g in found]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
-        title=file.title or path.stem,
+        title=file.headline(ensemble, path.stem),
         columns=("group", "value", "meaning"),
         rows=[*rows, ("lives", terminal.count(lives), "predicted for `eqsim run`")],
         notes=[NOTE],

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 from rich.markup import escape
 from typer import Argument, Option
 
-from eqsim.errors import InputError, require_integer
+from eqsim.errors import InputError, require_choice, require_integer
 from eqsim.io import terminal
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ RunFilePath = Annotated[Path, Argument(metavar="RUN.toml", help="Run file.", sho
 Threads = Annotated[int | None, Option(help="Threads: speed only, never a number. Default: all cores.")]
 Processes = Annotated[int | None, Option(help="Processes on this machine. Default: all cores.")]
 MaxLives = Annotated[float, Option(help="Refuse work that needs more lives than this.", show_default="1e10")]
+_Format = Option("--format", metavar="FORMAT", help="Pictures also as pdf or svg, beside png; repeatable.")
+Formats = Annotated[list[str] | None, _Format]
 _Set = Option("--set", metavar="KEY=VALUE", help="Change a key of the run file, as section.key=value; repeatable.")
 
 
@@ -133,6 +135,13 @@ def cores(asked: int | None = None) -> int:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     require_integer("--threads", asked, 1, 1024)
     return asked
+
+
+def pictured(formats: list[str] | None) -> tuple[str, ...]:
+    """The formats of pictures, PNG always. Raises InputError."""
+    for form in formats or []:
+        require_choice("--format", form, ("png", "pdf", "svg"))
+    return tuple(dict.fromkeys(("png", *(formats or []))))
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:

@@ -7,13 +7,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from eqsim.cli.options import Changes, MaxLives, RunFilePath, Shown, Threads, complain, cores, results_folder
+from eqsim.cli.options import (
+    Changes,
+    Formats,
+    MaxLives,
+    RunFilePath,
+    Shown,
+    Threads,
+    complain,
+    cores,
+    pictured,
+    results_folder,
+)
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.estimate import Estimate
     from eqsim.io.runfile import RunFile
+    from eqsim.io.units import Quantity, Row
     from eqsim.sweep.workers import Workers
     from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
@@ -48,6 +60,7 @@ def run(
     threads: Threads = None,
     split: Split,
     max_lives: MaxLives = 1e10,
+    format_: Formats = None,
     shown: Shown,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
@@ -57,18 +70,23 @@ def run(
     require_number("--max-lives", max_lives, above=0)
     folder = results_folder(path, out)
     storage.check_folder(folder)
-    count, workers = cores(threads), split.chosen()
+    count, workers, formats = cores(threads), split.chosen(), pictured(format_)
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
         result = simulate(file, path.parent, threads=count, workers=workers, max_lives=max_lives, progress=progress)
-    storage.publish(folder, result.files(path.stem))
+    files = result.files(path.stem, formats)
+    storage.publish(folder, files)
     shown.doubt(result.ensemble, result.drive)
     shown.report(
         result.summary(),
-        title=file.title or folder.name,
+        title=file.headline(result.ensemble, folder.name),
         **_table(result),
-        notes=_remarks(result, folder, "workers" if workers else "threads"),
+        notes=[
+            *_remarks(result, "workers" if workers else "threads"),
+            f"{folder}/: {', '.join(files)}",
+            *([f"no exact curve: {reason}"] if (reason := getattr(result, "exact", (None, ""))[1]) else []),
+        ],
     )
 
 
@@ -80,10 +98,16 @@ def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, A
     if isinstance(result, ElasticResult):
         return {"columns": _COUPLED, "rows": _coupled(result)}
     if isinstance(result, RunResult):
-        return {"columns": _AVERAGES, "rows": _averages(result)}
+        rows = result.file.rows(result.ensemble, result.trajectory.averages)
+        return {"columns": (*_AVERAGES[:3], *_unit(rows), _AVERAGES[3]), "rows": _averages(result)}
     if isinstance(result, SliderResult):
         return {"columns": _SLIPS, "rows": _slips(result)}
-    return {"columns": _SEGMENTS, "rows": _segments(result)}
+    shown = result.file.preferred(result.ensemble, result.trajectory.segments[0].peak)
+    columns = _SEGMENTS
+    if shown:
+        unit = f" [{shown.unit}]" * bool(shown.unit)
+        columns = (*_SEGMENTS[:3], f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak", _SEGMENTS[6])
+    return {"columns": columns, "rows": _segments(result, shown)}
 
 
 _AVERAGES = ("", "this run", "expected", "z")
@@ -94,8 +118,9 @@ _MOST_ROWS = 40
 _SHOWN = 10  # parts of a curve at whose ends it is shown
 
 
-def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
-    """What each segment shows; z is the difference of the force at its end from the exact mean in standard errors."""
+def _segments(result: "ProgrammeResult", shown: "Quantity | None") -> Iterator[tuple[str, ...]]:
+    """What each segment shows, forces as a quantity of the interface, if there is one; z is the difference of the force
+    at its end from the exact mean in standard errors."""
     from eqsim.estimate import difference
 
     exact, found = result.exact_segments, result.trajectory.segments
@@ -103,9 +128,10 @@ def _segments(result: "ProgrammeResult") -> Iterator[tuple[str, ...]]:
         if index < _MOST_ROWS:
             z = terminal.score(difference(segment.end, exact[index].end)) if exact else "none"
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
+            end, peak = ((shown.of(one) if shown else one) for one in (segment.end, segment.peak))
             yield (
-                str(index), velocity, f"{segment.t:.6g}", terminal.value_and_error(segment.end), z,
-                terminal.value_and_error(segment.peak), terminal.value_and_error(segment.at),
+                str(index), velocity, f"{segment.t:.6g}", terminal.value_and_error(end), z,
+                terminal.value_and_error(peak), terminal.value_and_error(segment.at),
             )  # fmt: skip
     if len(found) > _MOST_ROWS:
         yield ("...", *[""] * (len(_SEGMENTS) - 1))
@@ -140,28 +166,39 @@ def _coupled(result: "ElasticResult") -> Iterator[tuple[str, ...]]:
         yield names[name], terminal.value_and_error(found), f"{exact.value:.8g}", z
 
 
+def _unit(rows: "list[tuple[str, Row]]") -> tuple[str, ...]:
+    """The column of units, if the rows have one."""
+    return ("unit",) * any(row.unit for _, row in rows)
+
+
 def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     from eqsim.estimate import difference
+    from eqsim.io.units import Row
 
     steady = result.steady.averages()
     averages = result.trajectory.averages
-    for name in averages.shown:
+    for name, row in result.file.rows(result.ensemble, averages):
         estimate = getattr(averages, name)
         z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
-        yield name, terminal.value_and_error(estimate), terminal.value_and_error(steady[name]), z
-    if result.peak is not None:
-        for name in ("force", "X"):
-            estimate, exact = getattr(result.peak, name), getattr(result.exact_peak, name, None)
-            known = "none" if exact is None else terminal.value_and_error(exact)
-            z = "none" if exact is None or estimate.value is None else terminal.score(difference(estimate, exact))
-            yield f"peak_{name}", terminal.value_and_error(estimate), known, z
+        both = (terminal.value_and_error(row.of(one)) for one in (estimate, steady[name]))
+        yield row.label, *both, *row.unit, z
+    if result.peak is None:
+        return
+    quantity = result.file.preferred(result.ensemble, result.peak.force)
+    length = result.file.rows(result.ensemble, averages)[0][1].unit
+    forces = Row("peak_force", (quantity.unit,), quantity) if quantity else Row("peak_force", length)
+    for name, row in (("force", forces), ("X", Row("peak_X", length))):
+        estimate, exact = getattr(result.peak, name), getattr(result.exact_peak, name, None)
+        known = "none" if exact is None else terminal.value_and_error(row.of(exact))
+        z = "none" if exact is None or estimate.value is None else terminal.score(difference(estimate, exact))
+        yield row.label, terminal.value_and_error(row.of(estimate)), known, *row.unit, z
 
 
-def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path, who: str) -> Iterator[str]:
+def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) -> Iterator[str]:
     from eqsim.workflows.elastic import ElasticResult
 
     if isinstance(result, ElasticResult):
-        yield from _remarks_on_blocks(result, folder)
+        yield from _remarks_on_blocks(result)
         return
     found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
     averages = getattr(found, "averages", None)
@@ -183,14 +220,9 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"
-    files = [*result.names, *(["avalanches.parquet"] if getattr(found, "avalanches", None) else [])]
-    yield f"{folder}/: {', '.join(files)}"
-    _, reason = result.exact
-    if reason:
-        yield f"no exact curve: {reason}"
 
 
-def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
+def _remarks_on_blocks(result: "ElasticResult") -> Iterator[str]:
     found, elastic = result.trajectory, result.drive.elastic
     assert elastic
     breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
@@ -205,7 +237,6 @@ def _remarks_on_blocks(result: "ElasticResult", folder: Path) -> Iterator[str]:
     contacts = f" of {terminal.count(result.ensemble.count * result.file.output.replicas)} contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, contacts)
     yield f"{lives}, {found.threads} threads, seed {found.seed}"
-    yield f"{folder}/: {', '.join(result.names)}"
 
 
 def steady(
@@ -235,19 +266,21 @@ def steady(
     exact, reason = if_any(lambda: solve(ensemble, drive))
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
-    z = _scores(found, levels)
+    z, rows = _scores(found, levels), file.rows(ensemble, result)
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
             **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
             **{"reference": values, "z": {name: z.get(name) for name in found}},
+            **file.physical(ensemble, result.friction, values["friction"]),
         },
-        title=file.title or path.stem,
-        columns=("", "contacts", "relative error", "reference", "z"),
+        title=file.headline(ensemble, path.stem),
+        columns=("", "contacts", *_unit(rows), "relative error", "reference", "z"),
         rows=[
-            (name, terminal.value_and_error(found[name]), terminal.relative_error(found[name]),
-             *(("none", "none") if values[name] is None else (f"{values[name]:.9g}", terminal.score(z.get(name)))))
-            for name in result.shown
+            (row.label, terminal.value_and_error(row.of(found[name])), *row.unit,
+             terminal.relative_error(found[name]), row.exact(levels.get(name), ".9g"),
+             "none" if values[name] is None else terminal.score(z.get(name)))
+            for name, row in rows
         ],
         notes=[
             *([f"no reference: {reason}"] if reason else []),
@@ -294,16 +327,22 @@ def reference(
     ensemble = file.ensemble(path.parent)
     from eqsim.master.steady import reference as solve
 
-    drive = file.constant(path.parent)
-    result = solve(ensemble, drive, variance=shown.json)
+    result = solve(ensemble, file.constant(path.parent), variance=shown.json)
     shown.doubt(ensemble)
-    found = {**result.averages(), "f_k": result.f_k}
+    found, rows = {**result.averages(), "f_k": result.f_k}, file.rows(ensemble, result)
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
-        {**{name: estimate.value for name, estimate in found.items()}, "error": errors, "method": result.method},
-        title=file.title or path.stem,
-        columns=("", "value", "error"),
-        rows=[(name, f"{found[name].value:.10g}", f"{errors[name]:.1e}") for name in (*result.shown, "f_k")],
+        {
+            **{name: estimate.value for name, estimate in found.items()},
+            **{"error": errors, "method": result.method},
+            **file.physical(ensemble, result.friction),
+        },
+        title=file.headline(ensemble, path.stem),
+        columns=("", "value", *_unit(rows), "error"),
+        rows=[
+            (row.label, row.exact(found[name], ".10g"), *row.unit, f"{row.of(found[name]).stderr:.1e}")
+            for name, row in [*rows, ("f_k", rows[0][1]._replace(label="f_k"))]
+        ],
         notes=[f"method: {result.method}", "error: bound of the solver's; f_k: F/(N_c k), friction per pinned contact"],
     )
 

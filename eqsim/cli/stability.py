@@ -12,6 +12,7 @@ from eqsim.io import terminal
 
 if TYPE_CHECKING:
     from eqsim.estimate import Estimate
+    from eqsim.io.plots import Caption
     from eqsim.master.stability import Stability
 
 _OUT = "Folder for the borders over velocity: a table, a picture and summary.json."
@@ -50,7 +51,11 @@ def stability(
         with shown.bar("borders", "velocities") as progress:
             borders = solve.border(pulled, velocities, critical=steady, progress=progress)
         origin = storage.provenance("stability", file.model_dump(), file.text, file.output.seed, path.parent)
-        names = _publish(out, found, borders, title, origin)
+        from eqsim.estimate import Estimate
+        from eqsim.io.plots import caption
+
+        said = caption(file, pulled.ensemble, Estimate(None, None, 0), path.stem)
+        names = _publish(out, found, borders, said, origin)
         notes.append(f"{out}/: {', '.join(names)}")
     shown.report(_summary(found), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes)
 
@@ -60,13 +65,17 @@ def _velocities(velocity: float, points: int) -> list[float]:
     return [velocity * 10.0 ** (_DECADES * (2.0 * i / (points - 1) - 1.0)) for i in range(points)]
 
 
-def _publish(out: Path, found: "Stability", borders: dict[str, Any], title: str, origin: dict[str, Any]) -> list[str]:
+def _publish(
+    out: Path, found: "Stability", borders: dict[str, Any], said: "Caption", origin: dict[str, Any]
+) -> list[str]:
     """Write what there is, and tell the names of the files."""
     from eqsim.io import storage
-    from eqsim.io.plots import stability_png
+    from eqsim.io.plots import stability_figure
+    from eqsim.io.style import pictures
 
     summary = {**_summary(found), "versions": storage.versions()}
-    files = {"summary.json": storage.to_json(summary).encode(), "stability.png": stability_png(found, borders, title)}
+    files = {"summary.json": storage.to_json(summary).encode()}
+    files |= pictures("stability", stability_figure(found, borders, said))
     files["border.parquet"] = storage.parquet(borders, origin)
     storage.publish(out, files)
     return list(files)

@@ -91,13 +91,17 @@ def _ended(found: "Summary", out: Path) -> list[str]:
 _Where = Option(metavar="KEY=VALUE", help="Only points at which a column has this value; repeatable.")
 
 
+_By = Option(help="Column of which every value is a series; a second one chooses markers, the first then colours.")
+_PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
+
+
 def plot(
     folder: Annotated[Path, Argument(metavar="DIR", help="Folder of Parquet files, one point a row.")],
     x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
     y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
-    by: Annotated[str | None, Option(help="Column of which every value is a series of its own.")] = None,
+    by: Annotated[list[str] | None, _By] = None,
     where: Annotated[list[str] | None, _Where] = None,
-    out: Annotated[Path | None, Option(metavar="FILE.png", help="Default: DIR.png beside DIR.")] = None,
+    out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None,
     log_x: Annotated[
         bool | None, Option("--log-x/--linear-x", help="Default: logarithmic above a factor 30.", show_default=False)
     ] = None,
@@ -113,16 +117,18 @@ def plot(
         chosen[key] = value
     place = folder.absolute()
     file = out or place.parent / f"{place.name}.png"
-    if file.suffix != ".png":
-        raise InputError(f"--out {file}: must end in .png")
+    if file.suffix not in (".png", ".pdf", ".svg"):
+        raise InputError(f"--out {file}: must end in .png, .pdf or .svg")
     if file.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"--out {file}: must be outside {folder}, where everything is read as points")
-    from eqsim.io import plots, storage
+    from eqsim.io import storage, style, sweep_plots
 
     storage.check_folder(file.parent)
-    points = plots.select(plots.read_points(folder), chosen)
-    png, notes = plots.sweep_png(points, x, y, by, log_x, ", ".join([place.name, *(where or [])]))
-    storage.publish(file.parent, {file.name: png})
+    found = sweep_plots.read_sweep(folder)
+    points = sweep_plots.select(found.table, chosen)
+    title = sweep_plots.heading(found, place.name, chosen)
+    figure, notes = sweep_plots.sweep_figure(found, points, (x, y), by, log_x, title)
+    storage.publish(file.parent, {file.name: style.saved(figure, file.suffix[1:])})
     data = {"file": str(file), "points": len(points), "notes": notes}
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])
 

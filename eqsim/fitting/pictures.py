@@ -10,13 +10,14 @@ from eqsim.fitting.data import MEASURED
 from eqsim.fitting.estimate import DEGENERATE
 from eqsim.fitting.model import Problem, SteadyForward
 from eqsim.fitting.profiles import LEVELS, WIDE
-from eqsim.io.plots import as_png, plain_title
+from eqsim.io.labels import axis, plain
+from eqsim.io.style import DASHES, MARKERS, styled
 from eqsim.numerics.tables import Array
 
 if TYPE_CHECKING:
     from eqsim.fitting.fit import FitResult
 
-_MARKERS, _BETWEEN = "os^DvPX*", 8  # points of a curve between neighbouring velocities
+_BETWEEN = 8  # points of a curve between neighbouring velocities
 _LABELS = {
     "friction": "friction (unit of the data)", "pinned": "pinned fraction", "break_stretch": "mean stretch at breaking",
     "force_std": "standard deviation of the force", "peak_ratio": "first peak over steady force",
@@ -43,12 +44,13 @@ def root(jacobian: Array) -> Array:
     return (rows[keep] / singular[keep, None]).T
 
 
-def fit_png(result: "FitResult", title: str) -> bytes:
+@styled
+def fit_figure(result: "FitResult", title: str) -> Figure:
     """Each observable against velocity, or against the number of the measurement if that does not change, with the
     fitted curves and their bands; below, residuals."""
     problem, table = result.problem, result.table
     shown = [name for name in MEASURED if name in table.observable]
-    figure = Figure(figsize=(8, 1.0 + 4.6 * len(shown)), dpi=150, layout="constrained")
+    figure = Figure(figsize=(8, 1.0 + 4.6 * len(shown)), layout="constrained")
     panels: Any = figure.subplots(2 * len(shown), 1, squeeze=False, height_ratios=[2.6, 1.0] * len(shown))[:, 0]
     covariance_root = root(problem.jacobian(result.best.u))
     velocity = np.array([dict(table.rows[row].changes).get("drive.velocity", np.nan) for row in table.row])
@@ -58,7 +60,7 @@ def fit_png(result: "FitResult", title: str) -> bytes:
     r = (problem.value - problem.given(result.best.u)) / table.sigma
     for name, top, below in zip(shown, panels[::2], panels[1::2], strict=True):
         for number, (label, members) in enumerate(_series(result, names == name)):
-            color, marker = f"C{number % 10}", _MARKERS[number % len(_MARKERS)]
+            color, marker = f"C{number % 8}", MARKERS[number % len(MARKERS)]
             size = 4 if table.time is None else 2
             style = {"color": color, "marker": marker, "linestyle": "none", "markersize": size, "capsize": size - 2}
             top.errorbar(x[members], problem.value[members], table.sigma[members], label=label, **style)
@@ -68,7 +70,7 @@ def fit_png(result: "FitResult", title: str) -> bytes:
                     fine, (middle, sd) = table.time, band(problem, result.best.u, covariance_root)
                 else:
                     fine, middle, sd = _curve(result, members, velocity[members], covariance_root)
-                top.plot(fine, middle, color=color, linewidth=1)
+                top.plot(fine, middle, color=color, linewidth=1, linestyle=DASHES[number % len(DASHES)])
                 for level, alpha in (("95", 0.15), ("68", 0.3)):
                     wide = float(np.sqrt(LEVELS[level])) * sd
                     top.fill_between(fine, middle - wide, middle + wide, color=color, alpha=alpha, linewidth=0)
@@ -79,7 +81,8 @@ def fit_png(result: "FitResult", title: str) -> bytes:
         below.axhline(0, color="0.6", linewidth=0.7)
         limit = max(3.0, 1.15 * np.abs(r[names == name]).max())
         below.set(ylim=(-limit, limit), ylabel="residual\n[standard errors]")
-        below.set_xlabel("driving velocity" if moving else "measurement" if table.time is None else "time")
+        speed, time = (axis(name, result.file.in_units()) for name in ("drive.velocity", "time"))
+        below.set_xlabel(speed if moving else "measurement" if table.time is None else time)
         top.set(ylabel=_LABELS[name])
         for panel in (top, below):
             panel.grid(alpha=0.3)
@@ -89,11 +92,9 @@ def fit_png(result: "FitResult", title: str) -> bytes:
             top.legend(fontsize=8)
     good = result.goodness
     p = "" if good.p is None else f", p = {good.p:.2g}"
-    panels[0].set_title(
-        plain_title(f"{title}\nchi-square {good.chi2:.1f} of {good.dof} degrees of freedom{p}"), fontsize=10
-    )
+    panels[0].set_title(plain(f"{title}\nchi-square {good.chi2:.1f} of {good.dof} degrees of freedom{p}"), fontsize=10)
     figure.align_ylabels(panels)
-    return as_png(figure)
+    return figure
 
 
 def _series(result: "FitResult", here: Array) -> list[tuple[str, Array]]:
@@ -131,12 +132,13 @@ def _curve(result: "FitResult", members: Array, velocity: Array, covariance_root
     return fine, *band(many, result.best.u, covariance_root)
 
 
-def profiles_png(result: "FitResult", title: str) -> bytes:
+@styled
+def profiles_figure(result: "FitResult", title: str) -> Figure:
     """Chi-square over each parameter with all others at their best, and the levels of the intervals."""
-    parameters = result.problem.parameters
+    parameters, units = result.problem.parameters, result.file.in_units()
     wide = min(3, len(parameters))
     tall = -(-len(parameters) // wide)
-    figure = Figure(figsize=(4.0 * wide, 0.6 + 3.0 * tall), dpi=150, layout="constrained")
+    figure = Figure(figsize=(4.0 * wide, 0.6 + 3.0 * tall), layout="constrained")
     panels: Any = figure.subplots(tall, wide, squeeze=False, sharey=True).ravel()
     top = 1.35 * max(LEVELS.values())
     for panel, one, known in zip(panels, parameters, result.intervals, strict=False):
@@ -166,20 +168,21 @@ def profiles_png(result: "FitResult", title: str) -> bytes:
                 panel.axvline(float(one.value(bound)), color="k", linewidth=1.5)
         if one.transform != "linear" and one.value(u).min() > 0 and np.ptp(np.log(one.value(u))) > 1.0:
             panel.set_xscale("log")
-        panel.set(ylim=(-0.03 * top, top), xlabel=f"{one.key}: {known.status}")
+        panel.set(ylim=(-0.03 * top, top), xlabel=f"{axis(one.key, units, unknown=False)}: {known.status}")
         panel.grid(alpha=0.3)
     for panel in panels[len(parameters) :]:
         panel.set_visible(False)
     for panel in panels[::wide]:
         panel.set_ylabel("chi-square above the least")
-    figure.suptitle(plain_title(f"{title}: profile likelihood (thick line: a bound reached first)"), fontsize=10)
-    return as_png(figure)
+    figure.suptitle(plain(f"{title}: profile likelihood (thick line: a bound reached first)"), fontsize=10)
+    return figure
 
 
-def identifiability_png(result: "FitResult", title: str) -> bytes:
+@styled
+def identifiability_figure(result: "FitResult", title: str) -> Figure:
     """How far parameters may move along each eigenvector of J'J, and what these consist of."""
     rungs, keys = result.ladder, [one.key for one in result.problem.parameters]
-    figure = Figure(figsize=(4.5 + 1.1 * len(keys), 1.8 + 0.6 * len(keys)), dpi=150, layout="constrained")
+    figure = Figure(figsize=(4.5 + 1.1 * len(keys), 1.8 + 0.6 * len(keys)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.1, max(1.0, 0.35 * len(keys))])
     sd = np.array([min(rung.sd, 1e6) for rung in rungs])
     at = np.arange(len(rungs))
@@ -200,5 +203,5 @@ def identifiability_png(result: "FitResult", title: str) -> bytes:
         right.text(column, row, f"{parts[row, column]:+.2f}", ha="center", va="center", fontsize=8, color=color)
     right.set_xticks(np.arange(len(keys)), keys, rotation=30, ha="right", fontsize=8)
     figure.colorbar(image, ax=right, label="component")
-    figure.suptitle(plain_title(f"{title}: what the data determine, best first"), fontsize=10)
-    return as_png(figure)
+    figure.suptitle(plain(f"{title}: what the data determine, best first"), fontsize=10)
+    return figure

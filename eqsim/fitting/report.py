@@ -104,6 +104,7 @@ def profiles(result: FitResult) -> dict[str, Any]:
 def files(result: FitResult, out: Path, title: str = "") -> dict[str, bytes]:
     """The files of a results folder by name."""
     from eqsim.fitting import pictures
+    from eqsim.io.style import saved
 
     file, title = result.file, result.file.title or title
     origin = storage.provenance("fit", file.model_dump(), file.text, result.seed, result.folder)
@@ -112,9 +113,9 @@ def files(result: FitResult, out: Path, title: str = "") -> dict[str, bytes]:
         "fitted.parquet": storage.parquet(fitted(result), origin),
         "profiles.parquet": storage.parquet(profiles(result), origin),
         "run.toml": run_toml(result, out).encode(),
-        "fit.png": pictures.fit_png(result, title),
-        "profiles.png": pictures.profiles_png(result, title),
-        "identifiability.png": pictures.identifiability_png(result, title),
+        "fit.png": saved(pictures.fit_figure(result, title)),
+        "profiles.png": saved(pictures.profiles_figure(result, title)),
+        "identifiability.png": saved(pictures.identifiability_figure(result, title)),
     }
 
 

@@ -124,12 +124,22 @@ def section_of(file: RunFile) -> Fit:
         for name in ("reference_temperature", "area", "normal_stress"):
             if getattr(found, name) is not None:
                 require_number(name, getattr(found, name), **POSITIVE)
+    if found.area is None and found.normal_stress is None:
+        found = found.model_copy(update=_of_interface(file))
     if found.data is not None and found.record is not None:
         raise InputError("fit.record: not allowed with fit.data; fit a table or a record")
     if (found.temperature is None) != (found.reference_temperature is None):
         missing = "reference_temperature" if found.reference_temperature is None else "temperature"
         raise InputError(f"fit.{missing}: is required; kT of a row is thermal.kT T/reference_temperature")
     return found
+
+
+def _of_interface(file: RunFile) -> dict[str, float]:
+    """The area or the normal stress of the run file's [interface], if only one of them is there: with an area what is
+    measured is a force, with a normal stress a coefficient."""
+    given = {name: getattr(file.interface, name) for name in ("area", "normal_stress")}
+    known = {name: value for name, value in given.items() if value is not None}
+    return known if len(known) == 1 else {}
 
 
 def _flat(free: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -185,6 +195,8 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
 def _check_effect(file: RunFile, key: str, field: str) -> None:
     """Raise InputError for a key that the laws of the run file do not know."""
     law, rule = file.thresholds.law, file.aging.rule
+    if key == "thermal.temperature":
+        raise InputError(f"{field}: must be thermal.kT, to which it is proportional")
     if (key == "thresholds.n" and law != "gamma") or (key == "thresholds.x_star" and law == "table"):
         raise InputError(f'{field}: has no effect with thresholds.law = "{law}"')
     if key.startswith("aging.") and rule == "none":

@@ -6,6 +6,7 @@ what comes out, and `model.reduced` makes it dimensionless.
 
 import csv
 import functools
+import json
 import math
 import stat
 import tomllib
@@ -18,6 +19,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from pydantic.fields import FieldInfo
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
+from eqsim.estimate import Averages, Estimate
+from eqsim.io.labels import described
+from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.newborn import LAWS, Newborn
@@ -59,6 +63,7 @@ class Thresholds(_Section):
 
 
 class ThermalSection(_Section):
+    temperature: Annotated[float | None, Field(description="kelvin, instead of kT; takes [units] of SI")] = None
     kT: float = 0.0  # b = k x_*^2/(2 kT): `Ensemble.b`; field b of a barrier
     attempt_frequency: float = 1.0  # log_w: `model.reduced._barrier`; field log_w of a barrier
     barrier: str = "soft"
@@ -145,6 +150,24 @@ class Output(_Section):
     replicas: Whole = 1
 
 
+class UnitsSection(_Section):
+    length: Annotated[str, Field(description='"nm", "um", ...: known units of SI, or any label, such as "x_*"')] = ""
+    time: Annotated[str, Field(description='"s", "ms", "min", ..., or any label')] = ""
+    force: Annotated[str, Field(description='"N", "nN", ..., or any label; kT is in units of force times length')] = ""
+
+
+class InterfaceSection(_Section):
+    area: Annotated[float | None, Field(description="apparent area (length^2)")] = None
+    contacts_per_area: Annotated[
+        float | None,
+        Field(description="1/length^2; with an area the interface has their product of contacts, else contacts.count"),
+    ] = None
+    normal_load: Annotated[float | None, Field(description="force on all contacts of the interface")] = None
+    normal_stress: Annotated[
+        float | None, Field(description="force/length^2, instead of normal_load; takes an area or contacts_per_area")
+    ] = None
+
+
 class RunFile(_Section):
     """A checked run file; the defaults are the contract. `text` is what was read, and what was changed then."""
 
@@ -160,6 +183,8 @@ class RunFile(_Section):
     drive: DriveSection = DriveSection()
     elastic: ElasticSection | None = None
     output: Output = Output()
+    units: UnitsSection = UnitsSection()
+    interface: InterfaceSection = InterfaceSection()
     sweep: dict[str, Any] = {}
     fit: dict[str, Any] = {}  # `fitting.section`
     _text: str = PrivateAttr("")
@@ -167,6 +192,52 @@ class RunFile(_Section):
     @property
     def text(self) -> str:
         return self._text
+
+    def in_units(self) -> Units:
+        """The units of its numbers. Raises InputError."""
+        with under("units"):
+            return Units(**self.units.model_dump())
+
+    def of_interface(self) -> Interface:
+        """What the contacts stand for. Raises InputError."""
+        with under("interface"):
+            return Interface(**self.interface.model_dump())
+
+    def quantities(self, ensemble: Ensemble) -> tuple[Quantity, ...]:
+        """What friction is as a force, a shear stress and a coefficient, as far as that is known."""
+        return quantities(ensemble, self.in_units(), self.of_interface())
+
+    def physical(self, ensemble: Ensemble, friction: Estimate, reference: float | None = None) -> dict[str, Any]:
+        """For JSON: friction, and that of the reference, as `quantities` under the key "physical", if any is known."""
+        found = {one.name: one.as_dict(friction, reference) for one in self.quantities(ensemble)}
+        return {"physical": found} if found else {}
+
+    def headline(self, ensemble: Ensemble, name: str) -> str:
+        """Of a table: the title, or `name` without one, and what is simulated."""
+        return f"{self.title or name}: {described(ensemble, self.in_units())}"
+
+    def preferred(self, ensemble: Ensemble, friction: Estimate) -> Quantity | None:
+        """That of `quantities` which says most, a coefficient before a stress before a force, in a unit fit for
+        `friction`; None if none is known."""
+        found = self.quantities(ensemble)
+        return found[-1].near(friction.value or 0.0) if found else None
+
+    def rows(self, ensemble: Ensemble, averages: Averages) -> list[tuple[str, Row]]:
+        """As in `units.rows_of`."""
+        return rows_of(averages, self.in_units(), self.quantities(ensemble))
+
+    def heated(self) -> "RunFile":
+        """With the kT that belongs to thermal.temperature, if that is given. Raises InputError."""
+        given = self.thermal
+        if given.temperature is None:
+            return self
+        with under("thermal"):
+            kT = self.in_units().energy(given.temperature)
+            if given.kT and not math.isclose(given.kT, kT, rel_tol=1e-12, abs_tol=0.0):
+                raise InputError(_two_temperatures(given.temperature))
+        warm = given.model_copy(update={"kT": kT})
+        warm.model_fields_set.discard("kT")  # it follows, also where the temperature changes
+        return self.model_copy(update={"thermal": warm})
 
     def ensemble(self, folder: Path) -> Ensemble:
         """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
@@ -284,6 +355,22 @@ _KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()
 _SECTIONS = {name: kind for name, kind in _KINDS.items() if isinstance(kind, type) and issubclass(kind, BaseModel)}
 
 
+_PAIRS = (("thermal.temperature", "thermal.kT"), ("interface.normal_load", "interface.normal_stress"))
+_ALTERNATIVES = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
+
+
+def _two_temperatures(temperature: float) -> str:
+    return f"temperature = {shown(temperature)}: not allowed with kT; give one of them"
+
+
+def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None:
+    """Of two keys that say the same, a change of one replaces the other in the content of a run file."""
+    for key in _ALTERNATIVES.keys() & changes.keys():
+        section, name = _ALTERNATIVES[key].split(".")
+        if _ALTERNATIVES[key] not in changes and isinstance(data.get(section), dict):
+            data[section].pop(name, None)
+
+
 def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     """Read and check a run file.
 
@@ -305,6 +392,7 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     """
     changes = changes or {}
     text, data = read_toml(path)
+    _without_alternatives(data, changes)
     for key, value in changes.items():
         *sections, last = key.split(".")
         axes, axis = data.get("sweep"), key.removeprefix("sweep.")
@@ -321,6 +409,9 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
         if isinstance(place, list):
             raise InputError(f"{key}: must name a key of a segment, as in drive.programme.0.{last}")
         place[last] = value
+    heat = data.get("thermal")
+    if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():  # even if kT is 0
+        raise InputError("thermal." + _two_temperatures(heat["temperature"]))
     file = check(data)
     file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return file
@@ -349,8 +440,9 @@ def _read(path: Path) -> str:
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
-    """Every `section.key` (or top-level key) but `title` and `sweep`, and the type of its values: float, int or str.
-    Given a `file`, also those that its programme, stage or coupled blocks have, such as drive.programme.1.hold."""
+    """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and `interface`, and the type of its values:
+    float, int or str. Given a `file`, also those that its programme, stage or coupled blocks have, such as
+    drive.programme.1.hold."""
     known = dict(_keys())
     if file and file.elastic:
         kinds: dict[str, type] = {"blocks": int, "edges": str}
@@ -371,9 +463,12 @@ def _keys() -> dict[str, type]:
         first, *_ = get_args(field.annotation) or (field.annotation,)  # of float | None; of a Literal it is text
         return first if isinstance(first, type) else str
 
+    labels = ("units", "interface")  # no parameters: averages do not depend on them
     others = {"title", "sweep", "fit", "elastic", *_SECTIONS}
     known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
     for name, section in _SECTIONS.items():
+        if name in labels:
+            continue
         fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
         known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
     return known
@@ -398,6 +493,7 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
     data = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
     known = keys(file)
+    _without_alternatives(data, changes)
     for key, value in changes.items():
         if key not in known:
             hint = meant(key, known) or "known are " + ", ".join(known)
@@ -410,14 +506,21 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     return check(data)
 
 
+def stored(settings: dict[str, Any]) -> RunFile:
+    """A run file as it was in force, from the provenance of a table, infinite rates included. Raises InputError."""
+    return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
+
+
 def check(data: dict[str, Any]) -> RunFile:
     """A run file from its content. Raises InputError with one line that names the field."""
     for name in ("sweep", "fit"):
         _check_plain(name, data.get(name))
     try:
-        return RunFile.model_validate(data)
+        file = RunFile.model_validate(data)
     except pydantic.ValidationError as error:
         raise InputError(_explain(error)) from None
+    file.of_interface(), file.in_units()
+    return file.heated()
 
 
 def _check_plain(field: str, content: Any) -> None:

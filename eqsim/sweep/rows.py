@@ -15,6 +15,8 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     of each segment of a programme, with _stderr, _reference, _reference_error and _z:
     segment_0_end, _peak, _at                force at its end, that which differs most from its beginning, and where
     segment_0_direct, _evolution, _memory    of a velocity step
+    force, shear_stress, friction_coefficient    what friction is at the interface, if the run file says so, with
+                               _stderr and _reference; the stress is in Pa where the units are known
     size, single               of coupled blocks, with _stderr, _reference and _z: breaks per avalanche and the fraction
                                of single breaks; `friction` is then that over displacement
     slips, period, drop        of a slider that a stage pulls: how many, mean time between them, mean drop of the force
@@ -31,12 +33,15 @@ numbers and round differently: values agree to 1e-9, and to 1e-6 where threshold
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, Estimate, known, z_score
 from eqsim.io.runfile import RunFile, keys
+from eqsim.io.units import Quantity
 from eqsim.model.drive import Drive, Programme
+from eqsim.model.ensemble import Ensemble
 from eqsim.sweep.plan import Task, results_version
 
 if TYPE_CHECKING:
@@ -78,6 +83,8 @@ def schema(file: RunFile) -> Any:
     for name in OBSERVABLES:
         fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
         fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
+    for one in _quantities(file, Ensemble()):
+        fields |= {one.name: number, f"{one.name}_stderr": number, f"{one.name}_reference": number}
     for name in ("size", "single") if file.elastic else ():
         fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number, f"{name}_z": number}
     if file.drive.stage:
@@ -88,6 +95,24 @@ def schema(file: RunFile) -> Any:
             fields |= {f"{name}_reference_error": number, f"{name}_z": number}
     fields |= {"reference_method": text, "lives": integer, "seed": integer, "seconds": number, "eqsim_version": text}
     return pa.schema(list(fields.items()))
+
+
+def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
+    """What friction is at the interface, where there are averages."""
+    return () if file.drive.programme or file.drive.stage else file.quantities(ensemble)
+
+
+def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, float]:
+    """The columns of a point that say what its friction is at the interface; none of a point that failed."""
+    if row.get("friction") is None or not _quantities(file, Ensemble()):
+        return {}
+    found = {}
+    for one in _quantities(file, file.ensemble(folder)):
+        for end in ("", "_stderr", "_reference"):
+            value = row.get(f"friction{end}")
+            if value is not None:
+                found[one.name + end] = value * one.factor
+    return found
 
 
 def compute(tasks: list[Task], asked: Asked, threads: int, version: str) -> list[dict[str, Any]]:

@@ -1,8 +1,9 @@
 """The folder of a sweep.
 
 It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweep.rows`), and `_sweep.json`, what was asked for.
-While a sweep runs its rows are in `_parts/`, in files named by a digest of their content. Names that begin with "_" are
-not part of the dataset: `pandas.read_parquet(FOLDER)` reads the table. Its metadata key `eqsim` holds the run file, the
+While a sweep runs its rows are in `parts/`, in files named by a digest of their content; when all are there, that
+folder becomes `_parts` just before the table gets its name. Names that begin with "_" are not part of the dataset:
+`pandas.read_parquet(FOLDER)` reads the rows that there are, each once. The metadata key `eqsim` holds the run file, the
 settings, versions and the version of the schema.
 """
 
@@ -21,9 +22,9 @@ from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
 from eqsim.sweep.plan import Plan, entries, results_version, seed_of
-from eqsim.sweep.rows import SCHEMA, Asked, schema
+from eqsim.sweep.rows import SCHEMA, Asked, physical, schema
 
-_TABLE, _MANIFEST, _LOCK, _PARTS = "sweep.parquet", "_sweep.json", "_lock", "_parts"
+_TABLE, _MANIFEST, _LOCK, _PARTS, _HIDDEN = "sweep.parquet", "_sweep.json", "_lock", "parts", "_parts"
 _FLUSH_ROWS = 256
 
 
@@ -39,7 +40,7 @@ class Store:
             self.kind = "transient"
         if plan.file.drive.programme is not None or plan.file.drive.stage is not None:
             self.kind = "programme"
-        theirs = () if (out / _MANIFEST).exists() else (*out.glob("[!._]*"), *out.glob(f"{_PARTS}/*.parquet"))
+        theirs = () if (out / _MANIFEST).exists() else self._foreign(out)
         if theirs:  # the folder is read as one table
             name = theirs[0].name
             raise InputError(f"--out {out}: holds files of another origin, {name}; must be a folder of its own")
@@ -48,7 +49,7 @@ class Store:
         try:
             self._agree(asked)
             (out / _PARTS).mkdir(exist_ok=True)
-            for unfinished in (*out.glob(".eqsim-*"), *(out / _PARTS).glob(".eqsim-*")):
+            for unfinished in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
                 shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
             origin = storage.provenance("sweep", settings, plan.file.text, plan.file.output.seed, plan.folder)
@@ -62,6 +63,11 @@ class Store:
             self.close()
             raise
         self.flushed = time.monotonic()
+
+    @staticmethod
+    def _foreign(out: Path) -> list[Path]:
+        """What a folder holds that is no sweep's, or that of a sweep whose manifest is lost."""
+        return [path for path in out.glob("[!._]*") if path.name != _PARTS] + [*out.glob("*parts/*.parquet")]
 
     def _locked(self) -> int:
         handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)  # modulo umask: the folder may be a group's
@@ -85,6 +91,8 @@ class Store:
         plan, path = self.plan, self.out / _MANIFEST
         names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
         now = {key: repr(value) for key, value in parameters(plan.file).items()}
+        for section in ("units", "interface"):
+            now |= {f"{section}.{key}": repr(value) for key, value in getattr(plan.file, section) if value}
         now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
         now |= {f"content of {name}": _digest((plan.folder / str(name)).read_bytes()) for name in names}
         now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
@@ -108,7 +116,8 @@ class Store:
         """The rows on disk; what is damaged is noted and removed."""
         final = self.out / _TABLE
         self.complete, self.parts = False, []
-        for path in [*self.out.glob(_TABLE), *sorted((self.out / _PARTS).glob("*.parquet"))]:
+        parts = [*(self.out / _PARTS).glob("*.parquet"), *(self.out / _HIDDEN).glob("*.parquet")]
+        for path in [*self.out.glob(_TABLE), *sorted(parts)]:
             content = path.read_bytes()
             whole = path == final or path.stem == f"part-{_digest(content)}"
             table = storage.from_parquet(content, self.schema) if whole else None
@@ -128,7 +137,8 @@ class Store:
         """Keep the row of a point; it reaches the disk with `flush`."""
         point_id = self.plan.ids[index]
         known = {"id": point_id, "seed": seed_of(point_id), "kind": self.kind, "eqsim_version": _version()}
-        self.rows.append({**parameters(self.plan.at(index)), **row, **known})
+        point = self.plan.at(index)
+        self.rows.append({**parameters(point), **row, **physical(point, self.plan.folder, row), **known})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -162,12 +172,24 @@ class Store:
         place = dict(zip(reversed(table["id"].to_pylist()), reversed(range(len(table))), strict=True))  # the first
         table = table.take([place[point_id] for point_id in self.plan.ids]).combine_chunks()
         if self.parts or not self.complete:
-            storage.save(self.out / _TABLE, storage.as_parquet(table))
-        for path in self.parts:
-            path.unlink()
-        with suppress(OSError):
-            (self.out / _PARTS).rmdir()
+            content = storage.as_parquet(table)
+            self._hide()
+            storage.save(self.out / _TABLE, content)
+        for folder in (self.out / _PARTS, self.out / _HIDDEN):
+            for path in folder.glob("*.parquet"):
+                path.unlink()
+            with suppress(OSError):
+                folder.rmdir()
         return table
+
+    def _hide(self) -> None:
+        """Take the parts out of the dataset, at once unless some are hidden since an earlier end."""
+        shown, hidden = self.out / _PARTS, self.out / _HIDDEN
+        if hidden.exists():
+            for path in shown.glob("*.parquet"):
+                path.replace(hidden / path.name)
+        else:
+            shown.replace(hidden)
 
 
 def _digest(content: bytes) -> str:

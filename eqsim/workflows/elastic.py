@@ -1,10 +1,10 @@
 """What `eqsim run` computes of coupled blocks, and the exact numbers beside it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from eqsim.engine.elastic import ElasticTrajectory, check_elastic, elastic_trajectory
 from eqsim.estimate import Estimate, difference
@@ -28,10 +28,6 @@ class ElasticResult:
     ensemble: Ensemble
     drive: Drive
     trajectory: ElasticTrajectory
-    names: ClassVar[tuple[str, ...]] = (
-        "trajectory.parquet", "avalanches.parquet", "blocks.parquet", "summary.json", "force.png", "avalanches.png",
-        "fronts.png",
-    )  # fmt: skip
 
     @cached_property
     def sizes(self) -> Array:
@@ -61,29 +57,32 @@ class ElasticResult:
             **{name: estimate.as_dict() for name, (estimate, _) in averages.items()},
             "force_reliable": found.force_reliable,
             "reference": {name: exact.value for name, (_, exact) in averages.items()},
+            **self.file.physical(self.ensemble, averages["friction"][0], averages["friction"][1].value),
             "z": {name: difference(*pair) for name, pair in averages.items()},
             "avalanches": len(found.avalanches["breaks"]),
             **{name: getattr(found, name) for name in names},
             "versions": storage.versions(),
         }
 
-    def files(self, title: str = "") -> dict[str, bytes]:
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the pictures, unless the run file has one."""
-        from eqsim.io.plots import avalanches_png, elastic_png, fronts_png
+        from eqsim.io.plots import avalanches_figure, caption, elastic_figure, fronts_figure
+        from eqsim.io.style import pictures
 
         file, found, elastic = self.file, self.trajectory, self.drive.elastic
         assert elastic
-        title = file.title or title
+        exact = self.averages()["friction"][1]
+        said = caption(file, self.ensemble, exact, title)
         origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, self.folder)
-        tables = (found.columns(), found.avalanches, found.blocks)
-        contents = (
-            *(storage.parquet(table, origin) for table in tables),
-            storage.to_json(self.summary()).encode(),
-            elastic_png(found, self.averages()["friction"][1], title),
-            avalanches_png(found, self.sizes, title),
-            fronts_png(found, elastic.shape, title),
-        )
-        return dict(zip(self.names, contents, strict=True))
+        return {
+            "trajectory.parquet": storage.parquet(found.columns(), origin),
+            "avalanches.parquet": storage.parquet(found.avalanches, origin),
+            "blocks.parquet": storage.parquet(found.blocks, origin),
+            "summary.json": storage.to_json(self.summary()).encode(),
+            **pictures("force", elastic_figure(found, exact, said), formats),
+            **pictures("avalanches", avalanches_figure(found, self.sizes, said), formats),
+            **pictures("fronts", fronts_figure(found, elastic.shape, said), formats),
+        }
 
 
 def run_elastic(

@@ -11,7 +11,7 @@ from eqsim.engine.elastic import ElasticTrajectory
 from eqsim.engine.records import SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, check
+from eqsim.io.runfile import stored
 from eqsim.sweep.plan import Plan
 from eqsim.sweep.rows import Asked
 from eqsim.sweep.scheduler import sweep
@@ -123,13 +123,8 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
     return found
 
 
-def _file(settings: dict[str, Any]) -> RunFile:
-    """The run file as it was in force, infinite rates included."""
-    return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
-
-
 def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
-    file, folder = _file(origin["settings"]), Path(origin["folder"])
+    file, folder = stored(origin["settings"]), Path(origin["folder"])
     found = run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory
     if isinstance(found, ElasticTrajectory):
         return found.avalanches if "drop" in table else found.blocks if "block" in table else found.columns()
@@ -138,13 +133,13 @@ def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress)
 
 
 def _reference(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
-    return curve(_file(origin["settings"]), Path(origin["folder"]), closure="mean_threshold" in table)
+    return curve(stored(origin["settings"]), Path(origin["folder"]), closure="mean_threshold" in table)
 
 
 def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
     from eqsim.master.stability import border, pulled_by
 
-    file, folder = _file(origin["settings"]), Path(origin["folder"])
+    file, folder = stored(origin["settings"]), Path(origin["folder"])
     pulled = pulled_by(file.ensemble(folder), file.driven(folder))
     critical = bool(table["critical_stiffness"].notna().any())
     return border(pulled, table["velocity"].tolist(), critical=critical, progress=progress)
@@ -162,7 +157,7 @@ def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progres
     from pyarrow import parquet as pq
 
     settings = origin["settings"]
-    plan = Plan(_file(settings["sweep"]), Path(origin["folder"]), table["id"].tolist())
+    plan = Plan(stored(settings["sweep"]), Path(origin["folder"]), table["id"].tolist())
     asked = Asked(**{field.name: settings[field.name] for field in dataclasses.fields(Asked)})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"

@@ -1,12 +1,14 @@
 """Everything that `eqsim run` computes: a run, and what it is compared with."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTrajectory, Trajectory, shown_by
 from eqsim.engine.steady import Steady, steady
@@ -24,6 +26,9 @@ from eqsim.sweep.workers import Workers
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
 
@@ -38,7 +43,6 @@ class RunResult:
     drive: Drive
     steady: Steady
     trajectory: Trajectory
-    names: ClassVar[tuple[str, ...]] = ("trajectory.parquet", "summary.json", "force.png")
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
@@ -78,15 +82,20 @@ class RunResult:
             **self._peaks(),
             "force_reliable": found.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
+            **self.file.physical(self.ensemble, found.averages.friction, self.steady.friction.value),
             **_how(found),
         }
 
-    def files(self, title: str = "") -> dict[str, bytes]:
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        from eqsim.io.plots import trajectory_png
+        return _files(self, formats, self.picture(title))
 
-        picture = trajectory_png(self.trajectory, self.steady, self.exact[0], self.file.title or title)
-        return _files(self, picture)
+    def picture(self, title: str = "") -> "Figure":
+        """The force against displacement beside the exact mean and the steady value."""
+        from eqsim.io.plots import caption, trajectory_figure
+
+        said = caption(self.file, self.ensemble, self.steady.friction, title)
+        return trajectory_figure(self.trajectory, self.steady, self.exact[0], said)
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,6 @@ class ProgrammeResult:
     ensemble: Ensemble
     drive: Programme
     trajectory: ProgrammeTrajectory
-    names: ClassVar[tuple[str, ...]] = RunResult.names
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
@@ -123,15 +131,26 @@ class ProgrammeResult:
         return {
             "title": self.file.title,
             "segments": segments,
+            **self._physical(),
             "force_reliable": found.force_reliable,
             **_how(found),
         }
 
-    def files(self, title: str = "") -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        from eqsim.io.plots import programme_png
+    def _physical(self) -> dict[str, Any]:
+        """Of each quantity of the interface, what a force F/(N k) is multiplied by, and its unit."""
+        known = self.file.quantities(self.ensemble)
+        return {"physical": {one.name: {"factor": one.factor, "unit": one.unit} for one in known}} if known else {}
 
-        return _files(self, programme_png(self.trajectory, self.exact[0], self.file.title or title))
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        return _files(self, formats, self.picture(title))
+
+    def picture(self, title: str = "") -> "Figure":
+        """The force along the programme."""
+        from eqsim.io.plots import caption, programme_figure
+
+        largest = Estimate(float(np.abs(self.trajectory.force).max()), None, 0)
+        return programme_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
 
 
 @dataclass(frozen=True)
@@ -146,11 +165,16 @@ class SliderResult(ProgrammeResult):
         slips = {"slips": [asdict(slip) for slip in found.slips]}
         return super().summary() | {"period": found.period.as_dict(), "drop": found.drop.as_dict()} | slips
 
-    def files(self, title: str = "") -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        from eqsim.io.plots import slider_png
+    def picture(self, title: str = "") -> "Figure":
+        """Forces and displacements of slider and stage."""
+        from eqsim.io.plots import caption, slider_figure
 
-        found = _files(self, slider_png(self.trajectory, self.exact[0], self.file.title or title))
+        largest = Estimate(float(np.abs(self.trajectory.spring).max()), None, 0)
+        return slider_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
+
+    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        found = super().files(title, formats)
         if self.trajectory.avalanches is not None:
             found["avalanches.parquet"] = storage.parquet(self.trajectory.avalanches, _origin(self))
         return found
@@ -176,13 +200,14 @@ def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
     return storage.provenance("run", file.model_dump(), file.text, file.output.seed, result.folder)
 
 
-def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, bytes]:
-    contents = (
-        storage.parquet(result.trajectory.columns(), _origin(result)),
-        storage.to_json(result.summary()).encode(),
-        picture,
-    )
-    return dict(zip(result.names, contents, strict=True))
+def _files(result: RunResult | ProgrammeResult, formats: Sequence[str], picture: "Figure") -> dict[str, bytes]:
+    from eqsim.io.style import pictures
+
+    return {
+        "trajectory.parquet": storage.parquet(result.trajectory.columns(), _origin(result)),
+        "summary.json": storage.to_json(result.summary()).encode(),
+        **pictures("force", picture, formats),
+    }
 
 
 def run(

@@ -17,7 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from eqsim.io import plots, storage
+from eqsim.io import storage, style
 from eqsim.validation.points import SUITES
 from eqsim.validation.scores import KINDS, REASONS, Score
 from eqsim.validation.verdict import ALARM, judge, p_overall
@@ -238,4 +238,4 @@ def picture(found):
     right.legend(fontsize=6, loc="upper left")
     for axes in (left, middle, right):
         axes.grid(alpha=0.3)
-    return plots.as_png(figure)
+    return style.saved(figure)

@@ -1,0 +1,205 @@
+"""Pictures of runs: what their titles, axes and legends say, in which formats they are, and what colours they have."""
+
+import json
+from itertools import combinations
+
+import matplotlib
+import matplotlib.colors
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eqsim import load
+from eqsim.cli.app import app
+from eqsim.estimate import OBSERVABLES
+from eqsim.io import labels, style
+from eqsim.io.runfile import keys
+from eqsim.io.units import Units
+from eqsim.workflows.run import run
+
+RUN = """
+title = "A $ film, k_i"
+[contacts]
+count = 50
+[thermal]
+kT = 0.1
+[delay]
+time = 1.0
+[drive]
+velocity = 0.1
+distance = 100.0
+[output]
+points = 1001
+"""
+UNITS = '[units]\nlength = "um"\ntime = "s"\nforce = "uN"\n[interface]\nnormal_load = 100.0\n'
+
+
+@pytest.fixture
+def run_file(tmp_path):
+    path = tmp_path / "film.toml"
+    path.write_text(RUN)
+    return path
+
+
+SHORT = ("--set", "drive.distance=5.0", "--set", "output.points=21")
+
+
+def call(*args):
+    return CliRunner().invoke(app, [str(arg) for arg in args])
+
+
+def simulated(path, changes=None):
+    return run(load(path, changes), path.parent).picture("film")
+
+
+def texts(figure):
+    """Of the legend of a figure."""
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_a_run_shows_its_title_its_contacts_and_its_transient(run_file):
+    figure = simulated(run_file)
+    title = figure.get_suptitle()
+    assert title.startswith("A \\$ film, k_i\n50 quenched contacts, $k_i \\propto")
+    assert "k_B T = 0.1" in title
+    first, whole = figure.axes[:2]
+    assert first.get_xlim()[1] < 0.1 * whole.get_xlim()[1] == pytest.approx(10.0, rel=1e-12, abs=0)
+    assert first.get_ylabel() == "friction  $F / (N k)$\n[length unit of the run file]"
+    assert any("± 2 standard deviations between ensembles of N = 50" in text for text in texts(figure))
+    # the legend stands below the panels
+    style.saved(figure)
+    lowest = min(axes.get_window_extent().y0 for axes in figure.axes)
+    assert figure.legends[0].get_window_extent().y1 < lowest
+    short = simulated(run_file, {"drive.distance": 10.0})  # control: nothing to enlarge
+    assert len(short.axes) == 3
+
+
+def test_titles_say_what_is_simulated(run_file):
+    """Whatever the run file's own title says, in pictures and tables."""
+    changes = {"disorder": "annealed", "output.replicas": 3, "contacts.stiffness_law": "uniform", "thermal.kT": 0.0}
+    figure = simulated(run_file, {**changes, "drive.distance": 5.0, "output.points": 51})
+    assert "50 annealed contacts, uniform stiffness, $T = 0$" in figure.get_suptitle()
+    assert any("mean of 3 simulated ensembles, ± 2 standard errors" in text for text in texts(figure))
+    shown = (
+        CliRunner().invoke(app, ["steady", str(run_file), "--set", "disorder=annealed", "--rel-error", "0.1"]).stdout
+    )
+    assert "50 annealed contacts, k_i ~ sqrt(f_si), kT = 0.1 k x_*^2" in shown
+    assert "quenched" not in shown
+
+
+def test_units_are_on_the_axes(run_file):
+    run_file.write_text(RUN + UNITS)
+    figure = simulated(run_file, {"drive.distance": 10.0, "output.points": 51})
+    top, *_, last = figure.axes
+    assert top.get_ylabel() == "friction  $F / (N k)$  [µm]"
+    assert last.get_xlabel() == "slider displacement  $X$  [µm]"
+    (right,) = top.child_axes
+    assert right.get_ylabel() == "friction coefficient"
+    style.saved(figure)
+    assert right.get_ylim()[1] == pytest.approx(0.5 * top.get_ylim()[1], rel=1e-9, abs=0)  # 50 uN/um over 100 uN
+
+
+def test_formats(run_file, tmp_path):
+    out = tmp_path / "o"
+    args = [
+        "run",
+        str(run_file),
+        "--out",
+        str(out),
+        "--format",
+        "pdf",
+        "--format",
+        "svg",
+        "--set",
+        "drive.distance=5.0",
+    ]
+    result = CliRunner().invoke(app, [*args, "--set", "output.points=21"])
+    assert result.exit_code == 0, result.output
+    begins = {"force.png": b"\x89PNG", "force.pdf": b"%PDF", "force.svg": b"<?xml"}
+    assert all((out / name).read_bytes().startswith(begin) for name, begin in begins.items())
+    assert "force.png, force.pdf, force.svg" in " ".join(result.stdout.split())
+    refused = call("run", run_file, "--out", tmp_path / "p", "--format", "gif")
+    assert refused.exit_code == 2
+    assert '--format = \'gif\': must be one of "png", "pdf", "svg"' in refused.stderr
+    assert not (tmp_path / "p").exists()
+
+
+def test_every_key_and_observable_has_a_label(run_file):
+    """Words, not the key itself, and mathematics that matplotlib can set."""
+    programme = tmp = run_file.with_name("p.toml")
+    tmp.write_text(
+        "[drive]\nprogramme = [{ velocity = 1.0, distance = 1.0 }, { hold = 1.0 }]\nstage = { stiffness = 1.0 }"
+    )
+    names = {
+        *keys(load(run_file)),
+        *keys(load(programme)),
+        *OBSERVABLES,
+        "segment_1_peak",
+        "segment_0_memory",
+        "period",
+    }
+    figure = matplotlib.figure.Figure()
+    bare = []
+    for units in (Units(), Units("nm", "s", "nN"), Units("x_*", "1/w^2", "k x_*")):
+        for name in sorted(names):
+            label = labels.axis(name, units)
+            bare += [name] * (label == name)
+            figure.text(0, 0, label)
+    style.saved(figure)
+    assert {name.partition(".")[0] for name in bare} <= {"newborn", "output", "drive", "elastic", "thresholds"}
+    assert labels.axis("drive.velocity", Units("um", "s")) == "driving velocity  $v$  [µm/s]"
+    assert labels.axis("thermal.kT", Units("m", "s", "N")) == "thermal energy  $k_B T$  [J]"
+    assert labels.axis("force_variance", Units("nm")).endswith("[nm$^{2}$]")
+    assert labels.axis("friction", Units("x_*")).endswith("[$x_*$]")
+
+
+def seen(color, matrix):
+    """A colour as an eye without one kind of cone sees it (Vienot, Brettel and Mollon, 1999), linear RGB."""
+    rgb = np.asarray(matplotlib.colors.to_rgb(color))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return matrix @ linear
+
+
+PROTANOPE = np.array([[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]])
+DEUTERANOPE = np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]])
+
+
+def nearest(colors):
+    """The least distance of two colours, for the three kinds of eyes."""
+    views = (np.eye(3), PROTANOPE, DEUTERANOPE)
+    return min(np.linalg.norm(seen(a, m) - seen(b, m)) for m in views for a, b in combinations(colors, 2))
+
+
+def test_colours_are_told_apart_by_all_eyes():
+    """matplotlib's own cycle, the control, is not."""
+    usual = matplotlib.rcParamsDefault["axes.prop_cycle"].by_key()["color"][:6]
+    assert nearest(style.COLORS[:6]) > 2 * nearest(usual)
+
+
+def test_the_figure_of_the_readme(tmp_path):
+    """Few points: every line and marker of two ensembles at three temperatures, on both panels."""
+    from analysis.friction import plot
+
+    figure = plot(points=2, fine=3)
+    left, right = figure.axes
+    for panel, lines in ((left, 201), (right, 3)):
+        assert [len(line.get_xdata()) for line in panel.lines].count(lines) == 6
+        assert len(panel.containers) == 6
+    assert style.saved(figure).startswith(b"\x89PNG")
+
+
+def test_summaries_of_runs_without_units_have_no_physical(run_file, tmp_path):
+    out = tmp_path / "o"
+    args = [
+        "run",
+        str(run_file),
+        "--out",
+        str(out),
+        "--quiet",
+        "--set",
+        "drive.distance=5.0",
+        "--set",
+        "output.points=21",
+    ]
+    assert CliRunner().invoke(app, args).exit_code == 0
+    assert "physical" not in json.loads((out / "summary.json").read_text())
