@@ -10,6 +10,7 @@ from eqsim.fitting.fit import FitResult, fit
 from eqsim.io.runfile import RunFile, load
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
@@ -36,12 +37,16 @@ __all__ = [
     "ElasticTrajectory",
     "Ensemble",
     "Estimate",
+    "Exponential",
     "FitResult",
     "Fluctuations",
     "FreshSlip",
     "Gamma",
     "InputError",
+    "Lognormal",
     "Newborn",
+    "Normal",
+    "Pareto",
     "Programme",
     "ProgrammeTrajectory",
     "Reference",
@@ -58,7 +63,9 @@ __all__ = [
     "Thermal",
     "Trajectory",
     "Transient",
+    "Uniform",
     "Validation",
+    "Weibull",
     "closure",
     "elastic_trajectory",
     "fit",

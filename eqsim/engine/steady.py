@@ -40,7 +40,7 @@ from eqsim.estimate import Averages, Estimate, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.pooled import Pooled
 from eqsim.laws.newborn import DeltaBirths, Stretched
-from eqsim.laws.threshold import Distribution
+from eqsim.laws.threshold import Smooth
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
@@ -146,7 +146,7 @@ def steady(
         tables = _POOLED_STEPS if c.thresholds.steps.size else _POOLED_SMOOTH
     if c.aging.fluctuates:
         tables = step_error(c.aging, step)
-    if isinstance(ensemble.thresholds, Distribution):
+    if isinstance(ensemble.thresholds, Smooth):
         tables = max(tables, ensemble.thresholds.drawn_to)
     response: Array | None = None
     size, done = _FIRST, 0

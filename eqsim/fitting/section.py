@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.io.runfile import RunFile, keys, parameters
+from eqsim.laws.named import threshold_parameters
 
 TRANSFORMS = ("log", "log1p", "linear")
 NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}  # free keys of a record that no contact knows
@@ -185,7 +186,7 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
 def _check_effect(file: RunFile, key: str, field: str) -> None:
     """Raise InputError for a key that the laws of the run file do not know."""
     law, rule = file.thresholds.law, file.aging.rule
-    if (key == "thresholds.n" and law != "gamma") or (key == "thresholds.x_star" and law == "table"):
+    if key.startswith("thresholds.") and key.partition(".")[2] not in threshold_parameters(law):
         raise InputError(f'{field}: has no effect with thresholds.law = "{law}"')
     if key.startswith("aging.") and rule == "none":
         raise InputError(f'{field}: has no effect with aging.rule = "none", contacts that do not age')

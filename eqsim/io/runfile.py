@@ -11,7 +11,7 @@ import stat
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
@@ -20,9 +20,10 @@ from pydantic.fields import FieldInfo
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.named import THRESHOLDS, law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
+from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
@@ -49,10 +50,22 @@ class Contacts(_Section):
     stiffness_law: str = "sqrt"
 
 
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[(*THRESHOLDS, "table")]
+
+
 class Thresholds(_Section):
-    law: Literal["gamma", "delta", "table"] = "gamma"
+    law: LawName = "gamma"
     n: float | None = None
     x_star: float | None = None
+    sigma: float | None = None
+    shape: float | None = None
+    std: float | None = None
+    low: float | None = None
+    high: float | None = None
+    exponent: float | None = None
     file: str | None = None
 
 
@@ -210,19 +223,18 @@ class RunFile(_Section):
             )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
-        given = self.thresholds
-        allowed = {"gamma": {"n", "x_star"}, "delta": {"x_star"}, "table": {"file"}}[given.law]
-        for key in ("n", "x_star", "file"):
-            value = getattr(given, key)
-            if value is not None and key not in allowed:
-                raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{given.law}"')
-        if given.law == "table":
-            if given.file is None:
-                raise InputError('thresholds.file: is required with law = "table"')
-            return read_thresholds(folder / given.file)
-        x_star = 1.0 if given.x_star is None else given.x_star
-        with under("thresholds"):
-            return Delta(x_star) if given.law == "delta" else Gamma(1.0 if given.n is None else given.n, x_star)
+        law, file = self.thresholds.law, self.thresholds.file
+        given = self.thresholds.model_dump(exclude={"law"}, exclude_none=True)
+        allowed = {"file"} if law == "table" else set(threshold_parameters(law))
+        for key, value in given.items():
+            if key not in allowed:
+                raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{law}"')
+        if law != "table":
+            with under("thresholds"):
+                return law_of(law, given)
+        if file is None:
+            raise InputError('thresholds.file: is required with law = "table"')
+        return read_thresholds(folder / file)
 
     def driven(self, folder: Path) -> Drive | Programme:
         """How the slider moves; the path of a recorded drive is relative to `folder`. Raises InputError."""
@@ -372,9 +384,9 @@ def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
     data = file.model_dump()
     found: dict[str, Any] = {key: functools.reduce(_part, key.split("."), data) for key in keys(file)}
-    for key, laws in (("thresholds.x_star", ("gamma", "delta")), ("thresholds.n", ("gamma",))):
-        if file.thresholds.law in laws and found[key] is None:
-            found[key] = 1.0
+    for key, default in threshold_parameters(file.thresholds.law).items():
+        if found[f"thresholds.{key}"] is None:
+            found[f"thresholds.{key}"] = default
     return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
 
 

@@ -24,7 +24,8 @@ class Ensemble:
     Parameters
     ----------
     thresholds : ThresholdLaw
-        Law of newborn threshold stretches (length): `Gamma`, `Delta`, `Table` or `Distribution`.
+        Law of newborn threshold stretches (length): `Gamma`, `Delta`, another by name (`Lognormal`, `Weibull`,
+        `Exponential`, `Normal`, `Uniform`, `Pareto`), `Table` or `Distribution`.
     thermal : Thermal
         Temperature, attempt frequency and barrier.
     delay : Delay
