@@ -154,13 +154,15 @@ def drawn(law, u):
 
 @pytest.mark.parametrize("law", LAWS, ids=repr)
 def test_draws_are_the_quantile(law):
-    """Where all but 1e-12 of the draws are, within the error of a cubic in a cell of 1/4 for exponentials of e, 2e-7 for
-    a lognormal law over six decades, else 1e-9; and what tables cost averages, which `steady` quotes."""
+    """Where all but 1e-12 of the draws are, within the error of a cubic in a cell of 1/4 for exponentials of e, of 2e-7
+    for a lognormal law over six decades, else of 1e-9; and what tables cost averages, which `steady` quotes."""
     rng = np.random.default_rng(4)
     u = np.concatenate((2.0 ** rng.uniform(-40, 0, 500), 1.0 - 2.0 ** rng.uniform(-40, -1, 500)))
     wide = law == Lognormal(2.0, 2.5)
     cubic = (0.25 / law.exponent) ** 4 / 384 if isinstance(law, Pareto) else 0.0
-    np.testing.assert_allclose(drawn(law, u), law.inverse_survival(-np.log(u)), rtol=1.1 * cubic + (2e-7 if wide else 1e-9))
+    np.testing.assert_allclose(
+        drawn(law, u), law.inverse_survival(-np.log(u)), rtol=1.1 * cubic + (2e-7 if wide else 1e-9)
+    )
     assert law.drawn_to < (1e-6 if wide or law == Pareto(3.05, 2.5) else 1e-9)
 
 

@@ -12,7 +12,7 @@ from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
 
 if TYPE_CHECKING:
-    from eqsim.sweep.workers import Workers
+    from eqsim.sweeps.workers import Workers
     from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
 
@@ -33,7 +33,7 @@ class Split:
             require_integer("--workers", self.workers, 1, 1024)
         elif self.dask is None:
             return None
-        from eqsim.sweep.workers import Workers
+        from eqsim.sweeps.workers import Workers
 
         return Workers(self.workers or 1, dask=self.dask)
 

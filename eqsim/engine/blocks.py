@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from eqsim.numerics.tables import Array
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
 _BLOCK = 128  # contacts, at least, unless there are fewer
+_MOST_NUMBERS = 20_000_000  # of forces of replicas that are kept one by one
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
 
@@ -29,18 +30,22 @@ class Totals:
         self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
         self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)
         self.replica_square = np.zeros_like(self.replica_sum)
+        self.kept = replicas * self.replica_sum.size <= _MOST_NUMBERS
+        self.forces: list[tuple[int, Array]] = []
 
     @property
     def lives(self) -> int:
         return int(self.status[0])
 
-    def close_replica(self, job: "Job", contacts: int) -> None:
-        """Note the force of the ensemble just simulated and clear the sums for the next one."""
+    def close_replica(self, job: "Job", contacts: int, replica: int) -> None:
+        """Note the force of the ensemble just simulated, the `replica`, and clear the sums for the next one."""
         if self.scratch is self.deposits:
             return
         force, (scale, square) = job.moments(self.scratch, contacts).force, job.replica_scales
         self.replica_sum += np.rint(force * scale).astype(np.int64)
         self.replica_square += np.rint(force**2 * square).astype(np.int64)
+        if self.kept:
+            self.forces.append((replica, force))
         self.deposits += self.scratch
         self.scratch[:] = 0
 
@@ -52,13 +57,18 @@ class Totals:
         spread = self.replica_square / square - (self.replica_sum / scale) ** 2 / replicas
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
 
+    def replica_forces(self) -> Array | None:
+        """The force of every replica, shape (replicas, points); None if there is one, or if they are too many."""
+        return np.array([force for _, force in sorted(self.forces, key=lambda one: one[0])]) if self.forces else None
+
     def add(self, other: "Totals") -> None:
+        self.forces += other.forces
         for name in self.sums:
             getattr(self, name)[...] += getattr(other, name)
 
-    def __getstate__(self) -> dict[str, Array]:
-        """What comes back from a worker: the sums, without scratch."""
-        return {name: getattr(self, name) for name in self.sums}
+    def __getstate__(self) -> dict[str, Any]:
+        """What comes back from a worker: the sums and forces of replicas, without scratch."""
+        return {name: getattr(self, name) for name in (*self.sums, "forces")}
 
 
 class Job(Protocol):
@@ -93,7 +103,7 @@ def _follow(job: Job, blocks: _Blocks, firsts: Iterable[int], total: Totals | No
         if total.status[1]:
             break
         job.simulate(total, first, min(first + blocks.size, blocks.contacts * blocks.replicas))
-        total.close_replica(job, blocks.contacts)
+        total.close_replica(job, blocks.contacts, first // blocks.contacts)
     return total
 
 

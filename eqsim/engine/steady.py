@@ -61,7 +61,7 @@ _DOMINANT = 0.02  # a single life that makes up more of a sum than this has sibl
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Steady(Averages):
     """Steady averages as estimated.
 

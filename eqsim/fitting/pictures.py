@@ -44,6 +44,11 @@ def root(jacobian: Array) -> Array:
 
 
 def fit_png(result: "FitResult", title: str) -> bytes:
+    """`fit_figure` as PNG."""
+    return as_png(fit_figure(result, title))
+
+
+def fit_figure(result: "FitResult", title: str) -> Figure:
     """Each observable against velocity, or against the number of the measurement if that does not change, with the
     fitted curves and their bands; below, residuals."""
     problem, table = result.problem, result.table
@@ -93,7 +98,7 @@ def fit_png(result: "FitResult", title: str) -> bytes:
         plain_title(f"{title}\nchi-square {good.chi2:.1f} of {good.dof} degrees of freedom{p}"), fontsize=10
     )
     figure.align_ylabels(panels)
-    return as_png(figure)
+    return figure
 
 
 def _series(result: "FitResult", here: Array) -> list[tuple[str, Array]]:

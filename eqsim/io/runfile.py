@@ -174,13 +174,21 @@ class RunFile(_Section):
     sweep: dict[str, Any] = {}
     fit: dict[str, Any] = {}  # `fitting.section`
     _text: str = PrivateAttr("")
+    _folder: Path = PrivateAttr(Path())
 
     @property
     def text(self) -> str:
         return self._text
 
-    def ensemble(self, folder: Path) -> Ensemble:
-        """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
+    @property
+    def folder(self) -> Path:
+        """Where it was read from, and the paths in it start."""
+        return self._folder
+
+    def ensemble(self, folder: Path | None = None) -> Ensemble:
+        """The contacts; the path of a threshold table is relative to `folder`, by default that of the run file. Raises
+        InputError."""
+        folder = self.folder if folder is None else folder
         with under("thermal"):
             thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)
         with under("delay"):
@@ -236,9 +244,10 @@ class RunFile(_Section):
             raise InputError('thresholds.file: is required with law = "table"')
         return read_thresholds(folder / file)
 
-    def driven(self, folder: Path) -> Drive | Programme:
-        """How the slider moves; the path of a recorded drive is relative to `folder`. Raises InputError."""
-        given = self.drive
+    def driven(self, folder: Path | None = None) -> Drive | Programme:
+        """How the slider moves; the path of a recorded drive is relative to `folder`, by default that of the run file.
+        Raises InputError."""
+        given, folder = self.drive, self.folder if folder is None else folder
         if given.programme is not None or given.file is not None or given.stage is not None:
             return self._programme(folder)
         if given.velocity is None:
@@ -250,7 +259,7 @@ class RunFile(_Section):
         with under("drive"):
             return Drive(given.velocity, given.distance, given.start, elastic)  # type: ignore[arg-type]  # checked there
 
-    def constant(self, folder: Path) -> Drive:
+    def constant(self, folder: Path | None = None) -> Drive:
         """How it moves where only a constant velocity has an answer. Raises InputError."""
         return require_drive(self.driven(folder))
 
@@ -291,26 +300,29 @@ _KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()
 _SECTIONS = {name: kind for name, kind in _KINDS.items() if isinstance(kind, type) and issubclass(kind, BaseModel)}
 
 
-def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
+def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     """Read and check a run file.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         TOML in UTF-8. It is read once: it may be a pipe.
     changes : dict, optional
-        Values by "section.key", put in before anything is checked.
+        Values by "section.key", put in before anything is checked: {"drive.velocity": 0.2}.
 
     Returns
     -------
     RunFile
+        Its sections are attributes (`file.output.seed`); `file.ensemble()` are the contacts and `file.driven()` is the
+        drive, as `steady` and `trajectory` take them.
 
     Raises
     ------
     InputError
         If the file cannot be read, or holds what is not allowed.
     """
-    text, changes = _read(path), changes or {}
+    path, changes = Path(path), changes or {}
+    text = _read(path)
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
@@ -332,8 +344,16 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
             raise InputError(f"{key}: must name a key of a segment, as in drive.programme.0.{last}")
         place[last] = value
     file = check(data)
+    file._folder = path.parent
     file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return file
+
+
+def opened(file: RunFile | Path | str) -> RunFile:
+    """A run file, read if it is the path of one. Raises InputError."""
+    if not isinstance(file, (RunFile, Path, str)):
+        raise InputError(f"file = {shown(file)}: must be a run file or the path of one")
+    return file if isinstance(file, RunFile) else load(file)
 
 
 def _read(path: Path) -> str:
@@ -408,7 +428,9 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
         for name in sections:
             place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
         place[last] = value
-    return check(data)
+    found = check(data)
+    found._folder = file.folder
+    return found
 
 
 def check(data: dict[str, Any]) -> RunFile:

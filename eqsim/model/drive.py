@@ -50,6 +50,9 @@ class Drive:
     elastic: Elastic | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.velocity, (np.ndarray, list, tuple)):
+            many = "eqsim.curve(ensemble, velocities) is exact at many, eqsim.sweep simulates them"
+            raise InputError(f"velocity = {shown(self.velocity)}: must be one number; {many}")
         require_number("velocity", self.velocity, **POSITIVE)
         if self.distance is not None:
             require_number("distance", self.distance, **POSITIVE)

@@ -12,10 +12,10 @@ from eqsim.engine.records import SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, check
-from eqsim.sweep.plan import Plan
-from eqsim.sweep.rows import Asked
-from eqsim.sweep.scheduler import sweep
-from eqsim.sweep.workers import Workers
+from eqsim.sweeps.plan import Plan
+from eqsim.sweeps.rows import Asked
+from eqsim.sweeps.scheduler import sweep
+from eqsim.sweeps.workers import Workers
 from eqsim.workflows.run import Progress, run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce

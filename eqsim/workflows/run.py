@@ -12,19 +12,20 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile
+from eqsim.io.runfile import RunFile, opened
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.sweep.workers import Workers
+from eqsim.results import OfTrajectory
+from eqsim.sweeps.workers import Workers
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 
 Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
-class RunResult:
+@dataclass(frozen=True, repr=False)
+class RunResult(OfTrajectory):
     """A run file that was simulated: `trajectory` is what was found, `steady` the steady averages of the ensemble."""
 
     file: RunFile
@@ -59,8 +60,8 @@ class RunResult:
         return _files(self, picture)
 
 
-@dataclass(frozen=True)
-class ProgrammeResult:
+@dataclass(frozen=True, repr=False)
+class ProgrammeResult(OfTrajectory):
     """A run file with a programme that was simulated."""
 
     file: RunFile
@@ -104,7 +105,7 @@ class ProgrammeResult:
         return _files(self, programme_png(self.trajectory, self.exact[0], self.file.title or title))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SliderResult(ProgrammeResult):
     """A run file with a stage that was simulated."""
 
@@ -147,8 +148,8 @@ def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, byt
 
 
 def run(
-    file: RunFile,
-    folder: Path,
+    file: RunFile | Path | str,
+    folder: Path | None = None,
     *,
     threads: int = 1,
     workers: Workers | None = None,
@@ -159,9 +160,10 @@ def run(
 
     Parameters
     ----------
-    file : RunFile
-    folder : Path
-        Where the paths in the run file start.
+    file : RunFile, Path or str
+        A run file or the path of one.
+    folder : Path, optional
+        Where the paths in the run file start; by default its own folder.
     threads : int
         Of this process; they change no number.
     workers : Workers, optional
@@ -180,6 +182,9 @@ def run(
     InputError
         If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
     """
+    file = opened(file)
+    folder = file.folder if folder is None else folder
+    file.check_output()
     ensemble, drive, output = file.ensemble(folder), file.driven(folder), file.output
     if isinstance(drive, Drive) and drive.elastic:
         if workers:

@@ -37,7 +37,7 @@ from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, Estimate, known, z_score
 from eqsim.io.runfile import RunFile, keys
 from eqsim.model.drive import Drive, Programme
-from eqsim.sweep.plan import Task, results_version
+from eqsim.sweeps.plan import Task, results_version
 
 if TYPE_CHECKING:
     from eqsim.engine.records import SegmentRecord, SliderTrajectory

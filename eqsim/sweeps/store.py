@@ -1,9 +1,9 @@
 """The folder of a sweep.
 
-It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweep.rows`), and `_sweep.json`, what was asked for.
-While a sweep runs its rows are in `_parts/`, in files named by a digest of their content. Names that begin with "_" are
-not part of the dataset: `pandas.read_parquet(FOLDER)` reads the table. Its metadata key `eqsim` holds the run file, the
-settings, versions and the version of the schema.
+It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweeps.rows`), and `_sweep.json`, what was asked
+for. While a sweep runs its rows are in `_parts/`, in files named by a digest of their content. Names that begin with
+"_" are not part of the dataset: `pandas.read_parquet(FOLDER)` reads the table. Its metadata key `eqsim` holds the run
+file, the settings, versions and the version of the schema.
 """
 
 import dataclasses
@@ -20,8 +20,8 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
-from eqsim.sweep.plan import Plan, entries, results_version, seed_of
-from eqsim.sweep.rows import SCHEMA, Asked, schema
+from eqsim.sweeps.plan import Plan, entries, results_version, seed_of
+from eqsim.sweeps.rows import SCHEMA, Asked, schema
 
 _TABLE, _MANIFEST, _LOCK, _PARTS = "sweep.parquet", "_sweep.json", "_lock", "_parts"
 _FLUSH_ROWS = 256
