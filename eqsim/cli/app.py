@@ -8,7 +8,7 @@ from typing import Any, NoReturn, cast
 import typer
 from typer.core import TyperGroup
 
-from eqsim.cli import check, describe, fit, simulate, stability, survey
+from eqsim.cli import check, describe, fit, fluctuations, simulate, stability, survey
 from eqsim.cli.options import complain, grouped, typed
 from eqsim.errors import InputError, shown
 from eqsim.io import signals
@@ -61,8 +61,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in (
-    simulate.run, simulate.steady, simulate.reference, stability.stability, check.validate, survey.sweep, fit.fit,
-    fit.design, describe.info, survey.plot, survey.figures, check.replay, describe.material,
+    simulate.run, simulate.steady, simulate.reference, fluctuations.fluctuations, stability.stability,
+    check.validate, survey.sweep, fit.fit, fit.design, describe.info, survey.plot, survey.figures,
+    check.replay, describe.material,
 ):  # fmt: skip
     app.command()(grouped(command))
 

@@ -173,7 +173,9 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", folder: Path
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"
-    files = [*result.names, *(["avalanches.parquet"] if getattr(found, "avalanches", None) else [])]
+    asked = {"avalanches": getattr(found, "avalanches", None), **result.file.output.model_dump()}
+    tables = {"avalanches": "avalanches.parquet", "series": "replicas.parquet", "breaks": "breaks.parquet"}
+    files = [*result.names, *(file for name, file in tables.items() if asked[name])]
     yield f"{folder}/: {', '.join(files)}"
     _, reason = result.exact
     if reason:

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from eqsim.engine.recorder import BATCHES, Moments
+from eqsim.model.drive import MOST_SERIES
 from eqsim.numerics.tables import Array
 
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
 _BLOCK = 128  # contacts, at least, unless there are fewer
-_MOST_NUMBERS = 20_000_000  # of forces of replicas that are kept one by one
 _SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
 
 
@@ -30,7 +30,7 @@ class Totals:
         self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
         self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)
         self.replica_square = np.zeros_like(self.replica_sum)
-        self.kept = replicas * self.replica_sum.size <= _MOST_NUMBERS
+        self.kept = replicas * self.replica_sum.size <= MOST_SERIES
         self.forces: list[tuple[int, Array]] = []
 
     @property

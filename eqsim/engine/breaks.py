@@ -76,14 +76,7 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
         For a drive that is not constant or not from a fresh start, for thresholds that fluctuate, and for more than 2e7
         breaks.
     """
-    require_drive(drive)
-    if drive.start != "fresh":
-        raise InputError(f'drive.start = "{drive.start}": breaks are listed from a fresh start only')
-    if ensemble.fluctuates:
-        raise InputError(f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of thresholds that fluctuate')
-    expected = check_run(ensemble, drive, 2, seed, replicas, math.inf)
-    if expected > MOST_BREAKS:
-        raise InputError(f"breaks: there are about {expected:.3g}; at most {MOST_BREAKS:.0e} are listed")
+    expected = check_breaks(ensemble, drive, seed, replicas)
     c = contacts(ensemble, drive.velocity, settled(ensemble, drive, seed, threads))
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
     distance, stream, each = drive.over(ensemble) / unit, key(seed, TRAJECTORY), expected / count
@@ -104,6 +97,19 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
     replica, contact = np.divmod(contact[order], ensemble.count)
     X = found[:, 1] * unit
     return Breaks(replica, contact, X / drive.velocity, X, found[:, 2] * unit, found[:, 3] * unit, found[:, 4])
+
+
+def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> float:
+    """About how many breaks there are. Raises InputError if they cannot be listed."""
+    require_drive(drive)
+    if drive.start != "fresh":
+        raise InputError(f'drive.start = "{drive.start}": breaks are listed from a fresh start only')
+    if ensemble.fluctuates:
+        raise InputError(f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of thresholds that fluctuate')
+    expected = check_run(ensemble, drive, 2, seed, replicas, math.inf)
+    if expected > MOST_BREAKS:
+        raise InputError(f"breaks: there are about {expected:.3g}; at most {MOST_BREAKS:.0e} are listed")
+    return expected
 
 
 @kernel

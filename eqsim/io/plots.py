@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
     from eqsim.engine.steady import Steady
     from eqsim.master.stability import Stability
-    from eqsim.master.transient import Transient
+    from eqsim.master.transient import Fluctuations, Transient
     from eqsim.validation import Validation
 
 Points = Any  # a pandas DataFrame, one point of a sweep a row
@@ -179,6 +179,25 @@ def stability_png(found: "Stability", borders: dict[str, Any], title: str) -> by
     axes.set_ylim(0.3 * values.min(), 3.0 * values.max())
     axes.set_title(plain_title(title), fontsize=10)
     axes.legend(loc="best", fontsize=8)
+    axes.grid(alpha=0.3)
+    return as_png(figure)
+
+
+def fluctuations_png(exact: "Fluctuations", sample: Any, title: str) -> bytes:
+    """The exact autocovariance over the lag, and that of simulated contacts with error bars, if there is a `sample`."""
+    figure = Figure(figsize=(8, 4.6), dpi=150, layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(0.0, color="0.6", linewidth=0.7)
+    axes.plot(exact.lag, exact.covariance, color="k", linewidth=1, label="exact", zorder=3)
+    if sample is not None:
+        every = max(1, exact.lag.size // 30)
+        bars: dict[str, Any] = {"color": "C0", "linestyle": "none", "marker": "o", "markersize": 4, "capsize": 2}
+        label = f"{sample.ensembles} ensembles of {sample.contacts} contacts ± 2 standard errors"
+        axes.errorbar(exact.lag[::every], sample.covariance[::every], 2 * sample.stderr[::every], label=label, **bars)
+    axes.set(xlabel="lag in displacement  [length unit of the run file]", xlim=(0, exact.lag[-1]))
+    axes.set(ylabel="autocovariance  N Cov(F, F') / (N k)²\n[its square]")
+    axes.set_title(plain_title(title), fontsize=10)
+    axes.legend(loc="upper right", fontsize=8)
     axes.grid(alpha=0.3)
     return as_png(figure)
 

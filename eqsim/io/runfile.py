@@ -24,7 +24,7 @@ from eqsim.laws.named import THRESHOLDS, law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
-from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
+from eqsim.model.drive import MOST_SERIES, Drive, Programme, Segment, Stage, check_output, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 
@@ -154,6 +154,8 @@ class Output(_Section):
     points: Whole = 2001
     seed: Whole = 1  # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
     replicas: Whole = 1
+    series: bool = False
+    breaks: bool = False
 
 
 class RunFile(_Section):
@@ -292,8 +294,20 @@ class RunFile(_Section):
 
     def check_output(self) -> None:
         """Raise InputError unless the size and seed of a recording can be used."""
+        output = self.output
         with under("output"):
-            check_output(self.output.points, self.output.seed, self.output.replicas)
+            check_output(output.points, output.seed, output.replicas)
+        if output.series and output.replicas == 1:
+            raise InputError("output.series: writes the force of every replica; needs output.replicas of 2 or more")
+        if output.series and output.replicas * output.points > MOST_SERIES:
+            size = f"output.replicas x output.points = {output.replicas * output.points:.3g}"
+            raise InputError(f"output.series: {size}; at most {MOST_SERIES:.0e} forces are kept")
+        for name, asked in (("series", output.series), ("breaks", output.breaks)):
+            if asked and self.elastic is not None:
+                raise InputError(f"output.{name}: not with [elastic], which writes every block and avalanche")
+        constant = self.drive.programme is None and self.drive.file is None and self.drive.stage is None
+        if output.breaks and not constant:
+            raise InputError("output.breaks: breaks are listed at a constant drive.velocity only")
 
 
 _KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()}
@@ -396,6 +410,7 @@ def _keys() -> dict[str, type]:
     known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
     for name, section in _SECTIONS.items():
         fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
+        fields = {key: field for key, field in fields.items() if field.annotation is not bool}  # what is written
         known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
     return known
 

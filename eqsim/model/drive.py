@@ -243,6 +243,9 @@ def require_drive(drive: Drive | Programme) -> Drive:
     return drive
 
 
+MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
+
+
 def check_output(points: int, seed: int, replicas: int) -> None:
     """Raise InputError unless the size and seed of a recording can be used."""
     require_integer("points", points, 2, 2 * 10**7)

@@ -16,7 +16,7 @@ from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import sweep
 from eqsim.sweeps.workers import Workers
-from eqsim.workflows.run import Progress, run
+from eqsim.workflows.run import Progress, RunResult, run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
 Table = Any  # a pandas DataFrame, or columns by name
@@ -128,11 +128,24 @@ def _file(settings: dict[str, Any]) -> RunFile:
 
 def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
     file, folder = _file(origin["settings"]), Path(origin["folder"])
-    found = run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory
+    result = run(file, folder, threads=workers, max_lives=1e300, progress=progress)
+    found = result.trajectory
     if isinstance(found, ElasticTrajectory):
         return found.avalanches if "drop" in table else found.blocks if "block" in table else found.columns()
+    if isinstance(result, RunResult) and result.breaks is not None and "contact" in table:
+        return result.breaks.columns()
+    if "replica" in table and "force" in table:
+        return found.replicas()
     avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
     return avalanches if avalanches is not None and "breaks" in table else found.columns()
+
+
+def _fluctuations(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
+    from eqsim.workflows.fluctuations import run_fluctuations
+
+    file, asked = _file(origin["settings"]["run"]), origin["settings"]
+    how = {name: asked[name] for name in ("lag", "points", "lives")}
+    return run_fluctuations(file, Path(origin["folder"]), threads=workers, **how).columns()
 
 
 def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
@@ -174,6 +187,7 @@ def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress)
 
 _REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
     "run": _run,
+    "fluctuations": _fluctuations,
     "stability": _stability,
     "validate": _validate,
     "sweep": _sweep,

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+from eqsim.engine.breaks import Breaks, breaks, check_breaks
 from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTrajectory, Trajectory, shown_by
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
@@ -34,6 +35,7 @@ class RunResult(OfTrajectory):
     drive: Drive
     steady: Steady
     trajectory: Trajectory
+    breaks: Breaks | None = None
     names: ClassVar[tuple[str, ...]] = ("trajectory.parquet", "summary.json", "force.png")
 
     @cached_property
@@ -57,7 +59,10 @@ class RunResult(OfTrajectory):
         from eqsim.io.plots import trajectory_png
 
         picture = trajectory_png(self.trajectory, self.steady, self.exact[0], self.file.title or title)
-        return _files(self, picture)
+        found = _files(self, picture)
+        if self.breaks is not None:
+            found["breaks.parquet"] = storage.parquet(self.breaks.columns(), _origin(self))
+        return found
 
 
 @dataclass(frozen=True, repr=False)
@@ -144,7 +149,10 @@ def _files(result: RunResult | ProgrammeResult, picture: bytes) -> dict[str, byt
         storage.to_json(result.summary()).encode(),
         picture,
     )
-    return dict(zip(result.names, contents, strict=True))
+    found = dict(zip(result.names, contents, strict=True))
+    if result.file.output.series:
+        found["replicas.parquet"] = storage.parquet(result.trajectory.replicas(), _origin(result))
+    return found
 
 
 def run(
@@ -191,6 +199,8 @@ def run(
             raise InputError("--workers, --dask: coupled blocks are simulated in one process; threads share replicas")
         return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+    if output.breaks and isinstance(drive, Drive):
+        check_breaks(ensemble, drive, output.seed, output.replicas)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with workers.fixed_pool() if workers else nullcontext() as pool:
         progress(0, expected)
@@ -207,7 +217,10 @@ def run(
     if isinstance(drive, Programme):
         return ProgrammeResult(file, folder, ensemble, drive, found)
     assert level is not None
-    return RunResult(file, folder, ensemble, drive, level, found)
+    listed = None
+    if output.breaks:
+        listed = breaks(ensemble, drive, seed=output.seed, replicas=output.replicas, threads=threads)
+    return RunResult(file, folder, ensemble, drive, level, found, listed)
 
 
 def if_any(solve: Callable[[], Result]) -> tuple[Result | None, str]:
