@@ -144,7 +144,16 @@ def difference(first: Estimate, second: Estimate) -> float | None:
 def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) -> float | None:
     """Standard-normal score of estimate - reference, both errors in quadrature; None if both errors are 0.
 
-    With few batches the Student probability is turned into the normal score of the same probability.
+    Parameters
+    ----------
+    estimate : Estimate
+        With few batches its Student probability is turned into the normal score of the same probability.
+    reference, reference_error : float
+        An exact value and the error of its solver.
+
+    Returns
+    -------
+    float or None
     """
     if estimate.value is None or estimate.stderr is None:
         return None

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from typer import Option
 
 from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
@@ -54,7 +53,8 @@ def _rows(found: "FluctuationsResult") -> Iterator[tuple[str, ...]]:
     from eqsim.estimate import Estimate
 
     exact, sample, z = found.exact, found.sample, found.z
-    for i in np.unique(np.linspace(0, exact.lag.size - 1, _ROWS).round().astype(int)).tolist():
+    last = exact.lag.size - 1
+    for i in sorted({round(last * row / (_ROWS - 1)) for row in range(_ROWS)}):
         simulated = "none"
         if sample is not None:
             value, stderr = float(sample.covariance[i]), float(sample.stderr[i])

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _SHARES = 4  # for each worker of an executor: few enough that tables and sums t
 
 class Totals:
     """Integer sums of one thread or share of the contacts, of `rows` instants; those of several simply add up. Of
-    replicas the forces at `points` instants are noted."""
+    replicas the forces at `points` instants are noted, and one by one if they are `kept`."""
 
     sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
 
@@ -31,7 +31,7 @@ class Totals:
         self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)
         self.replica_square = np.zeros_like(self.replica_sum)
         self.kept = replicas * self.replica_sum.size <= MOST_SERIES
-        self.forces: list[tuple[int, Array]] = []
+        self.forces: list[tuple[int, Array]] = []  # with their replica
 
     @property
     def lives(self) -> int:
@@ -58,17 +58,17 @@ class Totals:
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
 
     def replica_forces(self) -> Array | None:
-        """The force of every replica, shape (replicas, points); None if there is one, or if they are too many."""
+        """The force of every replica, shape (replicas, points); None if there is one, or if they were not kept."""
         return np.array([force for _, force in sorted(self.forces, key=lambda one: one[0])]) if self.forces else None
 
     def add(self, other: "Totals") -> None:
-        self.forces += other.forces
+        self.forces += getattr(other, "forces", [])  # those of workers stay there
         for name in self.sums:
             getattr(self, name)[...] += getattr(other, name)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """What comes back from a worker: the sums and forces of replicas, without scratch."""
-        return {name: getattr(self, name) for name in (*self.sums, "forces")}
+    def __getstate__(self) -> dict[str, Array]:
+        """What comes back from a worker: the sums, without scratch."""
+        return {name: getattr(self, name) for name in self.sums}
 
 
 class Job(Protocol):
@@ -98,7 +98,9 @@ class _Blocks(NamedTuple):
 
 def _follow(job: Job, blocks: _Blocks, firsts: Iterable[int], total: Totals | None = None) -> Totals:
     """Simulate the blocks that begin at the contacts `firsts`, in a thread or in a worker of an executor."""
-    total = total or job.totals(blocks.replicas)
+    if total is None:  # a worker sends back sums only
+        total = job.totals(blocks.replicas)
+        total.kept = False
     for first in firsts:
         if total.status[1]:
             break

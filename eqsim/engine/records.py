@@ -33,7 +33,7 @@ class Record(Result):
     force_replica_std : ndarray, shape (points,), or None
         Standard deviation of F/(N k) between replicas, if there are several.
     force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several and no more than 2e7 numbers.
+        F/(N k) of every replica (length), if there are several, of threads, and no more than 2e7 numbers.
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds, threads
@@ -66,7 +66,9 @@ class Record(Result):
         if self.force_replicas is None:
             single = self.force_replica_std is None
             raise InputError(
-                "replicas: there is one ensemble only" if single else "replicas: too many numbers to keep every series"
+                "replicas: there is one ensemble only"
+                if single
+                else "replicas: every series is kept of threads, not of an executor, and of 2e7 numbers at most"
             )
         count, points = self.force_replicas.shape
         X = getattr(self, "X_replicas", None)

@@ -62,6 +62,8 @@ class FitResult:
     file : RunFile
     folder : Path
         That paths in it are relative to.
+    fit : Fit
+        Its [fit] section.
     problem : Problem
     table : Table
     best : Minimum
@@ -76,8 +78,12 @@ class FitResult:
         One for each start.
     profiles : dict
         The two sides of each key's profile.
+    floor : float
+        Largest error of the solver over that of a measurement.
     warnings : tuple of str
     seed : int
+    correlation : Correlation or None
+        Of the errors of a record.
     """
 
     file: RunFile

@@ -26,8 +26,17 @@ Table = Any  # a pandas DataFrame, or columns by name
 class Replay:
     """A table beside its repetition.
 
-    `differences` holds, for each column that is not the same to the last bit, in how many rows and by how much at most
-    (None where it is not a number); `versions`, those that differ, as (then, now).
+    Attributes
+    ----------
+    command : str
+        That made it.
+    rows : int
+        Of the table.
+    differences : dict
+        For each column that is not the same to the last bit, in how many rows and by how much at most (None where it is
+        not a number).
+    versions : dict
+        Those that differ, as (then, now).
     """
 
     command: str

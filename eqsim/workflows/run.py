@@ -27,7 +27,22 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, repr=False)
 class RunResult(OfTrajectory):
-    """A run file that was simulated: `trajectory` is what was found, `steady` the steady averages of the ensemble."""
+    """A run file that was simulated.
+
+    Attributes
+    ----------
+    file : RunFile
+    folder : Path
+        Where the paths in it start.
+    ensemble : Ensemble
+    drive : Drive
+    steady : Steady
+        Steady averages of the ensemble.
+    trajectory : Trajectory
+        What was found.
+    breaks : Breaks or None
+        If `output.breaks` asks for them.
+    """
 
     file: RunFile
     folder: Path
@@ -199,6 +214,8 @@ def run(
             raise InputError("--workers, --dask: coupled blocks are simulated in one process; threads share replicas")
         return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+    if output.series and workers:
+        raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
     if output.breaks and isinstance(drive, Drive):
         check_breaks(ensemble, drive, output.seed, output.replicas)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
