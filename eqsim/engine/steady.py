@@ -21,6 +21,7 @@ randomisation finds its own fixed point C = E[x_b; C], to first order from lives
 errors quoted hold the error of C.
 """
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable
@@ -57,6 +58,7 @@ _NUDGE = 1e-2  # relative change of C that shows how births respond to it; the f
 _SETTLED = 3e-5  # relative error of the C that a trajectory's births are given
 _POOLED_SMOOTH, _POOLED_STEPS = 2e-7, 3e-5  # relative error of averages over the tabulated inverse
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
+_BROAD = 0.05  # a variance with a greater relative error has them, too: squares have heavier tails than the force
 
 Progress = Callable[[int, int], None]
 
@@ -435,6 +437,8 @@ def _averages(
     known_too = math.isfinite(known(variance)) and math.isfinite(variance.stderr or 0.0)
     if stiffness_varies(c.aging, c.springs) or not known_too:
         variance = Estimate(None, None, n)
+    elif (variance.stderr or 0.0) > _BROAD * abs(known(variance)):
+        variance = dataclasses.replace(variance, reliable=False)
     return (
         estimate(friction, of_friction, hidden * size_of_force, unit),
         estimate(pinned, (travel - pinned * cycle) / cycle.mean(), hidden * pinned * waiting, 1.0),
