@@ -20,3 +20,6 @@ else:
         if name not in ("__all__", *public.get("__all__", ())):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
         return public[name]
+
+    def __dir__():
+        return sorted({*globals(), *import_module("eqsim.api").__all__, "__version__"})

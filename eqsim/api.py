@@ -1,5 +1,6 @@
 """The public names of eqsim."""
 
+from eqsim.engine.breaks import Breaks, breaks
 from eqsim.engine.elastic import ElasticTrajectory, elastic_trajectory
 from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Slip, Trajectory
 from eqsim.engine.steady import Steady, steady
@@ -10,6 +11,7 @@ from eqsim.fitting.fit import FitResult, fit
 from eqsim.io.runfile import RunFile, load
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
@@ -17,17 +19,21 @@ from eqsim.master.closure import Closure, closure
 from eqsim.master.stability import FreshSlip, Stability, fresh_slip, stability
 from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
+from eqsim.master.velocities import Curve, curve
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import Validation, validate
 from eqsim.workflows.replay import Replay, replay
 from eqsim.workflows.run import RunResult, run
+from eqsim.workflows.sweep import sweep
 
 __all__ = [
     "OBSERVABLES",
     "Aging",
+    "Breaks",
     "Closure",
+    "Curve",
     "Delay",
     "Delta",
     "Distribution",
@@ -36,12 +42,16 @@ __all__ = [
     "ElasticTrajectory",
     "Ensemble",
     "Estimate",
+    "Exponential",
     "FitResult",
     "Fluctuations",
     "FreshSlip",
     "Gamma",
     "InputError",
+    "Lognormal",
     "Newborn",
+    "Normal",
+    "Pareto",
     "Programme",
     "ProgrammeTrajectory",
     "Reference",
@@ -58,8 +68,12 @@ __all__ = [
     "Thermal",
     "Trajectory",
     "Transient",
+    "Uniform",
     "Validation",
+    "Weibull",
+    "breaks",
     "closure",
+    "curve",
     "elastic_trajectory",
     "fit",
     "fluctuations",
@@ -70,6 +84,7 @@ __all__ = [
     "run",
     "stability",
     "steady",
+    "sweep",
     "trajectory",
     "transient",
     "validate",

@@ -70,8 +70,8 @@ def require_number(
     if math.isfinite(most):
         allowed += f" and <= {most:g}"
     try:
-        ok = math.isfinite(value) and (above is None or value > above) and (least is None or value >= least)
-        ok = ok and value <= most
+        ok = type(value).__hash__ is not None and math.isfinite(value)  # an array of one number is none
+        ok = ok and (above is None or value > above) and (least is None or value >= least) and value <= most
     except (TypeError, OverflowError):
         ok = False
     if not ok:

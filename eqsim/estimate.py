@@ -8,9 +8,10 @@ import numpy as np
 from scipy import stats
 
 from eqsim.numerics.tables import Array
+from eqsim.results import Result
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """A value and its standard error.
 
@@ -37,6 +38,24 @@ class Estimate:
         """For JSON."""
         return asdict(self)
 
+    def __str__(self) -> str:
+        """Value(error in the last two digits), as physicists write it."""
+        if self.value is None:
+            return "none seen"
+        mark = "" if self.reliable else "  unreliable"
+        if not self.stderr or not math.isfinite(self.stderr):
+            return f"{self.value:.8g}{mark}"
+        exponent = math.floor(math.log10(max(abs(self.value), self.stderr))) if self.value else 0
+        exponent = 0 if -4 < exponent < 6 else exponent
+        scale = 10.0**exponent
+        digits = max(0, 1 - math.floor(math.log10(float(f"{self.stderr / scale:.1e}"))))
+        last = round(self.stderr / scale * 10**digits)
+        power = f"e{exponent:+03d}" if exponent else ""
+        return f"{self.value / scale:.{digits}f}({last}){power}{mark}"
+
+    def __repr__(self) -> str:
+        return f"Estimate({self})"
+
 
 class Observable(NamedTuple):
     """How an observable is shown: `label` on axes and in tables; `unit`, "length", "length^2" or "" for a number."""
@@ -56,8 +75,8 @@ def known(estimate: Estimate) -> float:
     return estimate.value
 
 
-@dataclass(frozen=True)
-class Averages:
+@dataclass(frozen=True, repr=False)
+class Averages(Result):
     """Steady averages of an ensemble. Every observable is declared here, and here only: what is printed, stored and
     plotted goes through `OBSERVABLES`."""
 
@@ -71,6 +90,11 @@ class Averages:
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""
         return {name: getattr(self, name) for name in OBSERVABLES}
+
+    def estimates(self, *, brief: bool = False) -> dict[str, Any]:
+        """The estimates by name, also those beside the observables; if `brief`, of the observables those `shown`."""
+        every = super().estimates()
+        return {name: one for name, one in every.items() if not brief or name in self.shown or name not in OBSERVABLES}
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -120,7 +144,16 @@ def difference(first: Estimate, second: Estimate) -> float | None:
 def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) -> float | None:
     """Standard-normal score of estimate - reference, both errors in quadrature; None if both errors are 0.
 
-    With few batches the Student probability is turned into the normal score of the same probability.
+    Parameters
+    ----------
+    estimate : Estimate
+        With few batches its Student probability is turned into the normal score of the same probability.
+    reference, reference_error : float
+        An exact value and the error of its solver.
+
+    Returns
+    -------
+    float or None
     """
     if estimate.value is None or estimate.stderr is None:
         return None

@@ -28,11 +28,11 @@ from waiting import once
 import eqsim
 from eqsim.cli.app import app
 from eqsim.io import storage
-from eqsim.sweep.workers import Processes
+from eqsim.sweeps.workers import Processes
 
 EQSIM = "from eqsim.__main__ import main; main()"
 EAGER = (  # rows reach the disk at once
-    "import eqsim.sweep.scheduler as s, eqsim.sweep.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM
+    "import eqsim.sweeps.scheduler as s, eqsim.sweeps.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM
 )
 RUN = (
     '[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n'

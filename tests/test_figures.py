@@ -136,7 +136,7 @@ def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
             yield SimpleNamespace(executor=pool)
 
     monkeypatch.setattr("eqsim_figures._compute", stub)
-    monkeypatch.setattr("eqsim.sweep.workers.Workers.fixed_pool", here)
+    monkeypatch.setattr("eqsim.sweeps.workers.Workers.fixed_pool", here)
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
     out = tmp_path / "o"
     for names, said in ((["A05"], "nothing is half-written"), (["A05", "A01"], f"finished in {out}/: A01")):

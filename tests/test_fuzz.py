@@ -28,7 +28,7 @@ from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
 from eqsim.io.runfile import keys, read_thresholds
 from eqsim.model.reduced import groups
-from eqsim.sweep.plan import Plan
+from eqsim.sweeps.plan import Plan
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
 LONGEST = 600  # characters of a message beyond those of the path

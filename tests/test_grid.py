@@ -13,8 +13,8 @@ import pytest
 
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
-from eqsim.sweep import plan as module
-from eqsim.sweep.plan import Plan, seed_of
+from eqsim.sweeps import plan as module
+from eqsim.sweeps.plan import Plan, seed_of
 
 BASE = 'title = "small"\n[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5.0\n'
 
@@ -152,7 +152,7 @@ def test_results_version_is_that_of_the_sources(tmp_path):
     """It changes with any byte of a source that numbers depend on (negative control: not with the plots)."""
     code = (
         "import shutil, sys, pathlib; import eqsim; root = pathlib.Path(eqsim.__file__).parent\n"
-        "import eqsim.sweep.plan as s\n"
+        "import eqsim.sweeps.plan as s\n"
         "copy = pathlib.Path(sys.argv[1]) / 'eqsim'\n"
         "shutil.copytree(root, copy, ignore=shutil.ignore_patterns('__pycache__'))\n"
         "s._PACKAGE = copy; first = s.results_version()\n"

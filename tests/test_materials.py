@@ -36,7 +36,7 @@ from eqsim.materials import (
     parameters,
     run_file_text,
 )
-from eqsim.sweep.plan import Plan
+from eqsim.sweeps.plan import Plan
 
 RUNS = Path(__file__).parent.parent / "runs"
 ELECTRON_VOLT = 1.602176634e-19

@@ -13,9 +13,9 @@ from eqsim import load
 from eqsim.cli.app import app
 from eqsim.io.style import COLORS, saved
 from eqsim.io.sweep_plots import Sweep, read_sweep, select, sweep_figure
-from eqsim.sweep.plan import Plan
-from eqsim.sweep.rows import Asked
-from eqsim.sweep.store import Store
+from eqsim.sweeps.plan import Plan
+from eqsim.sweeps.rows import Asked
+from eqsim.sweeps.store import Store
 
 VELOCITIES, TEMPERATURES = np.geomspace(1e-3, 10.0, 9), [0.01, 0.1, 1.0]
 

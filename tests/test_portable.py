@@ -30,7 +30,7 @@ from eqsim.laws.barrier.pooled import pooled_hazard_of
 from eqsim.laws.barrier.soft import erfi_inverse_table
 from eqsim.laws.threshold import for_kernels
 from eqsim.numerics.tables import octave_table
-from eqsim.sweep.plan import Plan
+from eqsim.sweeps.plan import Plan
 
 PATH = Path(__file__).parent / "data" / "results.json"
 WARM, STIFF = Thermal(kT=0.1), Thermal(kT=0.1, barrier="stiff")

@@ -107,7 +107,7 @@ def test_what_was_changed_is_found(made, tmp_path):
 
 def test_a_sweep_of_an_older_version(made, tmp_path, monkeypatch):
     """Seeds are made from identities, and these from the code; a replay takes those of then."""
-    monkeypatch.setattr("eqsim.sweep.plan.results_version", lambda: "later")
+    monkeypatch.setattr("eqsim.sweeps.plan.results_version", lambda: "later")
     done = call("replay", made["sweep"], "--json")
     assert json.loads(done.stdout)["differences"] == {}, done.output
     table = pq.read_table(made["sweep"])
@@ -139,7 +139,7 @@ def test_what_cannot_be_replayed_says_so(tmp_path):
     pq.write_table(table, tmp_path / "fitted.parquet")
     done = call("replay", tmp_path / "fitted.parquet")
     assert done.exit_code == 2
-    assert "was written by `eqsim fit`; only tables of `eqsim run`, `eqsim reference`" in done.stderr
+    assert "was written by `eqsim fit`; only tables of `eqsim run`, `eqsim fluctuations`" in done.stderr
     assert done.stderr.count("\n") == 1
 
 

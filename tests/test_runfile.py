@@ -82,7 +82,7 @@ BAD = [
     ({"thresholds": {"law": "delta", "n": 1.0}}, 'thresholds.n = 1.0: not allowed with law = "delta"'),
     ({"thresholds": {"law": "table"}}, 'thresholds.file: is required with law = "table"'),
     ({"thresholds": {"law": "table", "file": "x", "x_star": 1.0}}, "thresholds.x_star = 1.0: not allowed"),
-    ({"thresholds": {"law": "weird"}}, 'thresholds.law = \'weird\': must be "gamma", "delta" or "table"'),
+    ({"thresholds": {"law": "weird"}}, 'thresholds.law = \'weird\': must be "gamma", "delta", "lognormal", '),
     ({"thermal": {"kT": float("nan")}}, "thermal.kT = nan: must be a finite number >= 0"),
     ({"thermal": {"kT": float("inf")}}, "thermal.kT = inf: must be a finite number >= 0"),
     ({"thermal": {"barrier": "hard"}}, "thermal.barrier = 'hard': must be one of"),

@@ -455,3 +455,19 @@ def test_early_clocks_show_in_every_error_bar(monkeypatch):
     seldom = module.Density.of(log_clock, np.exp(2.0 * log_clock - np.exp(log_clock)))
     monkeypatch.setattr(module.Proposal, "of", lambda contacts: proposal(contacts)._replace(clock=seldom))
     assert spread() > 3.0
+
+
+def test_a_variance_of_broad_tails_is_not_trusted():
+    """Pareto thresholds, of which the sqrt law makes the strongest stiff: squares of the force have a heavier tail than
+    the force, whose mean is right. Narrow laws keep their error bars: |z| < 4.5, false alarm 7e-6."""
+    heat, delay = Thermal(kT=0.25), Delay(3.0, "exponential")
+    broad = Ensemble(
+        Distribution(scipy.stats.pareto(4.8)), heat, delay, Aging("logarithmic", beta=0.04, cutoff_time=700.0)
+    )
+    found = steady(broad, Drive(0.02), rel_error=1e-2)
+    assert found.friction.reliable
+    assert not found.force_variance.reliable
+    narrow = dataclasses.replace(broad, thresholds=Gamma())
+    found, exact = steady(narrow, Drive(0.02), rel_error=1e-2), reference(narrow, Drive(0.02), variance=True)
+    assert found.force_variance.reliable
+    assert abs(difference(found.force_variance, exact.force_variance)) < 4.5

@@ -35,13 +35,13 @@ from eqsim.io.storage import publish
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.sweep import rows as rows_module
-from eqsim.sweep import store as store_module
-from eqsim.sweep.plan import Plan, results_version, seed_of, swept
-from eqsim.sweep.rows import SCHEMA, Asked, schema
-from eqsim.sweep.scheduler import Scheduler, sweep
-from eqsim.sweep.store import Store
-from eqsim.sweep.workers import Workers
+from eqsim.sweeps import rows as rows_module
+from eqsim.sweeps import store as store_module
+from eqsim.sweeps.plan import Plan, results_version, seed_of, swept
+from eqsim.sweeps.rows import SCHEMA, Asked, schema
+from eqsim.sweeps.scheduler import Scheduler, sweep
+from eqsim.sweeps.store import Store
+from eqsim.sweeps.workers import Workers
 
 GRID = (
     BASE
@@ -49,7 +49,7 @@ GRID = (
 )
 # Rows reach the disk at once, and workers are told to stop nowhere in particular.
 EAGER = (
-    "import eqsim.sweep.scheduler as s, eqsim.sweep.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; "
+    "import eqsim.sweeps.scheduler as s, eqsim.sweeps.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; "
     "from eqsim.__main__ import main; main()"
 )
 
@@ -528,7 +528,7 @@ def test_an_interrupt_before_there_is_a_folder(small, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
-    monkeypatch.setattr("eqsim.sweep.plan.Plan", stop)
+    monkeypatch.setattr("eqsim.sweeps.plan.Plan", stop)
     done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o")])
     said = "eqsim: interrupted; this call has computed nothing; the same command continues\n"
     assert (done.exit_code, done.stderr) == (130, said)

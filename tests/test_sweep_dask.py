@@ -9,9 +9,9 @@ from distributed import LocalCluster
 
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
-from eqsim.sweep.plan import Plan
-from eqsim.sweep.scheduler import sweep
-from eqsim.sweep.workers import Workers
+from eqsim.sweeps.plan import Plan
+from eqsim.sweeps.scheduler import sweep
+from eqsim.sweeps.workers import Workers
 
 RUN = {
     "contacts": {"stiffness_law": "uniform"},

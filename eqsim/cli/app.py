@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperGroup
 
-from eqsim.cli import check, describe, fit, simulate, stability, survey
+from eqsim.cli import check, describe, fit, fluctuations, simulate, stability, survey
 from eqsim.cli.options import WORDS, complain, grouped, typed
 from eqsim.errors import InputError, shown
 from eqsim.io import signals
@@ -82,8 +82,9 @@ def _top(
 
 
 for command in (
-    simulate.run, simulate.steady, simulate.reference, stability.stability, check.validate, survey.sweep, fit.fit,
-    fit.design, describe.info, survey.plot, survey.figures, check.replay, check.export, describe.material,
+    simulate.run, simulate.steady, simulate.reference, fluctuations.fluctuations, stability.stability,
+    check.validate, survey.sweep, fit.fit, fit.design, describe.info, survey.plot, survey.figures,
+    check.replay, check.export, describe.material,
 ):  # fmt: skip
     app.command(epilog=escape("\n\n".join(WORDS.get(command.__name__, ()))))(grouped(command))
 

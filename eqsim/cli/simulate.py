@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from eqsim.estimate import Estimate
     from eqsim.io.runfile import RunFile
     from eqsim.io.units import Quantity, Row
-    from eqsim.sweep.workers import Workers
+    from eqsim.sweeps.workers import Workers
     from eqsim.workflows.elastic import ElasticResult
     from eqsim.workflows.run import ProgrammeResult, RunResult, SliderResult
 
@@ -47,7 +47,7 @@ class Split:
             require_integer("--workers", self.workers, 1, 1024)
         elif self.dask is None:
             return None
-        from eqsim.sweep.workers import Workers
+        from eqsim.sweeps.workers import Workers
 
         return Workers(self.workers or 1, dask=self.dask)
 

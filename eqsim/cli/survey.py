@@ -13,8 +13,8 @@ from eqsim.io import signals
 from eqsim.paper import ARTICLE, FIGURES, figure
 
 if TYPE_CHECKING:
-    from eqsim.sweep.scheduler import Summary
-    from eqsim.sweep.store import Store
+    from eqsim.sweeps.scheduler import Summary
+    from eqsim.sweeps.store import Store
 
 _SECOND_HALF = "Second half of the run's distance instead of steady averages."
 _DASK = "Scheduler (or its file) of a dask.distributed cluster to compute on."
@@ -47,7 +47,7 @@ def sweep(
     each = None if threads is None else cores(threads)
     count = max(1, cores() // (each or 1)) if options.workers is None else options.workers
     require_integer("--workers", count, 1, 1024)
-    from eqsim.sweep import plan, rows, scheduler, workers
+    from eqsim.sweeps import plan, rows, scheduler, workers
 
     given = changes.given()
     for key in sorted(given.keys() & plan.swept(file, path.parent)):
@@ -149,7 +149,7 @@ def figures(
     from eqsim_figures import check, make
 
     from eqsim.io import storage
-    from eqsim.sweep.workers import Workers
+    from eqsim.sweeps.workers import Workers
 
     wanted = check(names or [])
     count = cores() if workers is None else workers

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from eqsim.engine.recorder import BATCHES, Moments
+from eqsim.model.drive import MOST_SERIES
 from eqsim.numerics.tables import Array
 
 Progress = Callable[[int], None]
@@ -18,7 +19,7 @@ _SHARES = 4  # for each worker of an executor: few enough that tables and sums t
 
 class Totals:
     """Integer sums of one thread or share of the contacts, of `rows` instants; those of several simply add up. Of
-    replicas the forces at `points` instants are noted."""
+    replicas the forces at `points` instants are noted, and one by one if they are `kept`."""
 
     sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
 
@@ -29,18 +30,22 @@ class Totals:
         self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
         self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)
         self.replica_square = np.zeros_like(self.replica_sum)
+        self.kept = replicas * self.replica_sum.size <= MOST_SERIES
+        self.forces: list[tuple[int, Array]] = []  # with their replica
 
     @property
     def lives(self) -> int:
         return int(self.status[0])
 
-    def close_replica(self, job: "Job", contacts: int) -> None:
-        """Note the force of the ensemble just simulated and clear the sums for the next one."""
+    def close_replica(self, job: "Job", contacts: int, replica: int) -> None:
+        """Note the force of the ensemble just simulated, the `replica`, and clear the sums for the next one."""
         if self.scratch is self.deposits:
             return
         force, (scale, square) = job.moments(self.scratch, contacts).force, job.replica_scales
         self.replica_sum += np.rint(force * scale).astype(np.int64)
         self.replica_square += np.rint(force**2 * square).astype(np.int64)
+        if self.kept:
+            self.forces.append((replica, force))
         self.deposits += self.scratch
         self.scratch[:] = 0
 
@@ -52,7 +57,12 @@ class Totals:
         spread = self.replica_square / square - (self.replica_sum / scale) ** 2 / replicas
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
 
+    def replica_forces(self) -> Array | None:
+        """The force of every replica, shape (replicas, points); None if there is one, or if they were not kept."""
+        return np.array([force for _, force in sorted(self.forces, key=lambda one: one[0])]) if self.forces else None
+
     def add(self, other: "Totals") -> None:
+        self.forces += getattr(other, "forces", [])  # those of workers stay there
         for name in self.sums:
             getattr(self, name)[...] += getattr(other, name)
 
@@ -88,12 +98,14 @@ class _Blocks(NamedTuple):
 
 def _follow(job: Job, blocks: _Blocks, firsts: Iterable[int], total: Totals | None = None) -> Totals:
     """Simulate the blocks that begin at the contacts `firsts`, in a thread or in a worker of an executor."""
-    total = total or job.totals(blocks.replicas)
+    if total is None:  # a worker sends back sums only
+        total = job.totals(blocks.replicas)
+        total.kept = False
     for first in firsts:
         if total.status[1]:
             break
         job.simulate(total, first, min(first + blocks.size, blocks.contacts * blocks.replicas))
-        total.close_replica(job, blocks.contacts)
+        total.close_replica(job, blocks.contacts, first // blocks.contacts)
     return total
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from threading import Event
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
 
 _SEGMENT = 32  # blocks whose least threshold is kept
 _BATCHES, _LONG = 16, 1.5  # of a run's second half, at most; and how long they are at least, in mean thresholds
@@ -216,8 +217,8 @@ def load(c: Contacts, stream: Key, first: int, b: Blocks, r: Response, now: Arra
         _spread(b, r, block, xi / n)
 
 
-@dataclass(frozen=True)
-class ElasticTrajectory:
+@dataclass(frozen=True, repr=False)
+class ElasticTrajectory(Result):
     """What coupled blocks do while the plate moves. Forces and displacements are means over blocks and replicas.
 
     Attributes
@@ -248,6 +249,9 @@ class ElasticTrajectory:
         How it was computed.
     """
 
+    drawn: ClassVar[Drawn] = Drawn(
+        "D", "force", "force_stderr", "displacement of the plate  D", "friction force  F/(N k)"
+    )
     D: Array
     t: Array
     X: Array

@@ -196,7 +196,7 @@ def along(
     if programme.start == "fresh":  # all contacts are pinned, and alike
         pinned_stderr[0] = 0.0
         stderr[0] *= ensemble.newborn.active
-    std = total.replica_std(job, replicas)
+    std, every = total.replica_std(job, replicas), total.replica_forces()
     return ProgrammeTrajectory(
         X=grid.X,
         t=grid.t,
@@ -206,6 +206,7 @@ def along(
         pinned=found.pinned,
         pinned_stderr=pinned_stderr,
         force_replica_std=None if std is None else std * unit,
+        force_replicas=None if every is None else every * unit,
         lives=total.lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,

@@ -4,16 +4,19 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
+from eqsim.errors import InputError
 from eqsim.estimate import Averages, Estimate, known
 from eqsim.model.drive import Grid, Programme
 from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
 
 
-@dataclass(frozen=True)
-class Record:
+@dataclass(frozen=True, repr=False)
+class Record(Result):
     """An ensemble's force along a drive.
 
     Attributes
@@ -29,12 +32,15 @@ class Record:
         <N_c>/N, averaged over replicas, and its standard error.
     force_replica_std : ndarray, shape (points,), or None
         Standard deviation of F/(N k) between replicas, if there are several.
+    force_replicas : ndarray, shape (replicas, points), or None
+        F/(N k) of every replica (length), if there are several, of threads, and no more than 2e7 numbers.
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds, threads
         How it was computed.
     """
 
+    drawn: ClassVar[Drawn] = Drawn("X", "force", "force_stderr", "displacement  X", "friction force  F/(N k)")
     X: Array
     t: Array
     force: Array
@@ -43,6 +49,7 @@ class Record:
     pinned: Array
     pinned_stderr: Array
     force_replica_std: Array | None
+    force_replicas: Array | None
     lives: int
     seed: int
     engine_seconds: float
@@ -53,8 +60,27 @@ class Record:
         names = ("X", "t", "force", "pinned", "force_stderr", "pinned_stderr", "force_replica_std")
         return {name: column for name in names if (column := getattr(self, name)) is not None}
 
+    def replicas(self) -> dict[str, Array]:
+        """The series of every replica, one after the other, by column: `replica`, `t`, `X` and `force`, shape (replicas
+        x points,). Raises InputError if there is one ensemble only, or if they were too many to be kept."""
+        if self.force_replicas is None:
+            single = self.force_replica_std is None
+            raise InputError(
+                "replicas: there is one ensemble only"
+                if single
+                else "replicas: every series is kept of threads, not of an executor, and of 2e7 numbers at most"
+            )
+        count, points = self.force_replicas.shape
+        X = getattr(self, "X_replicas", None)
+        return {
+            "replica": np.repeat(np.arange(count), points),
+            "t": np.tile(self.t, count),
+            "X": np.tile(self.X, count) if X is None else X.ravel(),
+            "force": self.force_replicas.ravel(),
+        }
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Trajectory(Record):
     """A record at constant velocity, with `averages` over the second half of the distance; these are unreliable also
     where the law expects a transient in it, or too few of the lives that make their scatter (`engine.scatter`)."""
@@ -108,7 +134,7 @@ class SegmentRecord:
     step: VelocityStep | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ProgrammeTrajectory(Record):
     """A record along a programme.
 
@@ -120,6 +146,7 @@ class ProgrammeTrajectory(Record):
         What each of them shows.
     """
 
+    drawn: ClassVar[Drawn] = Record.drawn._replace(x="t", x_label="time  t")
     segment: Array
     segments: tuple[SegmentRecord, ...]
 
@@ -152,7 +179,7 @@ class Slip:
     replica: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SliderTrajectory(ProgrammeTrajectory):
     """A record of a slider that a stage pulls; X is found, not given.
 
@@ -166,6 +193,8 @@ class SliderTrajectory(ProgrammeTrajectory):
         Displacement of the stage's end of the spring, and the force of the spring, kappa_s (stage - X) (length).
     X_replica_std : ndarray, shape (points,), or None
         Standard deviation of X between replicas, if there are several (length).
+    X_replicas : ndarray, shape (replicas, points), or None
+        X of every replica (length), if there are several.
     energy : ndarray, shape (points, 4)
         Over N k (length squared), means over replicas: work of the stage so far; what spring, slider and contacts
         store, less that at the beginning; what broken contacts, damping and viscosity have taken; and what is missing
@@ -180,6 +209,7 @@ class SliderTrajectory(ProgrammeTrajectory):
     stage: Array
     spring: Array
     X_replica_std: Array | None
+    X_replicas: Array | None
     energy: Array
     slips: tuple[Slip, ...]
     avalanches: dict[str, Array] | None

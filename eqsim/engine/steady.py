@@ -21,6 +21,7 @@ randomisation finds its own fixed point C = E[x_b; C], to first order from lives
 errors quoted hold the error of C.
 """
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable
@@ -40,7 +41,7 @@ from eqsim.estimate import Averages, Estimate, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.pooled import Pooled
 from eqsim.laws.newborn import DeltaBirths, Stretched
-from eqsim.laws.threshold import Distribution
+from eqsim.laws.threshold import Smooth
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
@@ -57,11 +58,12 @@ _NUDGE = 1e-2  # relative change of C that shows how births respond to it; the f
 _SETTLED = 3e-5  # relative error of the C that a trajectory's births are given
 _POOLED_SMOOTH, _POOLED_STEPS = 2e-7, 3e-5  # relative error of averages over the tabulated inverse
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
+_BROAD = 0.05  # a variance with a greater relative error has them, too: squares have heavier tails than the force
 
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Steady(Averages):
     """Steady averages as estimated.
 
@@ -146,7 +148,7 @@ def steady(
         tables = _POOLED_STEPS if c.thresholds.steps.size else _POOLED_SMOOTH
     if c.aging.fluctuates:
         tables = step_error(c.aging, step)
-    if isinstance(ensemble.thresholds, Distribution):
+    if isinstance(ensemble.thresholds, Smooth):
         tables = max(tables, ensemble.thresholds.drawn_to)
     response: Array | None = None
     size, done = _FIRST, 0
@@ -435,6 +437,8 @@ def _averages(
     known_too = math.isfinite(known(variance)) and math.isfinite(variance.stderr or 0.0)
     if stiffness_varies(c.aging, c.springs) or not known_too:
         variance = Estimate(None, None, n)
+    elif (variance.stderr or 0.0) > _BROAD * abs(known(variance)):
+        variance = dataclasses.replace(variance, reliable=False)
     return (
         estimate(friction, of_friction, hidden * size_of_force, unit),
         estimate(pinned, (travel - pinned * cycle) / cycle.mean(), hidden * pinned * waiting, 1.0),

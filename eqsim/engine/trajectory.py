@@ -161,7 +161,7 @@ def trajectory(
     scatter_of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
     force_variance = force_variance + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
-    std = total.replica_std(job, replicas)
+    std, every = total.replica_std(job, replicas), total.replica_forces()
     second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
     second_half += (_force_variance(variance, level, run, count, noise),)
@@ -180,6 +180,7 @@ def trajectory(
         pinned=pinned,
         pinned_stderr=np.sqrt(scatter_of_pinned),
         force_replica_std=None if std is None else std * unit,
+        force_replicas=None if every is None else every * unit,
         averages=Averages(
             *(
                 _in(_widened(one, bias), size, gone and seen)

@@ -18,9 +18,9 @@ from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
 from eqsim.fitting.record import Correlation, correlated, read_record, record_problem
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
-from eqsim.io.runfile import RunFile, at
+from eqsim.io.runfile import RunFile, at, opened
 from eqsim.numerics.tables import Array
-from eqsim.sweep.workers import Workers
+from eqsim.sweeps.workers import Workers
 
 REJECTED = 1e-3  # p below which a model is rejected
 _FLOOR = 0.1  # of a standard error, what the solver may miss
@@ -53,7 +53,7 @@ class Goodness(NamedTuple):
     bic: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FitResult:
     """What data say about a model.
 
@@ -62,6 +62,8 @@ class FitResult:
     file : RunFile
     folder : Path
         That paths in it are relative to.
+    fit : Fit
+        Its [fit] section.
     problem : Problem
     table : Table
     best : Minimum
@@ -76,8 +78,12 @@ class FitResult:
         One for each start.
     profiles : dict
         The two sides of each key's profile.
+    floor : float
+        Largest error of the solver over that of a measurement.
     warnings : tuple of str
     seed : int
+    correlation : Correlation or None
+        Of the errors of a record.
     """
 
     file: RunFile
@@ -101,6 +107,36 @@ class FitResult:
     def values(self) -> dict[str, float]:
         """The best value of each parameter."""
         return {one.key: float(one.value(x)) for one, x in zip(self.problem.parameters, self.best.u, strict=True)}
+
+    def to_pandas(self) -> Any:
+        """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 % intervals (None: open) and status."""
+        import pandas as pd
+
+        ends = {f"{side}_{level}": (level, i) for level in ("68", "95") for i, side in enumerate(("low", "high"))}
+        rows = {
+            one.key: {
+                "estimate": one.estimate,
+                **{name: one.intervals[level][i] for name, (level, i) in ends.items()},
+                "status": one.status,
+            }
+            for one in self.intervals
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def plot(self) -> Any:
+        """A matplotlib Figure of the data, the fitted curves and their bands, and residuals."""
+        from eqsim.fitting.pictures import fit_figure
+
+        return fit_figure(self, self.file.title)
+
+    def __repr__(self) -> str:
+        found = [f"{one.key} {one.estimate:.4g} {one.status}" for one in self.intervals]
+        quality = f"chi-square {self.goodness.chi2:.4g} of {self.goodness.dof} degrees of freedom"
+        return f"FitResult({', '.join([*found, quality, *['REJECTED'] * self.rejected])})"
+
+    def _repr_html_(self) -> str:
+        shown: str = self.to_pandas().to_html()
+        return shown
 
     @property
     def converged(self) -> bool:
@@ -170,8 +206,8 @@ def _check_drive(file: RunFile, table: Table) -> None:
 
 
 def fit(
-    file: RunFile,
-    folder: Path | str = ".",
+    file: RunFile | Path | str,
+    folder: Path | str | None = None,
     *,
     data: Path | None = None,
     starts: int = 8,
@@ -183,10 +219,10 @@ def fit(
 
     Parameters
     ----------
-    file : RunFile
-        With a [fit] section; `output.seed` draws the starts.
-    folder : Path
-        That paths in the run file are relative to.
+    file : RunFile, Path or str
+        With a [fit] section, or the path of one; `output.seed` draws the starts.
+    folder : Path, optional
+        That paths in the run file are relative to; by default its own folder.
     data : Path, optional
         Measurements, instead of the section's.
     starts : int
@@ -210,7 +246,8 @@ def fit(
     """
     require_integer("starts", starts, 1, 1000)
     require_integer("workers", workers, 1, 1024)
-    folder = Path(folder)
+    file = opened(file)
+    folder = file.folder if folder is None else Path(folder)
     prepared = prepare(file, folder, data, allow_degenerate)
     problem = prepared.problem
     every = estimate.starts(problem, starts, file.output.seed)

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.io.runfile import RunFile, keys, parameters
+from eqsim.laws.named import threshold_parameters
 
 TRANSFORMS = ("log", "log1p", "linear")
 NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}  # free keys of a record that no contact knows
@@ -197,7 +198,7 @@ def _check_effect(file: RunFile, key: str, field: str) -> None:
     law, rule = file.thresholds.law, file.aging.rule
     if key == "thermal.temperature":
         raise InputError(f"{field}: must be thermal.kT, to which it is proportional")
-    if (key == "thresholds.n" and law != "gamma") or (key == "thresholds.x_star" and law == "table"):
+    if key.startswith("thresholds.") and key.partition(".")[2] not in threshold_parameters(law):
         raise InputError(f'{field}: has no effect with thresholds.law = "{law}"')
     if key.startswith("aging.") and rule == "none":
         raise InputError(f'{field}: has no effect with aging.rule = "none", contacts that do not age')

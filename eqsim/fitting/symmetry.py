@@ -21,10 +21,11 @@ _LENGTH = {
     "thresholds.x_star": 1, "contacts.stiffness": -2, "fit.scale": -1, "thermal.attempt_frequency": -1,
     "delay.time": 1, "aging.rate": 1, "aging.x_star_final": 1, "aging.cutoff_time": 1, "viscosity.eta": -1,
     "drive.velocity": 0, "break_stretch": 1, "peak_X": 1, "force_std": 1,
-    "record": 1,
+    "record": 1, **dict.fromkeys(("thresholds.std", "thresholds.low", "thresholds.high"), 1),
 }  # fmt: skip
 _ENERGY = {"contacts.stiffness": 1, "thermal.kT": 1, "viscosity.eta": 1, "force_std": -1}
 _HOT, _COLD = 0.3, 1e3  # b below which it does not matter to annealed contacts, and above which only omega/b does
+_SIZES = ("thresholds.x_star", "thresholds.high")  # of a law; its other parameters change the shape
 _UNSEEN = {"force_std", "peak_ratio", "peak_X"}
 
 
@@ -85,7 +86,7 @@ def _null(rows: Array) -> list[Array]:
 
 
 def _limits(file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]) -> Iterator[str]:
-    by_key = {one.key: one for one in free}
+    by_key, law = {one.key: one for one in free}, file.thresholds.law
     cold = not file.thermal.kT and "thermal.kT" not in by_key
     for key in ("thermal.attempt_frequency",) if cold else ():
         if key in by_key:
@@ -95,8 +96,9 @@ def _limits(file: RunFile, free: list[Parameter], scaled: bool, measured: set[st
         if key in ("drive.distance", "drive.stage.tolerance"):
             yield f"{key}: has no effect on a steady observable"
     transient = measured & {"peak_ratio", "peak_X"}
-    if cold and "thresholds.n" in by_key and not transient and measured <= {"friction", "pinned"}:
-        others = [key for key in ("thresholds.x_star", "fit.scale") if key in by_key or (key == "fit.scale" and scaled)]
+    widths = [key for key in by_key if key.startswith("thresholds.") and key not in _SIZES]
+    if cold and widths and not transient and measured <= {"friction", "pinned"}:
+        others = [key for key in (*_SIZES, "fit.scale") if key in by_key or (key == "fit.scale" and scaled)]
         level = bool(others)
         if rule == "none":
             level &= file.delay.time == 0 or len(others) == 2 or "delay.time" in by_key
@@ -106,8 +108,8 @@ def _limits(file: RunFile, free: list[Parameter], scaled: bool, measured: set[st
             level = False
         if level:
             absorbed = ", ".join([*others, *(key for key in ("delay.time", "aging.rate") if key in by_key)])
-            yield f"thresholds.n: at thermal.kT = 0 it is absorbed in {absorbed}; measure a temperature or peak_ratio"
-    if annealed and file.thermal.barrier == "soft" and not measured & _UNSEEN:
+            yield f"{widths[0]}: at thermal.kT = 0 it is absorbed in {absorbed}; measure a temperature or peak_ratio"
+    if annealed and law in ("gamma", "delta") and file.thermal.barrier == "soft" and not measured & _UNSEEN:
         yield from _regimes(file, by_key)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 
-_SWEEP, _PARTS = "_sweep.json", "_parts"  # of a sweep's folder, `eqsim.sweep.store`
+_SWEEP, _PARTS = "_sweep.json", "_parts"  # of a sweep's folder, `eqsim.sweeps.store`
 _MEANINGS = {
     "X": "displacement of the slider (length)",
     "t": "time",

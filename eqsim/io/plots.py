@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from eqsim.engine.steady import Steady
     from eqsim.io.runfile import RunFile
     from eqsim.master.stability import Stability
-    from eqsim.master.transient import Transient
+    from eqsim.master.transient import Fluctuations, Transient
     from eqsim.model.ensemble import Ensemble
     from eqsim.validation import Validation
 
@@ -274,6 +274,25 @@ def stability_figure(found: "Stability", borders: dict[str, Any], caption: Capti
     axes.set_title(caption.heading)
     axes.legend(loc="best", fontsize=8)
     axes.grid(alpha=0.3)
+    return figure
+
+
+@styled
+def fluctuations_figure(exact: "Fluctuations", sample: Any, caption: Caption) -> Figure:
+    """The exact autocovariance over the lag, and that of simulated contacts with error bars, if there is a `sample`."""
+    figure = Figure(figsize=(8, 4.6), layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(0.0, color="0.6", linewidth=0.7)
+    axes.plot(exact.lag, exact.covariance, color="k", linewidth=1, label="exact", zorder=3)
+    if sample is not None:
+        every = max(1, exact.lag.size // 30)
+        bars: dict[str, Any] = {"color": "C0", "linestyle": "none", "marker": "o", "markersize": 4, "capsize": 2}
+        label = f"{sample.ensembles} ensembles of {sample.contacts} contacts ± 2 standard errors"
+        axes.errorbar(exact.lag[::every], sample.covariance[::every], 2 * sample.stderr[::every], label=label, **bars)
+    axes.set(xlabel=caption.length("lag in displacement"), xlim=(0, exact.lag[-1]))
+    axes.set(ylabel=r"autocovariance  $N\,\mathrm{Cov}(F, F') / (N k)^2$")
+    axes.set_title(caption.heading)
+    axes.legend(loc="upper right")
     return figure
 
 

@@ -12,7 +12,7 @@ import stat
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
@@ -24,10 +24,11 @@ from eqsim.io.labels import described
 from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
+from eqsim.laws.named import THRESHOLDS, law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import Delta, Gamma, Table, ThresholdLaw
-from eqsim.model.drive import Drive, Programme, Segment, Stage, check_output, require_drive
+from eqsim.laws.threshold import Table, ThresholdLaw
+from eqsim.model.drive import MOST_SERIES, Drive, Programme, Segment, Stage, check_output, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 
@@ -53,10 +54,22 @@ class Contacts(_Section):
     stiffness_law: str = "sqrt"
 
 
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[(*THRESHOLDS, "table")]
+
+
 class Thresholds(_Section):
-    law: Literal["gamma", "delta", "table"] = "gamma"
+    law: LawName = "gamma"
     n: float | None = None
     x_star: float | None = None
+    sigma: float | None = None
+    shape: float | None = None
+    std: float | None = None
+    low: float | None = None
+    high: float | None = None
+    exponent: float | None = None
     file: str | None = None
     column: str | None = None
     scale: float | None = None
@@ -148,6 +161,8 @@ class Output(_Section):
     points: Whole = 2001
     seed: Whole = 1  # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
     replicas: Whole = 1
+    series: bool = False
+    breaks: bool = False
 
 
 class UnitsSection(_Section):
@@ -188,6 +203,7 @@ class RunFile(_Section):
     sweep: dict[str, Any] = {}
     fit: dict[str, Any] = {}  # `fitting.section`
     _text: str = PrivateAttr("")
+    _folder: Path = PrivateAttr(Path())
 
     @property
     def text(self) -> str:
@@ -239,8 +255,15 @@ class RunFile(_Section):
         warm.model_fields_set.discard("kT")  # it follows, also where the temperature changes
         return self.model_copy(update={"thermal": warm})
 
-    def ensemble(self, folder: Path) -> Ensemble:
-        """The contacts; the path of a threshold table is relative to `folder`. Raises InputError."""
+    @property
+    def folder(self) -> Path:
+        """Where it was read from, and the paths in it start."""
+        return self._folder
+
+    def ensemble(self, folder: Path | None = None) -> Ensemble:
+        """The contacts; the path of a threshold table is relative to `folder`, by default that of the run file. Raises
+        InputError."""
+        folder = self.folder if folder is None else folder
         with under("thermal"):
             thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)
         with under("delay"):
@@ -283,26 +306,25 @@ class RunFile(_Section):
             )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
-        given = self.thresholds
-        tabled = ("file", "column", "scale")
-        allowed = {"gamma": ("n", "x_star"), "delta": ("x_star",), "table": tabled}[given.law]
-        for key in ("n", "x_star", *tabled):
-            value = getattr(given, key)
-            if value is not None and key not in allowed:
-                raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{given.law}"')
-        if given.law == "table":
-            if given.file is None:
-                raise InputError('thresholds.file: is required with law = "table"')
-            if given.scale is not None:
-                require_number("thresholds.scale", given.scale, **POSITIVE)
-            return read_thresholds(folder / given.file, given.column, 1.0 if given.scale is None else given.scale)
-        x_star = 1.0 if given.x_star is None else given.x_star
-        with under("thresholds"):
-            return Delta(x_star) if given.law == "delta" else Gamma(1.0 if given.n is None else given.n, x_star)
+        law, tabled = self.thresholds.law, ("file", "column", "scale")
+        given = self.thresholds.model_dump(exclude={"law"}, exclude_none=True)
+        allowed = tabled if law == "table" else threshold_parameters(law)
+        for key, value in given.items():
+            if key not in allowed:
+                raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{law}"')
+        if law != "table":
+            with under("thresholds"):
+                return law_of(law, given)
+        if "file" not in given:
+            raise InputError('thresholds.file: is required with law = "table"')
+        scale = given.get("scale", 1.0)
+        require_number("thresholds.scale", scale, **POSITIVE)
+        return read_thresholds(folder / given["file"], given.get("column"), scale)
 
-    def driven(self, folder: Path) -> Drive | Programme:
-        """How the slider moves; the path of a recorded drive is relative to `folder`. Raises InputError."""
-        given = self.drive
+    def driven(self, folder: Path | None = None) -> Drive | Programme:
+        """How the slider moves; the path of a recorded drive is relative to `folder`, by default that of the run file.
+        Raises InputError."""
+        given, folder = self.drive, self.folder if folder is None else folder
         if given.programme is not None or given.file is not None or given.stage is not None:
             return self._programme(folder)
         if given.velocity is None:
@@ -314,7 +336,7 @@ class RunFile(_Section):
         with under("drive"):
             return Drive(given.velocity, given.distance, given.start, elastic)  # type: ignore[arg-type]  # checked there
 
-    def constant(self, folder: Path) -> Drive:
+    def constant(self, folder: Path | None = None) -> Drive:
         """How it moves where only a constant velocity has an answer. Raises InputError."""
         return require_drive(self.driven(folder))
 
@@ -347,8 +369,20 @@ class RunFile(_Section):
 
     def check_output(self) -> None:
         """Raise InputError unless the size and seed of a recording can be used."""
+        output = self.output
         with under("output"):
-            check_output(self.output.points, self.output.seed, self.output.replicas)
+            check_output(output.points, output.seed, output.replicas)
+        if output.series and output.replicas == 1:
+            raise InputError("output.series: writes the force of every replica; needs output.replicas of 2 or more")
+        if output.series and output.replicas * output.points > MOST_SERIES:
+            size = f"output.replicas x output.points = {output.replicas * output.points:.3g}"
+            raise InputError(f"output.series: {size}; at most {MOST_SERIES:.0e} forces are kept")
+        for name, asked in (("series", output.series), ("breaks", output.breaks)):
+            if asked and self.elastic is not None:
+                raise InputError(f"output.{name}: not with [elastic], which writes every block and avalanche")
+        constant = self.drive.programme is None and self.drive.file is None and self.drive.stage is None
+        if output.breaks and not constant:
+            raise InputError("output.breaks: breaks are listed at a constant drive.velocity only")
 
 
 _KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()}
@@ -371,26 +405,28 @@ def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None
             data[section].pop(name, None)
 
 
-def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
+def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     """Read and check a run file.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         TOML in UTF-8. It is read once: it may be a pipe.
     changes : dict, optional
-        Values by "section.key", put in before anything is checked.
+        Values by "section.key", put in before anything is checked: {"drive.velocity": 0.2}.
 
     Returns
     -------
     RunFile
+        Its sections are attributes (`file.output.seed`); `file.ensemble()` are the contacts and `file.driven()` is the
+        drive, as `steady` and `trajectory` take them.
 
     Raises
     ------
     InputError
         If the file cannot be read, or holds what is not allowed.
     """
-    changes = changes or {}
+    path, changes = Path(path), changes or {}
     text, data = read_toml(path)
     _without_alternatives(data, changes)
     for key, value in changes.items():
@@ -413,6 +449,7 @@ def load(path: Path, changes: dict[str, Any] | None = None) -> RunFile:
     if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():  # even if kT is 0
         raise InputError("thermal." + _two_temperatures(heat["temperature"]))
     file = check(data)
+    file._folder = path.parent
     file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return file
 
@@ -424,6 +461,13 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         return text, tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
         raise InputError(f"{path}: is not valid TOML: {error}") from None
+
+
+def opened(file: RunFile | Path | str) -> RunFile:
+    """A run file, read if it is the path of one. Raises InputError."""
+    if not isinstance(file, (RunFile, Path, str)):
+        raise InputError(f"file = {shown(file)}: must be a run file or the path of one")
+    return file if isinstance(file, RunFile) else load(file)
 
 
 def _read(path: Path) -> str:
@@ -470,6 +514,7 @@ def _keys() -> dict[str, type]:
         if name in labels:
             continue
         fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
+        fields = {key: field for key, field in fields.items() if field.annotation is not bool}  # what is written
         known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
     return known
 
@@ -478,9 +523,9 @@ def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
     data = file.model_dump()
     found: dict[str, Any] = {key: functools.reduce(_part, key.split("."), data) for key in keys(file)}
-    for key, laws in (("thresholds.x_star", ("gamma", "delta")), ("thresholds.n", ("gamma",))):
-        if file.thresholds.law in laws and found[key] is None:
-            found[key] = 1.0
+    for key, default in threshold_parameters(file.thresholds.law).items():
+        if found[f"thresholds.{key}"] is None:
+            found[f"thresholds.{key}"] = default
     return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
 
 
@@ -503,7 +548,9 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
         for name in sections:
             place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
         place[last] = value
-    return check(data)
+    found = check(data)
+    found._folder = file.folder
+    return found
 
 
 def stored(settings: dict[str, Any]) -> RunFile:

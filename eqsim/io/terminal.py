@@ -1,6 +1,5 @@
 """What a terminal shows: results of commands, values with their errors, progress."""
 
-import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -83,18 +82,7 @@ def _total(widths: Sequence[int]) -> int:
 
 def value_and_error(estimate: "Estimate") -> str:
     """Value(error in the last two digits), as physicists write it."""
-    if estimate.value is None:
-        return "none seen"
-    mark = "" if estimate.reliable else "  unreliable"
-    if not estimate.stderr:
-        return f"{estimate.value:.8g}{mark}"
-    exponent = math.floor(math.log10(max(abs(estimate.value), estimate.stderr))) if estimate.value else 0
-    exponent = 0 if -4 < exponent < 6 else exponent
-    scale = 10.0**exponent
-    digits = max(0, 1 - math.floor(math.log10(float(f"{estimate.stderr / scale:.1e}"))))
-    last = round(estimate.stderr / scale * 10**digits)
-    power = f"e{exponent:+03d}" if exponent else ""
-    return f"{estimate.value / scale:.{digits}f}({last}){power}{mark}"
+    return str(estimate)
 
 
 def relative_error(estimate: "Estimate") -> str:

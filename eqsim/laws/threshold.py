@@ -259,7 +259,51 @@ class Table(_Discrete):
         return f"Table({self.steps.size} thresholds from {self.steps[0]:g} to {self.steps[-1]:g})"
 
 
-class Distribution:
+class Smooth:
+    """What laws with a density share: their draws come from a table of the quantile function."""
+
+    steps: Array = NO_STEPS
+    breakpoints: Array = NO_STEPS
+    support: tuple[float, float] = (0.0, math.inf)
+    scale: float
+
+    def pdf(self, x: Any) -> Array:
+        """P_c(x)."""
+        raise NotImplementedError
+
+    def sf(self, x: Any) -> Array:
+        """J_c(x) = P(xi > x)."""
+        raise NotImplementedError
+
+    def inverse_survival(self, e: Any) -> Array:
+        """The threshold that a fraction exp(-e) of the contacts exceeds."""
+        raise NotImplementedError
+
+    def table(self) -> Array:
+        """`inverse_survival` for kernels. Raises InputError where that is none."""
+        e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+        xi = self.inverse_survival(e)
+        if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
+            raise InputError("threshold distribution: its ppf and isf must be finite, positive and monotone")
+        with np.errstate(all="ignore"):
+            slope = self.sf(xi) / self.pdf(xi)
+        secant = np.gradient(xi, e)
+        slope = np.where(np.isfinite(slope), slope, secant)  # where the density vanishes: support ends, gaps
+        return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
+
+    @functools.cached_property
+    def drawn_to(self) -> float:
+        """A bound on the relative error of averages over thresholds drawn from `table`, up to the work xi^3 of the sqrt
+        law: where the density jumps, a cell of the table is smooth and the law is not."""
+        edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
+        matter = (edges[:-1] > 1e-6) & (edges[:-1] < 40.0)
+        e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
+        drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.inverse_survival(e) / self.scale
+        share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
+        return sum(float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in (1, 3))
+
+
+class Distribution(Smooth):
     """Any continuous `scipy.stats` distribution of positive thresholds.
 
     Parameters
@@ -292,7 +336,6 @@ class Distribution:
         require_number("threshold distribution: <xi^3>", third, above=0)
         self.mean, self.rms = float(frozen.mean()), math.sqrt(float(frozen.moment(2)))
         self.scale = self.mean
-        self.steps = NO_STEPS
         low, high = frozen.support()
         self.support = float(low), float(high)
         self.breakpoints = np.asarray(
@@ -326,28 +369,6 @@ class Distribution:
     def inverse_survival(self, e: Any) -> Array:
         e = np.asarray(e, float)
         return np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
-
-    def table(self) -> Array:
-        e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
-        xi = self.inverse_survival(e)
-        if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
-            raise InputError("threshold distribution: its ppf and isf must be finite, positive and monotone")
-        with np.errstate(all="ignore"):
-            slope = self.frozen.sf(xi) / self.frozen.pdf(xi)
-        secant = np.gradient(xi, e)
-        slope = np.where(np.isfinite(slope), slope, secant)  # where the density vanishes: support ends, gaps
-        return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
-
-    @functools.cached_property
-    def drawn_to(self) -> float:
-        """A bound on the relative error of averages over thresholds drawn from `table`, up to the work xi^3 of the sqrt
-        law: where the density jumps, a cell of the table is smooth and the law is not."""
-        edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
-        matter = (edges[:-1] > 1e-6) & (edges[:-1] < 40.0)
-        e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
-        drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.inverse_survival(e) / self.scale
-        share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
-        return sum(float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in (1, 3))
 
 
 _SHARES = np.array(

@@ -24,7 +24,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -41,6 +41,7 @@ from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import reduced
 from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
 
 _LEAST_CELLS, _MOST_CELLS = 500, 2000  # of the coarser grid
 _CELL, _AGING = 0.015, 0.1  # a cell in units of the shortest mean life, and of the displacement in which contacts age
@@ -53,8 +54,8 @@ _NODES, _WEIGHTS = special.roots_legendre(3)
 _SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS  # on the unit interval
 
 
-@dataclass(frozen=True)
-class Closure:
+@dataclass(frozen=True, repr=False)
+class Closure(Result):
     """A transient from a fresh start, arrays of shape (points,). Every contact is pinned at all times.
 
     Attributes
@@ -69,6 +70,7 @@ class Closure:
         <xi> of the pool of pinned contacts, and its error estimate (length).
     """
 
+    drawn: ClassVar[Drawn] = Drawn("X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)")
     X: Array
     force: Array
     breaks: Array

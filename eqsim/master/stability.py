@@ -27,6 +27,7 @@ from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import pull_of, reduced
 from eqsim.numerics.tables import Array
+from eqsim.results import Result
 
 NEUTRAL = "no perturbation grows or decays: without heat, aging and delay friction is the same at any X(t)"
 
@@ -35,8 +36,8 @@ _PROFILE_STEP = 0.015  # in ln x, over which a profile may be wrong by its error
 _CERTAIN = 2.0  # errors by which a rate must differ from 0
 
 
-@dataclass(frozen=True)
-class FreshSlip:
+@dataclass(frozen=True, repr=False)
+class FreshSlip(Result):
     """The first slip of contacts that start together.
 
     Attributes
@@ -56,8 +57,8 @@ class FreshSlip:
     peak_ratio: Estimate
 
 
-@dataclass(frozen=True)
-class Stability:
+@dataclass(frozen=True, repr=False)
+class Stability(Result):
     """Of a slider that a stage pulls at constant velocity.
 
     Attributes
@@ -82,6 +83,12 @@ class Stability:
     growth: Estimate
     period: Estimate
     method: str
+
+    def estimates(self, *, brief: bool = False) -> dict[str, Estimate]:
+        """Its numbers by name, those of the fresh start as fresh_critical_stiffness, ..."""
+        fresh = {f"fresh_{name}": estimate for name, estimate in self.fresh.estimates().items()}
+        names = ("critical_stiffness", "growth", "period")
+        return {**{name: getattr(self, name) for name in names}, **fresh}
 
     @property
     def fresh_slips(self) -> bool:

@@ -16,7 +16,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, reduced
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reference(Averages):
     """Exact steady averages; `stderr` of each estimate is the error estimate of the solver (absolute).
 

@@ -21,7 +21,7 @@ is in step, and where they cannot be the share that may still be in step is part
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import fft, ndimage, signal
@@ -37,6 +37,7 @@ from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
 
 _CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
 _FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor
@@ -45,8 +46,8 @@ _AROUND, _WRAPPED = 6, 1e-13  # length of the circle in transients, and what of 
 _EVERYTHING = np.array([1e90])  # a stretch beyond any
 
 
-@dataclass(frozen=True)
-class Transient:
+@dataclass(frozen=True, repr=False)
+class Transient(Result):
     """Exact means over independent contacts on the way, arrays of shape (points,).
 
     Attributes
@@ -68,6 +69,7 @@ class Transient:
         estimate of X, which is found with it (length).
     """
 
+    drawn: ClassVar[Drawn] = Drawn("X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)")
     X: Array
     force: Array
     pinned: Array
@@ -323,8 +325,8 @@ def _between(values: Array) -> Array:
     return np.asarray(ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3))
 
 
-@dataclass(frozen=True)
-class Fluctuations:
+@dataclass(frozen=True, repr=False)
+class Fluctuations(Result):
     """Stationary fluctuations of F for independent contacts, arrays of shape (points,).
 
     Attributes
@@ -336,6 +338,7 @@ class Fluctuations:
         (length^2).
     """
 
+    drawn: ClassVar[Drawn] = Drawn("lag", "covariance", "error", "lag in displacement", "Cov(F, F')/(N k^2)")
     lag: Array
     covariance: Array
     error: Array

@@ -12,7 +12,7 @@ the mean stretch at breaking C, the root of C = int J_c exp(-Delta U) dx (derive
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -29,6 +29,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
 
 # relative errors that end refinement, the least error quoted, and the most panels
 _CONVERGED, _ROUNDING, _MOST_PANELS = 1e-9, 1e-11, 1500
@@ -65,8 +66,8 @@ class Lives(NamedTuple):
     birth: float | Array = 0.0
 
 
-@dataclass(frozen=True)
-class Curve:
+@dataclass(frozen=True, repr=False)
+class Curve(Result):
     """Steady averages over velocity, in the user's units, and their absolute errors, arrays (velocities,).
 
     Attributes
@@ -78,6 +79,9 @@ class Curve:
         Error estimates of the solver.
     """
 
+    drawn: ClassVar[Drawn] = Drawn(
+        "velocity", "friction", "friction_error", "velocity  v", "friction  <F>/(N k)", log=True
+    )
     velocity: Array
     friction: Array
     pinned: Array

@@ -50,6 +50,9 @@ class Drive:
     elastic: Elastic | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.velocity, (np.ndarray, list, tuple)):
+            many = "eqsim.curve(ensemble, velocities) is exact at many, eqsim.sweep simulates them"
+            raise InputError(f"velocity = {shown(self.velocity)}: must be one number; {many}")
         require_number("velocity", self.velocity, **POSITIVE)
         if self.distance is not None:
             require_number("distance", self.distance, **POSITIVE)
@@ -238,6 +241,9 @@ def require_drive(drive: Drive | Programme) -> Drive:
     if drive.elastic is not None:
         raise InputError("elastic: coupled blocks are simulated by `eqsim run` alone; this needs a rigid slider")
     return drive
+
+
+MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
 
 
 def check_output(points: int, seed: int, replicas: int) -> None:

@@ -1,7 +1,7 @@
 """An interface of N contacts."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number, under
@@ -24,7 +24,8 @@ class Ensemble:
     Parameters
     ----------
     thresholds : ThresholdLaw
-        Law of newborn threshold stretches (length): `Gamma`, `Delta`, `Table` or `Distribution`.
+        Law of newborn threshold stretches (length): `Gamma`, `Delta`, another by name (`Lognormal`, `Weibull`,
+        `Exponential`, `Normal`, `Uniform`, `Pareto`), `Table` or `Distribution`.
     thermal : Thermal
         Temperature, attempt frequency and barrier.
     delay : Delay
@@ -51,16 +52,16 @@ class Ensemble:
         For a value out of range, or laws that do not go together.
     """
 
-    thresholds: ThresholdLaw = field(default_factory=Gamma)
-    thermal: Thermal = field(default_factory=Thermal)
-    delay: Delay = field(default_factory=Delay)
-    aging: Aging = field(default_factory=Aging)
+    thresholds: ThresholdLaw = Gamma()
+    thermal: Thermal = Thermal()
+    delay: Delay = Delay()
+    aging: Aging = Aging()
     count: int = 100_000
     stiffness: float = 1.0
     stiffness_law: StiffnessLaw = "sqrt"
     disorder: Disorder = "quenched"
     eta: float = 0.0
-    newborn: Newborn = field(default_factory=Newborn)
+    newborn: Newborn = Newborn()
 
     def __post_init__(self) -> None:
         require_integer("count", self.count, 1, 10**12)

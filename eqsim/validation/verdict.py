@@ -13,10 +13,12 @@ probabilities each a correct program fails a suite once in 500 seeds or less oft
 kinds (Bonferroni).
 """
 
+import html
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -24,7 +26,7 @@ from scipy import stats
 from eqsim.errors import InputError
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation.points import SUITES, sample
-from eqsim.validation.scores import DECLINED, KINDS, Found, Point, Score, Unscored, compared, stream
+from eqsim.validation.scores import DECLINED, KINDS, Found, Point, Score, Unscored, columns, compared, stream
 
 ALARM = 1e-4
 
@@ -47,7 +49,7 @@ class Verdict:
     passed: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Validation:
     """What a suite found.
 
@@ -67,6 +69,23 @@ class Validation:
     scores: list[Score]
     verdicts: list[Verdict]
     unscored: list[Unscored]
+
+    def to_pandas(self) -> Any:
+        """A DataFrame of all comparisons, one a row."""
+        import pandas as pd
+
+        return pd.DataFrame(columns(self.scores))
+
+    def __repr__(self) -> str:
+        said = "passed" if self.passed else "FAILED"
+        return f"Validation(suite {self.suite}, seed {self.seed}: {said}, {len(self.scores)} comparisons)"
+
+    def _repr_html_(self) -> str:
+        """The verdict on each kind."""
+        import pandas as pd
+
+        shown: str = pd.DataFrame([asdict(verdict) for verdict in self.verdicts]).to_html(index=False)
+        return f"{html.escape(repr(self))}{shown}"
 
     @property
     def passed(self) -> bool:

@@ -15,12 +15,13 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
+from eqsim.results import OfTrajectory
 
 _SHOWN = 1000  # sizes whose law is drawn
 
 
-@dataclass(frozen=True)
-class ElasticResult:
+@dataclass(frozen=True, repr=False)
+class ElasticResult(OfTrajectory):
     """A run file with coupled blocks that was simulated."""
 
     file: RunFile

@@ -12,12 +12,12 @@ from eqsim.engine.records import SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import stored
-from eqsim.sweep.plan import Plan
-from eqsim.sweep.rows import Asked
-from eqsim.sweep.scheduler import sweep
-from eqsim.sweep.workers import Workers
+from eqsim.sweeps.plan import Plan
+from eqsim.sweeps.rows import Asked
+from eqsim.sweeps.scheduler import sweep
+from eqsim.sweeps.workers import Workers
 from eqsim.workflows.curve import curve
-from eqsim.workflows.run import Progress, run
+from eqsim.workflows.run import Progress, RunResult, run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
 Table = Any  # a pandas DataFrame, or columns by name
@@ -27,8 +27,17 @@ Table = Any  # a pandas DataFrame, or columns by name
 class Replay:
     """A table beside its repetition.
 
-    `differences` holds, for each column that is not the same to the last bit, in how many rows and by how much at most
-    (None where it is not a number); `versions`, those that differ, as (then, now).
+    Attributes
+    ----------
+    command : str
+        That made it.
+    rows : int
+        Of the table.
+    differences : dict
+        For each column that is not the same to the last bit, in how many rows and by how much at most (None where it is
+        not a number).
+    versions : dict
+        Those that differ, as (then, now).
     """
 
     command: str
@@ -125,15 +134,28 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
 
 def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
     file, folder = stored(origin["settings"]), Path(origin["folder"])
-    found = run(file, folder, threads=workers, max_lives=1e300, progress=progress).trajectory
+    result = run(file, folder, threads=workers, max_lives=1e300, progress=progress)
+    found = result.trajectory
     if isinstance(found, ElasticTrajectory):
         return found.avalanches if "drop" in table else found.blocks if "block" in table else found.columns()
+    if isinstance(result, RunResult) and result.breaks is not None and "contact" in table:
+        return result.breaks.columns()
+    if "replica" in table and "force" in table:
+        return found.replicas()
     avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
     return avalanches if avalanches is not None and "breaks" in table else found.columns()
 
 
 def _reference(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
     return curve(stored(origin["settings"]), Path(origin["folder"]), closure="mean_threshold" in table)
+
+
+def _fluctuations(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
+    from eqsim.workflows.fluctuations import run_fluctuations
+
+    file, asked = stored(origin["settings"]["run"]), origin["settings"]
+    how = {name: asked[name] for name in ("lag", "points", "lives")}
+    return run_fluctuations(file, Path(origin["folder"]), threads=workers, **how).columns()
 
 
 def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
@@ -175,6 +197,7 @@ def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress)
 
 _REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
     "run": _run,
+    "fluctuations": _fluctuations,
     "reference": _reference,
     "stability": _stability,
     "validate": _validate,

@@ -10,19 +10,21 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from eqsim.engine.breaks import Breaks, breaks, check_breaks
 from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTrajectory, Trajectory, shown_by
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile
+from eqsim.io.runfile import RunFile, opened
 from eqsim.master.peak import Peak, first_peak
 from eqsim.master.steady import reference
 from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.sweep.workers import Workers
+from eqsim.results import OfTrajectory
+from eqsim.sweeps.workers import Workers
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
 
@@ -33,9 +35,24 @@ Progress = Callable[[int, float], None]
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """A run file that was simulated: `trajectory` is what was found, `steady` the steady averages of the ensemble."""
+@dataclass(frozen=True, repr=False)
+class RunResult(OfTrajectory):
+    """A run file that was simulated.
+
+    Attributes
+    ----------
+    file : RunFile
+    folder : Path
+        Where the paths in it start.
+    ensemble : Ensemble
+    drive : Drive
+    steady : Steady
+        Steady averages of the ensemble.
+    trajectory : Trajectory
+        What was found.
+    breaks : Breaks or None
+        If `output.breaks` asks for them.
+    """
 
     file: RunFile
     folder: Path
@@ -43,6 +60,7 @@ class RunResult:
     drive: Drive
     steady: Steady
     trajectory: Trajectory
+    breaks: Breaks | None = None
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
@@ -88,7 +106,10 @@ class RunResult:
 
     def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
         """The files of a results folder by name; `title` of the picture, unless the run file has one."""
-        return _files(self, formats, self.picture(title))
+        found = _files(self, formats, self.picture(title))
+        if self.breaks is not None:
+            found["breaks.parquet"] = storage.parquet(self.breaks.columns(), _origin(self))
+        return found
 
     def picture(self, title: str = "") -> "Figure":
         """The force against displacement beside the exact mean and the steady value."""
@@ -98,8 +119,8 @@ class RunResult:
         return trajectory_figure(self.trajectory, self.steady, self.exact[0], said)
 
 
-@dataclass(frozen=True)
-class ProgrammeResult:
+@dataclass(frozen=True, repr=False)
+class ProgrammeResult(OfTrajectory):
     """A run file with a programme that was simulated."""
 
     file: RunFile
@@ -153,7 +174,7 @@ class ProgrammeResult:
         return programme_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SliderResult(ProgrammeResult):
     """A run file with a stage that was simulated."""
 
@@ -203,16 +224,19 @@ def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
 def _files(result: RunResult | ProgrammeResult, formats: Sequence[str], picture: "Figure") -> dict[str, bytes]:
     from eqsim.io.style import pictures
 
-    return {
+    found = {
         "trajectory.parquet": storage.parquet(result.trajectory.columns(), _origin(result)),
         "summary.json": storage.to_json(result.summary()).encode(),
         **pictures("force", picture, formats),
     }
+    if result.file.output.series:
+        found["replicas.parquet"] = storage.parquet(result.trajectory.replicas(), _origin(result))
+    return found
 
 
 def run(
-    file: RunFile,
-    folder: Path,
+    file: RunFile | Path | str,
+    folder: Path | None = None,
     *,
     threads: int = 1,
     workers: Workers | None = None,
@@ -223,9 +247,10 @@ def run(
 
     Parameters
     ----------
-    file : RunFile
-    folder : Path
-        Where the paths in the run file start.
+    file : RunFile, Path or str
+        A run file or the path of one.
+    folder : Path, optional
+        Where the paths in the run file start; by default its own folder.
     threads : int
         Of this process; they change no number.
     workers : Workers, optional
@@ -244,12 +269,19 @@ def run(
     InputError
         If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
     """
+    file = opened(file)
+    folder = file.folder if folder is None else folder
+    file.check_output()
     ensemble, drive, output = file.ensemble(folder), file.driven(folder), file.output
     if isinstance(drive, Drive) and drive.elastic:
         if workers:
             raise InputError("--workers, --dask: coupled blocks are simulated in one process; threads share replicas")
         return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
     expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+    if output.series and workers:
+        raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
+    if output.breaks and isinstance(drive, Drive):
+        check_breaks(ensemble, drive, output.seed, output.replicas)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with workers.fixed_pool() if workers else nullcontext() as pool:
         progress(0, expected)
@@ -266,7 +298,10 @@ def run(
     if isinstance(drive, Programme):
         return ProgrammeResult(file, folder, ensemble, drive, found)
     assert level is not None
-    return RunResult(file, folder, ensemble, drive, level, found)
+    listed = None
+    if output.breaks:
+        listed = breaks(ensemble, drive, seed=output.seed, replicas=output.replicas, threads=threads)
+    return RunResult(file, folder, ensemble, drive, level, found, listed)
 
 
 def if_any(solve: Callable[[], Result]) -> tuple[Result | None, str]:

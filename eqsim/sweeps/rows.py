@@ -42,7 +42,7 @@ from eqsim.io.runfile import RunFile, keys
 from eqsim.io.units import Quantity
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.sweep.plan import Task, results_version
+from eqsim.sweeps.plan import Task, results_version
 
 if TYPE_CHECKING:
     from eqsim.engine.records import SegmentRecord, SliderTrajectory

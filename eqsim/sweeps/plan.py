@@ -206,7 +206,7 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
 def results_version() -> str:
     """A digest of everything that numbers depend on besides a point's parameters and seed."""
     digest = hashlib.sha256()
-    folders = ("numerics", "laws", "model", "engine", "master", "sweep")
+    folders = ("numerics", "laws", "model", "engine", "master", "sweeps")
     files = [path for folder in folders for path in (_PACKAGE / folder).rglob("*.py")]
     for path in sorted([*files, _PACKAGE / "estimate.py", _PACKAGE / "io" / "runfile.py"]):
         digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

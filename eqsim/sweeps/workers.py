@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -31,7 +31,7 @@ class Workers:
     Parameters
     ----------
     count, threads : int
-        Processes of this machine, and threads of each.
+        Processes of this machine (0: none but this one), and threads of each.
     dask : str, optional
         Instead of own processes those of the dask.distributed cluster whose scheduler has this address, or has written
         this file.
@@ -44,7 +44,8 @@ class Workers:
     @contextmanager
     def pool(self) -> Iterator["Pool"]:
         """The workers, for as long as the block takes; ended at once if it is broken off. Raises InputError."""
-        found: Pool = Processes(self.count) if self.dask is None else Cluster(self.dask)
+        own = Processes if self.count else Here
+        found: Pool = own(self.count) if self.dask is None else Cluster(self.dask)
         found.threads = self.threads
         try:
             yield found
@@ -120,6 +121,30 @@ class Processes:
                 os.environ[name] = value
 
 
+class Here:
+    """This process itself, in a thread of its own."""
+
+    lost: tuple[type[Exception], ...] = (MemoryError,)
+    threads = 1
+
+    def __init__(self, _: int) -> None:
+        self.executor: Executor = ThreadPoolExecutor(1)
+
+    def slots(self) -> int:
+        """How many can work at once."""
+        return 1
+
+    def check(self) -> None:
+        """It is there."""
+
+    def renew(self) -> None:
+        """It does not die."""
+
+    def close(self, hurry: bool) -> None:
+        """Wait for what is under way."""
+        self.executor.shutdown(wait=True, cancel_futures=hurry)
+
+
 def _enlist() -> None:
     """A worker leaves Ctrl-C to its parent, and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -191,4 +216,4 @@ class Cluster:
         self.client.close(timeout=5)
 
 
-Pool = Processes | Cluster
+Pool = Processes | Here | Cluster

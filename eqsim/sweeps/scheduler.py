@@ -13,10 +13,10 @@ from typing import Any
 
 from eqsim.errors import InputError
 from eqsim.io.terminal import duration
-from eqsim.sweep.plan import Plan, results_version
-from eqsim.sweep.rows import Asked, compute
-from eqsim.sweep.store import Store
-from eqsim.sweep.workers import Pool, Workers
+from eqsim.sweeps.plan import Plan, results_version
+from eqsim.sweeps.rows import Asked, compute
+from eqsim.sweeps.store import Store
+from eqsim.sweeps.workers import Pool, Workers
 
 _FLUSH_SECONDS = 5.0
 _BATCH_SECONDS, _MOST_BATCH = 0.25, 64  # a batch of points that a worker computes: as long as this, as many as that
@@ -60,7 +60,7 @@ def sweep(
     plan : Plan
         `Plan(file, folder)` of a run file with a [sweep] table.
     out : Path
-        Folder of the dataset (`eqsim.sweep.store`).
+        Folder of the dataset (`eqsim.sweeps.store`).
     asked, workers : optional
         What is computed at each point (default: steady averages to 1e-2), and who computes (default: one process).
     progress, note, opened : callable, optional

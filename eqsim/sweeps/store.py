@@ -1,7 +1,7 @@
 """The folder of a sweep.
 
-It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweep.rows`), and `_sweep.json`, what was asked for.
-While a sweep runs its rows are in `parts/`, in files named by a digest of their content; when all are there, that
+It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweeps.rows`), and `_sweep.json`, what was asked
+for. While a sweep runs its rows are in `parts/`, in files named by a digest of their content; when all are there, that
 folder becomes `_parts` just before the table gets its name. Names that begin with "_" are not part of the dataset:
 `pandas.read_parquet(FOLDER)` reads the rows that there are, each once. The metadata key `eqsim` holds the run file, the
 settings, versions and the version of the schema.
@@ -21,8 +21,8 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
-from eqsim.sweep.plan import Plan, entries, results_version, seed_of
-from eqsim.sweep.rows import SCHEMA, Asked, physical, schema
+from eqsim.sweeps.plan import Plan, entries, results_version, seed_of
+from eqsim.sweeps.rows import SCHEMA, Asked, physical, schema
 
 _TABLE, _MANIFEST, _LOCK, _PARTS, _HIDDEN = "sweep.parquet", "_sweep.json", "_lock", "parts", "_parts"
 _FLUSH_ROWS = 256

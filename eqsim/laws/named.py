@@ -1,0 +1,409 @@
+"""Laws of thresholds that run files call by name. This is where they are listed.
+
+A law is a dataclass of its parameters, which are keys of `[thresholds]`: a length `x_star`, the unit of the formulas
+below, and numbers of its own. Kernels draw from a table of the quantile function (`laws.threshold.Smooth`).
+"""
+
+import math
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy import special
+
+from eqsim.errors import POSITIVE, InputError, require_number
+from eqsim.laws.threshold import Delta, Gamma, Smooth, ThresholdLaw
+from eqsim.numerics.tables import Array
+
+_NODES, _WEIGHTS = special.roots_legendre(12)
+
+
+class Named(Smooth):
+    """A law in units u = xi/unit. Each has `name`, `density`, `below` = P(U <= u), `above` = P(U > u), and `exceeded`,
+    which exp(-e) of the contacts exceed, of arrays of any shape, and `moments` <u> and <u^2>."""
+
+    name: ClassVar[str]
+    ends: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    x_star: float
+
+    @property
+    def unit(self) -> float:
+        """The length in units of which the law depends on `numbers` alone."""
+        return self.x_star
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Dimensionless parameters."""
+        return tuple(getattr(self, field.name) for field in fields(self) if field.name != "x_star")  # type: ignore[arg-type]
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        """<u> and <u^2>."""
+        raise NotImplementedError
+
+    def density(self, u: Array) -> Array:
+        """Of u within the `ends`."""
+        raise NotImplementedError
+
+    def below(self, u: Array) -> Array:
+        """P(U <= u)."""
+        raise NotImplementedError
+
+    def above(self, u: Array) -> Array:
+        """P(U > u)."""
+        raise NotImplementedError
+
+    def exceeded(self, e: Array) -> Array:
+        """What a share exp(-e) of the contacts exceeds."""
+        raise NotImplementedError
+
+    @property
+    def declared(self) -> tuple[Any, ...]:
+        return (self.unit, self.name, *self.numbers)
+
+    @property
+    def scale(self) -> float:  # type: ignore[override]
+        return self.unit
+
+    @property
+    def mean(self) -> float:
+        """<xi>."""
+        return self.unit * self.moments[0]
+
+    @property
+    def rms(self) -> float:
+        """sqrt(<xi^2>)."""
+        return self.unit * math.sqrt(self.moments[1])
+
+    @property
+    def support(self) -> tuple[float, float]:  # type: ignore[override]
+        return self.unit * self.ends[0], self.unit * self.ends[1]
+
+    def _inside(self, x: Any) -> Array:
+        return np.clip(np.asarray(x, float) / self.unit, *self.ends)
+
+    def pdf(self, x: Any) -> Array:
+        u = np.asarray(x, float) / self.unit
+        with np.errstate(all="ignore"):  # u = 0 and the tail
+            found = self.density(np.clip(u, *self.ends)) / self.unit
+        return np.where((u >= self.ends[0]) & (u <= self.ends[1]) & ~np.isnan(found), found, 0.0)
+
+    def cdf(self, x: Any) -> Array:
+        """P(xi <= x)."""
+        with np.errstate(all="ignore"):  # x = 0 and the tail
+            return np.asarray(self.below(self._inside(x)))
+
+    def sf(self, x: Any) -> Array:
+        with np.errstate(all="ignore"):
+            return np.asarray(self.above(self._inside(x)))
+
+    def inverse_survival(self, e: Any) -> Array:
+        return np.asarray(self.unit * self.exceeded(np.asarray(e, float)))
+
+
+@dataclass(frozen=True)
+class Lognormal(Named):
+    """Thresholds whose logarithm is normal.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation of ln xi, from 1e-3 to 2.
+    x_star : float
+        Median (length), > 0.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
+    """
+
+    sigma: float
+    x_star: float = 1.0
+    name: ClassVar[str] = "lognormal"
+
+    def __post_init__(self) -> None:
+        require_number("sigma", self.sigma, least=1e-3, most=2.0)
+        require_number("x_star", self.x_star, **POSITIVE)
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        return math.exp(0.5 * self.sigma**2), math.exp(2.0 * self.sigma**2)
+
+    def density(self, u: Array) -> Array:
+        return np.asarray(np.exp(-0.5 * (np.log(u) / self.sigma) ** 2) / (u * self.sigma * math.sqrt(2.0 * math.pi)))
+
+    def below(self, u: Array) -> Array:
+        return np.asarray(special.ndtr(np.log(u) / self.sigma))
+
+    def above(self, u: Array) -> Array:
+        return np.asarray(special.ndtr(-np.log(u) / self.sigma))
+
+    def exceeded(self, e: Array) -> Array:
+        return np.asarray(np.exp(-self.sigma * special.ndtri_exp(-e)))
+
+
+@dataclass(frozen=True)
+class Weibull(Named):
+    """P(xi > x) = exp(-(x/x_*)^shape); of shape 2 it is the gamma law with n = 0.
+
+    Parameters
+    ----------
+    shape : float
+        From 0.5 to 1000.
+    x_star : float
+        x_* (length), > 0.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
+    """
+
+    shape: float
+    x_star: float = 1.0
+    name: ClassVar[str] = "weibull"
+
+    def __post_init__(self) -> None:
+        require_number("shape", self.shape, least=0.5, most=1000.0)
+        require_number("x_star", self.x_star, **POSITIVE)
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        return math.gamma(1.0 + 1.0 / self.shape), math.gamma(1.0 + 2.0 / self.shape)
+
+    def density(self, u: Array) -> Array:
+        return np.asarray(self.shape * u ** (self.shape - 1.0) * np.exp(-(u**self.shape)))
+
+    def below(self, u: Array) -> Array:
+        return np.asarray(-np.expm1(-(u**self.shape)))
+
+    def above(self, u: Array) -> Array:
+        return np.asarray(np.exp(-(u**self.shape)))
+
+    def exceeded(self, e: Array) -> Array:
+        return np.asarray(e ** (1.0 / self.shape))
+
+
+@dataclass(frozen=True)
+class Exponential(Named):
+    """P(xi > x) = exp(-x/x_*).
+
+    Parameters
+    ----------
+    x_star : float
+        Mean (length), > 0. Raises InputError for other values.
+    """
+
+    x_star: float = 1.0
+    name: ClassVar[str] = "exponential"
+
+    def __post_init__(self) -> None:
+        require_number("x_star", self.x_star, **POSITIVE)
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        return 1.0, 2.0
+
+    def density(self, u: Array) -> Array:
+        return np.asarray(np.exp(-u))
+
+    def below(self, u: Array) -> Array:
+        return np.asarray(-np.expm1(-u))
+
+    def above(self, u: Array) -> Array:
+        return np.asarray(np.exp(-u))
+
+    def exceeded(self, e: Array) -> Array:
+        return e
+
+
+@dataclass(frozen=True)
+class Normal(Named):
+    """A normal law of which positive thresholds are drawn: P_c(x) ~ exp(-(x - x_*)^2/(2 std^2)), x > 0.
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of the normal law, before it is cut off at 0 (length), from 1e-3 to 10 x_*.
+    x_star : float
+        Its mean, the most likely threshold (length), > 0.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
+    """
+
+    std: float
+    x_star: float = 1.0
+    name: ClassVar[str] = "normal"
+
+    def __post_init__(self) -> None:
+        require_number("x_star", self.x_star, **POSITIVE)
+        require_number("std", self.std, least=1e-3 * self.x_star, most=10.0 * self.x_star)
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        return (self.std / self.x_star,)
+
+    @property
+    def _at_cut(self) -> float:
+        """Density of (xi - 0)/std at the cut."""
+        z = 1.0 / self.numbers[0]
+        return math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) / float(special.ndtr(z))
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        (s,) = self.numbers
+        mean = 1.0 + s * self._at_cut
+        return mean, s * s + mean
+
+    def density(self, u: Array) -> Array:
+        (s,) = self.numbers
+        return np.asarray(np.exp(-0.5 * ((u - 1.0) / s) ** 2) / (s * math.sqrt(2.0 * math.pi) * special.ndtr(1.0 / s)))
+
+    def _near_cut(self, w: Array) -> Array:
+        """int_0^w exp(y/s - y^2/2) dy, without the cancellation of two normal integrals that are almost the same."""
+        y = np.multiply.outer(w, 0.5 + 0.5 * _NODES)
+        return np.asarray(0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _WEIGHTS))
+
+    def below(self, u: Array) -> Array:
+        (s,) = self.numbers
+        z, nearest = 1.0 / s, 0.5 * min(1.0, s)
+        far = (special.ndtr((u - 1.0) / s) - special.ndtr(-z)) / special.ndtr(z)
+        return np.where(u < s * nearest, self._at_cut * self._near_cut(np.minimum(u / s, nearest)), far)
+
+    def above(self, u: Array) -> Array:
+        (s,) = self.numbers
+        return np.asarray(special.ndtr((1.0 - u) / s) / special.ndtr(1.0 / s))
+
+    def exceeded(self, e: Array) -> Array:
+        (s,) = self.numbers
+        z, nearest = 1.0 / s, 0.5 * min(1.0, s)
+        far = 1.0 - s * special.ndtri_exp(special.log_ndtr(z) - e)
+        with np.errstate(divide="ignore"):  # the cut is out of reach
+            wanted = -np.expm1(-e) / self._at_cut
+        w = np.minimum(np.log1p(z * wanted) / z, nearest)
+        for _ in range(5):  # of Newton, from a first guess that misses y^2/2
+            w = np.minimum(w - (self._near_cut(w) - wanted) * np.exp(0.5 * w * w - w * z), nearest)
+        return np.where(w < nearest, s * w, far)
+
+
+@dataclass(frozen=True)
+class Uniform(Named):
+    """All thresholds between two are equally likely.
+
+    Parameters
+    ----------
+    low, high : float
+        Least and greatest threshold (length), 0 <= low <= 0.999 high.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
+    """
+
+    low: float
+    high: float
+    name: ClassVar[str] = "uniform"
+
+    def __post_init__(self) -> None:
+        require_number("high", self.high, **POSITIVE)
+        require_number("low", self.low, least=0.0, most=0.999 * self.high)
+
+    @property
+    def unit(self) -> float:
+        return self.high
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        return (self.low / self.high,)
+
+    @property
+    def ends(self) -> tuple[float, float]:  # type: ignore[override]
+        return self.low / self.high, 1.0
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        (r,) = self.numbers
+        return 0.5 * (1.0 + r), (1.0 + r + r * r) / 3.0
+
+    def density(self, u: Array) -> Array:
+        return np.full(u.shape, 1.0 / (1.0 - self.numbers[0]))
+
+    def below(self, u: Array) -> Array:
+        (r,) = self.numbers
+        return np.asarray((u - r) / (1.0 - r))
+
+    def above(self, u: Array) -> Array:
+        return np.asarray((1.0 - u) / (1.0 - self.numbers[0]))
+
+    def exceeded(self, e: Array) -> Array:
+        (r,) = self.numbers
+        return np.asarray(r - (1.0 - r) * np.expm1(-e))
+
+
+@dataclass(frozen=True)
+class Pareto(Named):
+    """A power law: P(xi > x) = (x_*/x)^exponent, x > x_*.
+
+    Parameters
+    ----------
+    exponent : float
+        From 3.05 to 1000; only above 3 the work of a contact of the sqrt law has a mean.
+    x_star : float
+        Least threshold (length), > 0.
+
+    Raises
+    ------
+    InputError
+        For values out of range.
+    """
+
+    exponent: float
+    x_star: float = 1.0
+    name: ClassVar[str] = "pareto"
+    ends: ClassVar[tuple[float, float]] = (1.0, math.inf)
+
+    def __post_init__(self) -> None:
+        require_number("exponent", self.exponent, least=3.05, most=1000.0)
+        require_number("x_star", self.x_star, **POSITIVE)
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        return self.exponent / (self.exponent - 1.0), self.exponent / (self.exponent - 2.0)
+
+    def density(self, u: Array) -> Array:
+        return np.asarray(self.exponent * u ** (-self.exponent - 1.0))
+
+    def below(self, u: Array) -> Array:
+        return np.asarray(-np.expm1(-self.exponent * np.log(u)))
+
+    def above(self, u: Array) -> Array:
+        return np.asarray(u**-self.exponent)
+
+    def exceeded(self, e: Array) -> Array:
+        return np.asarray(np.exp(e / self.exponent))
+
+
+NAMED: tuple[type[Named], ...] = (Lognormal, Weibull, Exponential, Normal, Uniform, Pareto)
+THRESHOLDS: dict[str, Any] = {"gamma": Gamma, "delta": Delta, **{law.name: law for law in NAMED}}
+
+
+def threshold_parameters(name: str) -> dict[str, float | None]:
+    """The parameters of a law and their defaults, None of those that are required; empty for a law that has none."""
+    return {
+        field.name: None if field.default is MISSING else field.default
+        for field in (fields(THRESHOLDS[name]) if name in THRESHOLDS else ())
+    }
+
+
+def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:
+    """A law of the list from what is given (not None). Raises InputError for a parameter that is missing."""
+    for key, default in threshold_parameters(name).items():
+        if default is None and given.get(key) is None:
+            raise InputError(f'{key}: is required with law = "{name}"')
+    law: ThresholdLaw = THRESHOLDS[name](**{key: value for key, value in given.items() if value is not None})
+    return law

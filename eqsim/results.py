@@ -1,0 +1,145 @@
+"""What results have in common: a short text, a table in notebooks, a DataFrame and a picture."""
+
+from dataclasses import fields
+from html import escape
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from eqsim.numerics.tables import Array
+
+
+class Drawn(NamedTuple):
+    """Which columns `Result.plot` draws, with the error of the second one if it has one, and how the axes are labelled;
+    `log`: on a logarithmic x axis; `dots`: no line."""
+
+    x: str
+    y: str
+    error: str
+    x_label: str
+    y_label: str
+    log: bool = False
+    dots: bool = False
+
+
+class Result:
+    """A frozen dataclass of numbers, estimates and arrays. Those that are curves say in `drawn` what they draw."""
+
+    drawn: ClassVar[Drawn | None] = None
+
+    def columns(self) -> dict[str, Array]:
+        """Its arrays of one length by name."""
+        named = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return {name: value for name, value in named.items() if isinstance(value, np.ndarray) and value.ndim == 1}
+
+    def estimates(self, *, brief: bool = False) -> dict[str, Any]:
+        """Its single numbers with error bars by name, also of the parts that have some; if `brief`, not those that say
+        nothing here."""
+        found: dict[str, Any] = {}
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, Result):
+                found |= value.estimates(brief=brief)
+            elif hasattr(value, "stderr"):
+                found[field.name] = value
+        return found
+
+    def to_pandas(self) -> Any:
+        """A DataFrame of the columns of a curve, or of the estimates, one a row, with value, stderr, n, dof and
+        reliable."""
+        import pandas as pd
+
+        if self.drawn is not None:
+            return pd.DataFrame(self.columns())
+        rows = {name: estimate.as_dict() for name, estimate in self.estimates().items()}
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def plot(self, axes: Any = None, **style: Any) -> Any:
+        """Draw it with a band of two standard errors.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            Where; by default axes of a new figure, so that one result can be drawn on another's.
+        **style
+            Passed to `Axes.plot`: label, color, ...
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        TypeError
+            For a result that is no curve.
+        """
+        if self.drawn is None:
+            raise TypeError(f"{type(self).__name__} holds single numbers and no curve; to_pandas() has them in a table")
+        from matplotlib import pyplot
+
+        if axes is None:
+            axes = pyplot.subplots(layout="constrained")[1]
+            axes.set(xlabel=self.drawn.x_label, ylabel=self.drawn.y_label)
+            axes.grid(alpha=0.3)
+            if self.drawn.log:
+                axes.set_xscale("log")
+        x, y = (getattr(self, name) for name in self.drawn[:2])
+        order = np.argsort(x, kind="stable") if self.drawn.log else slice(None)  # velocities come in any order
+        look = {"linestyle": "", "marker": ".", "markersize": 2} if self.drawn.dots else {"linewidth": 1.2}
+        (line,) = axes.plot(x[order], y[order], **{**look, **style})
+        if self.drawn.error:
+            low, high = (y + sign * 2 * getattr(self, self.drawn.error) for sign in (-1, 1))
+            axes.fill_between(x[order], low[order], high[order], color=line.get_color(), alpha=0.25, linewidth=0)
+        if "label" in style:
+            axes.legend()
+        return axes
+
+    def _said(self) -> list[str]:
+        """What the text of it says."""
+        known = {name: estimate for name, estimate in self.estimates(brief=True).items() if estimate.value is not None}
+        said = [f"{name} {' '.join(str(estimate).split())}" for name, estimate in known.items()]
+        if self.drawn is None:
+            return said
+        (x, y), points = ((name, getattr(self, name)) for name in self.drawn[:2]), getattr(self, self.drawn.x).size
+        ranges = [f"{name} {values.min():.5g} to {values.max():.5g}" for name, values in (x, y) if points]
+        return [f"{points} points", *ranges, *said]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._said())})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the estimates with their errors, and the first and last rows of a curve."""
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{escape(str(estimate))}</td></tr>"
+            for name, estimate in self.estimates(brief=True).items()
+        )
+        shown = f"<b>{escape(type(self).__name__)}</b>" + (f"<table>{rows}</table>" if rows else "")
+        return shown if self.drawn is None else shown + self.to_pandas().to_html(max_rows=6)
+
+
+class OfTrajectory:
+    """A result that is shown by its `trajectory`, and drawn with the `exact` mean, if there is one, which is a result
+    or None and why."""
+
+    trajectory: Any
+    exact: Any = (None, "")
+
+    def to_pandas(self) -> Any:
+        """A DataFrame of the trajectory."""
+        return self.trajectory.to_pandas()
+
+    def plot(self, axes: Any = None, **style: Any) -> Any:
+        """Draw the trajectory, and on it the exact mean; arguments are those of `Result.plot`."""
+        axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
+        if self.exact[0] is not None:
+            drawn = self.trajectory.drawn
+            axes.plot(getattr(self.exact[0], drawn.x), self.exact[0].force, "k:", linewidth=1, label="exact mean")
+            axes.legend()
+        return axes
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.trajectory!r})"
+
+    def _repr_html_(self) -> str:
+        shown: str = self.trajectory._repr_html_()
+        return shown
