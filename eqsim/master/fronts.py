@@ -34,12 +34,13 @@ from eqsim.master.cohorts import (
 )
 from eqsim.numerics.compiled import inlined, maker, routine
 from eqsim.numerics.tables import Array
+from eqsim.numerics.vector_math import exp
 
 _GONE = 1e-15  # pinned shares that do not count
 _MOST, _UNSEEN = 1e12, 640.0  # z up to which it is followed, and -ln of what it grows by in a step that is nothing
 _FIRST, _LAST, _PER_UNIT = -40.0, 6.0, 64  # ln z below which nothing is broken and above which all are; of the table
 _FLAT = 0.03  # differences of ln z that are taken for larger: misses 1e-5 of what is about to break
-_NEWBORN = 1.6  # by how much ln z of an age that goes to 0 is taken to fall, which has the right mean of z
+_PARTS = 12  # of the births of a step where thresholds grow
 
 
 class Strata(NamedTuple):
@@ -74,7 +75,7 @@ _X, _T, _Y, _B, _XM, _S, _K1, _K2 = range(8)
 
 class Cells(NamedTuple):
     """All cells, shape (rows, columns above), z at their older edges, shape (rows, nodes), and the rows in use, from
-    the oldest on, and then the others; and ln z of two edges, shape (2, nodes)."""
+    the oldest on, and then the others; and scratch, shape (4, nodes)."""
 
     cells: Array
     z: Array
@@ -150,9 +151,9 @@ def _copy(values: Array, to: Array) -> None:
 
 
 @inlined
-def _logarithms(z: Array, y: Array, less: float) -> None:
+def _logarithms(z: Array, y: Array) -> None:
     for k in range(z.size):
-        y[k] = math.log(max(z[k], 1e-300)) - less
+        y[k] = math.log(max(z[k], 1e-300))
 
 
 @routine
@@ -184,6 +185,48 @@ def _weigh(c: Fronts, cell: Array, high_y: float, y: Array, newer: Array, g: flo
 
 
 @routine
+def _bear(c: Fronts, cell: Array, z: Array, scratch: Array, dt: float) -> None:
+    """The births of a step, as if there were one, at its end: z of those at its beginning, which grows evenly in each
+    of a number of parts by age, and what is pinned. Where thresholds grow, each part is twice as long as that before."""
+    x, parts = 2.0 * abs(cell[_XM] - cell[_X]), _PARTS if c.growth.values.size else 1
+    n, u1, u2 = (
+        scratch[0],
+        scratch[1],
+        scratch[2],
+    )  # of those left at nodes E[1], E[u] and E[u^2], u the age over dt
+    for k in range(z.size):
+        z[k], n[k], u1[k], u2[k] = 0.0, 0.0, 0.0, 0.0
+    u = 0.0
+    for part in range(parts):
+        after = 0.5 ** (parts - 1 - part)
+        width = after - u
+        _copy(z, scratch[3])
+        _thermal(c, z, (u * dt, after * dt), (u * x, after * x), width * dt)
+        for k in range(z.size):
+            before = scratch[3, k]
+            if before > 700.0:
+                continue
+            y = min(z[k] - before, 700.0)
+            # mean survival in the part, and where in it those left are, in the mean and in the mean square
+            here, rest = exp(-before) * mean_exponential(0.0, y) * width, 1.0 / (exp(y) - 1.0) if y > 0.02 else 0.0
+            v1 = 1.0 / y - rest if y > 0.02 else 0.5 - y / 12.0
+            v2 = 2.0 / y**2 - (1.0 + 2.0 / y) * rest if y > 0.02 else 1.0 / 3.0 - y / 12.0
+            n[k] += here
+            u1[k] += here * (u + width * v1)
+            u2[k] += here * (u * u + 2.0 * u * width * v1 + width * width * v2)
+        u = after
+    s, g = c.strata, grown_by(c.growth, 0.5 * dt) if c.growth.varies else 1.0
+    cell[_Y] = x / grown_by(c.growth, dt)
+    cell[_S], cell[_K1], cell[_K2] = 0.0, 0.0, 0.0
+    for k in range(s.left.size):
+        i, j = s.low[k], s.high[k]
+        left = 0.5 * unbroken(s.left[k], s.right[k], 0.0, cell[_Y])
+        cell[_S] += left * s.share[0, k] * (n[i] + n[j])
+        cell[_K1] += left * s.share[1, k] * 2.0 * g * (u1[i] + u1[j])  # as if all were at the middle, and spread evenly
+        cell[_K2] += left * s.share[2, k] * 3.0 * g * g * (u2[i] + u2[j])
+
+
+@routine
 def _joined(
     c: Fronts, path: Path, p: Cells, rows: tuple[int, int], newer: tuple[float, float, float], now: float
 ) -> bool:
@@ -197,7 +240,8 @@ def _joined(
     first, second = (two[_X] - one[_X]) * two[_B], (newer[0] - two[_X]) * one[_B]
     if first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first):
         return False
-    one[_XM] = (one[_B] * one[_XM] + two[_B] * two[_XM]) / (one[_B] + two[_B])
+    both = one[_B] + two[_B]
+    one[_XM] = (one[_B] * one[_XM] + two[_B] * two[_XM]) / both if both > 0.0 else 0.5 * (one[_X] + newer[0])
     for column in (_B, _S, _K1, _K2):
         one[column] += two[column]
     return True
@@ -227,15 +271,13 @@ def _with_room(p: Cells, rows: int) -> Cells:
 @empty.register(Fronts)
 def _empty(c: Fronts, rows: int) -> Cells:
     nodes = c.strata.nodes.size
-    return _rows(Cells(np.zeros((0, 8)), np.zeros((0, nodes)), np.zeros(0, np.int64), np.zeros((2, nodes))), rows)
+    return _rows(Cells(np.zeros((0, 8)), np.zeros((0, nodes)), np.zeros(0, np.int64), np.zeros((4, nodes))), rows)
 
 
 @routine
-def _placed(cell: Array, z: Array, edge: tuple[float, float], newer: tuple[float, float]) -> None:
+def _placed(cell: Array, edge: tuple[float, float], newer: tuple[float, float]) -> None:
     """The births between two edges, (t, X) each."""
     cell[_T], cell[_X], cell[_Y], cell[_B], cell[_XM] = edge[0], edge[1], 0.0, 1.0, 0.5 * (edge[1] + newer[1])
-    for k in range(z.size):
-        z[k] = 0.0
 
 
 @begin.register(Fronts)
@@ -247,24 +289,23 @@ def _begin(c: Fronts, path: Path, p: Cells) -> tuple[int, float]:
 def _begun(c: Fronts, path: Path, p: Cells) -> tuple[int, float]:
     y, newer, one = p.scratch[0], p.scratch[1], p.cells
     if path.cohorts == 0:
-        _placed(one[0], p.z[0], (0.0, 0.0), (0.0, 0.0))
-        _logarithms(p.z[0], y, 0.0)
+        _placed(one[0], (0.0, 0.0), (0.0, 0.0))
+        _logarithms(p.z[0], y)
         _weigh(c, one[0], 0.0, y, y, grown_by(c.growth, 0.0))
         return 1, 0.0
     dt, width, cycle, count = path.width / path.velocity, path.width, c.delay.mean, 0
     for i in range(path.cohorts):
-        _placed(one[i], p.z[i], (-(i + 1) * dt, -(i + 1) * width), (-i * dt, -i * width))
-        before = 0.0
-        if i > 0:
-            _copy(p.z[i - 1], p.z[i])
-            before = one[i - 1, _Y]
-        _thermal(c, p.z[i], (i * dt, (i + 1) * dt), (i * width, (i + 1) * width), dt)
-        one[i, _Y] = max(before, (i + 1) * width / grown_by(c.growth, (i + 1) * dt))
-        _logarithms(p.z[i], y, 0.0)
+        _placed(one[i], (-(i + 1) * dt, -(i + 1) * width), (-i * dt, -i * width))
         if i == 0:
-            _logarithms(p.z[i], newer, _NEWBORN)
-        _weigh(c, one[i], before, y, newer, grown_by(c.growth, (i + 0.5) * dt))
-        _copy(y, newer)
+            _bear(c, one[0], p.z[0], p.scratch, dt)
+            _logarithms(p.z[0], newer)
+        else:
+            _copy(p.z[i - 1], p.z[i])
+            _thermal(c, p.z[i], (i * dt, (i + 1) * dt), (i * width, (i + 1) * width), dt)
+            one[i, _Y] = max(one[i - 1, _Y], (i + 1) * width / grown_by(c.growth, (i + 1) * dt))
+            _logarithms(p.z[i], y)
+            _weigh(c, one[i], one[i - 1, _Y], y, newer, grown_by(c.growth, (i + 0.5) * dt))
+            _copy(y, newer)
         cycle += one[i, _S] * dt
         count += 1
         if one[i, _S] < _GONE:
@@ -292,20 +333,19 @@ def _advanced(c: Fronts, path: Path, p: Cells, found: Array, m: int, before: tup
     (count, rate), pinned = before, 0.0
     t0, X0, t1, X1 = path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]
     dt, y, newer, new = t1 - t0, p.scratch[0], p.scratch[1], p.order[count]
-    _placed(p.cells[new], p.z[new], (t0, X0), (t1, X1))
-    high, after = 0.0, t1
-    for i in range(count, -1, -1):
+    _placed(p.cells[new], (t0, X0), (t1, X1))
+    _bear(c, p.cells[new], p.z[new], p.scratch, dt)
+    _logarithms(p.z[new], newer)
+    high, after = p.cells[new, _Y], t0
+    for i in range(count - 1, -1, -1):
         cell, z = p.cells[p.order[i]], p.z[p.order[i]]
         _thermal(c, z, (t0 - cell[_T], t1 - cell[_T]), (X0 - cell[_X], X1 - cell[_X]), dt)
         cell[_Y] = max(cell[_Y], abs(X1 - cell[_X]) / grown_by(c.growth, t1 - cell[_T]))
-        _logarithms(z, y, 0.0)
-        if i == count:
-            _logarithms(z, newer, _NEWBORN)
+        _logarithms(z, y)
         _weigh(c, cell, high, y, newer, grown_by(c.growth, t1 - 0.5 * (cell[_T] + after)))
         _copy(y, newer)
         high, after = cell[_Y], cell[_T]
-        if i < count:
-            pinned += cell[_S]
+        pinned += cell[_S]
     due, later = due_births(c.delay, path.t, found, m, rate)
     broken = 1.0 - p.cells[new, _S]
     breaks = (found[1, m - 1] - pinned + due * broken) / (dt - later * broken)
