@@ -36,10 +36,11 @@ from eqsim.numerics.compiled import inlined, maker, routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
 
-_GONE = 1e-15  # pinned shares that do not count
+_GONE, _NONE, _ALL = 1e-15, -36.0, 3.6  # pinned shares that do not count; ln z where as few are broken, and left
 _MOST, _UNSEEN = 1e12, 640.0  # z up to which it is followed, and -ln of what it grows by in a step that is nothing
 _FIRST, _LAST, _PER_UNIT = -40.0, 6.0, 64  # ln z below which nothing is broken and above which all are; of the table
 _FLAT = 0.03  # differences of ln z that are taken for larger: misses 1e-5 of what is about to break
+_STRAIGHT = 0.01  # by how much E may be off the straight line of a step
 _PARTS = 12  # of the births of a step where thresholds grow
 
 
@@ -139,9 +140,12 @@ def _thermal(c: Fronts, z: Array, ages: tuple[float, float], xs: tuple[float, fl
         if min(low, high) > limit:  # stronger contacts are safer
             break
         middle = height(c.barrier, xi * gm, xm, 0.5 * (a0 + a1))
-        first = mean_exponential(low - c.barrier.log_w, middle - c.barrier.log_w)
-        second = mean_exponential(middle - c.barrier.log_w, high - c.barrier.log_w)
-        z[k] += 0.5 * dt * prefactor(c.barrier, max(xi * gm, xm), xm) * (first + second)
+        p = dt * prefactor(c.barrier, max(xi * gm, xm), xm)
+        if abs(middle - 0.5 * (low + high)) < _STRAIGHT:
+            z[k] += p * mean_exponential(low - c.barrier.log_w, high - c.barrier.log_w)
+        else:
+            first = mean_exponential(low - c.barrier.log_w, middle - c.barrier.log_w)
+            z[k] += 0.5 * p * (first + mean_exponential(middle - c.barrier.log_w, high - c.barrier.log_w))
 
 
 @inlined
@@ -165,9 +169,11 @@ def _weigh(c: Fronts, cell: Array, high_y: float, y: Array, newer: Array, g: flo
         if s.right[k] <= low and s.left[k] < high:
             continue
         i, j = s.low[k], s.high[k]
-        top = max(y[i], newer[i])
+        least, most = min(y[j], newer[j]), max(y[i], newer[i])  # stronger contacts are safer
+        if least > _ALL:
+            continue
         left = 1.0
-        if max(top, max(y[j], newer[j])) > -36.0:
+        if most > _NONE:
             middle = 0.25 * (y[i] + y[j] + newer[i] + newer[j])
             by_threshold, by_birth = (
                 0.5 * (y[j] + newer[j] - y[i] - newer[i]),
@@ -187,7 +193,7 @@ def _weigh(c: Fronts, cell: Array, high_y: float, y: Array, newer: Array, g: flo
 @routine
 def _bear(c: Fronts, cell: Array, z: Array, scratch: Array, dt: float) -> None:
     """The births of a step, as if there were one, at its end: z of those at its beginning, which grows evenly in each
-    of a number of parts by age, and what is pinned. Where thresholds grow, each part is twice as long as that before."""
+    of a number of parts by age, and what is pinned. Where thresholds grow, a part is twice as long as that before."""
     x, parts = 2.0 * abs(cell[_XM] - cell[_X]), _PARTS if c.growth.values.size else 1
     n, u1, u2 = (
         scratch[0],
