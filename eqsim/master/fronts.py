@@ -40,6 +40,7 @@ _GONE, _NONE, _ALL = 1e-15, -36.0, 3.6  # pinned shares that do not count; ln z 
 _MOST, _UNSEEN = 1e12, 640.0  # z up to which it is followed, and -ln of what it grows by in a step that is nothing
 _FIRST, _LAST, _PER_UNIT = -40.0, 6.0, 64  # ln z below which nothing is broken and above which all are; of the table
 _FLAT = 0.03  # differences of ln z that are taken for larger: misses 1e-5 of what is about to break
+_AT_ONCE = 1e-11  # share of the whole time between births of about the same age
 _STRAIGHT = 0.01  # by how much E may be off the straight line of a step
 _PARTS = 12  # of the births of a step where thresholds grow
 
@@ -239,7 +240,7 @@ def _joined(
     """Join a cell to the one before, if both are of the same direction and about as dense in X, and together not too
     wide in X, as thresholds have grown, in |x|/g and in time per age; `newer` is the newer edge, X, t and |x|/g."""
     one, two = p.cells[rows[0]], p.cells[rows[1]]
-    if newer[1] - one[_T] > path.share * (now - newer[1]) or abs(one[_Y] - newer[2]) > path.width:
+    if newer[1] - one[_T] > path.share * (now - newer[1]) + _AT_ONCE or abs(one[_Y] - newer[2]) > path.width:
         return False
     if abs(newer[0] - one[_X]) > path.width * grown_by(c.growth, now - newer[1]):
         return False

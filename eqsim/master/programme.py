@@ -190,14 +190,14 @@ class Numerics(NamedTuple):
     before: float
     growth: Growth
 
-    def contacts(self, fine: int) -> Contacts | Fronts:
+    def contacts(self, fine: float) -> Contacts | Fronts:
         """For kernels, `fine` times as many strata or cells."""
         s, delay = self.s, self.s.delay.for_kernels()
         if s.barrier.thermal and not s.annealed:
-            return Fronts(_strata(s, fine * _STRATA), self.growth, s.barrier, s.springs, delay, table_of_w())
-        return Contacts(_pool(s, fine * _CELLS), self.growth, delay)
+            return Fronts(_strata(s, round(fine * _STRATA)), self.growth, s.barrier, s.springs, delay, table_of_w())
+        return Contacts(_pool(s, round(fine * _CELLS)), self.growth, delay)
 
-    def path(self, t: Array, X: Array, fine: int) -> Path:
+    def path(self, t: Array, X: Array, fine: float) -> Path:
         """Through edges, arrays (edges,)."""
         cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
         return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before)

@@ -122,7 +122,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
                 net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
                 size = spring.longest
                 if held > 0.0:
-                    size = min(size, max(abs(net) / held, 1e-6 * spring.longest))
+                    size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * spring.longest))
                 dX, dt, V = math.copysign(size, net), max(_INSTANT * size, 1e-15 * marks[marks.size - 1]), 0.0
             t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
             found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
@@ -202,7 +202,7 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
 
 
-def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: int) -> Array:
+def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float) -> Array:
     """The force at the instants of a grid by one solve, in the user's unit, shape (points,): that with fine = 1 takes a
     tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2.
 
@@ -250,7 +250,7 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
     return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
 
 
-def _solved(task: _Task, fine: int) -> tuple[Array, int]:
+def _solved(task: _Task, fine: float) -> tuple[Array, int]:
     """What is found at the marks `at`, and X, shape (7, points); and in how many steps."""
     numerics = task.numerics
     c, path = numerics.contacts(fine), numerics.path(np.full(MOST_STEPS, math.inf), np.zeros(MOST_STEPS), fine)
