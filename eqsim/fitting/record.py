@@ -27,8 +27,8 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-_STEP = 3e-3  # of derivatives: solutions are not smooth on the scale of steps
-_COARSE = 0.5  # of `force_of`, for a search
+_STEP = 2e-2  # of derivatives: solutions are not smooth on the scale of steps
+_COARSE = 0.7  # of `force_of`, for a search
 _LEAST = 0.02  # correlation of neighbours below which they are independent
 
 
