@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import eqsim
 from eqsim import Ensemble, Gamma, InputError, Thermal
 from eqsim.cli.app import app
-from eqsim.fitting import profiles, report, symmetry
+from eqsim.fitting import estimate, profiles, report, symmetry
 from eqsim.fitting.data import read_table
 from eqsim.fitting.estimate import Minimum, covariance, ladder, minimise, starts
 from eqsim.fitting.fit import fit, goodness, prepare
@@ -95,6 +95,40 @@ def test_command(folder):
     assert twice.exit_code == 0, twice.output
     assert json.loads(twice.output) == found
     assert (folder / "twice" / "profiles.parquet").read_bytes() == (out / "profiles.parquet").read_bytes()
+
+
+def test_a_stopped_fit_goes_on(folder, monkeypatch):
+    """What was finished is not computed again, the result is that of a fit which was not stopped, and nothing of it
+    stays in the folder; another fit does not take it for its own."""
+    file, out, calls = load(folder / "run.toml"), folder / "out", []
+
+    def counted(function, most):
+        def call(*args):
+            calls.append(function.__name__)
+            if len(calls) > most:
+                raise KeyboardInterrupt
+            return function(*args)
+
+        return call
+
+    whole = fit(file, folder, starts=2)
+    for module, name in ((estimate, "minimise"), (profiles, "side")):
+        monkeypatch.setattr(module, name, counted(getattr(module, name), 4))
+    with pytest.raises(KeyboardInterrupt):
+        fit(file, folder, starts=2, keep=out)
+    assert calls == ["minimise"] * 2 + ["side"] * 3
+    monkeypatch.undo()
+    calls.clear()
+    monkeypatch.setattr(profiles, "side", counted(profiles.side, 99))
+    other = load(folder / "run.toml", {"output.seed": 2})
+    fit(other, folder, starts=2, keep=out)
+    assert len(calls) == 4
+    calls.clear()
+    again = fit(file, folder, starts=2, keep=out)
+    assert len(calls) == 2
+    assert again.intervals == whole.intervals
+    assert again.minima[0].chi2 == whole.minima[0].chi2
+    assert not list(out.iterdir())
 
 
 def test_intervals_are_those_of_the_likelihood(folder):

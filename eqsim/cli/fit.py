@@ -38,7 +38,9 @@ def fit(
     *,
     shown: Shown,
 ) -> None:
-    """Fit keys of the run file, its [fit] section, to measurements: estimates, intervals, and what stays undecided."""
+    """Fit keys of the run file, its [fit] section, to measurements: estimates, intervals, and what stays undecided.
+
+    The same command goes on with a fit that was stopped."""
     file = changes.load(path)
     count = cores() if workers is None else workers
     require_integer("--workers", count, 1, 1024)
@@ -53,7 +55,7 @@ def fit(
     with shown.bar("fitting", "fits") as progress:
         found = fitting.fit(
             file, path.parent, data=options.data, starts=options.starts, workers=count,
-            allow_degenerate=options.allow_degenerate, progress=progress,
+            allow_degenerate=options.allow_degenerate, keep=out, progress=progress,
         )  # fmt: skip
         rival = None
         if options.compare is not None and other is not None:

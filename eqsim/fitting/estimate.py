@@ -1,8 +1,11 @@
 """Least squares from many starts, and what it says about parameters: covariance and the ladder of directions."""
 
 import math
+import pickle
+import shutil
 from collections.abc import Callable, Iterable
-from concurrent.futures import Executor
+from concurrent.futures import Executor, as_completed
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,19 +100,66 @@ def check_starts(problem: Problem, every: list[Array]) -> None:
             raise InputError(f"fit.free: the reference refuses the start ({error})") from None
 
 
+class Kept(NamedTuple):
+    """Results of finished tasks in a folder, for a computation that is stopped and begun again; in none, they are not
+    kept. Tasks are known by a name and their number, so the folder must belong to one computation."""
+
+    folder: Path | None
+
+    def _file(self, name: str, index: int) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{name}-{index}.pickle"
+
+    def get(self, name: str, index: int) -> Any:
+        """The result, None where there is none or it was not written whole."""
+        if self.folder is None:
+            return None
+        try:
+            return pickle.loads(self._file(name, index).read_bytes())
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+
+    def put(self, name: str, index: int, result: Any) -> None:
+        """Keep a result."""
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._file(name, index).write_bytes(pickle.dumps(result))
+
+    def clear(self) -> None:
+        """Remove all."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+_NOT_KEPT = Kept(None)
+
+
 def together(
     function: Callable[..., Any],
     tasks: Iterable[tuple[Any, ...]],
     executor: Executor | None,
     done: Callable[[], None] = lambda: None,
+    kept: tuple[Kept, str] = (_NOT_KEPT, ""),
 ) -> list[Any]:
-    """Results of independent tasks, in order, whoever computes them."""
-    every = list(tasks)
-    futures = [executor.submit(function, *task) for task in every] if executor else []
-    found = []
-    for index, task in enumerate(every):
-        found.append(futures[index].result() if executor else function(*task))
+    """Results of independent tasks, in order, whoever computes them; those that are `kept` are not computed again."""
+    every, (store, name) = list(tasks), kept
+    found = [store.get(name, index) for index in range(len(every))]
+
+    def keep(index: int, result: Any) -> None:
+        found[index] = result
+        store.put(name, index, result)
         done()
+
+    missing = [index for index, result in enumerate(found) if result is None]
+    for _ in range(len(every) - len(missing)):
+        done()
+    if executor is None:
+        for index in missing:
+            keep(index, function(*every[index]))
+    else:
+        futures = {executor.submit(function, *every[index]): index for index in missing}
+        for future in as_completed(futures):
+            keep(futures[future], future.result())
     return found
 
 

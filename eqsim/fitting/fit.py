@@ -1,5 +1,6 @@
 """Fits: from a run file with a [fit] section to what its data decide."""
 
+import hashlib
 import math
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -14,12 +15,13 @@ from scipy import stats
 from eqsim.errors import InputError, require_integer
 from eqsim.fitting import estimate, profiles, symmetry
 from eqsim.fitting.data import Table, read_table
-from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum
+from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
 from eqsim.fitting.record import Correlation, correlated, read_record, record_problem
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
 from eqsim.io.runfile import RunFile, at, opened
 from eqsim.numerics.tables import Array
+from eqsim.sweeps.plan import results_version
 from eqsim.sweeps.workers import Workers
 
 REJECTED = 1e-3  # p below which a model is rejected
@@ -213,6 +215,7 @@ def fit(
     starts: int = 8,
     allow_degenerate: bool = False,
     workers: int = 1,
+    keep: Path | None = None,
     progress: Progress = lambda done, total: None,
 ) -> FitResult:
     """Fit free keys of a run file to measurements.
@@ -231,6 +234,9 @@ def fit(
         Whether to go on where the data cannot separate free keys.
     workers : int
         Processes; they change speed, never a number.
+    keep : Path, optional
+        A folder for finished least-squares fits: the same fit, if it was stopped, goes on from these, and removes them
+        when it is finished.
     progress : callable, optional
         `progress(done, total)` counts least-squares fits.
 
@@ -256,7 +262,17 @@ def fit(
     pool: Any = Workers(workers).fixed_pool() if workers > 1 else nullcontext()
     with pool as found:
         executor = found.executor if found else None
-        return _fitted(file, folder, prepared._replace(warnings=warnings), every, executor, progress)
+        kept = Kept(None if keep is None else Path(keep) / f".unfinished-{_identity(file, prepared, every)}")
+        result = _fitted(file, folder, prepared._replace(warnings=warnings), every, (executor, kept), progress)
+        kept.clear()
+        return result
+
+
+def _identity(file: RunFile, prepared: Prepared, every: list[Array]) -> str:
+    """Of a fit: a digest of what its numbers depend on."""
+    parts = [results_version(), file.model_dump_json(), prepared.table.sha256]
+    digest = hashlib.sha256(" ".join(parts).encode() + np.array(every).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _singular(problem: Problem, allowed: bool) -> list[str]:
@@ -278,10 +294,11 @@ def _fitted(
     folder: Path,
     prepared: Prepared,
     every: list[Array],
-    executor: Executor | None,
+    computed: tuple[Executor | None, Kept],
     progress: Progress,
 ) -> FitResult:
     section, table, problem, warnings = prepared
+    executor, kept = computed
     parameters = problem.parameters
     total, done = len(every) + 2 * len(parameters), 0
 
@@ -291,23 +308,25 @@ def _fitted(
         progress(done, total)
 
     progress(0, total)
-    minima = estimate.together(estimate.minimise, [(problem, u) for u in every], executor, count)
+    minima = estimate.together(estimate.minimise, [(problem, u) for u in every], executor, count, (kept, "start"))
     best, correlation = min(minima, key=lambda one: one.chi2), None
-    for _ in range(_WHITENED if table.time is not None else 0):
+    for again in range(_WHITENED if table.time is not None else 0):
         assert table.time is not None
         problem, correlation = correlated(problem, best.u, table.time)
-        best = estimate.minimise(problem, best.u)
-    for _ in range(_AGAIN):
+        (best,) = estimate.together(estimate.minimise, [(problem, best.u)], None, kept=(kept, f"white{again}"))
+    for again in range(_AGAIN):
         jacobian = problem.jacobian(best.u)
         covariance = estimate.covariance(jacobian)
         sd = np.sqrt(np.diag(covariance))
         tasks = [(problem, best, i, sign, float(sd[i])) for i in range(len(parameters)) for sign in (-1, 1)]
         done = len(every)
-        sides = estimate.together(profiles.side, tasks, executor, count)
+        sides = estimate.together(profiles.side, tasks, executor, count, (kept, f"side{again}"))
         lower = [point for one in sides if one.better for point in one.points[[np.argmin(one.rise)]]]
         if not lower:
             break
-        better = estimate.together(estimate.minimise, [(problem, u) for u in lower], executor)
+        better = estimate.together(
+            estimate.minimise, [(problem, u) for u in lower], executor, kept=(kept, f"better{again}")
+        )
         best = min([best, *better], key=lambda one: one.chi2)
     pairs = {one.key: (sides[2 * i], sides[2 * i + 1]) for i, one in enumerate(parameters)}
     intervals = tuple(

@@ -27,7 +27,8 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-_STEP = 3e-3  # of derivatives: solutions are not smooth on the scale of steps
+_STEP = 2e-2  # of derivatives: solutions are not smooth on the scale of steps
+_COARSE = 0.7  # of `force_of`, for a search
 _LEAST = 0.02  # correlation of neighbours below which they are independent
 
 
@@ -89,19 +90,19 @@ class RecordForward:
         if programme.stage is None:
             means = means_of(ensemble, programme, grid)
             return means.force[index], means.force_error[index]
-        force = force_of(ensemble, programme, grid, 1)[index]
+        force = force_of(ensemble, programme, grid, _COARSE)[index]
         zero = np.zeros(force.size)
         correction, error = (zero if part is None else part for part in (self.correction, self.error))
         return force * (1.0 + correction), np.abs(force) * error
 
     def corrected(self, changes: dict[str, float]) -> "RecordForward":
-        """With the correction at these parameters: steps of half the size, extrapolated as of second order; a third of
-        what they change is left as the error, more than was seen."""
+        """With the correction at these parameters: finer steps, extrapolated as of second order; a third of what the
+        last refinement changes is left as the error, more than was seen."""
         ensemble, programme, grid, index = self._drive(changes)
         if programme.stage is None:
             return self
-        coarse, fine = (force_of(ensemble, programme, grid, size)[index] for size in (1, 2))
-        correction = (4.0 * fine - coarse) / 3.0 / coarse - 1.0
+        used, coarse, fine = (force_of(ensemble, programme, grid, size)[index] for size in (_COARSE, 1, 2))
+        correction = (4.0 * fine - coarse) / 3.0 / used - 1.0
         return replace(self, correction=correction, error=np.abs(fine / coarse - 1.0) / 3.0)
 
     def _drive(self, changes: dict[str, float]) -> tuple[Ensemble, Programme, Grid, Array]:

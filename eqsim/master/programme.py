@@ -29,7 +29,8 @@ from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
 from eqsim.master.annealed import hazard_rate
-from eqsim.master.cohorts import Contacts, Growth, Path, Pool, Strata, march
+from eqsim.master.cohorts import Contacts, Growth, Path, Pool, march
+from eqsim.master.fronts import Fronts, Strata, table_of_w
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -66,17 +67,19 @@ def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
 
 def _strata(s: Reduced, strata: int) -> Strata:
     """Strata of quenched contacts; of a discrete law its thresholds, or groups of them where there are many."""
+    powers, index = np.arange(3)[:, None], np.arange(strata)
     if s.law.steps.size:
         xi, share, stiff = different_steps(s)
         first = np.unique(np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int))[:-1]
-        total = np.add.reduceat(share, first)
-        means = [np.add.reduceat(share * part, first) / total for part in (xi, stiff, stiff**2)]
-        return Strata(xi[first], xi[np.append(first[1:], xi.size) - 1], means[0], total, *means[1:])
-    edge, inner, share = _cells(s.law, strata)
-    total = share.sum(axis=1)
-    stiff = kappa_of(s, inner)
-    means = [(share * part).sum(axis=1) / total for part in (inner, stiff, stiff**2)]
-    return Strata(edge[:-1], edge[1:], means[0], total, *means[1:])
+        parts = np.add.reduceat(share * stiff**powers, first, axis=1)
+        nodes = np.add.reduceat(share * xi, first) / parts[0]
+        low = high = index[: nodes.size]
+        left, right = xi[first], xi[np.append(first[1:], xi.size) - 1]
+    else:
+        nodes, inner, share = _cells(s.law, strata)
+        parts = (share * kappa_of(s, inner) ** powers[:, None]).sum(axis=2)
+        low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
+    return Strata(left, right, parts, parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy(), nodes, low, high)
 
 
 def _pool(s: Reduced, cells: int) -> Pool:
@@ -106,10 +109,6 @@ def _pool(s: Reduced, cells: int) -> Pool:
     total = np.cumsum(0.5 * (above[:, 1:] + above[:, :-1]) * np.diff(y), axis=1)
     with np.errstate(divide="ignore"):
         return Pool(y, above, np.append(np.zeros((3, 1)), total, axis=1), np.maximum(np.log(rate), -1e4))
-
-
-_NO_POOL = Pool(NO_STEPS, np.zeros((3, 0)), np.zeros((3, 0)), NO_STEPS)
-_ONE_STRATUM = Strata(*np.ones((6, 1)))
 
 
 def _growth_of(s: Reduced, age: float) -> Growth:
@@ -191,14 +190,14 @@ class Numerics(NamedTuple):
     before: float
     growth: Growth
 
-    def contacts(self, fine: int) -> Contacts:
+    def contacts(self, fine: float) -> Contacts | Fronts:
         """For kernels, `fine` times as many strata or cells."""
-        s, stratified = self.s, self.s.barrier.thermal and not self.s.annealed
-        strata = _strata(s, fine * _STRATA) if stratified else _ONE_STRATUM
-        pool = _NO_POOL if stratified else _pool(s, fine * _CELLS)
-        return Contacts(strata, pool, self.growth, s.barrier, s.springs, s.delay.for_kernels())
+        s, delay = self.s, self.s.delay.for_kernels()
+        if s.barrier.thermal and not s.annealed:
+            return Fronts(_strata(s, round(fine * _STRATA)), self.growth, s.barrier, s.springs, delay, table_of_w())
+        return Contacts(_pool(s, round(fine * _CELLS)), self.growth, delay)
 
-    def path(self, t: Array, X: Array, fine: int) -> Path:
+    def path(self, t: Array, X: Array, fine: float) -> Path:
         """Through edges, arrays (edges,)."""
         cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
         return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before)

@@ -12,21 +12,13 @@ give the result and its error, and a third one where that takes few steps.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from eqsim.errors import InputError
-from eqsim.master.cohorts import (
-    Contacts,
-    Path,
-    Population,
-    advance_all,
-    begin,
-    observe,
-    with_room,
-)
+from eqsim.master.cohorts import Path, advance_all, begin, empty, observe, with_room
 from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numerics_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -36,6 +28,8 @@ from eqsim.numerics.tables import Array
 
 _FEW_STEPS = 6000  # of the second accuracy, a few slips
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of the mean threshold
+_UNBALANCED, _TRIES = 0.05, 8  # share of it by which r may be missed, and in how many trials
+_BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its middle
 _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
 
 
@@ -56,7 +50,8 @@ class Spring(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Forces on the slider: stretch of the spring, velocities of slider and stage, F, A, pinned, and what breaks do."""
+    """Forces on the slider: stretch of the spring, velocities of slider and stage, F, A, pinned, and what breaks do per
+    displacement."""
 
     stretch: float
     V: float
@@ -65,7 +60,6 @@ class Balance(NamedTuple):
     stiffness: float
     pinned: float
     rho: float
-    r: float
 
 
 @inlined
@@ -82,10 +76,11 @@ def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: floa
 
 
 @inlined
-def _estimate(spring: Spring, b: Balance, dt: float) -> tuple[float, float]:
-    """Displacement in a step, infinite where nothing holds the slider, and the velocity then."""
+def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, float]:
+    """Displacement in a step, infinite where nothing holds the slider, and the velocity then, where breaks and births
+    change F by r per time."""
     stiffness, damping = spring.stiffness + b.stiffness + b.rho, spring.damping + spring.drag * (1.0 - b.pinned)
-    net, gain = spring.stiffness * b.stretch - b.force, spring.stiffness * b.speed - b.r
+    net, gain = spring.stiffness * b.stretch - b.force, spring.stiffness * b.speed - r
     if spring.mass == 0.0:
         dX = _relaxed(net, gain, stiffness, damping, dt)
         return dX, dX / dt
@@ -97,14 +92,12 @@ def _estimate(spring: Spring, b: Balance, dt: float) -> tuple[float, float]:
 
 
 @kernel
-def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -> tuple[Array, int]:
+def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tuple[Array, int]:
     """Fill `path` from its first edge on, and what is found there, shape (6, edges): elastic force, pinned, mean square
     of the force, breaks so far, and displacement of the stage and velocity of the slider; returns that and how many
     edges there are. Steps end at `marks` (marks,), up to each of which the stage moves at `speeds`."""
     t, X = path.t, path.X
-    found, strata = np.zeros((6, t.size)), c.strata.share.size
-    none = Population(np.zeros((0, 11)), np.zeros((0, strata)), np.zeros(0, np.int64), np.zeros((2, strata)))
-    p = with_room(none, 256 + path.cohorts)
+    found, p = np.zeros((6, t.size)), empty(c, 256 + path.cohorts)
     count, rate = begin(c, path, p)
     stiffness = observe(p, count, X[0], found, 0)
     found[4, 0], found[5, 0] = spring.stretch, spring.velocity
@@ -115,38 +108,52 @@ def pull(c: Contacts, path: Path, spring: Spring, marks: Array, speeds: Array) -
     while k < marks.size and m < t.size:
         left = marks[k] - t[m - 1]
         b = Balance(
-            found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1],
-            rho, r,
-        )  # fmt: skip
-        last = 1.2 * longest >= left
+            found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1], rho
+        )
+        last, dt, guess, tries, guess_before, missed_before = 1.2 * longest >= left, longest, r, 0, 0.0, 0.0
         dt = left if last else longest
-        dX, V = _estimate(spring, b, dt)
-        while abs(dX) > 1.5 * spring.longest and dt > _SHORTEST * spring.longest:
-            dt, last = 0.5 * dt, False
-            dX, V = _estimate(spring, b, dt)
-        instant = abs(dX) > 1.5 * spring.longest
-        if instant:  # nothing holds the slider: a piece that takes no time, towards balance
-            net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
-            size = min(spring.longest, max(abs(net) / held, 1e-6 * spring.longest)) if held > 0.0 else spring.longest
-            dX, dt, V = math.copysign(size, net), _INSTANT * size, 0.0
-        t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
-        found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
-        if count == p.order.size:
-            p = with_room(p, 2 * count)
-        count = advance_all(c, path, p, found, m, (count, rate))
-        stiffness = observe(p, count, X[m], found, m)
-        change = found[0, m] - b.force - b.stiffness * dX
-        settled = found[1, m] - found[1, m - 1]
-        off = max(abs(change - rho * dX - r * dt), abs(settled - q * dt))
-        q = settled / dt
+        while True:
+            dX, V = _estimate(spring, b, guess, dt)
+            instant = not abs(dX) <= 1.5 * spring.longest or tries == _TRIES
+            if instant and dt > _SHORTEST * spring.longest:
+                dt, last, guess, tries = 0.5 * dt, False, r, 0
+                continue
+            if instant:  # nothing holds the slider: a piece that takes no time, towards balance
+                net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
+                size = spring.longest
+                if held > 0.0:
+                    size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * spring.longest))
+                dX, dt, V = math.copysign(size, net), max(_INSTANT * size, 1e-15 * marks[marks.size - 1]), 0.0
+            t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
+            found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
+            after = with_room(p, 2 * count if count == p.order.size else p.order.size)
+            found[:3, m] = 0.0
+            kept = advance_all(c, path, after, found, m, (count, rate))
+            stiffness = observe(after, kept, X[m], found, m)
+            change = found[0, m] - b.force - b.stiffness * dX
+            off = max(abs(change - rho * dX - r * dt), abs(found[1, m] - found[1, m - 1] - q * dt))
+            if not spring.heat or instant:
+                break
+            off *= _BENT
+            missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
+            if abs(missed) * dt < _UNBALANCED * spring.missed:
+                if off < 4.0 * spring.missed:
+                    break
+                tries = _TRIES
+                continue
+            slope = (missed - missed_before) / (guess - guess_before) if tries > 0 else -1.0
+            guess_before, missed_before = guess, missed
+            guess, tries = guess - missed / slope, tries + 1
+        p, count = after, kept
+        q = (found[1, m] - found[1, m - 1]) / dt
         if spring.mass > 0.0:
-            missed = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
-            off, a = max(off, missed), (V - b.V) / dt
+            bent = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
+            off, a = max(off, bent), (V - b.V) / dt
         if not instant:
             grown = dt * min(max(0.9 * math.sqrt(spring.missed / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
             longest = max(grown, longest) if last and off < spring.missed else grown
-        if spring.heat and not instant:
-            rho, r = 0.0, change / dt
+        if spring.heat:
+            rho, r = 0.0, 0.0 if instant else change / dt
         else:
             rho = change / dX if dX != 0.0 else 0.0
         k += last
@@ -195,7 +202,7 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
 
 
-def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: int) -> Array:
+def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float) -> Array:
     """The force at the instants of a grid by one solve, in the user's unit, shape (points,): that with fine = 1 takes a
     tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2.
 
@@ -243,7 +250,7 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
     return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
 
 
-def _solved(task: _Task, fine: int) -> tuple[Array, int]:
+def _solved(task: _Task, fine: float) -> tuple[Array, int]:
     """What is found at the marks `at`, and X, shape (7, points); and in how many steps."""
     numerics = task.numerics
     c, path = numerics.contacts(fine), numerics.path(np.full(MOST_STEPS, math.inf), np.zeros(MOST_STEPS), fine)

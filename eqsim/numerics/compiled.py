@@ -26,7 +26,7 @@ _PACKAGE = Path(__file__).parent.parent
 
 def _cache_folder() -> str | None:
     digest = hashlib.sha256()
-    for part in ("numerics", "laws", "engine", "master/cohorts.py", "master/slider.py"):
+    for part in ("numerics", "laws", "engine", "master/cohorts.py", "master/fronts.py", "master/slider.py"):
         path = _PACKAGE / part
         for source in [path] if path.suffix else sorted(path.rglob("*.py")):
             digest.update(source.read_bytes())
