@@ -14,6 +14,7 @@ from scipy.stats import qmc
 
 from eqsim.errors import InputError
 from eqsim.fitting.model import REFUSED, Problem
+from eqsim.master.slider import TooManySteps
 from eqsim.numerics.tables import Array
 
 DEGENERATE = 1e-7  # ratio of eigenvalues of J'J below which a direction is not determined
@@ -81,6 +82,8 @@ def check_starts(problem: Problem, every: list[Array]) -> None:
     for u in every:
         try:
             problem.parts(u)
+        except TooManySteps:  # as far from the data as may be, but no mistake
+            continue
         except InputError as error:
             for i, one in enumerate(problem.parameters):
                 other = u.copy()

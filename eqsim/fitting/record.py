@@ -29,6 +29,7 @@ from eqsim.numerics.tables import Array
 
 _STEP = 2e-2  # of derivatives: solutions are not smooth on the scale of steps
 _COARSE = 0.7  # of `force_of`, for a search
+_MOST_STEPS = 4000  # of a solve in a search: steady sliding takes some hundred, a slip a thousand
 _LEAST = 0.02  # correlation of neighbours below which they are independent
 
 
@@ -90,7 +91,7 @@ class RecordForward:
         if programme.stage is None:
             means = means_of(ensemble, programme, grid)
             return means.force[index], means.force_error[index]
-        force = force_of(ensemble, programme, grid, _COARSE)[index]
+        force = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS)[index]
         zero = np.zeros(force.size)
         correction, error = (zero if part is None else part for part in (self.correction, self.error))
         return force * (1.0 + correction), np.abs(force) * error

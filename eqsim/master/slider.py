@@ -33,6 +33,10 @@ _BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its
 _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
 
 
+class TooManySteps(InputError):
+    """The mean field of a slider that slips too often."""
+
+
 class Spring(NamedTuple):
     """Stage and slider, with time in units of the whole programme: numbers of the equation, damping also per detached
     share; stretch of the spring (NaN: in balance) and velocity at first; largest displacement and missed force of
@@ -202,17 +206,19 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
 
 
-def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float) -> Array:
+def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int = MOST_STEPS) -> Array:
     """The force at the instants of a grid by one solve, in the user's unit, shape (points,): that with fine = 1 takes a
     tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2.
 
     Raises
     ------
+    TooManySteps
+        If it takes more than `most_steps`.
     InputError
         As `pulled_of` does.
     """
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
-    force, pinned, _, _, _, V, _ = _solved(_task(ensemble, programme, grid), fine)[0]
+    force, pinned, _, _, _, V, _ = _solved(_task(ensemble, programme, grid), fine, most_steps)[0]
     return np.asarray((force + drag_of(ensemble, unit / time) * V * (1.0 - pinned)) * unit)
 
 
@@ -250,14 +256,14 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
     return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
 
 
-def _solved(task: _Task, fine: float) -> tuple[Array, int]:
+def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS) -> tuple[Array, int]:
     """What is found at the marks `at`, and X, shape (7, points); and in how many steps."""
     numerics = task.numerics
-    c, path = numerics.contacts(fine), numerics.path(np.full(MOST_STEPS, math.inf), np.zeros(MOST_STEPS), fine)
+    c, path = numerics.contacts(fine), numerics.path(np.full(most_steps, math.inf), np.zeros(most_steps), fine)
     path.t[0] = 0.0
     spring = task.spring._replace(longest=path.width, missed=_MISSED * task.typical / fine**2)
     found, edges = pull(c, path, spring, task.marks, task.speeds)
     if edges < 0:
-        raise InputError(f"drive.stage: takes more than {MOST_STEPS} steps of the mean field")
+        raise TooManySteps(f"drive.stage: takes more than {most_steps} steps of the mean field")
     index = np.searchsorted(path.t[:edges], np.append(0.0, task.marks))[task.at]
     return np.concatenate((found[:, index], path.X[None, index])), edges
