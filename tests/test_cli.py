@@ -114,7 +114,8 @@ def test_run_json_and_replicas(run_file, tmp_path):
     assert summary["steady"]["friction"] == other.friction.as_dict()
     table = pq.read_table(out / "trajectory.parquet")
     assert "force_replica_std" in table.column_names
-    assert json.loads(table.schema.metadata[b"eqsim"])["settings"]["output"] == {"points": 51, "seed": 3, "replicas": 4}
+    output = {"points": 51, "seed": 3, "replicas": 4, "series": False, "breaks": False}
+    assert json.loads(table.schema.metadata[b"eqsim"])["settings"]["output"] == output
 
 
 def test_same_bytes_for_any_threads(run_file, tmp_path):
