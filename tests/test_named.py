@@ -36,6 +36,7 @@ from eqsim.io.runfile import check, load, parameters
 from eqsim.laws import threshold
 from eqsim.laws.named import NAMED, THRESHOLDS, threshold_parameters
 from eqsim.laws.threshold import for_kernels
+from eqsim.model.reduced import groups
 from eqsim.numerics import streams
 from eqsim.numerics.streams import TRAJECTORY, key
 
@@ -311,6 +312,15 @@ def test_bad_run_files(tmp_path, given, message):
         check({"thresholds": given}).ensemble(tmp_path)
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
+
+
+def test_bounded_laws_have_no_heavy_tails():
+    """They have those of rare strong contacts (sqrt law, any temperature) only if thresholds have no upper end."""
+    said = {
+        law.name: {group.name: group.value for group in groups(Ensemble(law, Thermal(0.1)), Drive(0.1))}["heavy tails"]
+        for law in USUAL
+    }
+    assert {name for name, value in said.items() if value == "no"} == {"uniform"}
 
 
 RUN = """

@@ -282,7 +282,9 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
             found.append(Group("kappa_s", pull.stiffness, "spring of the stage over that of all contacts, K/(N k)"))
             found.append(Group("eta_s v/x_*", pull.damping, "damping of the slider at that velocity"))
             found.append(Group("m v^2/x_*^2", pull.mass, "inertia of the slider at that velocity"))
-    if thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
+    if thermal.kT > 0 and ensemble.disorder == "quenched" and law.support[1] < math.inf and not law.steps.size:
+        found.append(Group("heavy tails", "no", f"no threshold exceeds {law.support[1]:g}"))
+    elif thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
         heavy = True
         if aging.active and aging.cutoff_time is not None:
             text = "at every kT: thresholds that grow as ln t outlive all attempts"
