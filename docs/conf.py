@@ -20,12 +20,14 @@ extensions = [
     "numpydoc",
     "sphinxcontrib.bibtex",
     "from_program",
+    "mathml",
 ]
 exclude_patterns = ["_build"]
 nitpicky = True
 default_role = "code"  # `name` in docstrings
 templates_path: list[str] = []
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"eqsim {release}"
 html_static_path = ["static"]

@@ -100,7 +100,9 @@ def option(name: str, kind: Any, about: Any, begins: Any) -> tuple[str, str]:
     needed = begins is inspect.Parameter.empty or begins is ...
     if isinstance(about, ArgumentInfo):
         return f"`{about.metavar or name.upper()}`", meaning
-    names = [part for one in about.param_decls or (f"--{name.replace('_', '-')}",) for part in one.split("/")]
+    first = (about.default,) if isinstance(about.default, str) and about.default.startswith("-") else ()  # of Annotated
+    declared = (*first, *(about.param_decls or ())) or (f"--{name.replace('_', '-')}",)
+    names = [part for one in declared for part in one.split("/")]
     kinds = [part for part in parts(kind) if part is not types.NoneType]
     value = "" if kinds[0] is bool else " " + (about.metavar or getattr(kinds[-1], "__name__", "value").upper())
     shown = about.show_default if isinstance(about.show_default, str) else begins
