@@ -198,9 +198,10 @@ def run(page: Path, folder: Path) -> tuple[str, list[Difference]]:
 
 
 def pages() -> list[Path]:
-    """All pages with blocks that run, the README and CONTRIBUTING.md included."""
-    found = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-    return [page for page in found if "_build" not in page.parts and blocks(page.read_text(encoding="utf-8"))]
+    """All pages with blocks: the README, and the documentation but for what its build copies there."""
+    copied = {"CHANGELOG.md", "CONTRIBUTING.md"}
+    found = [page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts and page.name not in copied]
+    return [page for page in (ROOT / "README.md", *found) if blocks(page.read_text(encoding="utf-8"))]
 
 
 def pictures() -> dict[str, list[str]]:

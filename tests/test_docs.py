@@ -13,6 +13,7 @@ import tomllib
 
 import pages
 import pytest
+from docutils import nodes
 from typer.main import get_command
 
 from eqsim.cli.app import app
@@ -27,14 +28,26 @@ def names(page):
     return str(page.relative_to(ROOT))
 
 
-def build(source, target):
+def build(source, target, *more):
     """Sphinx with warnings as errors."""
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(source), str(target)]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        *more,
+        str(source),
+        str(target),
+    ]
     return subprocess.run(command, capture_output=True, text=True)
 
 
 def test_the_site_can_be_built(tmp_path):
-    """All references hold, those of Python and of run-file keys included."""
+    """All references hold, those to keys of run files and to public names included."""
     done = build(DOCS, tmp_path)
     assert done.returncode == 0, done.stderr
     html = (tmp_path / "reference" / "runfile.html").read_text(encoding="utf-8")
@@ -43,15 +56,19 @@ def test_the_site_can_be_built(tmp_path):
 
 
 def test_a_broken_reference_is_noticed(tmp_path):
-    """The same settings on one page."""
-    text = (DOCS / "conf.py").read_text(encoding="utf-8").split("# Notebooks")[0].replace('    "from_program",\n', "")
-    (tmp_path / "conf.py").write_text(
-        text.replace('html_static_path = ["static"]', "").replace("../paper.bib", str(ROOT / "paper.bib"))
-    )
     (tmp_path / "index.md").write_text("# Page\n\n[](nowhere.md)\n", encoding="utf-8")
-    done = build(tmp_path, tmp_path / "out")
+    done = build(tmp_path, tmp_path / "out", "-C", "-D", "extensions=myst_parser")
     assert done.returncode != 0
     assert "nowhere.md" in done.stderr
+
+
+@pytest.mark.parametrize(("formula", "right"), [(r"\frac{a}{b}", True), (r"\frok{a}{b}", False), ("a & b", False)])
+def test_formulas_are_checked(formula, right, monkeypatch, caplog):
+    monkeypatch.syspath_prepend(DOCS / "extensions")
+    import mathml
+
+    mathml.converted(nodes.math("", formula), "inline")
+    assert bool(caplog.records) is not right
 
 
 def calls(text):
