@@ -17,6 +17,7 @@ def converted(node: nodes.Element, display: str) -> str:
     except Exception as error:
         found = f"<code>{source}</code>"
         logging.getLogger(__name__).warning("%s in %s", error, source, location=node)
+    found = re.sub("(<mi>(?:ln|exp|max|min)</mi>)(?=<m(?:i|n|sup|sub)>)", r'\1<mspace width="0.17em" />', found)
     unknown = re.search(r">(\\[A-Za-z]+|&)<", found)
     if unknown:
         logging.getLogger(__name__).warning("%s is unknown in %s", unknown[1], source, location=node)
