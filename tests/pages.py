@@ -92,7 +92,7 @@ def plain(output: str) -> str:
     output = re.sub(r"^about .+ to go: .+\n", "", output, flags=re.MULTILINE)  # of what takes long
     output = re.sub(r"\d[\d.]* ?[kMG]?/s", "#/s", output)
     output = re.sub(r"\d[\d.]* (s|ms|min)\b", "# s", output)
-    output = re.sub(r"\b\d+ threads?", "# threads", output)
+    output = re.sub(r"\b\d+ (threads?|workers?)\b", r"# \1", output)
     output = re.sub(r"-?\d(\.\d+)?e-(1[0-9]|09)\b(?=.*│|$)", "#", output, flags=re.MULTILINE)
     return "\n".join(line.rstrip() for line in output.strip("\n").splitlines())
 
