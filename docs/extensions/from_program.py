@@ -39,7 +39,14 @@ CHOICES = {
     "drive.start": typing.get_args(Start),
     "elastic.edges": typing.get_args(Edges),
 }
-NAMES = {float: "number", int: "whole number", str: "text", Any: "whole number, or two", dict: "table"}
+NAMES = {
+    float: "number",
+    int: "whole number",
+    bool: "`true`, `false`",
+    str: "text",
+    Any: "whole number, or two",
+    dict: "table",
+}
 
 
 def sections(model: type[pydantic.BaseModel], prefix: str = "") -> dict[str, dict[str, FieldInfo]]:
@@ -94,9 +101,14 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     return ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in line) + " |" for line in lines]
 
 
+def plain(text: str | None) -> str:
+    """A text of help on one line, without what escapes rich's markup."""
+    return " ".join((text or "").replace("\\[", "[").split())
+
+
 def option(name: str, kind: Any, about: Any, begins: Any) -> tuple[str, str]:
     """An argument or an option of a command, and what it means."""
-    meaning = " ".join((about.help or "").split())
+    meaning = plain(about.help)
     needed = begins is inspect.Parameter.empty or begins is ...
     if isinstance(about, ArgumentInfo):
         return f"`{about.metavar or name.upper()}`", meaning
@@ -130,6 +142,7 @@ class RunFileKeys(FromProgram):
         meanings, lines = tomllib.loads(MEANINGS.read_text(encoding="utf-8")), []
         self.env.note_dependency(str(MEANINGS))
         known: set[str] = set()
+        described: set[str] = set()
         for section, fields in sections(RunFile).items():
             if not fields:
                 continue
@@ -140,9 +153,11 @@ class RunFileKeys(FromProgram):
             for name, field in fields.items():
                 key = f"{section}.{name}".removeprefix(".")
                 known.add(f"{section or 'top'}.{name}")
-                if name not in here:
+                known_as = here.get(name) or field.description  # in the program itself
+                if not known_as:
                     raise self.error(f"{MEANINGS.name} says nothing of {key}")
-                entry = here[name] if isinstance(here[name], dict) else {"meaning": here[name]}
+                entry = known_as if isinstance(known_as, dict) else {"meaning": known_as}
+                described |= set() if name in here else {f"{section or 'top'}.{name}"}
                 rows.append(
                     (
                         f"`{name}`",
@@ -155,8 +170,8 @@ class RunFileKeys(FromProgram):
         told = {f"{section}.{name}" for section, entries in meanings.items() for name in entries} - {
             f"{section}.{name}" for section in meanings for name in ("about", "heading")
         }
-        if told != known:
-            raise self.error(f"{MEANINGS.name} and the program differ in {sorted(told ^ known)}")
+        if told != known - described:
+            raise self.error(f"{MEANINGS.name} and the program differ in {sorted(told ^ (known - described))}")
         return lines
 
 
@@ -178,7 +193,7 @@ class Commands(FromProgram):
                 row = option(name, kind, about, begins)
                 (arguments if isinstance(about, ArgumentInfo) else options).append(row)
             name = command.name or command.callback.__name__
-            lines += [f"## `eqsim {name}`", "", " ".join((command.callback.__doc__ or "").split()), ""]
+            lines += [f"## `eqsim {name}`", "", plain(command.callback.__doc__), ""]
             lines += [
                 "```text",
                 " ".join([f"eqsim {name}", *(row[0].strip("`") for row in arguments), "[OPTIONS]"]),
