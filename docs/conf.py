@@ -45,8 +45,12 @@ autodoc_class_signature = "mixed"
 numpydoc_show_class_members = False  # autodoc does
 
 # Notebooks live beside the package, where the tests run them, and texts for contributors where these look for them.
-shutil.rmtree(HERE / "notebooks", ignore_errors=True)
-shutil.copytree(ROOT / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*"))
+(HERE / "notebooks").mkdir(exist_ok=True)
+for path in (HERE / "notebooks").glob("*.ipynb"):
+    if not (ROOT / "notebooks" / path.name).exists():
+        path.unlink()
+for path in (ROOT / "notebooks").glob("*.ipynb"):
+    shutil.copy2(path, HERE / "notebooks")
 for name in ("CHANGELOG.md", "CONTRIBUTING.md"):
     text = (ROOT / name).read_text(encoding="utf-8")
     (HERE / name).write_text(text.replace("](docs/", "]("), encoding="utf-8")
