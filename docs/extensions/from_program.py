@@ -27,6 +27,7 @@ from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.model.drive import Start
 from eqsim.model.elastic import Edges
 from eqsim.model.ensemble import Disorder
+from eqsim.paper import EQUATIONS, FIGURES
 
 MEANINGS = Path(__file__).parent.parent / "reference" / "keys.toml"
 CHOICES = {
@@ -212,6 +213,19 @@ class Observables(FromProgram):
         return table(("name", "what it is", "unit"), rows)
 
 
+class PaperLabels(FromProgram):
+    """Numbers of the paper's equations and figures, by their labels."""
+
+    def markdown(self) -> list[str]:
+        cells = [(f"`{label}`", f"({number})") for label, number in EQUATIONS.items()]
+        columns = 4
+        length = -(-len(cells) // columns)
+        rows = [tuple(part for cell in cells[i::length] for part in cell) for i in range(length)]
+        rows = [row + ("",) * (2 * columns - len(row)) for row in rows]
+        figures = ", ".join(f"`{label}` is {number}" for label, number in FIGURES.items())
+        return [*table(("label", "number") * columns, rows), "", f"Of the figures {figures}."]
+
+
 class PublicNames(FromProgram):
     """Check that the page documents every public name: its content lists them in groups."""
 
@@ -246,6 +260,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
         ("run-file-keys", RunFileKeys),
         ("commands", Commands),
         ("observables", Observables),
+        ("paper-labels", PaperLabels),
         ("public-names", PublicNames),
     ):
         app.add_directive(name, directive)
