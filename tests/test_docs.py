@@ -18,6 +18,7 @@ from typer.main import get_command
 
 from eqsim.cli.app import app
 from eqsim.io.runfile import check
+from eqsim.materials import from_constants
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
 PAGES = pages.pages()
@@ -103,11 +104,16 @@ def test_commands_can_be_parsed():
 
 
 @pytest.mark.parametrize(
-    ("page", "block"), [(p, b) for p, b in BLOCKS if b.kind == "toml"], ids=lambda one: str(one)[-40:]
+    "block",
+    [pytest.param(block, id=f"{page.stem}:{block.line}") for page, block in BLOCKS if block.kind == "toml"],
 )
-def test_run_files_are_valid(page, block):
-    """Whole ones and parts."""
-    check(tomllib.loads(block.body))
+def test_toml_is_valid(block):
+    """Run files, whole ones and parts, and the constants of materials."""
+    found = tomllib.loads(block.body)
+    if "kind" in found:
+        from_constants(found)
+    else:
+        check(found)
 
 
 def test_python_is_python():
