@@ -162,6 +162,12 @@ def test_outputs_are_compared(shown, found, same):
     assert pages.agree(shown, found) is same
 
 
+def test_outputs_have_a_shape():
+    assert pages.shape("v  1.5 NaN\n") == pages.shape("v -2 0.25\n")
+    assert pages.shape("v 1.5\n") != pages.shape("w 1.5\n")
+    assert pages.shape("v 1.5 2\n") != pages.shape("v 1.5\n")
+
+
 def test_a_wrong_output_is_noticed(tmp_path):
     page = ROOT / "docs" / "x.md"
     text = "```console\n$ echo 1\n2\n$ false\n```\n\n```python\nprint(3)\n```\n\n```output\n4\n```\n"
