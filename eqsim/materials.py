@@ -1,4 +1,4 @@
-"""From material constants to the parameters of the contacts (section V of Braun and Peyrard, 2011).
+"""From material constants to the parameters of the contacts (section VI of Braun and Peyrard, 2011).
 
 Everything is a plain number in SI units: m, s, kg, N, Pa, J, K. One contact stands on each a^2 of the interface, in
 a gap of thickness h, and the interface yields at the shear stress sigma_*, so that k x_* = a^2 sigma_*. A contact is a
@@ -318,17 +318,17 @@ class LubricantIslands(Material):
 
     @property
     def stiffness(self) -> float:
-        """k = a sigma_*/gamma_c (N/m; section V)."""
+        """k = a sigma_*/gamma_c (N/m; section VI)."""
         return self.spacing * self.shear_strength / self.gamma_c
 
     @property
     def x_star(self) -> float:
-        """x_* = gamma_c a (m; section V)."""
+        """x_* = gamma_c a (m; section VI)."""
         return self.gamma_c * self.spacing
 
     @property
     def attempt_frequency(self) -> float:
-        """omega = 1.15 sqrt(sigma_*/(a h rho gamma_c^3)) (1/s; section V)."""
+        """omega = 1.15 sqrt(sigma_*/(a h rho gamma_c^3)) (1/s; section VI)."""
         inertia = self.spacing * self.thickness * self.density * self.gamma_c**3
         return 1.15 * math.sqrt(self.shear_strength / inertia)
 
@@ -338,14 +338,14 @@ class LubricantIslands(Material):
         return self.spacing**-2
 
     def printed_crossover_velocity(self, temperature: float = ROOM_TEMPERATURE) -> float:
-        """The paper's estimate of v_* (m/s) for b >> 1, k_B T/sqrt(a^5 h rho sigma_* gamma_c^3) (section V): 1.9 %
+        """The paper's estimate of v_* (m/s) for b >> 1, k_B T/sqrt(a^5 h rho sigma_* gamma_c^3) (section VI): 1.9 %
         below `crossover_velocity`, because 2 * 1.15/(3 C_0) was set to 1 (derived)."""
         kT = self._thermal(temperature).kT
         film = self.thickness * self.density * self.shear_strength
         return kT / (self.spacing**2 * math.sqrt(self.spacing * film * self.gamma_c**3))
 
 
-# section V; the shear strength of steel is that of plasticity, the film has four layers
+# section VI; the shear strength of steel is that of plasticity, the film has four layers
 STEEL = RoughContacts(name="steel", density=1e4, young_modulus=2e11, shear_strength=1e9, contact_radius=1e-6)
 OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
     name="octamethylcyclotetrasiloxane", density=956.0, thickness=3.5e-9, shear_strength=2e5, gamma_c=0.5, spacing=1e-6

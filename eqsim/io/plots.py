@@ -455,8 +455,9 @@ def validation_figure(result: "Validation") -> Figure:
         z = np.clip([score.z for score in shown], -8, 8)
         left.scatter(x, z, s=9, color=color, marker=marker, alpha=0.6, label=disorder)
     said = {True: "passed", False: "FAILED"}
-    names = ["\n".join([*v.kind.split(), f"{v.count} scores", said[v.passed]]) for v in result.verdicts]
-    left.set_xticks(range(len(names)), names, fontsize=8)
+    names = [f"{v.kind.replace('_', ' ')}, {v.count}: {said[v.passed]}" for v in result.verdicts]
+    left.set_xticks(range(len(names)), names, fontsize=8, rotation=40, ha="right", rotation_mode="anchor")
+    left.set_xlabel("kind of comparison, how many, verdict")
     left.set_ylabel("$z$ = (engine - master) / standard error")
     left.set_title(f"suite {result.suite}, seed {result.seed}: {said[result.passed]}", fontsize=10)
     grid = np.linspace(-8, 8, 401)

@@ -8,9 +8,9 @@ error that leaves nothing to compare; too few contacts, too many lives, no refer
 declines (the first three) more of a kind than is scored does not pass.
 
 Scores of one kind are independent. A kind passes if the sum of squares of even ones has a chi-square probability above
-1e-4 on both sides, and the largest |z| a probability above 1e-4 given their number. With ten kinds and two
-probabilities each a correct program fails a suite once in 500 seeds or less often, whatever the correlations between
-kinds (Bonferroni).
+1e-4 on both sides, and the largest |z| a probability above 1e-4 given their number. With fifteen kinds and two
+probabilities each a correct program fails a suite once in some 330 seeds or less often, whatever the correlations
+between kinds (Bonferroni).
 """
 
 import html
