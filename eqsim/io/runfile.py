@@ -541,7 +541,7 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
     _without_alternatives(data, changes)
     for key, value in changes.items():
         if key not in known:
-            hint = meant(key, known) or "known are " + ", ".join(known)
+            hint = meant(key, known) or "there are " + ", ".join(dict.fromkeys(one.split(".")[0] for one in known))
             raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
         *sections, last = key.split(".")
         place: Any = data

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec
 
 import matplotlib
-from cycler import cycler
 from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 
 from eqsim.errors import require_choice
 

@@ -47,6 +47,14 @@ def vertex(X: Array, force: Array, top: int) -> tuple[float, float]:
     return float(X[top] + shift * (X[1] - X[0])), float(middle - 0.25 * (low - high) * shift)
 
 
+def tip(ensemble: Ensemble, X: Array, force: Array, top: int) -> tuple[float, float]:
+    """How far a peak may be from a grid point, and its height from the force there, arrays (points,), where thresholds
+    have steps: the force then has a kink at each, between two points. 0 of other laws, whose peaks are round."""
+    if not ensemble.thresholds.steps.size:
+        return 0.0, 0.0
+    return float(X[top] - X[top - 1]), float(max(force[top] - force[top - 1], 0.0))
+
+
 def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     """The exact static peak at a constant velocity, from the renewal equation over four rms thresholds.
 
@@ -72,4 +80,6 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     if not 0 < top < _POINTS - 1 or found.force[top] - found.force[top:].min() <= found.force_error[top]:
         raise InputError("the force rises without a first peak")
     place, height = vertex(found.X, found.force, top)
-    return Peak(Estimate(place, 0.1 * float(found.X[1]), 0), Estimate(height, float(found.force_error[top]), 0))
+    beside, missed = tip(ensemble, found.X, found.force, top)
+    error = float(found.force_error[top]) + missed
+    return Peak(Estimate(place, max(beside, 0.1 * float(found.X[1])), 0), Estimate(height, error, 0))

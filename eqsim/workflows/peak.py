@@ -6,11 +6,11 @@ import numpy as np
 
 from eqsim.engine.records import Trajectory, extreme
 from eqsim.estimate import Estimate, known
-from eqsim.master.peak import WINDOW, Peak, top_of, vertex
+from eqsim.master.peak import WINDOW, Peak, tip, top_of, vertex
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 
-_PLATEAU = 0.25  # of the window
+_PLATEAU, _KINK = 0.25, 0.05  # of the window; of the height
 
 
 def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | None:
@@ -48,7 +48,9 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
     else:
         error = peak.stderr or error
     near = X[first:last][force[first:last] >= force[top] - 2.0 * stderr[top]]  # on a plateau it may be anywhere
-    spread = max(place.stderr or 0.0, 0.5 * float(np.ptp(near)))
+    beside, missed = tip(ensemble, X, force, top)
+    spread, error = max(place.stderr or 0.0, 0.5 * float(np.ptp(near)), beside), math.hypot(error, missed)
     reliable = found.force_reliable and float(np.ptp(near)) < _PLATEAU * WINDOW * period  # else the largest of many
+    reliable &= missed < _KINK * height  # else a later one may be higher between points
     lives = found.lives
     return Peak(Estimate(where, spread, lives, None, reliable), Estimate(height, error, lives, None, reliable))
