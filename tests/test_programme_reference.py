@@ -432,7 +432,7 @@ SLOW = [(name, course) for name in REFINED for course in COURSES] + [("soft, fix
     [
         *(("annealed", course) for course in COURSES),
         ("soft, fixed delay", "step"),
-        ("soft, fixed delay", "turn"),
+        pytest.param("soft, fixed delay", "turn", marks=pytest.mark.verification),
         *(pytest.param(*case, marks=pytest.mark.verification) for case in SLOW),
     ],
 )
