@@ -539,7 +539,7 @@ MISTAKES = [
       "test_sweep.py::test_what_cannot_be_trusted_is_unreliable"),
     M("sweep: damaged parts are taken", "sweeps/store.py", 'path.stem == f"part-{_digest(content)}"', "True",
       "test_sweep.py::test_damaged_parts_are_named_and_computed_again"),
-    M("sweep: hidden parts are forgotten", "sweep/store.py", '*(self.out / _HIDDEN).glob("*.parquet")]', "]",
+    M("sweep: hidden parts are forgotten", "sweeps/store.py", '*(self.out / _HIDDEN).glob("*.parquet")]', "]",
       "test_sweep.py::test_death_before_the_table_has_its_name_loses_nothing"),
     # units
     M("units: the unit of energy is left out", "io/units.py", "constants.k * temperature / (self.size(ENERGY) or 1.0)",
@@ -563,7 +563,7 @@ MISTAKES = [
       "json.dumps([values, results_version()]", "test_grid.py::test_identity_depends_on_what_a_value_depends_on"),
     M("grid: tables by their name", "sweeps/plan.py", 'values["thresholds.file"] = hashlib',
       'values["thresholds.sha"] = hashlib', "test_grid.py::test_a_table_of_thresholds_enters_with_its_values"),
-    M("grid: the value that a sweep replaces counts", "sweep/store.py", "- plan.swept  #", "- set()  #",
+    M("grid: the value that a sweep replaces counts", "sweeps/store.py", "- plan.swept  #", "- set()  #",
       "test_sweep.py::test_what_the_sweep_replaces_may_change"),
     # tables
     M("tables: text without quotes", "io/export.py", "csv.QUOTE_NONNUMERIC", "csv.QUOTE_MINIMAL",
