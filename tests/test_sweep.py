@@ -560,12 +560,16 @@ def test_set_and_sweep_do_not_contend(tmp_path, table, args, said):
         assert swept(load(path), tmp_path) == {"drive.velocity"}
 
 
-def test_axes_can_be_set(tmp_path):
+@pytest.mark.parametrize("key", ['"thermal.kT"', "thermal.kT"])
+def test_axes_can_be_set(tmp_path, key):
+    """And added, also to a run file that has none."""
     path = tmp_path / "a.toml"
-    path.write_text(BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n')
-    assert Plan(load(path, {"sweep.thermal.kT": [0.2, 0.3, 0.4]}), tmp_path).axes == [
-        [{"thermal.kT": kT} for kT in (0.2, 0.3, 0.4)]
-    ]
+    path.write_text(BASE + f"[sweep]\n{key} = [0.1, 1.0]\n")
+    other = [{"thermal.kT": kT} for kT in (0.2, 0.3, 0.4)]
+    changes = {"sweep.thermal.kT": [0.2, 0.3, 0.4], "sweep.delay.time": [1.0]}
+    assert Plan(load(path, changes), tmp_path).axes == [other, [{"delay.time": 1.0}]]
+    path.write_text(BASE)
+    assert Plan(load(path, changes), tmp_path).axes == [other, [{"delay.time": 1.0}]]
 
 
 def test_without_a_cluster_nothing_is_left(small, tmp_path):

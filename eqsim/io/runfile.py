@@ -431,8 +431,10 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     _without_alternatives(data, changes)
     for key, value in changes.items():
         *sections, last = key.split(".")
-        axes, axis = data.get("sweep"), key.removeprefix("sweep.")
-        if isinstance(axes, dict) and axis != key and axis in axes:
+        axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
+        first = axis.split(".")[0]
+        nested = not isinstance(axes, dict) or isinstance(axes.get(first), dict) or first in ("zip", "file")
+        if axis != key and not nested:  # an axis, its key in quotes
             sections, last = ["sweep"], axis
         place: Any = data
         for name in sections:
