@@ -24,8 +24,8 @@ def test_second_integral(y):
     ("by_threshold", "by_birth"), [(-0.1, 0.05), (-12.0, 0.2), (-3.0, 7.0), (-150.0, 40.0), (0.0, 0.0)]
 )
 def test_share_that_is_broken(middle, by_threshold, by_birth):
-    """By 2000 x 500 midpoints, .075 and .08 apart at most, which miss (.075^2 + .08^2)/24 times a curvature that averages
-    out but at the corners, 1e-4; and what small differences are taken for, .03^2/24, 4e-5."""
+    """By 2000 x 500 midpoints, .075 and .08 apart at most, which miss (.075^2 + .08^2)/24 times a curvature that
+    averages out but at the corners, 1e-4; and what small differences are taken for, .03^2/24, 4e-5."""
     u, v = ((np.arange(count) + 0.5) / count - 0.5 for count in (2000, 500))
     y = middle + by_threshold * u[:, None] + by_birth * v
     exact = -np.expm1(-np.exp(np.minimum(y, 50.0))).mean()
