@@ -26,6 +26,7 @@ from eqsim.sweeps.workers import Workers
 
 REJECTED = 1e-3  # p below which a model is rejected
 _FLOOR = 0.1  # of a standard error, what the solver may miss
+_ROUGH = 0.1  # of a standard deviation, half of a 95 % interval that data cannot have
 _AGAIN = 3  # times that a profile may find a better fit
 _WHITENED = 2  # times that residuals tell the correlation of errors
 
@@ -336,6 +337,13 @@ def _fitted(
     floor = float(np.max(error / problem.sigma))
     if floor > _FLOOR:
         warnings = [*warnings, f"noise floor: the solver's own error is {floor:.2g} of a measurement's standard error"]
+    rough = [
+        one.key
+        for one, x, s in zip(parameters, best.u, sd, strict=True)
+        if any(end is not None and abs(end - x) < _ROUGH * s for end in (side.ends["95"] for side in pairs[one.key]))
+    ]
+    if rough:
+        warnings = [*warnings, f"intervals of {', '.join(rough)} end at roughness of the solver: not to be trusted"]
     rungs = tuple(estimate.ladder([one.key for one in parameters], problem.unitless(jacobian)))
     return FitResult(
         file, folder, section, problem, table, best, intervals, goodness(problem, best.u), rungs, covariance,
