@@ -14,6 +14,7 @@ from scipy.stats import qmc
 
 from eqsim.errors import InputError
 from eqsim.fitting.model import REFUSED, Problem
+from eqsim.io.storage import publish
 from eqsim.master.slider import TooManySteps
 from eqsim.numerics.tables import Array
 
@@ -109,24 +110,15 @@ class Kept(NamedTuple):
 
     folder: Path | None
 
-    def _file(self, name: str, index: int) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{name}-{index}.pickle"
-
     def get(self, name: str, index: int) -> Any:
-        """The result, None where there is none or it was not written whole."""
-        if self.folder is None:
-            return None
-        try:
-            return pickle.loads(self._file(name, index).read_bytes())
-        except (OSError, EOFError, pickle.UnpicklingError):
-            return None
+        """The result, None where there is none."""
+        file = self.folder / f"{name}-{index}.pickle" if self.folder is not None else None
+        return pickle.loads(file.read_bytes()) if file is not None and file.is_file() else None
 
     def put(self, name: str, index: int, result: Any) -> None:
-        """Keep a result."""
+        """Keep a result. Raises InputError if it cannot be written."""
         if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._file(name, index).write_bytes(pickle.dumps(result))
+            publish(self.folder, {f"{name}-{index}.pickle": pickle.dumps(result)})
 
     def clear(self) -> None:
         """Remove all."""

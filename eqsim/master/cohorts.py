@@ -88,6 +88,7 @@ def _up_to(values: Array, x: float) -> int:
 
 @inlined
 def grown_by(growth: Growth, age: float) -> float:
+    """By what factor thresholds have grown at an age."""
     if growth.values.size == 0:
         return 1.0
     if age <= growth.first:
@@ -95,24 +96,6 @@ def grown_by(growth: Growth, age: float) -> float:
     at = min(math.log(age / growth.first) * growth.per_ratio, growth.values.size - 1.000001)
     i = int(at)
     return growth.values[i] + (at - i) * (growth.values[i + 1] - growth.values[i])
-
-
-@inlined
-def _below(left: float, right: float, y: float) -> float:
-    """int_0^y of the share of a stratum above y."""
-    if y <= left:
-        return y
-    if y >= right:
-        return 0.5 * (left + right)
-    return y - 0.5 * (y - left) ** 2 / (right - left)
-
-
-@inlined
-def unbroken(left: float, right: float, low: float, high: float) -> float:
-    """Share of a stratum above y, in the mean over low < y < high."""
-    if high - low > 1e-9 * high:
-        return (_below(left, right, high) - _below(left, right, low)) / (high - low)
-    return 1.0 if high <= left and high < right else max(right - high, 0.0) / (right - left) if right > left else 0.0
 
 
 @routine

@@ -29,7 +29,6 @@ from eqsim.master.cohorts import (
     grown_by,
     mean_exponential,
     observe,
-    unbroken,
     with_room,
 )
 from eqsim.numerics.compiled import inlined, maker, routine
@@ -161,6 +160,24 @@ def _logarithms(z: Array, y: Array) -> None:
         y[k] = math.log(max(z[k], 1e-300))
 
 
+@inlined
+def _below(left: float, right: float, y: float) -> float:
+    """int_0^y of the share of a stratum above y."""
+    if y <= left:
+        return y
+    if y >= right:
+        return 0.5 * (left + right)
+    return y - 0.5 * (y - left) ** 2 / (right - left)
+
+
+@inlined
+def _unbroken(left: float, right: float, low: float, high: float) -> float:
+    """Share of a stratum above y, in the mean over low < y < high."""
+    if high - low > 1e-9 * high:
+        return (_below(left, right, high) - _below(left, right, low)) / (high - low)
+    return 1.0 if high <= left and high < right else max(right - high, 0.0) / (right - left) if right > left else 0.0
+
+
 @routine
 def _weigh(c: Fronts, cell: Array, high_y: float, y: Array, newer: Array, g: float) -> None:
     """What of a cell is pinned, with ln z at its older and newer edge, and the greatest |x|/g at the newer."""
@@ -184,7 +201,7 @@ def _weigh(c: Fronts, cell: Array, high_y: float, y: Array, newer: Array, g: flo
         elif s.left[k] >= high:  # none of the stronger either
             n, k1, k2 = n + s.above[0, k], k1 + s.above[1, k], k2 + s.above[2, k]
             break
-        left *= unbroken(s.left[k], s.right[k], low, high)
+        left *= _unbroken(s.left[k], s.right[k], low, high)
         n, k1, k2 = n + left * s.share[0, k], k1 + left * s.share[1, k], k2 + left * s.share[2, k]
     if c.growth.varies:
         k1, k2 = k1 * g, k2 * g * g
@@ -227,7 +244,7 @@ def _bear(c: Fronts, cell: Array, z: Array, scratch: Array, dt: float) -> None:
     cell[_S], cell[_K1], cell[_K2] = 0.0, 0.0, 0.0
     for k in range(s.left.size):
         i, j = s.low[k], s.high[k]
-        left = 0.5 * unbroken(s.left[k], s.right[k], 0.0, cell[_Y])
+        left = 0.5 * _unbroken(s.left[k], s.right[k], 0.0, cell[_Y])
         cell[_S] += left * s.share[0, k] * (n[i] + n[j])
         cell[_K1] += left * s.share[1, k] * 2.0 * g * (u1[i] + u1[j])  # as if all were at the middle, and spread evenly
         cell[_K2] += left * s.share[2, k] * 3.0 * g * g * (u2[i] + u2[j])

@@ -114,7 +114,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
         b = Balance(
             found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1], rho
         )
-        last, dt, guess, tries, guess_before, missed_before = 1.2 * longest >= left, longest, r, 0, 0.0, 0.0
+        last, guess, tries, guess_before, missed_before = 1.2 * longest >= left, r, 0, 0.0, 0.0
         dt = left if last else longest
         while True:
             dX, V = _estimate(spring, b, guess, dt)
@@ -130,7 +130,9 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
                 dX, dt, V = math.copysign(size, net), max(_INSTANT * size, 1e-15 * marks[marks.size - 1]), 0.0
             t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
             found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
-            after = with_room(p, 2 * count if count == p.order.size else p.order.size)
+            after, full = p, count == p.order.size
+            if spring.heat or full:  # a copy, as the step may be tried again
+                after = with_room(p, 2 * count if full else p.order.size)
             found[:3, m] = 0.0
             kept = advance_all(c, path, after, found, m, (count, rate))
             stiffness = observe(after, kept, X[m], found, m)
