@@ -23,7 +23,7 @@ from eqsim.fitting.data import Row, Table
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.model import Problem, problem_of
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import record_problem
+from eqsim.fitting.record import record_problem, settled
 from eqsim.fitting.section import parameters_of, scales_of, section_of
 from eqsim.io.runfile import check
 
@@ -138,6 +138,7 @@ def record() -> Problem:
     ones = np.ones(time.size)
     table = Table([], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time)
     found = record_problem(file, Path("."), fit, table, parameters_of(file, fit), scales_of(fit, [""]))
+    found = settled(found, found.start)
     return replace(found, value=found.given(found.start), correlation=np.full(time.size - 1, RHO))
 
 

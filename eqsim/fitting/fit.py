@@ -17,7 +17,7 @@ from eqsim.fitting import estimate, profiles, symmetry
 from eqsim.fitting.data import Table, read_table
 from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
-from eqsim.fitting.record import Correlation, correlated, read_record, record_problem
+from eqsim.fitting.record import Correlation, correlated, read_record, record_problem, search
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
 from eqsim.io.runfile import RunFile, at, opened
 from eqsim.numerics.tables import Array
@@ -309,7 +309,8 @@ def _fitted(
         progress(done, total)
 
     progress(0, total)
-    minima = estimate.together(estimate.minimise, [(problem, u) for u in every], executor, count, (kept, "start"))
+    first = estimate.minimise if table.time is None else search
+    minima = estimate.together(first, [(problem, u) for u in every], executor, count, (kept, "start"))
     best, correlation = min(minima, key=lambda one: one.chi2), None
     for again in range(_WHITENED if table.time is not None else 0):
         assert table.time is not None
@@ -415,5 +416,5 @@ def compared(result: FitResult, other: RunFile, folder: Path, starts: int) -> Go
     problem = replace(problem, correlation=result.problem.correlation)
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)
-    minima = [estimate.minimise(problem, u) for u in every]
+    minima = [(estimate.minimise if result.table.time is None else search)(problem, u) for u in every]
     return goodness(problem, min(minima, key=lambda one: one.chi2).u)

@@ -18,16 +18,19 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.fitting.data import Row, Table, contents, number
+from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
 from eqsim.fitting.section import Fit, Parameter
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.programme import means_of
-from eqsim.master.slider import force_of
+from eqsim.master.slider import Steps, TooManySteps, force_of, steps_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-_STEP = 2e-2  # of derivatives: solutions are not smooth on the scale of steps
+# of derivatives: where solves choose their steps, and where these are given; how often they are chosen anew, as long
+# as chi-square falls by more than a share
+_ROUGH, _SMOOTH, _CHOSEN, _FALLEN = 2e-2, 1e-3, 6, 1e-3
 _COARSE = 0.7  # of `force_of`, for a search
 _MOST_STEPS = 4000  # of a solve in a search: steady sliding takes some hundred, a slip a thousand
 _LEAST = 0.02  # correlation of neighbours below which they are independent
@@ -69,7 +72,8 @@ class RecordForward:
     """The mean field along a programme at the instants of a record, at unit scale.
 
     With a stage it is solved with coarse steps: what these miss, relative to the force, hardly depends on the
-    parameters, and is the `correction` that was found at some of them, with the `error` that is left.
+    parameters, and is the `correction` that was found at some of them, with the `error` that is left. A solve that
+    chooses its own steps is a rough function of parameters; with `steps` chosen at some of them it is smooth around.
     """
 
     file: RunFile
@@ -79,6 +83,7 @@ class RecordForward:
     fixed_scale: float
     correction: Array | None = None
     error: Array | None = None
+    steps: Steps | None = None
 
     @property
     def scaled(self) -> bool:
@@ -91,7 +96,7 @@ class RecordForward:
         if programme.stage is None:
             means = means_of(ensemble, programme, grid)
             return means.force[index], means.force_error[index]
-        force = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS)[index]
+        force = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS, self.steps)[index]
         zero = np.zeros(force.size)
         correction, error = (zero if part is None else part for part in (self.correction, self.error))
         return force * (1.0 + correction), np.abs(force) * error
@@ -102,9 +107,18 @@ class RecordForward:
         ensemble, programme, grid, index = self._drive(changes)
         if programme.stage is None:
             return self
-        used, coarse, fine = (force_of(ensemble, programme, grid, size)[index] for size in (_COARSE, 1, 2))
+        used = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS, self.steps)[index]
+        coarse, fine = (force_of(ensemble, programme, grid, size)[index] for size in (1, 2))
         correction = (4.0 * fine - coarse) / 3.0 / used - 1.0
         return replace(self, correction=correction, error=np.abs(fine / coarse - 1.0) / 3.0)
+
+    def settled(self, changes: dict[str, float]) -> "RecordForward":
+        """With the steps that a solve at these parameters chooses, and no correction."""
+        ensemble, programme, grid, _ = self._drive(changes)
+        if programme.stage is None:
+            return self
+        steps = steps_of(ensemble, programme, grid, _COARSE, _MOST_STEPS)
+        return replace(self, correction=None, error=None, steps=steps)
 
     def _drive(self, changes: dict[str, float]) -> tuple[Ensemble, Programme, Grid, Array]:
         """Contacts, drive, the grid of instants, and which of these are the record's. Raises InputError."""
@@ -143,7 +157,7 @@ def record_problem(
     return Problem(
         forward, ordered, table.value - _fixed(fit, nuisance, known), table.sigma, np.zeros(ones.size, int), scales[1],
         np.zeros(ones.size, bool), None if scales[0] else float(file.contacts.count), file.contacts.stiffness, nuisance,
-        fit.loss, step=_STEP,
+        fit.loss, step=_ROUGH,
     )  # fmt: skip
 
 
@@ -160,12 +174,31 @@ class Correlation(NamedTuple):
     effective: float
 
 
+def settled(problem: Problem, u: Array) -> Problem:
+    """The problem with the steps that a solve at parameters `u` chooses. Raises InputError where there is none."""
+    assert isinstance(problem.forward, RecordForward)
+    return replace(problem, forward=problem.forward.settled(problem.changes(u)), step=_SMOOTH)
+
+
+def search(problem: Problem, u: Array) -> Minimum:
+    """Least squares from `u`, again and again with the steps that are chosen where they ended."""
+    found: list[Minimum] = []
+    while len(found) < _CHOSEN and (len(found) < 2 or found[-1].chi2 < (1.0 - _FALLEN) * found[-2].chi2):
+        try:
+            found.append(minimise(settled(problem, u), u))
+        except TooManySteps:
+            found.append(minimise(problem, u))
+        u = found[-1].u
+    best = min(found, key=lambda one: one.chi2)
+    return best._replace(solves=sum(one.solves for one in found))
+
+
 def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlation]:
-    """The problem with the correction at parameters `u`, and the errors' correlation that the residuals there have, by
-    maximum likelihood of a Markov process of free variance."""
-    forward = problem.forward
-    assert isinstance(forward, RecordForward)
-    problem = replace(problem, forward=forward.corrected(problem.changes(u)))
+    """The problem with steps and correction at parameters `u`, and the errors' correlation that the residuals there
+    have, by maximum likelihood of a Markov process of free variance."""
+    problem = settled(problem, u)
+    assert isinstance(problem.forward, RecordForward)
+    problem = replace(problem, forward=problem.forward.corrected(problem.changes(u)))
     _, predicted, _ = problem.solved(u)
     r, gap = (problem.value - predicted) / problem.sigma, np.diff(t)
 

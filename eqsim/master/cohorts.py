@@ -47,9 +47,27 @@ class Contacts(NamedTuple):
     delay: Waits
 
 
+KEPT, DROPPED, JOINED = range(3)  # what becomes of a cohort at the end of a step
+
+
+class Choices(NamedTuple):
+    """What a solve decided: where in `fates` those of the cohorts of a step begin, array (edges + 1,), the fates, and
+    in how many trials the force was balanced, -1 where the slider moved in no time, array (edges,). If they are
+    `given`, another solve repeats them, which makes it a smooth function of parameters. Without arrays nothing is
+    noted."""
+
+    first: Array
+    fates: Array
+    trials: Array
+    given: bool
+
+
+NO_CHOICES = Choices(np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros(0, np.int64), False)
+
+
 class Path(NamedTuple):
     """Times and displacements of the edges of steps, arrays (edges,); how wide in X, and in time per age, cohorts may
-    become; and how many were born before, at a `velocity`, or none of a fresh start."""
+    become; how many were born before, at a `velocity`, or none of a fresh start; and what is decided on the way."""
 
     t: Array
     X: Array
@@ -57,6 +75,7 @@ class Path(NamedTuple):
     share: float
     cohorts: int
     velocity: float
+    choices: Choices
 
 
 # ----------------------------------------------------------------------------------------------------------- cohorts
@@ -179,11 +198,20 @@ def _bear(c: Contacts, cohort: Array, step: tuple[float, float, float, float]) -
     cohort[_K2] *= 3.0 * u2
 
 
+@inlined
+def noted(choices: Choices, m: int, i: int, fate: int) -> None:
+    """Keep the fate of cohort i in step m, if there is room."""
+    if not choices.given and m + 1 < choices.first.size:
+        at = choices.first[m] + i
+        if at < choices.fates.size:
+            choices.fates[at] = fate
+        choices.first[m + 1] = at + 1
+
+
 @routine
-def _joined(c: Contacts, path: Path, p: Population, pair: tuple[int, int], now: float) -> bool:
-    """Join a cohort to the one before if both are of the same direction and about as dense in X, and together not too
-    wide in X, as thresholds have grown, in |x|/g and in time per age."""
-    one, two = p.cohorts[pair[0]], p.cohorts[pair[1]]
+def _alike(c: Contacts, path: Path, one: Array, two: Array, now: float) -> bool:
+    """Whether two cohorts may be joined: of the same direction and about as dense in X, and together not too wide in X,
+    as thresholds have grown, in |x|/g and in time per age."""
     if (
         two[_T1] - one[_T0] > path.share * (now - two[_T1])
         or max(one[_Y0], two[_Y1]) - min(one[_Y0], two[_Y1]) > path.width
@@ -192,15 +220,18 @@ def _joined(c: Contacts, path: Path, p: Population, pair: tuple[int, int], now: 
     if abs(two[_X1] - one[_X0]) > path.width * grown_by(c.growth, now - two[_T1]):
         return False
     first, second = (one[_X1] - one[_X0]) * two[_S], (two[_X1] - two[_X0]) * one[_S]
-    if first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first):
-        return False
+    return not (first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first))
+
+
+@routine
+def _join(one: Array, two: Array) -> None:
+    """Join a cohort to the one before."""
     both = one[_S] + two[_S]
     for column in (_XM, _TM):
         one[column] = (one[_S] * one[column] + two[_S] * two[column]) / both
     one[_X1], one[_T1], one[_Y1] = two[_X1], two[_T1], two[_Y1]
     for column in (_A, _S, _K1, _K2):
         one[column] += two[column]
-    return True
 
 
 @inlined
@@ -300,7 +331,7 @@ def _begun(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
             _advance(c, p.cohorts[i], step)
         cycle += p.cohorts[i, _S] * dt
         count += 1
-        if p.cohorts[i, _S] < _GONE:
+        if p.cohorts[i, _S] < _GONE and not path.choices.given:
             break
     for i in range(count):
         _scale(p.cohorts[i], dt / cycle)
@@ -309,8 +340,8 @@ def _begun(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
 
 
 @routine
-def _advanced(c: Contacts, path: Path, p: Population, found: Array, m: int, before: tuple[int, float]) -> int:
-    (count, rate), pinned = before, 0.0
+def _advanced(c: Contacts, path: Path, p: Population, found: Array, m: int, start: tuple[int, float]) -> int:
+    (count, rate), pinned = start, 0.0
     step, dt = (path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), path.t[m] - path.t[m - 1]
     for i in range(count):
         j = p.order[i]
@@ -325,11 +356,20 @@ def _advanced(c: Contacts, path: Path, p: Population, found: Array, m: int, befo
     found[3, m] = found[3, m - 1] + breaks * dt
     kept = 0
     for i in range(count + 1):  # drop cohorts that are gone, and join those that hardly differ
-        j = p.order[i]
-        if p.cohorts[j, _S] < _GONE or (kept > 1 and _joined(c, path, p, (p.order[kept - 1], j), path.t[m])):
-            continue
-        p.order[i], p.order[kept] = p.order[kept], j
-        kept += 1
+        j, fate = p.order[i], KEPT
+        one, before = p.cohorts[j], p.cohorts[p.order[max(kept - 1, 0)]]
+        if path.choices.given:
+            fate = path.choices.fates[path.choices.first[m] + i]
+        elif one[_S] < _GONE:
+            fate = DROPPED
+        elif kept > 1 and _alike(c, path, before, one, path.t[m]):
+            fate = JOINED
+        noted(path.choices, m, i, fate)
+        if fate == JOINED:
+            _join(before, one)
+        if fate == KEPT:
+            p.order[i], p.order[kept] = p.order[kept], j
+            kept += 1
     return kept
 
 

@@ -20,6 +20,9 @@ from eqsim.laws.barrier.base import height, prefactor
 from eqsim.laws.delay import Waits
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.master.cohorts import (
+    DROPPED,
+    JOINED,
+    KEPT,
     Growth,
     Path,
     advance_all,
@@ -28,6 +31,7 @@ from eqsim.master.cohorts import (
     empty,
     grown_by,
     mean_exponential,
+    noted,
     observe,
     with_room,
 )
@@ -251,24 +255,24 @@ def _bear(c: Fronts, cell: Array, z: Array, scratch: Array, dt: float) -> None:
 
 
 @routine
-def _joined(
-    c: Fronts, path: Path, p: Cells, rows: tuple[int, int], newer: tuple[float, float, float], now: float
-) -> bool:
-    """Join a cell to the one before, if both are of the same direction and about as dense in X, and together not too
-    wide in X, as thresholds have grown, in |x|/g and in time per age; `newer` is the newer edge, X, t and |x|/g."""
-    one, two = p.cells[rows[0]], p.cells[rows[1]]
+def _alike(c: Fronts, path: Path, one: Array, two: Array, newer: tuple[float, float, float], now: float) -> bool:
+    """Whether two cells may be joined: of the same direction and about as dense in X, and together not too wide in X,
+    as thresholds have grown, in |x|/g and in time per age; `newer` is the newer edge, X, t and |x|/g."""
     if newer[1] - one[_T] > path.share * (now - newer[1]) + _AT_ONCE or abs(one[_Y] - newer[2]) > path.width:
         return False
     if abs(newer[0] - one[_X]) > path.width * grown_by(c.growth, now - newer[1]):
         return False
     first, second = (two[_X] - one[_X]) * two[_B], (newer[0] - two[_X]) * one[_B]
-    if first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first):
-        return False
+    return not (first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first))
+
+
+@routine
+def _join(one: Array, two: Array, newer: float) -> None:
+    """Join a cell to the one before; `newer` is the newer edge in X."""
     both = one[_B] + two[_B]
-    one[_XM] = (one[_B] * one[_XM] + two[_B] * two[_XM]) / both if both > 0.0 else 0.5 * (one[_X] + newer[0])
+    one[_XM] = (one[_B] * one[_XM] + two[_B] * two[_XM]) / both if both > 0.0 else 0.5 * (one[_X] + newer)
     for column in (_B, _S, _K1, _K2):
         one[column] += two[column]
-    return True
 
 
 @maker
@@ -332,7 +336,7 @@ def _begun(c: Fronts, path: Path, p: Cells) -> tuple[int, float]:
             _copy(y, newer)
         cycle += one[i, _S] * dt
         count += 1
-        if one[i, _S] < _GONE:
+        if one[i, _S] < _GONE and not path.choices.given:
             break
     for i in range(count):
         _scale(one[i], dt / cycle)
@@ -377,17 +381,23 @@ def _advanced(c: Fronts, path: Path, p: Cells, found: Array, m: int, before: tup
     found[3, m] = found[3, m - 1] + breaks * dt
     kept = 0
     for i in range(count + 1):  # drop cells that are gone, and join those that hardly differ
-        j = p.order[i]
-        if kept == 0 and p.cells[j, _S] < _GONE and i < count:
-            continue
-        edge = (X1, t1, 0.0)
+        j, fate, edge = p.order[i], KEPT, (X1, t1, 0.0)
         if i < count:
             after_it = p.cells[p.order[i + 1]]
             edge = (after_it[_X], after_it[_T], after_it[_Y])
-        if kept > 0 and _joined(c, path, p, (p.order[kept - 1], j), edge, t1):
-            continue
-        p.order[i], p.order[kept] = p.order[kept], j
-        kept += 1
+        one, older = p.cells[j], p.cells[p.order[max(kept - 1, 0)]]
+        if path.choices.given:
+            fate = path.choices.fates[path.choices.first[m] + i]
+        elif kept == 0 and one[_S] < _GONE and i < count:
+            fate = DROPPED
+        elif kept > 0 and _alike(c, path, older, one, edge, t1):
+            fate = JOINED
+        noted(path.choices, m, i, fate)
+        if fate == JOINED:
+            _join(older, one, edge[0])
+        if fate == KEPT:
+            p.order[i], p.order[kept] = p.order[kept], j
+            kept += 1
     return kept
 
 

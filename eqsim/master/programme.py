@@ -29,7 +29,7 @@ from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
 from eqsim.master.annealed import hazard_rate
-from eqsim.master.cohorts import Contacts, Growth, Path, Pool, march
+from eqsim.master.cohorts import NO_CHOICES, Choices, Contacts, Growth, Path, Pool, march
 from eqsim.master.fronts import Fronts, Strata, table_of_w
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.drive import Grid, Programme
@@ -197,10 +197,10 @@ class Numerics(NamedTuple):
             return Fronts(_strata(s, round(fine * _STRATA)), self.growth, s.barrier, s.springs, delay, table_of_w())
         return Contacts(_pool(s, round(fine * _CELLS)), self.growth, delay)
 
-    def path(self, t: Array, X: Array, fine: float) -> Path:
+    def path(self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES) -> Path:
         """Through edges, arrays (edges,)."""
         cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
-        return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before)
+        return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices)
 
 
 def numerics_of(s: Reduced, course: Course) -> Numerics:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from eqsim.errors import InputError
-from eqsim.master.cohorts import Path, advance_all, begin, empty, observe, with_room
+from eqsim.master.cohorts import NO_CHOICES, Choices, Path, advance_all, begin, empty, observe, with_room
 from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numerics_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -30,6 +30,8 @@ _FEW_STEPS = 6000  # of the second accuracy, a few slips
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of the mean threshold
 _UNBALANCED, _TRIES = 0.05, 8  # share of it by which r may be missed, and in how many trials
 _BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its middle
+_FARTHER, _WORSE = 10.0, 30.0  # than other steps, those given may go, and miss F
+_FATES = 128  # of cohorts, in the mean over steps
 _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
 
 
@@ -99,8 +101,9 @@ def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, f
 def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tuple[Array, int]:
     """Fill `path` from its first edge on, and what is found there, shape (6, edges): elastic force, pinned, mean square
     of the force, breaks so far, and displacement of the stage and velocity of the slider; returns that and how many
-    edges there are. Steps end at `marks` (marks,), up to each of which the stage moves at `speeds`."""
-    t, X = path.t, path.X
+    edges there are, -1 if too many, or if given choices do not fit. Steps end at `marks` (marks,), up to each of which
+    the stage moves at `speeds`; with given choices they are those of `path.t`."""
+    t, X, trials, given = path.t, path.X, path.choices.trials, path.choices.given
     found, p = np.zeros((6, t.size)), empty(c, 256 + path.cohorts)
     count, rate = begin(c, path, p)
     stiffness = observe(p, count, X[0], found, 0)
@@ -116,10 +119,16 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
         )
         last, guess, tries, guess_before, missed_before = 1.2 * longest >= left, r, 0, 0.0, 0.0
         dt = left if last else longest
+        if given:
+            dt, last = t[m] - t[m - 1], t[m] == marks[k]
         while True:
             dX, V = _estimate(spring, b, guess, dt)
             instant = not abs(dX) <= 1.5 * spring.longest or tries == _TRIES
-            if instant and dt > _SHORTEST * spring.longest:
+            if given:
+                instant = trials[m] < 0
+                if not instant and not abs(dX) <= _FARTHER * spring.longest:
+                    return found, -1
+            elif instant and dt > _SHORTEST * spring.longest:
                 dt, last, guess, tries = 0.5 * dt, False, r, 0
                 continue
             if instant:  # nothing holds the slider: a piece that takes no time, towards balance
@@ -127,8 +136,12 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
                 size = spring.longest
                 if held > 0.0:
                     size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * spring.longest))
-                dX, dt, V = math.copysign(size, net), max(_INSTANT * size, 1e-15 * marks[marks.size - 1]), 0.0
-            t[m], X[m] = marks[k] if last else t[m - 1] + dt, X[m - 1] + dX
+                dX, V = math.copysign(size, net), 0.0
+                if not given:
+                    dt = max(_INSTANT * size, 1e-15 * marks[marks.size - 1])
+            if not given:
+                t[m] = marks[k] if last else t[m - 1] + dt
+            X[m] = X[m - 1] + dX
             found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
             after, full = p, count == p.order.size
             if spring.heat or full:  # a copy, as the step may be tried again
@@ -138,11 +151,12 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
             stiffness = observe(after, kept, X[m], found, m)
             change = found[0, m] - b.force - b.stiffness * dX
             off = max(abs(change - rho * dX - r * dt), abs(found[1, m] - found[1, m - 1] - q * dt))
-            if not spring.heat or instant:
-                break
-            off *= _BENT
+            if spring.heat:
+                off *= _BENT
             missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
-            if abs(missed) * dt < _UNBALANCED * spring.missed:
+            if not spring.heat or instant or (given and (tries == trials[m] or missed == missed_before)):
+                break
+            if not given and abs(missed) * dt < _UNBALANCED * spring.missed:
                 if off < 4.0 * spring.missed:
                     break
                 tries = _TRIES
@@ -150,7 +164,11 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
             slope = (missed - missed_before) / (guess - guess_before) if tries > 0 else -1.0
             guess_before, missed_before = guess, missed
             guess, tries = guess - missed / slope, tries + 1
+        if given and off > _WORSE * spring.missed and not instant:
+            return found, -1
         p, count = after, kept
+        if not given and trials.size:
+            trials[m] = -1 if instant else tries
         q = (found[1, m] - found[1, m - 1]) / dt
         if spring.mass > 0.0:
             bent = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
@@ -208,9 +226,21 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
 
 
-def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int = MOST_STEPS) -> Array:
+class Steps(NamedTuple):
+    """The steps that a solve took, and what it decided in them: another that takes the same is a smooth function of
+    parameters."""
+
+    t: Array
+    choices: Choices
+
+
+def force_of(
+    ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int = MOST_STEPS,
+    steps: Steps | None = None,
+) -> Array:  # fmt: skip
     """The force at the instants of a grid by one solve, in the user's unit, shape (points,): that with fine = 1 takes a
-    tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2.
+    tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2. With `steps`, those of
+    `steps_of` for other parameters, it has these where they serve.
 
     Raises
     ------
@@ -220,8 +250,32 @@ def force_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, 
         As `pulled_of` does.
     """
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
-    force, pinned, _, _, _, V, _ = _solved(_task(ensemble, programme, grid), fine, most_steps)[0]
+    task = _task(ensemble, programme, grid)
+    try:
+        found, _ = _solved(task, fine, most_steps, steps)
+    except TooManySteps:
+        if steps is None:
+            raise
+        found, _ = _solved(task, fine, most_steps)
+    force, pinned, _, _, _, V, _ = found
     return np.asarray((force + drag_of(ensemble, unit / time) * V * (1.0 - pinned)) * unit)
+
+
+def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int) -> Steps:
+    """The steps of `force_of`, which raises the same errors."""
+    choices = Choices(
+        np.zeros(most_steps + 1, np.int64),
+        np.zeros(most_steps * _FATES, np.int8),
+        np.zeros(most_steps, np.int64),
+        False,
+    )
+    noted = Steps(np.full(most_steps, math.inf), choices)
+    _, edges = _solved(_task(ensemble, programme, grid), fine, most_steps, noted)
+    first = choices.first[: edges + 1].copy()
+    if first[-1] > choices.fates.size:
+        raise TooManySteps(f"drive.stage: {first[-1]} cohorts in {edges} steps of the mean field")
+    fates, trials = choices.fates[: first[-1]].copy(), choices.trials[:edges].copy()
+    return Steps(noted.t[:edges].copy(), Choices(first, fates, trials, True))
 
 
 class _Task(NamedTuple):
@@ -258,10 +312,16 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
     return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
 
 
-def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS) -> tuple[Array, int]:
-    """What is found at the marks `at`, and X, shape (7, points); and in how many steps."""
-    numerics = task.numerics
-    c, path = numerics.contacts(fine), numerics.path(np.full(most_steps, math.inf), np.zeros(most_steps), fine)
+def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps | None = None) -> tuple[Array, int]:
+    """What is found at the marks `at`, and X, shape (7, points); and in how many steps. Raises TooManySteps, also if
+    given steps do not serve."""
+    numerics, t = task.numerics, np.full(most_steps, math.inf)
+    choices = NO_CHOICES
+    if steps is not None:
+        t, choices = steps
+    c, path = numerics.contacts(fine), numerics.path(t, np.zeros(t.size), fine, choices)
+    if choices.given and path.cohorts:
+        path = path._replace(cohorts=int(choices.first[2] - choices.first[1]) - 1)
     path.t[0] = 0.0
     spring = task.spring._replace(longest=path.width, missed=_MISSED * task.typical / fine**2)
     found, edges = pull(c, path, spring, task.marks, task.speeds)
