@@ -22,6 +22,7 @@ eqsim.Ensembel
 """
 
 
+@pytest.mark.long
 def test_a_type_checker_sees_classes(tmp_path):
     """Their fields and mistakes in calls, also if it is strict; and no mistake in the package."""
     (tmp_path / "user.py").write_text(USER)

@@ -175,7 +175,7 @@ def elsewhere(processor, what, names):
     [
         ("plain", "result", [*SOME, "langevin, warm, sqrt", "soft, stationary"]),
         pytest.param("plain", "result", [*CASES], marks=pytest.mark.long),
-        ("old", "averages", ["T = 0, sqrt", "delta", "soft, sqrt, exponential delay", "annealed"]),
+        ("old", "averages", ["T = 0, sqrt", "annealed"]),
         pytest.param("old", "result", [*CASES], marks=pytest.mark.long),
         pytest.param("AVX2", "result", [*CASES], marks=[pytest.mark.long, pytest.mark.skipif(not X86, reason="x86")]),
     ],

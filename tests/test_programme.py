@@ -116,7 +116,11 @@ def test_agrees_with_the_renewal_equation(name, start):
     ("name", "wrong"),
     [
         ("soft uniform", Programme([*MIXED[:1], Segment(0.0, time=0.3, points=10), *MIXED[2:]], "stationary", 0.3)),
-        ("soft uniform", Programme([Segment(abs(s.velocity), s.distance, s.time, s.points) for s in MIXED], "fresh")),
+        pytest.param(
+            "soft uniform",
+            Programme([Segment(abs(s.velocity), s.distance, s.time, s.points) for s in MIXED], "fresh"),
+            marks=pytest.mark.verification,
+        ),
         pytest.param(
             "logarithmic uniform",
             {"aging": Aging("logarithmic", beta=0.05, cutoff_time=1.0)},

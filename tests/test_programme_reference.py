@@ -363,7 +363,8 @@ def test_viscous_force_jumps_with_the_velocity():
     np.testing.assert_allclose(found.force - elastic.force, 2.0 * v * (1.0 - found.pinned), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("parts", [pytest.param(3200, marks=pytest.mark.verification), 640])
+@pytest.mark.verification
+@pytest.mark.parametrize("parts", [3200, 640])
 def test_sampled_drive(parts):
     """Segments of a slow sinusoid, and an 8th as many, are the same but for the corners between, whose height goes as
     the square of their distance (.6 (pi/20)^2/2 of 80)."""

@@ -124,17 +124,17 @@ def test_bad_programmes_leave_nothing(path, tmp_path):
 
 
 def test_recorded_drive(path, tmp_path):
-    t = np.linspace(0.0, 20.0, 41)
+    t = np.linspace(0.0, 10.0, 21)
     pd.DataFrame({"t": t, "X": np.sin(t)}).to_csv(tmp_path / "drive.csv", index=False)
     start, end = RUN_FILE.index("programme = ["), RUN_FILE.index("[output]")
     path.write_text(RUN_FILE[:start] + 'file = "drive.csv"\n' + RUN_FILE[end:])
     result = call("run", path, "--out", tmp_path / "out", "--set", "sweep={}", "--json")
     assert result.exit_code == 0, result.output
     found = json.loads(result.output)["segments"]
-    assert len(found) == 40
-    assert found[-1]["X"] == pytest.approx(np.sin(20.0), rel=0, abs=1e-12)
+    assert len(found) == 20
+    assert found[-1]["X"] == pytest.approx(np.sin(10.0), rel=0, abs=1e-12)
     worst = max(abs(s["end"]["value"] - s["exact"]["end"]) / s["end"]["stderr"] for s in found)
-    assert worst < 5  # 40 scores
+    assert worst < 5  # 20 scores
 
 
 def test_effects_of_velocity_steps():

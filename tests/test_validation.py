@@ -428,6 +428,7 @@ def test_programmes():
     assert programme_scores(GROWING, dataclasses.replace(GROWING, aging=aging)).max() > 10
 
 
+@pytest.mark.verification
 def test_programmes_without_breaks_in_holds(monkeypatch):
     """A negative control: holds that are over at once."""
     soft = Ensemble(thermal=Thermal(0.1), stiffness_law="uniform")
