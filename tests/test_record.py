@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from analysis import coverage
 from eqsim import InputError, load
 from eqsim.cli.app import app
-from eqsim.fitting.estimate import minimise
+from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.fit import fit, goodness, prepare
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import correlated
+from eqsim.fitting.record import correlated, settled
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import check
 from eqsim.master.transient import transient
@@ -214,3 +214,50 @@ def test_correlated_errors_are_not_independent(folder):
             misses[name] += minimise(one, truth, 0).chi2 - minimise(one, truth).chi2 > LEVELS["95"]
     assert misses["whitened"] <= 5
     assert misses["independent"] > misses["whitened"]
+
+
+def slope(problem, index, step):
+    """Central difference of predictions with respect to a parameter."""
+    forward, shift = problem.forward, step * (np.arange(problem.start.size) == index)
+    up, down = (forward.predict(problem.changes(problem.start + sign * shift))[0] for sign in (1, -1))
+    return (up - down) / (2 * step)
+
+
+def change(problem, index):
+    """Of a derivative from steps of 1e-3 to .05, relative."""
+    fine, coarse = slope(problem, index, 1e-3), slope(problem, index, 0.05)
+    return np.linalg.norm(coarse - fine) / np.linalg.norm(fine)
+
+
+def test_given_steps_make_predictions_smooth():
+    """The same numbers where steps were chosen; derivatives from a step of .05 in a logarithm miss what is of third
+    order in it (.05^2/6 of what is 1), and if each solve chooses its own steps, more. Far away, where they do not
+    serve, the others are taken."""
+    exact = coverage.record()
+    few = replace(exact.forward, time=exact.forward.time[::4], steps=None)
+    problem = settled(replace(exact, forward=few), exact.start)
+    rough = replace(problem, forward=few)
+    changes = problem.changes(problem.start)
+    own, given = (one.forward.predict(changes)[0] for one in (rough, problem))
+    np.testing.assert_allclose(given, own, rtol=1e-12, atol=0)
+    assert change(problem, 1) < 2e-3
+    assert change(rough, 1) > 1e-2
+    far = {"drive.stage.stiffness": 0.05, "aging.beta": 0.5}
+    own, given = (one.forward.predict(far)[0] for one in (rough, problem))
+    np.testing.assert_allclose(given, own, rtol=5e-3, atol=0)
+
+
+@pytest.mark.verification
+def test_warm_records_have_intervals():
+    """Of a record of contacts that heat breaks: derivatives hold to 5 % between two steps, those of solves that choose
+    their own do not; and chi-square rises along a profile as the covariance of these derivatives says, to 10 %."""
+    file = load(ROOT / "runs" / "fit-basalt-step.toml")
+    problem = prepare(file, ROOT / "runs", None, False).problem
+    smooth = settled(problem, problem.start)
+    smooth = replace(smooth, value=smooth.given(smooth.start))
+    stage = [one.key for one in problem.parameters].index("drive.stage.stiffness")
+    assert change(smooth, stage) < 0.05
+    assert change(problem, stage) > 0.2
+    sd = math.sqrt(covariance(smooth.jacobian(smooth.start))[stage, stage])
+    shifted = smooth.start + 0.5 * sd * (np.arange(smooth.start.size) == stage)
+    assert minimise(smooth, shifted, stage).chi2 == pytest.approx(0.25, rel=0.1, abs=0)
