@@ -9,13 +9,12 @@ for that, and all breaks with Y(X) below what Y has been so far follow at once: 
 breaks, so nothing is approximate.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.engine.contacts import Contacts
 from eqsim.engine.lanes import draw_life
-from eqsim.engine.segments import Population
 from eqsim.laws.stiffness import kappa
 from eqsim.numerics.compiled import kernel, maker, routine
 from eqsim.numerics.streams import Key
@@ -34,9 +33,9 @@ class Queue(NamedTuple):
     contact: Array
 
 
-def queue_of(p: Population) -> Queue:
-    """Of contacts that are all pinned, the slider at 0."""
-    at = p.xi - p.stretch
+def queue_of(xi: Array, stretch: Array) -> Queue:
+    """Of contacts that are all pinned, of thresholds `xi` and signed stretches, the slider at 0."""
+    at = xi - stretch
     order = np.argsort(at, kind="stable")
     return Queue(at[order], order.astype(np.int64))
 
@@ -90,18 +89,19 @@ def _slip(now: Array, stiffness: float, x: float) -> None:
 
 
 @routine
-def _break(c: Contacts, stream: Key, first: int, p: Population, queue: Queue, now: Array) -> None:
+def _break(c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Array) -> None:
     """The next contact breaks, and is pinned again."""
     i, each = queue.contact[0], 1.0 / queue.at.size
-    xi, k = p.xi[i], p.stiffness[i]
+    xi = p.xi[i]
+    k = kappa(c.springs, xi)
     now[FORCE] -= k * xi * each
     now[LOST] += 0.5 * k * xi * xi * each
     p.xi[i], y, _, _ = draw_life(c, stream, first + i, p.lives[i])
-    p.stiffness[i] = kappa(c.springs, p.xi[i])
+    stiffness = kappa(c.springs, p.xi[i])
     p.lives[i] += 1
-    now[FORCE] += p.stiffness[i] * y * each
-    now[LOST] -= 0.5 * p.stiffness[i] * y * y * each
-    now[STIFFNESS] += (p.stiffness[i] - k) * each
+    now[FORCE] += stiffness * y * each
+    now[LOST] -= 0.5 * stiffness * y * y * each
+    now[STIFFNESS] += (stiffness - k) * each
     now[_SIZE] += 1.0
     now[BREAKS] += 1.0
     put_back(queue, queue.at[0] + p.xi[i] - y)
@@ -109,7 +109,7 @@ def _break(c: Contacts, stream: Key, first: int, p: Population, queue: Queue, no
 
 @kernel
 def load(
-    c: Contacts, stream: Key, first: int, p: Population, queue: Queue, now: Array, stiffness: float, until: float
+    c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Array, stiffness: float, until: float
 ) -> Array:
     """Take the stage, at the end of a spring of that stiffness, to `until`, and `now` (11,) with it. Returns the
     avalanches that have ended on the way, of each Y, X at its first break, breaks, drop of the force and displacement,

@@ -18,7 +18,7 @@ from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import by_law, kernel, maker, routine
+from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
 from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
@@ -127,11 +127,16 @@ def _draw_unstressed(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, liv
 def draw_life(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, float, float, float]:
     """Threshold, birth and clock of a contact's life, the same bits as by `draw_lives`, and the delay after it."""
     xi, y, clock = draw_one(c.newborn, c, key, contact, number)
-    delay = c.delay.mean
-    if c.delay.random > 0.0:
-        v, w = uniforms(key, contact, number // ROUNDS, 1)
-        delay = delay_draw(c.delay, v if number % ROUNDS == 0 else w)
-    return xi, y, clock, delay
+    return xi, y, clock, delay_after(c, key, contact, number)
+
+
+@inlined
+def delay_after(c: Contacts, key: Key, contact: int, number: int) -> float:
+    """The delay after a contact's life."""
+    if c.delay.random == 0.0:
+        return c.delay.mean
+    v, w = uniforms(key, contact, number // ROUNDS, 1)
+    return delay_draw(c.delay, v if number % ROUNDS == 0 else w)
 
 
 @by_law

@@ -100,7 +100,13 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, 
         left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), 1, x - y), 0.0)
         p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i], p.ends[i], p.age[i] = -1.0, xi, stiffness, x, ends, x - y
         p.clock[i] = left
-        p.delay[i] = delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
+        p.delay[i] = delay_of_the_first(c, key, contact)
+
+
+@inlined
+def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
+    """After the life in which a stationary start finds a contact."""
+    return delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
 
 
 @kernel

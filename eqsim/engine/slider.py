@@ -25,10 +25,10 @@ import numpy as np
 from eqsim.engine import avalanches
 from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import draw_life
+from eqsim.engine.lanes import delay_after, draw_one
 from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
 from eqsim.engine.scatter import pinned_variance
-from eqsim.engine.segments import Population, begin_stationary
+from eqsim.engine.segments import Population, begin_stationary, delay_of_the_first
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import growth, spend, stiffness_varies
@@ -42,6 +42,7 @@ from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 _BLOCK = 2048  # contacts whose sums are added up before those of others: the same bits whoever adds them
+_TOGETHER = 1 << 16  # contacts that a stationary start draws at once
 _BREAKS = 30.0  # that say at what rate contacts break
 _FIRST = 1e-6  # first step, of the first segment
 _SHORTEST = 1e-9  # step over displacement below which a slip takes place at an instant
@@ -54,6 +55,25 @@ _NOISE = 2.0  # standard errors of what breaks in a step that no shorter step wo
 PINNED, STIFFNESS, FORCE, SQUARE, STORED, MOTION, HEAT, SCATTER, LOST, BREAKS = range(10)
 
 
+class Followed(NamedTuple):
+    """Contacts between two steps, arrays (contacts,), 40 bytes each. `time` is that until a contact is pinned, and of
+    those that are minus that since (-0 at birth). Of these: threshold `xi` at birth, signed `stretch`, what the
+    exponential `clock` has left. `lives` is how many were drawn, and below 0 in the life in which a stationary start
+    finds a contact."""
+
+    time: Array
+    xi: Array
+    stretch: Array
+    clock: Array
+    lives: Array
+
+    @classmethod
+    def fresh(cls, contacts: int) -> "Followed":
+        """All of them about to be pinned for the first time."""
+        time, xi, stretch, clock = np.zeros((4, contacts))
+        return cls(time, xi, stretch, clock, np.zeros(contacts, np.int64))
+
+
 class Piece(NamedTuple):
     """How long a piece takes, at how many times the pace the slider moves, and in which direction."""
 
@@ -64,56 +84,65 @@ class Piece(NamedTuple):
 
 @kernel
 def advance(
-    c: Contacts, piece: Piece, stream: Key, first: int, p: Population, blocks: tuple[int, int], sums: Array
+    c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, blocks: tuple[int, int], sums: Array
 ) -> None:
     """Follow the contacts of some blocks along a piece; `sums` (all blocks, 10). The first of all is `first`."""
     for block in range(blocks[0], blocks[1]):
         sums[block] = 0.0
-        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, p.rest.size)):
+        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, p.time.size)):
             _follow(c, piece, stream, first, p, i, sums[block])
 
 
 @inlined
-def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Population, i: int, total: Array) -> None:
+def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: int, total: Array) -> None:
     """Follow contact i along a piece."""
     left, by_motion = piece.length, False
     while True:
-        if p.rest[i] >= 0.0:
-            if p.rest[i] > left:
-                p.rest[i] -= left
+        if math.copysign(1.0, p.time[i]) > 0.0:
+            if p.time[i] > left:
+                p.time[i] -= left
                 return
-            left -= p.rest[i]
-            xi, born, clock, delay = draw_life(c, stream, first + i, p.lives[i])
-            p.xi[i], p.clock[i], p.delay[i], p.stiffness[i] = xi, clock, delay, kappa(c.springs, xi)
-            p.stretch[i], p.age[i], p.rest[i] = born, 0.0, -1.0
-            p.lives[i] += 1
+            left -= p.time[i]
+            lives = abs(p.lives[i])
+            p.xi[i], born, p.clock[i] = draw_one(c.newborn, c, stream, first + i, lives)
+            p.stretch[i], p.time[i], p.lives[i] = born, -0.0, lives + 1
             if born != 0.0:  # it brings a force and energy
-                total[MOTION if by_motion else HEAT] -= p.stiffness[i] * born
-                total[LOST] -= 0.5 * p.stiffness[i] * born * born
-        y = piece.sign * p.stretch[i]
-        contact = p.xi[i], p.stiffness[i], y, p.age[i]
+                brought = kappa(c.springs, p.xi[i]) * born
+                total[MOTION if by_motion else HEAT] -= brought
+                total[LOST] -= 0.5 * brought * born
+        y, before, stiffness = piece.sign * p.stretch[i], -p.time[i], kappa(c.springs, p.xi[i])
+        contact = p.xi[i], stiffness, y, before
         broke, clock = spend(c.aging, c, contact, piece.moves, left, p.clock[i])
         if broke > left:
             break
-        x, age = y + piece.moves * broke, p.age[i] + broke
+        x, age = y + piece.moves * broke, before + broke
         grown = growth(c.aging, age)
-        force = p.stiffness[i] * (grown if stiffness_varies(c.aging, c.springs) else 1.0) * x * piece.sign
+        force = stiffness * (grown if stiffness_varies(c.aging, c.springs) else 1.0) * x * piece.sign
         by_motion = abs(x) >= p.xi[i] * grown * (1.0 - 1e-9)
         total[MOTION if by_motion else HEAT] += force
         total[SCATTER] += force * force
         total[LOST] += 0.5 * force * x * piece.sign
         total[BREAKS] += 1.0
-        p.rest[i] = p.delay[i]
+        p.time[i] = _delay(c, stream, first + i, p.lives[i])
         left = max(left - broke, 0.0)
     p.clock[i] = clock
-    p.age[i] += left
+    p.time[i] -= left
     p.stretch[i] = piece.sign * (y + piece.moves * left)
     _add(c, p, i, total)
 
 
 @inlined
-def _add(c: Contacts, p: Population, i: int, total: Array) -> None:
-    stiffness = p.stiffness[i] * (growth(c.aging, p.age[i]) if stiffness_varies(c.aging, c.springs) else 1.0)
+def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
+    """After the life of which a contact knows how many were drawn."""
+    if lives < 0 and c.delay.random > 0.0:
+        return delay_of_the_first(c, stream, contact)
+    return delay_after(c, stream, contact, abs(lives) - 1)
+
+
+@inlined
+def _add(c: Contacts, p: Followed, i: int, total: Array) -> None:
+    grown = growth(c.aging, -p.time[i]) if stiffness_varies(c.aging, c.springs) else 1.0
+    stiffness = kappa(c.springs, p.xi[i]) * grown
     force = stiffness * p.stretch[i]
     total[PINNED] += 1.0
     total[STIFFNESS] += stiffness
@@ -183,7 +212,7 @@ class Slider:
         self.pull, unit, law = pull_of(ensemble, programme), ensemble.thresholds.scale, ensemble.thresholds
         self.c, self.drag = contacts(ensemble, self.pull.pace), drag_of(ensemble, self.pull.pace)
         self.stream, self.first, self.count = key(seed, TRAJECTORY), first, ensemble.count
-        self.population = Population.fresh(ensemble.count)
+        self.population = Followed.fresh(ensemble.count)
         blocks = -(-ensemble.count // _BLOCK)
         threads = max(1, min(threads, blocks))
         self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
@@ -199,9 +228,7 @@ class Slider:
         stretch, speed = (programme.stage.preload or 0.0) / unit, 0.0
         if programme.start == "stationary" and programme.velocity:
             before, speed = contacts(ensemble, programme.velocity), programme.velocity / self.pull.pace
-            begin_stationary(before, stationary(before), self.stream, first, self.population)
-            for times in (self.population.age, self.population.delay, self.population.rest):
-                times[times > 0.0] /= speed
+            self._begin(before, speed)
         sums = self._follow(Piece(0.0, 0.0, 1.0))
         if speed and programme.stage.preload is None:
             stretch = (sums[FORCE] + self._damping(sums) * speed) / self.pull.stiffness
@@ -213,6 +240,17 @@ class Slider:
             and self.pull.damping == self.pull.mass == 0.0 and min(self.pull.speeds) >= 0.0
             and self.pull.stiffness * stretch >= sums[FORCE] * (1.0 - 1e-12)
         )  # fmt: skip
+
+    def _begin(self, before: Contacts, speed: float) -> None:
+        """The contacts as a snapshot of the steady state at a speed finds them."""
+        found, p = stationary(before), self.population
+        for first in range(0, self.count, _TOGETHER):
+            some = slice(first, min(first + _TOGETHER, self.count))
+            part = Population.fresh(some.stop - first)
+            begin_stationary(before, found, self.stream, self.first + first, part)
+            p.time[some] = np.where(part.rest < 0.0, -part.age, part.rest) / speed
+            p.xi[some], p.stretch[some], p.clock[some] = part.xi, part.stretch, part.clock
+            p.lives[some] = np.where(part.rest < 0.0, -part.lives, part.lives)
 
     def __enter__(self) -> "Slider":
         return self
@@ -360,7 +398,7 @@ def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, pr
     """`_simulate` by `engine.avalanches`."""
     p, pull, start = slider.population, slider.pull, slider.state
     stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *slider.loaded]))
-    queue, now = avalanches.queue_of(p), np.zeros(11)
+    queue, now = avalanches.queue_of(p.xi, p.stretch), np.zeros(11)
     now[[avalanches.FORCE, avalanches.STIFFNESS, avalanches.Y]] = start.sums[FORCE], start.sums[STIFFNESS], start.Y
     rows, events, stored = [], [], 0.0
     for j, stage in enumerate(stages):
@@ -368,7 +406,8 @@ def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, pr
             avalanches.load(slider.c, slider.stream, slider.first, p, queue, now, pull.stiffness, float(stage))
         )
         x, force = now[avalanches.X], now[avalanches.FORCE]
-        stiffness, stretch = p.stiffness[queue.contact], x - queue.at + p.xi[queue.contact]
+        xi = p.xi[queue.contact]
+        stiffness, stretch = kappa(slider.c.springs, xi), x - queue.at + xi
         variance = max(float(np.mean((stiffness * stretch) ** 2)) - force**2, 0.0) / slider.count
         kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
         work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
