@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from scipy.interpolate import PchipInterpolator
 
 from eqsim.fitting.data import MEASURED
@@ -166,8 +167,10 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
         for side, bound in ((low, one.low), (high, one.high)):
             if side.ends["95"] is None:
                 panel.axvline(float(one.value(bound)), color="k", linewidth=1.5)
-        if one.transform != "linear" and one.value(u).min() > 0 and np.ptp(np.log(one.value(u))) > 1.0:
+        panel.locator_params(axis="x", nbins=5)
+        if one.transform != "linear" and one.value(u).min() > 0 and np.ptp(np.log10(one.value(u))) > 1.5:
             panel.set_xscale("log")
+            panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set(ylim=(-0.03 * top, top), xlabel=f"{axis(one.key, units, unknown=False)}: {known.status}")
         panel.grid(alpha=0.3)
     for panel in panels[len(parameters) :]:
