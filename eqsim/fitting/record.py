@@ -108,7 +108,7 @@ class RecordForward:
         if programme.stage is None:
             return self
         used = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS, self.steps)[index]
-        coarse, fine = (force_of(ensemble, programme, grid, size)[index] for size in (1, 2))
+        coarse, fine = (force_of(ensemble, programme, grid, size)[index] for size in (2, 4))
         correction = (4.0 * fine - coarse) / 3.0 / used - 1.0
         return replace(self, correction=correction, error=np.abs(fine / coarse - 1.0) / 3.0)
 
