@@ -47,9 +47,12 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         base, columns = residuals(x), []
         for i, j in enumerate(active):
             step = problem.step if x[i] + problem.step <= problem.high[j] else -problem.step
-            moved = x.copy()
+            moved, other = x.copy(), x.copy()
             moved[i] += step
-            columns.append((residuals(moved) - base) / step)
+            if problem.central:
+                other[i] = min(max(x[i] - step, problem.low[j]), problem.high[j])
+            before = residuals(other) if problem.central else base
+            columns.append((residuals(moved) - before) / (moved[i] - other[i]))
         return np.array(columns).T
 
     if not active.size:

@@ -142,6 +142,9 @@ class Problem:
         Of the errors of neighbours, which form a Markov chain; None if they are independent.
     step : float
         Of derivatives, in the variables of parameters.
+    central : bool
+        Whether a search takes them to both sides: one-sided ones lead it astray in long valleys of a model that is far
+        from the data.
     """
 
     forward: Forward
@@ -157,6 +160,7 @@ class Problem:
     loss: str = "gaussian"
     correlation: Array | None = None
     step: float = STEP
+    central: bool = False
 
     @cached_property
     def linear(self) -> Array:

@@ -177,7 +177,7 @@ class Correlation(NamedTuple):
 def settled(problem: Problem, u: Array) -> Problem:
     """The problem with the steps that a solve at parameters `u` chooses. Raises InputError where there is none."""
     assert isinstance(problem.forward, RecordForward)
-    return replace(problem, forward=problem.forward.settled(problem.changes(u)), step=_SMOOTH)
+    return replace(problem, forward=problem.forward.settled(problem.changes(u)), step=_SMOOTH, central=True)
 
 
 def search(problem: Problem, u: Array) -> Minimum:
