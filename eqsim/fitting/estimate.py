@@ -34,30 +34,29 @@ class Minimum(NamedTuple):
 def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
     """Least squares from `u`, the parameter of index `held` as it is there; the linear ones need no start."""
     active = np.array([i for i in range(u.size) if i != held and not problem.linear[i]], int)
-    solves = 0
+    known: dict[bytes, Array] = {}  # least squares ask twice
 
     def residuals(x: Array) -> Array:
-        nonlocal solves
-        solves += 1
-        full = u.copy()
-        full[active] = x
-        return problem.residuals(full, held)
+        if x.tobytes() not in known:
+            full = u.copy()
+            full[active] = x
+            known[x.tobytes()] = problem.residuals(full, held)
+        return known[x.tobytes()]
 
     def jacobian(x: Array) -> Array:
-        base, columns = residuals(x), []
+        columns = []
         for i, j in enumerate(active):
             step = problem.step if x[i] + problem.step <= problem.high[j] else -problem.step
             moved, other = x.copy(), x.copy()
             moved[i] += step
             if problem.central:
                 other[i] = min(max(x[i] - step, problem.low[j]), problem.high[j])
-            before = residuals(other) if problem.central else base
-            columns.append((residuals(moved) - before) / (moved[i] - other[i]))
+            columns.append((residuals(moved) - residuals(other)) / (moved[i] - other[i]))
         return np.array(columns).T
 
     if not active.size:
         r = residuals(u[active])
-        return Minimum(problem.solved(u, held)[0], float(r @ r), True, solves)
+        return Minimum(problem.solved(u, held)[0], float(r @ r), True, 1)
     low, high = problem.low[active], problem.high[active]
     inside = np.clip(u[active], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     found = optimize.least_squares(
@@ -69,7 +68,7 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
     refused = chi2 > 0.9 * REFUSED**2
     if not refused:
         full = problem.solved(full, held)[0]
-    return Minimum(full, chi2, found.status > 0 and not refused, solves)
+    return Minimum(full, chi2, found.status > 0 and not refused, len(known))
 
 
 def starts(problem: Problem, count: int, seed: int) -> list[Array]:
