@@ -71,16 +71,14 @@ class Result:
         Raises
         ------
         TypeError
-            For a result that is no curve.
+            For a result that is neither a curve nor averages.
         """
         if self.drawn is None:
-            raise TypeError(f"{type(self).__name__} holds single numbers and no curve; to_pandas() has them in a table")
-        from matplotlib import pyplot
-
+            raise TypeError(f"{type(self).__name__} has no picture; to_pandas() has its numbers in a table")
         if axes is None:
-            axes = pyplot.subplots(layout="constrained")[1]
-            axes.set(xlabel=self.drawn.x_label, ylabel=self.drawn.y_label)
-            axes.grid(alpha=0.3)
+            axes = new_axes()
+            axes.set(xlabel=_with_symbol(self.drawn.x_label), ylabel=_with_symbol(self.drawn.y_label))
+            axes.ticklabel_format(useOffset=False)
             if self.drawn.log:
                 axes.set_xscale("log")
         x, y = (getattr(self, name) for name in self.drawn[:2])
@@ -117,10 +115,28 @@ class Result:
         return shown if self.drawn is None else shown + self.to_pandas().to_html(max_rows=6)
 
 
-class OfTrajectory:
-    """A result that is shown by its `trajectory`, and drawn with the `exact` mean, if there is one, which is a result
-    or None and why."""
+def new_axes(**size: Any) -> Any:
+    """Axes of a new figure, as `plot` of a result begins one."""
+    from matplotlib import pyplot
 
+    axes = pyplot.subplots(layout="constrained", **size)[1]
+    axes.grid(alpha=0.3)
+    return axes
+
+
+def _with_symbol(label: str) -> str:
+    """A label of an axis, with what follows two spaces set as mathematics."""
+    words, _, symbol = label.partition("  ")
+    if not symbol:
+        return words
+    return f"{words}  $" + symbol.replace("<", r"\langle ").replace(">", r" \rangle") + "$"
+
+
+class OfTrajectory:
+    """A result of a run `file` that is shown by its `trajectory`, and drawn with the `exact` mean, if there is one,
+    which is a result or None and why."""
+
+    file: Any
     trajectory: Any
     exact: Any = (None, "")
 
@@ -130,9 +146,11 @@ class OfTrajectory:
 
     def plot(self, axes: Any = None, **style: Any) -> Any:
         """Draw the trajectory, and on it the exact mean; arguments are those of `Result.plot`."""
+        drawn, given = self.trajectory.drawn, axes
         axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
+        if given is None:
+            axes.set(**self.file.labels(drawn.x))
         if self.exact[0] is not None:
-            drawn = self.trajectory.drawn
             axes.plot(getattr(self.exact[0], drawn.x), self.exact[0].force, "k:", linewidth=1, label="exact mean")
             axes.legend()
         return axes

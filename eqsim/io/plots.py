@@ -1,5 +1,6 @@
 """Pictures of runs."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -7,9 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eqsim.estimate import Estimate
-from eqsim.io.labels import axis, described, plain, unit_text, with_unit
+from eqsim.io.labels import FORCE, axis, described, plain, unit_text, with_unit
 from eqsim.io.style import styled
 from eqsim.io.units import LENGTH, TIME, VELOCITY, Quantity, Units
+from eqsim.model.drive import Drive
 from eqsim.numerics.tables import Array
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ class Caption(NamedTuple):
     @property
     def force(self) -> str:
         """Label of a friction force per contact."""
-        return self.length("friction  $F / (N k)$")
+        return self.length(FORCE)
 
     def length(self, text: str) -> str:
         """Label of a length up an axis."""
@@ -240,6 +242,52 @@ def slider_figure(run: "SliderTrajectory", exact: "Transient | None", caption: C
         panel.grid(alpha=0.3)
     _legend_below(figure, drawn)
     return figure
+
+
+@styled
+def curve_figure(columns: dict[str, Array], along: str, caption: Caption) -> Figure:
+    """An exact curve with its error band along the column X or t: the force; below, the pinned fraction where contacts
+    spend time detached, the mean threshold of a closure, or slider and stage of a spring."""
+    below = [
+        name
+        for name in ("pinned", "mean_threshold")
+        if name in columns and np.ptp(columns[name]) > 2 * columns[f"{name}_error"].max()
+    ]
+    panels = ["force", *below, *(["X"] if "stage" in columns else [])]
+    heights = [2.4] + [1.3] * (len(panels) - 1)
+    figure = Figure(figsize=(8, 1.2 + 1.2 * sum(heights)), layout="constrained")
+    every = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    x = columns[along]
+    labels = {
+        "force": caption.force, "pinned": "pinned fraction\n$N_c / N$", "X": caption.length("displacement"),
+        "mean_threshold": caption.length("mean threshold"),
+    }  # fmt: skip
+    for axes, name in zip(every, panels, strict=True):
+        y, error = columns[name], columns[f"{name}_error"]
+        axes.fill_between(x, y - error, y + error, color="C0", alpha=0.3, linewidth=0)
+        axes.plot(x, y, color="C0", linewidth=1.2, label="slider")
+        axes.set(ylabel=labels[name], xlim=(x[0], x[-1]))
+        axes.grid(alpha=0.3)
+    if columns["force"][0] == 0 <= columns["force"].min():
+        every[0].set_ylim(bottom=0)
+    if "pinned" in panels:
+        every[1].set_ylim(0, 1.05)
+    if "stage" in columns:
+        every[-1].plot(x, columns["stage"], color="C3", linewidth=1, label="stage")
+        every[-1].legend(loc="upper left")
+    every[0].set_title(caption.heading)
+    caption.beside(every[0])
+    every[-1].set_xlabel(caption.along("time" if along == "t" else along))
+    figure.align_ylabels(list(every))
+    return figure
+
+
+def curve_picture(file: "RunFile", path: Path, columns: dict[str, Array]) -> Figure:
+    """The exact curve of a run file at `path`, titled with its name unless it has a title."""
+    ensemble, moves = file.ensemble(path.parent), isinstance(file.driven(path.parent), Drive)
+    level = Estimate(float(columns["force"][-1]), None, 0)
+    said = caption(file, ensemble, level, path.stem)
+    return curve_figure(columns, "X" if moves else "t", said)
 
 
 @styled
