@@ -208,6 +208,13 @@ def test_pictures(results):
     assert len(axes.lines) == 2
     low, high = axes.collections[0].get_paths()[0].vertices[:, 1].min(), results["trajectory"].force.max()
     assert low <= 0.0 < high
+    axes = results["programme"].plot()
+    results["programme"].plot(axes, x="X")
+    assert axes.get_xlabel() == "time  $t$"
+    np.testing.assert_array_equal(axes.lines[1].get_xdata(), results["programme"].X)
+    assert results["transient"].plot(x="t").get_xlabel() == "time  $t$"
+    with pytest.raises(ValueError, match=r"^x = 'T': must be a column of Transient: X, force"):
+        results["transient"].plot(x="T")
     with pytest.raises(TypeError, match=r"^Stability has no picture"):
         results["stability"].plot()
     pyplot.close("all")

@@ -96,9 +96,12 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text}  [{unit}]" if unit else text
 
 
-def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True) -> str:
+def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True, fractions: bool = False) -> str:
     """A label for the axis of a key, an observable or a column of a sweep, or the head of a legend, which says nothing
-    of an `unknown` unit; `stress`: the unit of a shear stress, if it is known."""
+    of an `unknown` unit; `stress`: the unit of a shear stress, if it is known; `fractions`: whether stretches of the
+    newborn are fractions of their thresholds."""
+    if fractions and name.startswith("newborn.") and name in _KNOWN:
+        return f"{_KNOWN[name][0]} over threshold"
     if name == "thermal.temperature":
         return "temperature  $T$  [K]"
     if name == "shear_stress":

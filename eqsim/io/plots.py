@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from eqsim.estimate import Estimate
 from eqsim.io.labels import FORCE, axis, described, plain, unit_text, with_unit
 from eqsim.io.style import styled
-from eqsim.io.units import LENGTH, TIME, VELOCITY, Quantity, Units
+from eqsim.io.units import AREA, LENGTH, TIME, VELOCITY, Quantity, Units
 from eqsim.model.drive import Drive
 from eqsim.numerics.tables import Array
 
@@ -337,8 +337,9 @@ def fluctuations_figure(exact: "Fluctuations", sample: Any, caption: Caption) ->
         bars: dict[str, Any] = {"color": "C0", "linestyle": "none", "marker": "o", "markersize": 4, "capsize": 2}
         label = f"{sample.ensembles} ensembles of {sample.contacts} contacts ± 2 standard errors"
         axes.errorbar(exact.lag[::every], sample.covariance[::every], 2 * sample.stderr[::every], label=label, **bars)
-    axes.set(xlabel=caption.length("lag in displacement"), xlim=(0, exact.lag[-1]))
-    axes.set(ylabel=r"autocovariance  $N\,\mathrm{Cov}(F, F') / (N k)^2$")
+    axes.set(xlabel=with_unit("lag in displacement", unit_text(caption.units, LENGTH)), xlim=(0, exact.lag[-1]))
+    covariance = r"autocovariance  $N\,\mathrm{Cov}(F, F') / (N k)^2$"
+    axes.set(ylabel=with_unit(covariance, unit_text(caption.units, AREA, unknown=False)))
     axes.set_title(caption.heading)
     axes.legend(loc="upper right")
     return figure
@@ -368,7 +369,7 @@ def elastic_figure(run: "ElasticTrajectory", friction: Estimate, caption: Captio
     low.plot(run.D, X.std(axis=1), color="C2", linewidth=1)
     low.set(
         xlabel=caption.along("D"),
-        ylabel="standard deviation\nof $X$ between blocks",
+        ylabel=with_unit("standard deviation\nof $X$ between blocks", unit_text(caption.units, LENGTH, unknown=False)),
         xlim=(run.D[0], run.D[-1]),
         ylim=(0, None),
     )
@@ -423,15 +424,20 @@ def fronts_figure(run: "ElasticTrajectory", shape: tuple[int, int], caption: Cap
     row = slice(ny // 2 * nx, (ny // 2 + 1) * nx)
     beyond, active = X - X.mean(axis=1, keepdims=True), np.diff(breaks, axis=0)
     across = "block" if ny == 1 else f"block of row {ny // 2}"
-    label = "$X$ beyond the mean of all blocks"
+    label = with_unit("$X$ beyond the mean of all blocks", unit_text(caption.units, LENGTH, unknown=False))
     _image(panels[0, 0], beyond[:, row], (0, nx, 0.0, run.D[-1]), label, spread=True)
     _image(panels[0, 1], active[:, row], (0, nx, 0.0, run.D[-1]), "breaks between two records")
     for axes in panels[0]:
-        axes.set(xlabel=across, ylabel=caption.along("D"))
+        axes.set(xlabel=across, ylabel=caption.length("displacement of the plate  $D$"))
     if ny > 1:
         _image(panels[1, 0], beyond[-1].reshape(ny, nx), (0, nx, 0, ny), label + ", at the end", spread=True)
         force = _in_space(run, "force")[-1].reshape(ny, nx)
-        _image(panels[1, 1], force, (0, nx, 0, ny), "force $F / (n k)$, at the end")
+        _image(
+            panels[1, 1],
+            force,
+            (0, nx, 0, ny),
+            with_unit("force $F / (n k)$, at the end", unit_text(caption.units, LENGTH, unknown=False)),
+        )
         for axes in panels[1]:
             axes.set(xlabel="column", ylabel="row")
     figure.suptitle(caption.heading, fontsize=10)
