@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from eqsim.numerics.tables import Array
-from eqsim.results import Result
+from eqsim.results import Result, new_axes
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,6 +95,45 @@ class Averages(Result):
         """The estimates by name, also those beside the observables; if `brief`, of the observables those `shown`."""
         every = super().estimates()
         return {name: one for name, one in every.items() if not brief or name in self.shown or name not in OBSERVABLES}
+
+    def plot(self, axes: Any = None, *, reference: "Averages | None" = None, **style: Any) -> Any:
+        """Draw the averages as points with error bars of two standard errors, each beside its name and value.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            Where; by default axes of a new figure.
+        reference : Averages, optional
+            Draw how far each is from that of `reference`, in standard errors of the difference, on a band of two;
+            without an average whose error is 0 in both.
+        **style
+            Passed to `Axes.errorbar`: label, color, ...
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        found = {name: getattr(self, name) for name in self.shown if getattr(self, name).value is not None}
+        marks = {name: f"{name.replace('_', ' ')}\n{one}" for name, one in found.items()}
+        sizes = {name: (one.value, 2.0 * (one.stderr or 0.0)) for name, one in found.items()}
+        if reference is not None:
+            differences = {name: difference(one, getattr(reference, name)) for name, one in found.items()}
+            sizes = {name: (z, 0.0) for name, z in differences.items() if z is not None}
+            marks = {name: f"{marks[name]}\nreference {getattr(reference, name).value:.8g}" for name in sizes}
+        if axes is None:
+            axes = new_axes(figsize=(6.4, 0.9 + 0.75 * len(sizes)))
+            axes.set_xlabel("value" if reference is None else "difference from the reference  [standard errors]")
+            axes.set_yticks(range(len(sizes)), [marks[name] for name in sizes])
+            axes.set_ylim(len(sizes) - 0.5, -0.5)
+            if reference is not None:
+                axes.axvspan(-2.0, 2.0, color="0.92", zorder=0)
+                limit = max(4.0, *(1.1 * abs(z) for z, _ in sizes.values()))
+                axes.set_xlim(-limit, limit)
+        values, errors = zip(*sizes.values(), strict=True) if sizes else ((), ())
+        axes.errorbar(values, range(len(sizes)), xerr=errors, **{"fmt": "o", "capsize": 3, **style})
+        if "label" in style:
+            axes.legend()
+        return axes
 
     @property
     def shown(self) -> tuple[str, ...]:

@@ -54,13 +54,15 @@ class Result:
         rows = {name: estimate.as_dict() for name, estimate in self.estimates().items()}
         return pd.DataFrame.from_dict(rows, orient="index")
 
-    def plot(self, axes: Any = None, **style: Any) -> Any:
+    def plot(self, axes: Any = None, *, x: str = "", **style: Any) -> Any:
         """Draw it with a band of two standard errors.
 
         Parameters
         ----------
         axes : matplotlib Axes, optional
             Where; by default axes of a new figure, so that one result can be drawn on another's.
+        x : str, optional
+            Another column to draw it against, such as "t".
         **style
             Passed to `Axes.plot`: label, color, ...
 
@@ -71,25 +73,29 @@ class Result:
         Raises
         ------
         TypeError
-            For a result that is no curve.
+            For a result that is neither a curve nor averages.
+        ValueError
+            If `x` is none of its columns.
         """
         if self.drawn is None:
-            raise TypeError(f"{type(self).__name__} holds single numbers and no curve; to_pandas() has them in a table")
-        from matplotlib import pyplot
-
+            raise TypeError(f"{type(self).__name__} has no picture; to_pandas() has its numbers in a table")
+        if x and x not in self.columns():
+            raise ValueError(f"x = {x!r}: must be a column of {type(self).__name__}: {', '.join(self.columns())}")
         if axes is None:
-            axes = pyplot.subplots(layout="constrained")[1]
-            axes.set(xlabel=self.drawn.x_label, ylabel=self.drawn.y_label)
-            axes.grid(alpha=0.3)
+            axes = new_axes()
+            axes.set(xlabel=_with_symbol(self.drawn.x_label), ylabel=_with_symbol(self.drawn.y_label))
+            if x and x != self.drawn.x:
+                axes.set_xlabel({"t": "time  $t$", "X": "displacement  $X$"}.get(x, x.replace("_", " ")))
+            axes.ticklabel_format(useOffset=False)
             if self.drawn.log:
                 axes.set_xscale("log")
-        x, y = (getattr(self, name) for name in self.drawn[:2])
-        order = np.argsort(x, kind="stable") if self.drawn.log else slice(None)  # velocities come in any order
+        along, y = (getattr(self, name) for name in (x or self.drawn.x, self.drawn.y))
+        order = np.argsort(along, kind="stable") if self.drawn.log else slice(None)  # velocities come in any order
         look = {"linestyle": "", "marker": ".", "markersize": 2} if self.drawn.dots else {"linewidth": 1.2}
-        (line,) = axes.plot(x[order], y[order], **{**look, **style})
+        (line,) = axes.plot(along[order], y[order], **{**look, **style})
         if self.drawn.error:
             low, high = (y + sign * 2 * getattr(self, self.drawn.error) for sign in (-1, 1))
-            axes.fill_between(x[order], low[order], high[order], color=line.get_color(), alpha=0.25, linewidth=0)
+            axes.fill_between(along[order], low[order], high[order], color=line.get_color(), alpha=0.25, linewidth=0)
         if "label" in style:
             axes.legend()
         return axes
@@ -117,10 +123,28 @@ class Result:
         return shown if self.drawn is None else shown + self.to_pandas().to_html(max_rows=6)
 
 
-class OfTrajectory:
-    """A result that is shown by its `trajectory`, and drawn with the `exact` mean, if there is one, which is a result
-    or None and why."""
+def new_axes(**size: Any) -> Any:
+    """Axes of a new figure, as `plot` of a result begins one."""
+    from matplotlib import pyplot
 
+    axes = pyplot.subplots(layout="constrained", **size)[1]
+    axes.grid(alpha=0.3)
+    return axes
+
+
+def _with_symbol(label: str) -> str:
+    """A label of an axis, with what follows two spaces set as mathematics."""
+    words, _, symbol = label.partition("  ")
+    if not symbol:
+        return words
+    return f"{words}  $" + symbol.replace("<", r"\langle ").replace(">", r" \rangle") + "$"
+
+
+class OfTrajectory:
+    """A result of a run `file` that is shown by its `trajectory`, and drawn with the `exact` mean, if there is one,
+    which is a result or None and why."""
+
+    file: Any
     trajectory: Any
     exact: Any = (None, "")
 
@@ -130,9 +154,11 @@ class OfTrajectory:
 
     def plot(self, axes: Any = None, **style: Any) -> Any:
         """Draw the trajectory, and on it the exact mean; arguments are those of `Result.plot`."""
+        drawn, given = self.trajectory.drawn, axes
         axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
+        if given is None:
+            axes.set(**self.file.labels(drawn.x))
         if self.exact[0] is not None:
-            drawn = self.trajectory.drawn
             axes.plot(getattr(self.exact[0], drawn.x), self.exact[0].force, "k:", linewidth=1, label="exact mean")
             axes.legend()
         return axes

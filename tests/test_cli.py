@@ -356,8 +356,9 @@ def test_reference_curves(tmp_path):
         assert tree(tmp_path) == ["a.toml"]
         said = call("reference", path, flag, "--out", tmp_path / "o")
         name = flag.removeprefix("--") + ".parquet"
-        assert name in said.stdout
+        assert f"{name}, {flag.removeprefix('--')}.png, 21 rows" in said.stdout
         assert said.stdout.count("\n") < 25
+        assert (tmp_path / "o" / name).with_suffix(".png").read_bytes().startswith(b"\x89PNG")
         table = pq.read_table(tmp_path / "o" / name)
         assert table.column_names == list(columns)
         assert table["force"].to_pylist() == columns["force"]
@@ -365,8 +366,9 @@ def test_reference_curves(tmp_path):
         assert again.exit_code == 0, again.output
         shutil.rmtree(tmp_path / "o")
     assert call("reference", path, "--transient", "--quiet").exit_code == 0
-    assert tree(tmp_path / "out") == ["a", "a/transient.parquet"]  # where `run` puts its results
-    assert "is for the table of --transient" in call("reference", path, "--out", tmp_path / "o").stderr
+    assert tree(tmp_path / "out") == ["a", "a/transient.parquet", "a/transient.png"]  # where `run` puts its results
+    for option in (("--out", tmp_path / "o"), ("--format", "pdf")):
+        assert "is for the table and the picture of --transient" in call("reference", path, *option).stderr
     result = CliRunner().invoke(app, ["reference", str(path), "--closure", "--set", "disorder=quenched"])
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")

@@ -13,8 +13,10 @@ from eqsim import load
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import labels, style
+from eqsim.io.plots import curve_picture
 from eqsim.io.runfile import keys
 from eqsim.io.units import Units
+from eqsim.workflows.curve import curve
 from eqsim.workflows.run import run
 
 RUN = """
@@ -85,6 +87,36 @@ def test_titles_say_what_is_simulated(run_file):
     )
     assert "50 annealed contacts, k_i ~ sqrt(f_si), kT = 0.1 k x_*^2" in shown
     assert "quenched" not in shown
+
+
+def test_exact_curves(tmp_path):
+    """Against X, and along a programme against t; panels below the force where there is something to see in them."""
+    path = tmp_path / "run.toml"
+    path.write_text('title = "A film"\n[drive]\nvelocity = 0.1\ndistance = 4.0\n[output]\npoints = 21\n')
+    steps = "[drive]\nprogramme = [{ velocity = 0.1, distance = 1.0 }, { velocity = 1.0, distance = 1.0 }]\n"
+    every = {
+        "force": {},
+        "pinned fraction\n$N_c / N$": {"delay.time": 1.0},
+        "displacement\n[length unit of the run file]": {
+            "contacts.stiffness_law": "uniform", "drive.stage.stiffness": 0.5, "drive.stage.damping": 0.1,
+        },
+        "time": {},
+    }  # fmt: skip
+    for label, changes in every.items():
+        if label == "time":
+            path.write_text(steps)
+        file = load(path, changes)
+        columns = curve(file, tmp_path)
+        figure = curve_picture(file, path, columns)
+        labels = [axes.get_ylabel() for axes in figure.axes]
+        assert labels[0] == "friction  $F / (N k)$\n[length unit of the run file]"
+        (line,) = figure.axes[0].lines
+        along = "t" if label == "time" or "displacement" in label else "X"
+        np.testing.assert_array_equal(line.get_xdata(), columns[along])
+        np.testing.assert_array_equal(line.get_ydata(), columns["force"])
+        assert label in labels[1:] or (label in ("force", "time") and len(labels) == 1)
+        assert figure.axes[-1].get_xlabel().startswith("time" if along == "t" else "slider displacement")
+        assert "quenched contacts" in figure.axes[0].get_title()
 
 
 def test_units_are_on_the_axes(run_file):

@@ -267,6 +267,17 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
     assert np.all(np.diff(line.get_ydata()) < 0)
 
 
+@pytest.mark.parametrize(
+    ("of", "label"), [("threshold", "over threshold"), ("length", " [length unit of the run file]")]
+)
+def test_stretch_at_birth_is_a_length_or_a_fraction(tmp_path, of, label):
+    run = tmp_path / "born.toml"
+    run.write_text(f'[newborn]\nlaw = "delta"\nof = "{of}"\nstretch = 0.3\n[drive]\nvelocity = 0.1\n')
+    table = points()[:3].assign(**{"newborn.stretch": [0.0, 0.2, 0.4], "thermal.kT": 0.0, "drive.velocity": 0.1})
+    figure = sweep_figure(Sweep(table, load(run)), table, ("newborn.stretch", "friction"))[0]
+    assert figure.axes[0].get_xlabel() == f"stretch at birth {label}"
+
+
 def test_an_unfinished_sweep_is_read_whole(tmp_path):
     """Rows on disk are seen by pandas and by `plot`; a changed base value of a swept key goes on with them."""
     run = tmp_path / "grid.toml"

@@ -37,6 +37,7 @@ from eqsim import (
     transient,
 )
 from eqsim.cli.app import app
+from eqsim.estimate import difference
 
 matplotlib.use("Agg")
 WARM = Ensemble(thermal=Thermal(0.1), count=500)
@@ -190,7 +191,7 @@ def test_tables(results):
 
 
 def test_pictures(results):
-    """The line is the result's, in the order of x; one result on another; single numbers have none."""
+    """The line is the result's, in the order of x; one result on another; a result without either has none."""
     from matplotlib import pyplot
 
     for name in CURVES:
@@ -207,8 +208,57 @@ def test_pictures(results):
     assert len(axes.lines) == 2
     low, high = axes.collections[0].get_paths()[0].vertices[:, 1].min(), results["trajectory"].force.max()
     assert low <= 0.0 < high
-    with pytest.raises(TypeError, match=r"^Steady holds single numbers and no curve"):
-        results["steady"].plot()
+    axes = results["programme"].plot()
+    results["programme"].plot(axes, x="X")
+    assert axes.get_xlabel() == "time  $t$"
+    np.testing.assert_array_equal(axes.lines[1].get_xdata(), results["programme"].X)
+    assert results["transient"].plot(x="t").get_xlabel() == "time  $t$"
+    with pytest.raises(ValueError, match=r"^x = 'T': must be a column of Transient: X, force"):
+        results["transient"].plot(x="T")
+    with pytest.raises(TypeError, match=r"^Stability has no picture"):
+        results["stability"].plot()
+    pyplot.close("all")
+
+
+def test_pictures_of_averages(results):
+    """Values with two standard errors; beside a reference, the differences in standard errors, a score for each average
+    that has an error."""
+    from matplotlib import pyplot
+
+    found = results["steady"]
+    exact = reference(WARM, DRIVE, variance=True)
+    axes = found.plot()
+    points, _, (bars,) = axes.containers[0]
+    assert [label.get_text().partition("\n")[0] for label in axes.get_yticklabels()] == [
+        "friction", "pinned", "break stretch", "force variance",
+    ]  # fmt: skip
+    assert points.get_xdata()[0] == found.friction.value
+    (low, _), (high, _) = bars.get_segments()[0]
+    assert high - low == pytest.approx(4 * found.friction.stderr, rel=1e-9, abs=0)
+    axes = found.plot(reference=exact)
+    z = axes.containers[0][0].get_xdata()
+    names = [label.get_text().partition("\n")[0] for label in axes.get_yticklabels()]
+    assert names == ["friction", "break stretch", "force variance"]  # pinned is 1 exactly
+    for value, name in zip(z, ("friction", "break_stretch", "force_variance"), strict=True):
+        assert value == difference(getattr(found, name), getattr(exact, name))
+    assert axes.get_xlim()[1] >= 1.1 * np.abs(z).max()
+    exact.plot(found.plot(), label="exact")
+    pyplot.close("all")
+
+
+def test_axes_in_units_of_the_run_file(tmp_path):
+    """Symbols are mathematics; units are those of [units], and none are named without it."""
+    from matplotlib import pyplot
+
+    text = "[contacts]\ncount = 50\n[drive]\nvelocity = 0.1\ndistance = 9.0\n"
+    (tmp_path / "free.toml").write_text(text)
+    (tmp_path / "nano.toml").write_text(text + '[units]\nlength = "nm"\ntime = "s"\nforce = "nN"\n')
+    axes = run(tmp_path / "nano.toml").plot()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("slider displacement  $X$  [nm]", "friction  $F / (N k)$  [nm]")
+    axes = run(tmp_path / "free.toml").plot()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("slider displacement  $X$", "friction  $F / (N k)$")
+    axes = curve(WARM, [0.1, 1.0]).plot()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("velocity  $v$", r"friction  $\langle F \rangle/(N k)$")
     pyplot.close("all")
 
 

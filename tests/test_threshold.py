@@ -1,6 +1,7 @@
 """Laws of thresholds: NumPy side against SciPy and mpmath, kernel side against NumPy, draws, and bad input."""
 
 import math
+from contextlib import suppress
 
 import mpmath
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import scipy.stats
 from kernels import compiled
 
-from eqsim import Delta, Distribution, Gamma, InputError, Table
+from eqsim import Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference, steady
 from eqsim.laws import threshold
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, for_kernels
 from eqsim.numerics import streams
@@ -259,6 +260,55 @@ NOT_FROZEN = {
 def test_not_quite_frozen(name):
     with pytest.raises(InputError):
         Distribution(NOT_FROZEN[name])
+
+
+class Failing:
+    """A lognormal law whose isf is something else below 1e-30."""
+
+    def __init__(self, value):
+        self.right, self.value = scipy.stats.lognorm(0.5), value
+
+    def __getattr__(self, name):
+        return getattr(self.right, name)
+
+    def isf(self, q):
+        return np.where(q < 1e-30, self.value, self.right.isf(q))
+
+
+@pytest.mark.parametrize("value", [math.inf, math.nan, 1e150])
+def test_laws_whose_tail_scipy_does_not_know(value):
+    """Refused by solver and simulation alike, in one sentence; what is right of the quantiles is given."""
+    law = Distribution(Failing(value))
+    contacts = Ensemble(law, Thermal(0.05), stiffness_law="uniform")
+    for run in (reference, steady):
+        with pytest.raises(
+            InputError, match=r"^threshold distribution: isf of SciPy's lognorm fails at \d\.\de-\d+, and"
+        ):
+            run(contacts, Drive(0.1))
+    np.testing.assert_array_equal(law.inverse_survival([1.0, 30.0]), law.frozen.right.isf(np.exp([-1.0, -30.0])))
+    with pytest.raises(InputError, match=r"fails at 4\.2e-35, and must be right down to 1e-222; give another law"):
+        law.inverse_survival([30.0, 79.149, 90.0])
+
+
+@pytest.mark.filterwarnings("ignore:Error in function")
+def test_no_friction_is_infinite():
+    """That of an inverse Gaussian law was, whose isf is wrong from 1e-64 on in some versions of SciPy."""
+    law, found = Distribution(scipy.stats.invgauss(0.5)), None
+    with suppress(InputError):
+        found = reference(Ensemble(law, stiffness_law="uniform"), Drive(0.1)).friction
+    assert found is None or abs(found.value - law.rms**2 / (2 * law.mean)) < 1e-9 + found.stderr
+
+
+@pytest.mark.parametrize(
+    "frozen",
+    [scipy.stats.fisk(5.0), scipy.stats.loglaplace(5.0), scipy.stats.lognorm(0.5), scipy.stats.uniform(1.0, 2.0)],
+    ids=lambda frozen: frozen.dist.name,
+)
+def test_laws_whose_tail_scipy_knows(frozen):
+    """Control: of heavy tails whose survival function is 0 from 1e-16 on the density is not, and of a law with an end
+    both may be 0 there. Friction at T = 0 is <xi^2>/(2 <xi>)."""
+    found = reference(Ensemble(Distribution(frozen), stiffness_law="uniform"), Drive(0.1)).friction
+    assert abs(found.value - frozen.moment(2) / (2 * frozen.mean())) < 1e-9 + found.stderr
 
 
 def test_histogram_law_can_be_printed():

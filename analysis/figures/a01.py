@@ -70,7 +70,7 @@ def plot(table: pd.DataFrame) -> Figure:
     top.axvline(PAPER.v_star, color="0.8", linewidth=0.8, zorder=0)
     top.annotate("$v_*$", (PAPER.v_star, 0.8), (3, 0), textcoords="offset points", color="0.4")
     top.set(xscale="log", ylim=(0, 0.85), ylabel=r"kinetic friction  $f_k \,/\, x_*$")
-    top.legend(loc="lower right", title="$k_BT = k x_*^2$;  markers: particles")
+    top.legend(loc="lower right", title="$k_BT = k x_*^2$;  markers: simulated contacts")
     draw_deviations(middle, table)
     scores(bottom, table, {"annealed": ANNEALED, "quenched": QUENCHED})
     bottom.set(xlabel=r"velocity  $v \,/\, \omega x_*$", ylabel=SCORES_LABEL)

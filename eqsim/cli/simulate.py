@@ -263,7 +263,7 @@ def steady(
     shown.doubt(ensemble)
     if not result.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
-    exact, reason = if_any(lambda: solve(ensemble, drive))
+    exact, reason = if_any(lambda: solve(ensemble, drive, variance=result.force_variance.value is not None))
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
     z, rows = _scores(found, levels), file.rows(ensemble, result)
@@ -299,7 +299,7 @@ def _scores(found: "dict[str, Estimate]", exact: "dict[str, Estimate]") -> dict[
     }
 
 
-_CURVE_FOLDER = "Folder for the table of --transient or --closure. Default: out/NAME beside the run file."
+_CURVE_FOLDER = "Folder for table and picture of --transient or --closure. Default: out/NAME beside the run file."
 
 
 def reference(
@@ -312,17 +312,19 @@ def reference(
     *,
     changes: Changes,
     threads: Threads = None,
+    format_: Formats = None,
     shown: Shown,
 ) -> None:
     """Exact averages from the master equation, without random numbers."""
     if transient and closure:
         raise InputError("--transient, --closure: only one of them")
-    if out is not None and not (transient or closure):
-        raise InputError(f"--out {out}: is for the table of --transient or --closure")
+    for option, given in (("--out", out), ("--format", format_)):
+        if given and not (transient or closure):
+            raise InputError(f"{option}: is for the table and the picture of --transient or --closure")
     file = changes.load(path)
     cores(threads)
     if transient or closure:
-        _curve(path, file, closure, out, shown)
+        _curve(path, file, closure, out, pictured(format_), shown)
         return
     ensemble = file.ensemble(path.parent)
     from eqsim.master.steady import reference as solve
@@ -347,9 +349,13 @@ def reference(
     )
 
 
-def _curve(path: Path, file: "RunFile", closure: bool, out: Path | None, shown: Shown) -> None:
-    """An exact curve as a table in a folder, unless only JSON is wanted, and some of its rows."""
+def _curve(
+    path: Path, file: "RunFile", closure: bool, out: Path | None, formats: tuple[str, ...], shown: Shown
+) -> None:
+    """An exact curve as a table and a picture in a folder, unless only JSON is wanted, and some of its rows."""
     from eqsim.io import storage
+    from eqsim.io.plots import curve_picture
+    from eqsim.io.style import pictures
     from eqsim.workflows.curve import curve
 
     folder = None if shown.json and out is None else results_folder(path, out)
@@ -357,10 +363,13 @@ def _curve(path: Path, file: "RunFile", closure: bool, out: Path | None, shown: 
         storage.check_folder(folder)
     columns, notes = curve(file, path.parent, closure=closure), []
     if folder is not None:
+        name = "closure" if closure else "transient"
         origin = storage.provenance("reference", file.model_dump(), file.text, file.output.seed, path.parent)
-        name = "closure.parquet" if closure else "transient.parquet"
-        storage.publish(folder, {name: storage.parquet(columns, origin)})
-        notes = ["columns end in _error: bound of the solver's", f"{folder}/: {name}, {len(columns['X'])} rows"]
+        files = {f"{name}.parquet": storage.parquet(columns, origin)}
+        files |= pictures(name, curve_picture(file, path, columns), formats)
+        storage.publish(folder, files)
+        said = f"{folder}/: {', '.join(files)}, {len(columns['X'])} rows"
+        notes = ["columns end in _error: bound of the solver's", said]
     wanted = [name for name in ("t", "X", "stage", "force", "force_error", "pinned", "pinned_error") if name in columns]
     last = len(columns["X"]) - 1
     some = sorted({round(last * part / _SHOWN) for part in range(_SHOWN + 1)})

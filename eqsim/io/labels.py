@@ -7,6 +7,7 @@ from eqsim.io import units as dimensions
 from eqsim.io.units import Dimension, Units
 from eqsim.model.ensemble import Ensemble
 
+FORCE = "friction  $F / (N k)$"
 _FREE = "unit of the run file"
 _FRICTION = r"$\langle F \rangle / (N k)$"
 # Of each key of a run file and column of a sweep: words, symbol, and the dimension of its unit.
@@ -95,9 +96,12 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text}  [{unit}]" if unit else text
 
 
-def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True) -> str:
+def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True, fractions: bool = False) -> str:
     """A label for the axis of a key, an observable or a column of a sweep, or the head of a legend, which says nothing
-    of an `unknown` unit; `stress`: the unit of a shear stress, if it is known."""
+    of an `unknown` unit; `stress`: the unit of a shear stress, if it is known; `fractions`: whether stretches of the
+    newborn are fractions of their thresholds."""
+    if fractions and name.startswith("newborn.") and name in _KNOWN:
+        return f"{_KNOWN[name][0]} over threshold"
     if name == "thermal.temperature":
         return "temperature  $T$  [K]"
     if name == "shear_stress":
@@ -116,6 +120,12 @@ def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True) -> 
         words = "hold" if found[2] == "hold" else found[2]
         return with_unit(f"{words} of segment {found[1]}", unit_text(units, _OF_SEGMENT[found[2]], unknown))
     return plain(name)
+
+
+def of_trajectory(x: str, units: Units) -> dict[str, str]:
+    """Labels of the axes of a picture of the force against the column `x` of a trajectory."""
+    along = axis({"t": "time"}.get(x, x), units, unknown=False)
+    return {"xlabel": along, "ylabel": with_unit(FORCE, unit_text(units, dimensions.LENGTH, unknown=False))}
 
 
 def symbol(name: str) -> str:

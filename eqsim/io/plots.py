@@ -1,5 +1,6 @@
 """Pictures of runs."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -7,9 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eqsim.estimate import Estimate
-from eqsim.io.labels import axis, described, plain, unit_text, with_unit
+from eqsim.io.labels import FORCE, axis, described, plain, unit_text, with_unit
 from eqsim.io.style import styled
-from eqsim.io.units import LENGTH, TIME, VELOCITY, Quantity, Units
+from eqsim.io.units import AREA, LENGTH, TIME, VELOCITY, Quantity, Units
+from eqsim.model.drive import Drive
 from eqsim.numerics.tables import Array
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ class Caption(NamedTuple):
     @property
     def force(self) -> str:
         """Label of a friction force per contact."""
-        return self.length("friction  $F / (N k)$")
+        return self.length(FORCE)
 
     def length(self, text: str) -> str:
         """Label of a length up an axis."""
@@ -243,6 +245,52 @@ def slider_figure(run: "SliderTrajectory", exact: "Transient | None", caption: C
 
 
 @styled
+def curve_figure(columns: dict[str, Array], along: str, caption: Caption) -> Figure:
+    """An exact curve with its error band along the column X or t: the force; below, the pinned fraction where contacts
+    spend time detached, the mean threshold of a closure, or slider and stage of a spring."""
+    below = [
+        name
+        for name in ("pinned", "mean_threshold")
+        if name in columns and np.ptp(columns[name]) > 2 * columns[f"{name}_error"].max()
+    ]
+    panels = ["force", *below, *(["X"] if "stage" in columns else [])]
+    heights = [2.4] + [1.3] * (len(panels) - 1)
+    figure = Figure(figsize=(8, 1.2 + 1.2 * sum(heights)), layout="constrained")
+    every = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    x = columns[along]
+    labels = {
+        "force": caption.force, "pinned": "pinned fraction\n$N_c / N$", "X": caption.length("displacement"),
+        "mean_threshold": caption.length("mean threshold"),
+    }  # fmt: skip
+    for axes, name in zip(every, panels, strict=True):
+        y, error = columns[name], columns[f"{name}_error"]
+        axes.fill_between(x, y - error, y + error, color="C0", alpha=0.3, linewidth=0)
+        axes.plot(x, y, color="C0", linewidth=1.2, label="slider")
+        axes.set(ylabel=labels[name], xlim=(x[0], x[-1]))
+        axes.grid(alpha=0.3)
+    if columns["force"][0] == 0 <= columns["force"].min():
+        every[0].set_ylim(bottom=0)
+    if "pinned" in panels:
+        every[1].set_ylim(0, 1.05)
+    if "stage" in columns:
+        every[-1].plot(x, columns["stage"], color="C3", linewidth=1, label="stage")
+        every[-1].legend(loc="upper left")
+    every[0].set_title(caption.heading)
+    caption.beside(every[0])
+    every[-1].set_xlabel(caption.along("time" if along == "t" else along))
+    figure.align_ylabels(list(every))
+    return figure
+
+
+def curve_picture(file: "RunFile", path: Path, columns: dict[str, Array]) -> Figure:
+    """The exact curve of a run file at `path`, titled with its name unless it has a title."""
+    ensemble, moves = file.ensemble(path.parent), isinstance(file.driven(path.parent), Drive)
+    level = Estimate(float(columns["force"][-1]), None, 0)
+    said = caption(file, ensemble, level, path.stem)
+    return curve_figure(columns, "X" if moves else "t", said)
+
+
+@styled
 def stability_figure(found: "Stability", borders: dict[str, Any], caption: Caption) -> Figure:
     """The critical stiffness over velocity, of steady sliding and of the first slip, and the run's own point."""
     figure = Figure(figsize=(7, 5), layout="constrained")
@@ -289,8 +337,9 @@ def fluctuations_figure(exact: "Fluctuations", sample: Any, caption: Caption) ->
         bars: dict[str, Any] = {"color": "C0", "linestyle": "none", "marker": "o", "markersize": 4, "capsize": 2}
         label = f"{sample.ensembles} ensembles of {sample.contacts} contacts ± 2 standard errors"
         axes.errorbar(exact.lag[::every], sample.covariance[::every], 2 * sample.stderr[::every], label=label, **bars)
-    axes.set(xlabel=caption.length("lag in displacement"), xlim=(0, exact.lag[-1]))
-    axes.set(ylabel=r"autocovariance  $N\,\mathrm{Cov}(F, F') / (N k)^2$")
+    axes.set(xlabel=with_unit("lag in displacement", unit_text(caption.units, LENGTH)), xlim=(0, exact.lag[-1]))
+    covariance = r"autocovariance  $N\,\mathrm{Cov}(F, F') / (N k)^2$"
+    axes.set(ylabel=with_unit(covariance, unit_text(caption.units, AREA, unknown=False)))
     axes.set_title(caption.heading)
     axes.legend(loc="upper right")
     return figure
@@ -320,7 +369,7 @@ def elastic_figure(run: "ElasticTrajectory", friction: Estimate, caption: Captio
     low.plot(run.D, X.std(axis=1), color="C2", linewidth=1)
     low.set(
         xlabel=caption.along("D"),
-        ylabel="standard deviation\nof $X$ between blocks",
+        ylabel=with_unit("standard deviation\nof $X$ between blocks", unit_text(caption.units, LENGTH, unknown=False)),
         xlim=(run.D[0], run.D[-1]),
         ylim=(0, None),
     )
@@ -375,15 +424,20 @@ def fronts_figure(run: "ElasticTrajectory", shape: tuple[int, int], caption: Cap
     row = slice(ny // 2 * nx, (ny // 2 + 1) * nx)
     beyond, active = X - X.mean(axis=1, keepdims=True), np.diff(breaks, axis=0)
     across = "block" if ny == 1 else f"block of row {ny // 2}"
-    label = "$X$ beyond the mean of all blocks"
+    label = with_unit("$X$ beyond the mean of all blocks", unit_text(caption.units, LENGTH, unknown=False))
     _image(panels[0, 0], beyond[:, row], (0, nx, 0.0, run.D[-1]), label, spread=True)
     _image(panels[0, 1], active[:, row], (0, nx, 0.0, run.D[-1]), "breaks between two records")
     for axes in panels[0]:
-        axes.set(xlabel=across, ylabel=caption.along("D"))
+        axes.set(xlabel=across, ylabel=caption.length("displacement of the plate  $D$"))
     if ny > 1:
         _image(panels[1, 0], beyond[-1].reshape(ny, nx), (0, nx, 0, ny), label + ", at the end", spread=True)
         force = _in_space(run, "force")[-1].reshape(ny, nx)
-        _image(panels[1, 1], force, (0, nx, 0, ny), "force $F / (n k)$, at the end")
+        _image(
+            panels[1, 1],
+            force,
+            (0, nx, 0, ny),
+            with_unit("force $F / (n k)$, at the end", unit_text(caption.units, LENGTH, unknown=False)),
+        )
         for axes in panels[1]:
             axes.set(xlabel="column", ylabel="row")
     figure.suptitle(caption.heading, fontsize=10)

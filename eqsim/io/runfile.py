@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.estimate import Averages, Estimate
-from eqsim.io.labels import described
+from eqsim.io.labels import described, of_trajectory
 from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
@@ -231,6 +231,10 @@ class RunFile(_Section):
     def headline(self, ensemble: Ensemble, name: str) -> str:
         """Of a table: the title, or `name` without one, and what is simulated."""
         return f"{self.title or name}: {described(ensemble, self.in_units())}"
+
+    def labels(self, x: str) -> dict[str, str]:
+        """Labels of the axes of a picture of the force against `x`, a column of a trajectory, in its units."""
+        return of_trajectory(x, self.in_units())
 
     def preferred(self, ensemble: Ensemble, friction: Estimate) -> Quantity | None:
         """That of `quantities` which says most, a coefficient before a stress before a force, in a unit fit for

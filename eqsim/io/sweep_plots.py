@@ -47,6 +47,11 @@ class Sweep(NamedTuple):
         return self.file.in_units() if self.file else Units()
 
     @property
+    def fractions(self) -> bool:
+        """Whether stretches of the newborn are fractions of their thresholds."""
+        return self.file is not None and self.file.newborn.of == "threshold"
+
+    @property
     def unfinished(self) -> str:
         """What is to be said of a sweep that goes on."""
         done = len(self.table)
@@ -126,7 +131,10 @@ def _figure(sweep: Sweep, table: Points, columns: tuple[str, str], by: list[str]
     if handles:  # outside of the axes, where it covers nothing
         look = (1 + len(handles) // 26, "outside right upper") if bar is None else (4, "outside lower center")
         figure.legend(handles=handles, ncols=look[0], loc=look[1])
-    axes.set(xlabel=axis(x, sweep.units), ylabel=axis(y, sweep.units, quantity.unit if quantity else ""))
+    axes.set(
+        xlabel=axis(x, sweep.units, fractions=sweep.fractions),
+        ylabel=axis(y, sweep.units, quantity.unit if quantity else ""),
+    )
     if y == "friction":
         beside = _beside(sweep, table)
         Caption("", quantity=beside).beside(axes)

@@ -367,8 +367,19 @@ class Distribution(Smooth):
         return np.asarray(self.frozen.sf(x))
 
     def inverse_survival(self, e: Any) -> Array:
+        """As in `ThresholdLaw`. Raises InputError where SciPy's isf fails far out in the tail: where it is not finite,
+        or beyond all that the density and the survival function know."""
         e = np.asarray(e, float)
-        return np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
+        with np.errstate(all="ignore"):
+            xi = np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
+            lost = ~np.isfinite(xi) | ((xi < self.support[1]) & (self.frozen.pdf(xi) + self.frozen.sf(xi) == 0.0))
+        if np.any(lost):
+            share = math.exp(-np.min(e[lost]))
+            raise InputError(
+                f"threshold distribution: isf of SciPy's {self._name} fails at {share:.1e}, and must be right down to "
+                "1e-222; give another law, or a sample of this one as a Table"
+            )
+        return xi
 
 
 _SHARES = np.array(
