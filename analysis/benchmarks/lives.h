@@ -60,12 +60,16 @@ INLINE void philox(const uint32_t key[2], word contact, uint64_t life, word *a, 
 enum { CHUNK = 128 / LANES };
 typedef struct {
     word id[CHUNK], a[CHUNK], b[CHUNK];
-    real k[CHUNK], x[CHUNK], xx[CHUNK], s[CHUNK]; /* stiffness k_i/k, stretch at breaking, its square; scratch */
+    real k[CHUNK], x[CHUNK], xx[CHUNK], s[CHUNK]; /* stiffness k_i/k, stretch at breaking, its square; clock, then scratch */
 } Lives;
 
-INLINE void live(const Law *law, int breaking, int general, uint64_t life, int n, Lives *l) {
+/* how much of a life is done: all but recording it, or less, to be timed */
+enum { DRAWN, WITH_THRESHOLDS, BROKEN };
+
+INLINE void live(const Law *law, int breaking, int general, uint64_t life, int n, int upto, Lives *l) {
     const double ln2 = 0.69314718055994530942, strength1 = law->b;
     for (int i = 0; i < n; i++) philox(law->key, l->id[i], life, &l->a[i], &l->b[i]);
+    if (upto == DRAWN) return;
     for (int i = 0; i < n; i++) {
         real square;
         if (breaking == COLD) /* 64 bits each, in (0, 1] */
@@ -78,9 +82,13 @@ INLINE void live(const Law *law, int breaking, int general, uint64_t life, int n
         l->k[i] = general ? l->x[i] * 0.70710678118654752440 : ALL(1.0);
     }
     if (breaking == COLD) return;
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < n; i++) { /* clocks */
         word rest = (l->a[i] & 0x1fffff) << 21 | (l->b[i] & 0x1fffff);
-        real clock = most(42 * ln2 - ln(converted(rest) + 0.5), ALL(1e-13));
+        l->s[i] = most(42 * ln2 - ln(converted(rest) + 0.5), ALL(1e-13));
+    }
+    if (upto == WITH_THRESHOLDS) return;
+    for (int i = 0; i < n; i++) {
+        real clock = l->s[i];
         real strength = general ? strength1 * l->k[i] : ALL(strength1), barrier = strength * l->xx[i];
         /* exp(-barrier), no less than exp(-690), so that logarithms are of normal numbers */
         real tunnel = raised(-least(barrier, ALL(690.0)));

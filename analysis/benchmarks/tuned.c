@@ -102,7 +102,7 @@ INLINE int64_t march(const Law *law, int breaking, int general, const Job *job, 
             int n = count - from < CHUNK * LANES ? (int)((count - from + LANES - 1) / LANES) : CHUNK;
             real at[CHUNK];
             memcpy(l.id, contact + from, sizeof l.id), memcpy(at, position + from, sizeof at);
-            live(law, breaking, general, life, n, &l);
+            live(law, breaking, general, life, n, BROKEN, &l);
             for (int i = 0; i < n; i++) {
                 real born = at[i], broke = born + l.x[i], next = general ? broke + law->delay : broke;
                 /* what is beyond the last grid point goes to a row that nobody reads */
@@ -129,7 +129,7 @@ INLINE void average(const Law *law, int breaking, int general, uint64_t batch, i
     Lives l;
     for (int64_t from = 0; from < count; from += CHUNK * LANES) {
         for (int64_t i = 0; i < CHUNK * LANES; i++) ((int64_t *)l.id)[i] = from + i;
-        live(law, breaking, general, batch, CHUNK, &l);
+        live(law, breaking, general, batch, CHUNK, BROKEN, &l);
         for (int i = 0; i < CHUNK; i++) {
             real done = general ? 0.5 * l.k[i] * l.xx[i] : 0.5 * l.xx[i];
             work += done, stretch += l.x[i];
@@ -140,6 +140,16 @@ INLINE void average(const Law *law, int breaking, int general, uint64_t batch, i
         sums[0] += work[i], sums[1] += stretch[i];
         sums[2] = most_work[i] > sums[2] ? most_work[i] : sums[2];
         sums[3] = most_stretch[i] > sums[3] ? most_stretch[i] : sums[3];
+    }
+}
+
+/* `count` lives (whole chunks) as far as `upto`, of which nothing is kept */
+INLINE void strip(const Law *law, int breaking, int general, int upto, int64_t count) {
+    Lives l;
+    for (int64_t from = 0; from < count; from += CHUNK * LANES) {
+        for (int64_t i = 0; i < CHUNK * LANES; i++) ((int64_t *)l.id)[i] = from + i;
+        live(law, breaking, general, 0, CHUNK, upto, &l);
+        __asm__ volatile("" : : "r"(&l) : "memory"); /* as if somebody read it */
     }
 }
 
@@ -203,4 +213,12 @@ int64_t trajectory(const Law *law, const Job *job, int threads, double *deposits
 void steady(const Law *law, int64_t batches, int64_t count, int threads, double *sums) {
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (int64_t batch = 0; batch < batches; batch++) { FOR_KIND(average, law, batch, count, sums + 4 * batch) }
+}
+
+void stripped(const Law *law, int upto, int64_t count) {
+    switch (upto) {
+    case DRAWN: FOR_KIND(strip, law, DRAWN, count) break;
+    case WITH_THRESHOLDS: FOR_KIND(strip, law, WITH_THRESHOLDS, count) break;
+    case BROKEN: FOR_KIND(strip, law, BROKEN, count) break;
+    }
 }
