@@ -22,7 +22,7 @@ from eqsim.numerics.compiled import by_law, kernel, maker, routine
 from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
-from eqsim.numerics.vector_math import log
+from eqsim.numerics.vector_math import log, third
 
 LANES = 256  # contacts that advance together
 ROUNDS = 2  # lives of a contact that are drawn together
@@ -335,7 +335,7 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
                 s, y, k, w = stretch[r, i], birth[r, i], stiffness[r, i], abs(part[r, i])
                 work += part[r, i]
                 travel += s
-                square += k * k * s * (y * y + s * (y + s / 3.0))
+                square += k * k * s * (y * y + s * (y + third(s)))
                 births += y
                 size += w
                 most_work, most_travel = max(most_work, w), max(most_travel, s)

@@ -10,7 +10,7 @@ overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,8 @@ BATCHES = 64  # independent groups whose scatter is the error of averages over t
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
 _LEAST_WORK = 2.0**5  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
 _BITS = 62  # of a sum; the sign and one more are left
-_UNITS, _SHIFTED = 0x4330000000000000, 0x4338000000000000  # bits of 2^52 and 1.5 2^52; integers added are the last
-_NARROW_FROM = 2 ** (_BITS - 51)  # contacts, of which each has so few bits that the sum has 62
+_UNITS, _SHIFTED = 0x4330000000000000, 0x4338000000000000  # bits of 2^52 and of 1.5 2^52
+_NARROW_FROM = 2 ** (_BITS - 51)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
 
 # columns of the deposits; Y = -X0 is where the slider would have been pulled from. What stands in for the others where
 # all contacts are equally stiff comes first
@@ -115,7 +115,8 @@ class Scales(NamedTuple):
         by_batch[BREAKS] = 1.0
         most = max(force, drag)
         by_replica = power([most, most**2], replicas)
-        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), lives.alike, contacts > _NARROW_FROM)
+        narrow = contacts >= _NARROW_FROM
+        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), lives.alike, narrow)
 
 
 class Recorder(NamedTuple):
@@ -168,9 +169,9 @@ def fixed(x: float, scale: float) -> int:
 
 
 @inlined
-def fixed_narrow(x: float, scale: float, narrow: bool) -> int:
-    """`fixed`, side by side where all numbers are `narrow`: where they are added to what leaves their units in the last
-    bits. Few processors convert more than one number at a time."""
+def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
+    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are the last bits of the sum. Few
+    processors convert more than one number at a time."""
     if narrow:
         return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
@@ -261,15 +262,14 @@ def scales_of(recorder: Recorder) -> tuple[float, float, float, float, float, fl
 
 
 @inlined
-def point_after(x: float, run: Run, per_step: float) -> int:
+def point_after(x: float, run: Run, per_step: float) -> Any:
     """The first grid point at or after x >= 0; `run.points` beyond the last one."""
     at = np.ceil(min(x * per_step, float(run.points))) + 2.0**52
     return np.float64(at).view(np.int64) - _UNITS
 
 
 class Columns(NamedTuple):
-    """Scratch for what many contacts leave: first and last grid point (LANES,), and numbers in fixed point, (LANES, 4)
-    and (LANES, 2)."""
+    """Scratch for what many contacts leave: first and last grid point (LANES,), numbers in fixed point (5, LANES)."""
 
     start: Array
     end: Array

@@ -173,8 +173,8 @@ def _four_of(typing: Any, table: Any, j: Any) -> Any:
 
 
 def _float_of(typing: Any, whole: Any) -> Any:
-    """The double nearest to an integer of 0 to 2^63, side by side: where the processor has no instruction for vectors of
-    64 bits, from halves in the last bits of 2^84 and of 2^52, whose sum is rounded once."""
+    """The double nearest to an integer of 0 to 2^63, in kernels: where the processor has no instruction that converts
+    vectors of 64 bits, from halves in the last bits of 2^84 and of 2^52, whose sum is rounded once."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         double, integer = ir.DoubleType(), ir.IntType(64)

@@ -51,6 +51,7 @@ def name_of(*declared: Any) -> int:
 @inlined
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
+    c1, c3, k0, k1 = c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW  # else the compiler multiplies 64 bits by 64 at first
     for _ in range(10):
         p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
         c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW

@@ -59,7 +59,7 @@ def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, 
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)
     cell = (bits >> _SHIFT) - np.int64(first)
-    t = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (1.0 / (_FRACTION + 1))
+    t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (1.0 / (_FRACTION + 1))
     if cell < 0:
         t = s * per_edge
     if cell >= np.int64(cells):
