@@ -136,9 +136,10 @@ def measure(case: Case, sizes: Sizes, rounds: int) -> list[dict[str, Any]]:
 
 def table(figures: pd.DataFrame) -> Table:
     """Nanoseconds of a life by part; of both, and what C takes over what eqsim takes of the whole."""
-    shown = Table(box=box.SIMPLE_HEAD, title="ns of a life by part", title_justify="left")
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, title="ns of a life by part", title_justify="left")
     for heading in ("job", "contacts", "", *PARTS, "whole", "C/eqsim"):
-        shown.add_column(heading, justify="left" if heading in ("job", "contacts", "") else "right")
+        text = heading in ("job", "contacts", "")
+        shown.add_column(heading, justify="left" if text else "right", no_wrap=text)
     for (job, case), rows in figures.groupby(["job", "case"], sort=False):
         whole = rows.set_index("who")["whole"]
         for row in rows.to_dict("records"):
@@ -182,7 +183,7 @@ def main(
 ) -> None:
     """Time eqsim and rival C part by part, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes(contacts=20_000, scalar_lives=1_000_000)
-    console.width = max(console.width, 110)
+    console.width = max(console.width, 120)
     if not tuned.available():
         console.print("no gcc that compiles tuned.c: rival C is left out")
     figures = pd.DataFrame([row for case in CASES for row in measure(case, sizes, rounds)])
