@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.benchmarks import report, tuned
+from analysis.benchmarks import parts, report, tuned
 from analysis.benchmarks.cases import CASES, COMPILE, VELOCITY, Case
 from analysis.benchmarks.jobs import accuracy, plain, time_plain, time_trajectory
 from eqsim import Drive, reference, trajectory
@@ -80,3 +80,17 @@ def test_table_and_picture(tmp_path):
     assert report.table(figures).row_count == 2 * len(rows)
     report.picture(figures, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 0
+
+
+@needs_compiler
+@pytest.mark.long
+def test_parts_of_a_life(tmp_path):
+    """Parts are not negative, those of both contenders add up to the whole, and all of them are drawn."""
+    figures = pd.DataFrame(parts.measure(GENERAL, COMPILE, 2))
+    assert (figures[list(parts.PARTS)] >= 0.0).all(axis=None)
+    total = figures[list(parts.PARTS)].sum(axis=1)  # more only if noise made a part seem to take less than nothing
+    assert (total >= figures["whole"] * (1.0 - 1e-12)).all()
+    assert figures.groupby("job")["who"].agg(list).tolist() == [["eqsim", "C"]] * 2
+    assert parts.table(figures).row_count == 4
+    parts.picture(figures, tmp_path / "parts.png")
+    assert (tmp_path / "parts.png").stat().st_size > 10_000

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eqsim.numerics import vector_math
-from eqsim.numerics.compiled import add_row, fma, four_of, take_row
+from eqsim.numerics.compiled import add_row, float_of, fma, four_of, take_row
 
 RNG = np.random.default_rng(5)
 UNIT = RNG.random(4000)  # of (0, 1)
@@ -119,6 +119,27 @@ def test_fma_rounds_once():
     exact = [float(Fraction(x) * Fraction(y) - Fraction(x * y)) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)]
     assert [lost(x, y) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)] == exact
     assert any(exact)
+
+
+def test_doubles_of_integers():
+    """Rounded once, ties to even, as Python does."""
+
+    @numba.njit
+    def double(whole):
+        return float_of(whole)
+
+    ties = [2**k + step for k in range(53, 63) for step in (1, 2 ** (k - 53), 3 * 2 ** (k - 53), 2 ** (k - 53) + 1)]
+    whole = [0, 1, 2**32 - 1, 2**32, 2**53 - 1, 2**63 - 1, *ties, *RNG.integers(0, 2**63, 500).tolist()]
+    assert [double(number) for number in whole] == [float(number) for number in whole]
+
+
+def test_third():
+    """As a division rounds, to the last bit; a product with 1/3 often does not."""
+    x = np.concatenate((UNIT, 10.0 ** (580 * UNIT - 290), np.arange(100.0)))
+    y = np.empty_like(x)
+    loop("third")(x, y)
+    np.testing.assert_array_equal(y, x / 3.0)
+    assert np.any(x * (1.0 / 3.0) != x / 3.0)
 
 
 def test_rows():

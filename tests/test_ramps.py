@@ -1,6 +1,7 @@
 """What lives leave on the output grid and in the batch sums, routine by routine, against plain sums over lives."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -43,11 +44,11 @@ def scales(uniform):
     return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT, UNIT]), 1.0, 1.0, uniform)
 
 
-def empty(run, uniform=False):
+def empty(run, uniform=False, narrow=False):
     """A recorder of nothing yet."""
     units, status = scales(uniform), np.zeros(2, np.int64)
     sums = np.zeros((run.points, 6), np.int64), np.zeros((BATCHES, 2, 6), np.int64)
-    return Recorder(run, units.deposits, units.batches, *sums, status)
+    return Recorder(run, units.deposits, units.batches, *sums, status, narrow)
 
 
 def columns(count):
@@ -116,6 +117,8 @@ def test_no_sum_can_overflow(count, thermal):
         sizes = np.log2(sums)
         assert np.all(sizes < 63)
         assert np.sum(sizes > 60.9) >= sizes.size - 1
+    assert found.narrow == (count > 1000)
+    assert not found.narrow or np.all(deposits * found.deposits <= 2.0**51)
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
@@ -128,30 +131,54 @@ def test_single_deposits(points, early):
     compare(found, False, seen(rows, run))
 
 
-@pytest.mark.parametrize("points", [2, 5, 101])
-@pytest.mark.parametrize("uniform", [False, True])
-def test_deposits_side_by_side(points, uniform):
+def left(routine, points, narrow):
+    """A recorder of what lives leave that are recorded side by side, and the lives."""
+    uniform = routine is leave_uniform_ramps
     run, rows = Run(DISTANCE, points, False, False), lives(uniform, True)
-    found, count = empty(run, uniform), len(rows)
+    found, count = empty(run, uniform, narrow), len(rows)
     stiffness, born, broke = (np.ascontiguousarray(rows[:, i]) for i in range(3))
     if uniform:
         leave_uniform_ramps(found, born, broke, columns(count), count)
     else:
         of_rows = Lives((broke - born)[None], np.empty((1, count)), stiffness[None], np.zeros((1, count)))
         leave_ramps(found, born, broke, of_rows, 0, columns(count), count)
-    compare(found, uniform, seen(rows, run))
+    return found, rows
 
 
-@pytest.mark.parametrize("points", [2, 5, 101])
-def test_deposits_that_join(points):
-    """Without delay, from the first birth of each contact on."""
+def joined(points, narrow):
+    """The same without delay, from the first birth of each contact on."""
     run, rows = Run(DISTANCE, points, False, False), lives(True, False)[2:]
-    found = empty(run, True)
+    found = empty(run, True, narrow)
     for _ in range(CONTACTS):
         leave(found, 0, 1, 1.0, 0.0)
     born, broke = (np.ascontiguousarray(rows[:, i]) for i in (1, 2))
     join_uniform_ramps(found, born, broke, columns(len(rows)), len(rows))
-    compare(found, True, seen(rows, run))
+    return found, rows
+
+
+@pytest.mark.parametrize("points", [2, 5, 101])
+@pytest.mark.parametrize("uniform", [False, True])
+def test_deposits_side_by_side(points, uniform):
+    found, rows = left(leave_uniform_ramps if uniform else leave_ramps, points, False)
+    compare(found, uniform, seen(rows, found.run))
+
+
+@pytest.mark.parametrize("points", [2, 5, 101])
+def test_deposits_that_join(points):
+    found, rows = joined(points, False)
+    compare(found, True, seen(rows, found.run))
+
+
+@pytest.mark.parametrize(
+    "deposits",
+    [partial(left, leave_ramps), partial(left, leave_uniform_ramps), joined],
+    ids=["any", "uniform", "joined"],
+)
+def test_narrow_numbers_are_rounded_alike(deposits):
+    """Numbers below 2^51, which those of these lives are, to the last bit."""
+    found, _ = deposits(101, True)
+    np.testing.assert_array_equal(found.deposits, deposits(101, False)[0].deposits)
+    assert np.abs(found.deposits).max() > 2.0**45
 
 
 def averages(rows, low, high, work=None):

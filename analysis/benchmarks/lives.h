@@ -1,4 +1,4 @@
-/* Lives of contacts with thresholds of n = 1, lengths in x_*, a vector of eight at a time: from counters to stiffness
+/* Lives of contacts with thresholds of n = 1, lengths in x_*, a vector of them at a time: from counters to stiffness
    and stretch at breaking. xi^2 = -ln(u1 u2), so that no table of thresholds is needed; breaking takes one exp, one ln
    and, for soft barriers, a polynomial of degree 9 in 16 cells, whose coefficients are picked from registers. */
 #include "lanes.h"
@@ -57,30 +57,38 @@ INLINE void philox(const uint32_t key[2], word contact, uint64_t life, word *a, 
 
 /* a few lives of each lane. Every step is a short loop of its own: the processor then works on many vectors at once,
    where in one long loop it would wait for a chain of results */
-enum { CHUNK = 16 };
+enum { CHUNK = 128 / LANES };
 typedef struct {
     word id[CHUNK], a[CHUNK], b[CHUNK];
-    real k[CHUNK], x[CHUNK], xx[CHUNK], s[CHUNK]; /* stiffness k_i/k, stretch at breaking, its square; scratch */
+    real k[CHUNK], x[CHUNK], xx[CHUNK], s[CHUNK]; /* stiffness k_i/k, stretch at breaking, its square; clock, then scratch */
 } Lives;
 
-INLINE void live(const Law *law, int breaking, int general, uint64_t life, int n, Lives *l) {
+/* how much of a life is done: all but recording it, or less, to be timed */
+enum { DRAWN, WITH_THRESHOLDS, BROKEN };
+
+INLINE void live(const Law *law, int breaking, int general, uint64_t life, int n, int upto, Lives *l) {
     const double ln2 = 0.69314718055994530942, strength1 = law->b;
     for (int i = 0; i < n; i++) philox(law->key, l->id[i], life, &l->a[i], &l->b[i]);
+    if (upto == DRAWN) return;
     for (int i = 0; i < n; i++) {
         real square;
         if (breaking == COLD) /* 64 bits each, in (0, 1] */
-            square = 128 * ln2 - ln((__builtin_convertvector(l->a[i], real) + 0.5) *
-                                    (__builtin_convertvector(l->b[i], real) + 0.5));
+            square = 128 * ln2 - ln((converted(l->a[i]) + 0.5) *
+                                    (converted(l->b[i]) + 0.5));
         else /* 43, 43 and 42 bits: xi reaches 7.7, whose like one of 1e25 contacts has */
-            square = 86 * ln2 - ln((__builtin_convertvector(l->a[i] >> 21, real) + 0.5) *
-                                   (__builtin_convertvector(l->b[i] >> 21, real) + 0.5));
+            square = 86 * ln2 - ln((converted(l->a[i] >> 21) + 0.5) *
+                                   (converted(l->b[i] >> 21) + 0.5));
         l->xx[i] = most(square, ALL(1e-13)), l->x[i] = root(l->xx[i]);
         l->k[i] = general ? l->x[i] * 0.70710678118654752440 : ALL(1.0);
     }
     if (breaking == COLD) return;
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < n; i++) { /* clocks */
         word rest = (l->a[i] & 0x1fffff) << 21 | (l->b[i] & 0x1fffff);
-        real clock = most(42 * ln2 - ln(__builtin_convertvector(rest, real) + 0.5), ALL(1e-13));
+        l->s[i] = most(42 * ln2 - ln(converted(rest) + 0.5), ALL(1e-13));
+    }
+    if (upto == WITH_THRESHOLDS) return;
+    for (int i = 0; i < n; i++) {
+        real clock = l->s[i];
         real strength = general ? strength1 * l->k[i] : ALL(strength1), barrier = strength * l->xx[i];
         /* exp(-barrier), no less than exp(-690), so that logarithms are of normal numbers */
         real tunnel = raised(-least(barrier, ALL(690.0)));

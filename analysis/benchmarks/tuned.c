@@ -1,6 +1,6 @@
 /* Rival C: eqsim's algorithm by hand; the limit of the machine.
 
-   lives       in lives.h and lanes.h: eight contacts to a vector, all without branches, tables or calls
+   lives       in lives.h and lanes.h: as many contacts to a vector as it has lanes, all without branches, tables or calls
    short loops each step of a chunk of 128 lives is a loop of its own, so that many vectors are worked on at once
    lock-step   a batch of contacts lives its n-th lives together, so that all deposits of a sweep fall near each other
                and stay in the first-level cache; those that have reached the end are squeezed out
@@ -24,8 +24,13 @@ typedef struct {
 } Grid;
 
 #define SHUFFLE(a, b, ...) __builtin_shuffle(a, b, (whole){__VA_ARGS__})
+#if LANES == 8
 #define PAIRS_EVEN(a, b) SHUFFLE(a, b, 0, 8, 2, 10, 4, 12, 6, 14)
 #define PAIRS_ODD(a, b) SHUFFLE(a, b, 1, 9, 3, 11, 5, 13, 7, 15)
+#else
+#define PAIRS_EVEN(a, b) SHUFFLE(a, b, 0, 4, 2, 6)
+#define PAIRS_ODD(a, b) SHUFFLE(a, b, 1, 5, 3, 7)
+#endif
 typedef int64_t pair __attribute__((vector_size(16)));
 
 /* one stiffness, no delay: column 0 counts births, column 1 their squares; breaking at `broke` is the next birth */
@@ -36,7 +41,7 @@ INLINE void leave_birth(const Grid *grid, pair *deposits, whole j, real born, re
     int64_t at[LANES]; /* through memory, which the compiler is kept from avoiding: 5 % faster */
     memcpy(at, &j, sizeof at);
     __asm__ volatile("" : "+m"(at));
-    for (int i = 0; i < LANES; i++) deposits[at[i]] += rows[i / 2 + i % 2 * 4];
+    for (int i = 0; i < LANES; i++) deposits[at[i]] += rows[i / 2 + i % 2 * (LANES / 2)];
 }
 
 /* columns 1, k, k born, k^2, k^2 born, (k born)^2 of a row that fills a cache line: one addition there, one to undo */
@@ -46,20 +51,29 @@ INLINE void leave_life(const Grid *grid, whole *deposits, whole start, whole end
     real columns[5] = {k, kb, k * k, k * kb, kb * kb};
 #pragma GCC unroll 5
     for (int i = 0; i < 5; i++) c[i + 1] = rounded(columns[i] * grid->scale[i]);
-    whole rows[LANES]; /* the transpose */
+    whole rows[LANES][8 / LANES]; /* the transpose */
 #pragma GCC unroll 2
     for (int odd = 0; odd < 2; odd++) {
         whole p = odd ? PAIRS_ODD(c[0], c[1]) : PAIRS_EVEN(c[0], c[1]);
         whole q = odd ? PAIRS_ODD(c[2], c[3]) : PAIRS_EVEN(c[2], c[3]);
         whole r = odd ? PAIRS_ODD(c[4], c[5]) : PAIRS_EVEN(c[4], c[5]), none = {};
+#if LANES == 8
         whole low = SHUFFLE(p, q, 0, 1, 8, 9, 2, 3, 10, 11), high = SHUFFLE(p, q, 4, 5, 12, 13, 6, 7, 14, 15);
         whole low_r = SHUFFLE(r, none, 0, 1, 8, 9, 2, 3, 10, 11), high_r = SHUFFLE(r, none, 4, 5, 12, 13, 6, 7, 14, 15);
-        rows[odd] = SHUFFLE(low, low_r, 0, 1, 2, 3, 8, 9, 10, 11);
-        rows[odd + 2] = SHUFFLE(low, low_r, 4, 5, 6, 7, 12, 13, 14, 15);
-        rows[odd + 4] = SHUFFLE(high, high_r, 0, 1, 2, 3, 8, 9, 10, 11);
-        rows[odd + 6] = SHUFFLE(high, high_r, 4, 5, 6, 7, 12, 13, 14, 15);
+        rows[odd][0] = SHUFFLE(low, low_r, 0, 1, 2, 3, 8, 9, 10, 11);
+        rows[odd + 2][0] = SHUFFLE(low, low_r, 4, 5, 6, 7, 12, 13, 14, 15);
+        rows[odd + 4][0] = SHUFFLE(high, high_r, 0, 1, 2, 3, 8, 9, 10, 11);
+        rows[odd + 6][0] = SHUFFLE(high, high_r, 4, 5, 6, 7, 12, 13, 14, 15);
+#else
+        rows[odd][0] = SHUFFLE(p, q, 0, 1, 4, 5), rows[odd][1] = SHUFFLE(r, none, 0, 1, 4, 5);
+        rows[odd + 2][0] = SHUFFLE(p, q, 2, 3, 6, 7), rows[odd + 2][1] = SHUFFLE(r, none, 2, 3, 6, 7);
+#endif
     }
-    for (int i = 0; i < LANES; i++) deposits[start[i]] += rows[i], deposits[end[i]] -= rows[i];
+    for (int i = 0; i < LANES; i++)
+        for (int part = 0; part < 8 / LANES; part++) {
+            deposits[8 / LANES * start[i] + part] += rows[i][part];
+            deposits[8 / LANES * end[i] + part] -= rows[i][part];
+        }
 }
 
 INLINE void record(const Grid *grid, real sums[2][SUMS], real k, real born, real broke, int general) {
@@ -88,7 +102,7 @@ INLINE int64_t march(const Law *law, int breaking, int general, const Job *job, 
             int n = count - from < CHUNK * LANES ? (int)((count - from + LANES - 1) / LANES) : CHUNK;
             real at[CHUNK];
             memcpy(l.id, contact + from, sizeof l.id), memcpy(at, position + from, sizeof at);
-            live(law, breaking, general, life, n, &l);
+            live(law, breaking, general, life, n, BROKEN, &l);
             for (int i = 0; i < n; i++) {
                 real born = at[i], broke = born + l.x[i], next = general ? broke + law->delay : broke;
                 /* what is beyond the last grid point goes to a row that nobody reads */
@@ -99,7 +113,7 @@ INLINE int64_t march(const Law *law, int breaking, int general, const Job *job, 
                 } else
                     leave_birth(grid, (pair *)deposits, end, born, broke);
                 if (above(next, ALL(grid->half))) record(grid, sums, l.k[i], born, broke, general);
-                unsigned keep = ~above(next, ALL(job->distance)) & 0xff;
+                unsigned keep = ~above(next, ALL(job->distance)) & ((1 << LANES) - 1);
                 squeeze(position + kept, keep, next), squeeze(contact + kept, keep, (real)l.id[i]);
                 kept += __builtin_popcount(keep);
             }
@@ -114,8 +128,8 @@ INLINE void average(const Law *law, int breaking, int general, uint64_t batch, i
     real work = {}, stretch = {}, most_work = {}, most_stretch = {};
     Lives l;
     for (int64_t from = 0; from < count; from += CHUNK * LANES) {
-        for (int i = 0; i < CHUNK; i++) l.id[i] = (word){0, 1, 2, 3, 4, 5, 6, 7} + (uint64_t)(from + LANES * i);
-        live(law, breaking, general, batch, CHUNK, &l);
+        for (int64_t i = 0; i < CHUNK * LANES; i++) ((int64_t *)l.id)[i] = from + i;
+        live(law, breaking, general, batch, CHUNK, BROKEN, &l);
         for (int i = 0; i < CHUNK; i++) {
             real done = general ? 0.5 * l.k[i] * l.xx[i] : 0.5 * l.xx[i];
             work += done, stretch += l.x[i];
@@ -126,6 +140,16 @@ INLINE void average(const Law *law, int breaking, int general, uint64_t batch, i
         sums[0] += work[i], sums[1] += stretch[i];
         sums[2] = most_work[i] > sums[2] ? most_work[i] : sums[2];
         sums[3] = most_stretch[i] > sums[3] ? most_stretch[i] : sums[3];
+    }
+}
+
+/* `count` lives (whole chunks) as far as `upto`, of which nothing is kept */
+INLINE void strip(const Law *law, int breaking, int general, int upto, int64_t count) {
+    Lives l;
+    for (int64_t from = 0; from < count; from += CHUNK * LANES) {
+        for (int64_t i = 0; i < CHUNK * LANES; i++) ((int64_t *)l.id)[i] = from + i;
+        live(law, breaking, general, 0, CHUNK, upto, &l);
+        __asm__ volatile("" : : "r"(&l) : "memory"); /* as if somebody read it */
     }
 }
 
@@ -189,4 +213,12 @@ int64_t trajectory(const Law *law, const Job *job, int threads, double *deposits
 void steady(const Law *law, int64_t batches, int64_t count, int threads, double *sums) {
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (int64_t batch = 0; batch < batches; batch++) { FOR_KIND(average, law, batch, count, sums + 4 * batch) }
+}
+
+void stripped(const Law *law, int upto, int64_t count) {
+    switch (upto) {
+    case DRAWN: FOR_KIND(strip, law, DRAWN, count) break;
+    case WITH_THRESHOLDS: FOR_KIND(strip, law, WITH_THRESHOLDS, count) break;
+    case BROKEN: FOR_KIND(strip, law, BROKEN, count) break;
+    }
 }

@@ -154,3 +154,11 @@ def steady(case: Case, lives: int, seed: int, threads: int = 1) -> tuple[float, 
     work, cycle = sums[:, 0], sums[:, 1] + size * case.delay
     value = float(work.sum() / cycle.sum())
     return value, float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())
+
+
+def stripped(case: Case, upto: int, lives: int) -> int:
+    """Lives as far as drawn (0), drawn with thresholds and clocks (1), or broken (2), of which nothing is kept; how
+    many."""
+    size = -(-lives // 128) * 128
+    library().stripped(ctypes.byref(_law(case, 1)), ctypes.c_int(upto), ctypes.c_int64(size))
+    return size

@@ -22,7 +22,7 @@ from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
 from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
-from eqsim.numerics.vector_math import log
+from eqsim.numerics.vector_math import log, third
 
 LANES = 256  # contacts that advance together
 ROUNDS = 2  # lives of a contact that are drawn together
@@ -333,15 +333,19 @@ def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple
         complete(c.aging, c, key, lanes, found, LANES)
         for r in range(ROUNDS):
             note_work(c.aging, c, found, r, LANES)
-            for i in range(LANES):  # sums of each lane: a single one would have to wait for every addition
-                s, y, w = stretch[r, i], birth[r, i], abs(part[r, i])
-                sums[0, i] += part[r, i]
-                sums[1, i] += s
-                sums[2, i] += stiffness[r, i] * stiffness[r, i] * s * (y * y + s * (y + s / 3.0))
-                sums[3, i] += y
-                sums[4, i] += w
-                most[0, i] = max(most[0, i], w)
-                most[1, i] = max(most[1, i], s)
+        for i in range(LANES):  # sums of each lane: a single one would have to wait for every addition
+            work, travel, square, births, size = sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i]
+            most_work, most_travel = most[0, i], most[1, i]
+            for r in range(ROUNDS):
+                s, y, k, w = stretch[r, i], birth[r, i], stiffness[r, i], abs(part[r, i])
+                work += part[r, i]
+                travel += s
+                square += k * k * s * (y * y + s * (y + third(s)))
+                births += y
+                size += w
+                most_work, most_travel = max(most_work, w), max(most_travel, s)
+            sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i] = work, travel, square, births, size
+            most[0, i], most[1, i] = most_work, most_travel
         for i in range(LANES):
             age[i] = at + 1
     total, largest = np.empty(5), np.empty(2)

@@ -105,7 +105,8 @@ class Steps(NamedTuple):
                     return
                 rows = total.scratch[step.row : step.row + step.run.points]
                 scales = step.scales
-                recorder = Recorder(step.run, scales.deposits, scales.batches, rows, total.batches, total.status)
+                sums = (rows, total.batches, total.status)
+                recorder = Recorder(step.run, scales.deposits, scales.batches, *sums, scales.narrow)
                 follow(step.contacts, step.leg, recorder, self.stream, begin, population)
 
     def moments(self, deposits: Array, contacts: int) -> Moments:

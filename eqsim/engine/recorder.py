@@ -10,7 +10,7 @@ overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,8 @@ BATCHES = 64  # independent groups whose scatter is the error of averages over t
 _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
 _LEAST_WORK = 2.0**5  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
 _BITS = 62  # of a sum; the sign and one more are left
+_UNITS, _SHIFTED = 0x4330000000000000, 0x4338000000000000  # bits of 2^52 and of 1.5 2^52
+_NARROW_FROM = 2 ** (_BITS - 51)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
 
 # columns of the deposits; Y = -X0 is where the slider would have been pulled from. What stands in for the others where
 # all contacts are equally stiff comes first
@@ -68,14 +70,15 @@ class Extent(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn the deposits (6 columns), batch sums (6 columns) and replicas' forces into integers, and
-    whether all contacts are equally stiff."""
+    """Powers of 2 that turn the deposits (6 columns), batch sums (6 columns) and replicas' forces into integers,
+    whether all contacts are equally stiff, and whether they are so many that no deposit of one exceeds 51 bits."""
 
     deposits: Array
     batches: Array
     replica: float
     replica_square: float
     uniform: bool
+    narrow: bool = False
 
     @classmethod
     def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
@@ -112,12 +115,14 @@ class Scales(NamedTuple):
         by_batch[BREAKS] = 1.0
         most = max(force, drag)
         by_replica = power([most, most**2], replicas)
-        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), lives.alike)
+        narrow = contacts >= _NARROW_FROM
+        return cls(by_column, by_batch, float(by_replica[0]), float(by_replica[1]), lives.alike, narrow)
 
 
 class Recorder(NamedTuple):
     """Where kernels add up what contacts leave: powers of 2 of the columns, sums over the grid (points, 6) and over
-    batches and quarters (BATCHES, 2, 6), and `status`: lives so far, and anything but 0 stops the kernel."""
+    batches and quarters (BATCHES, 2, 6), and `status`: lives so far, and anything but 0 stops the kernel. `narrow` as
+    in `Scales`."""
 
     run: Run
     scales: Array
@@ -125,6 +130,7 @@ class Recorder(NamedTuple):
     deposits: Array
     batches: Array
     status: Array
+    narrow: bool = False
 
 
 class Moments(NamedTuple):
@@ -159,6 +165,15 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
 @inlined
 def fixed(x: float, scale: float) -> int:
     """x in fixed point."""
+    return int(np.rint(x * scale))
+
+
+@inlined
+def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
+    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are the last bits of the sum. Few
+    processors convert more than one number at a time."""
+    if narrow:
+        return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
 
 
@@ -240,9 +255,17 @@ def leave_pinned(recorder: Recorder, born: float, broke: float) -> None:
 
 
 @inlined
-def point_after(x: float, run: Run, per_step: float) -> int:
+def scales_of(recorder: Recorder) -> tuple[float, float, float, float, float, float]:
+    """The powers of 2, out of loops: what these write might else be taken for them."""
+    scales = recorder.scales
+    return scales[COUNT], scales[FORCE], scales[SQUARE], scales[SLOPE], scales[SLOPE2], scales[RAMP2]
+
+
+@inlined
+def point_after(x: float, run: Run, per_step: float) -> Any:
     """The first grid point at or after x >= 0; `run.points` beyond the last one."""
-    return math.ceil(min(x * per_step, float(run.points)))
+    at = np.ceil(min(x * per_step, float(run.points))) + 2.0**52
+    return np.float64(at).view(np.int64) - _UNITS
 
 
 class Columns(NamedTuple):
@@ -256,7 +279,8 @@ class Columns(NamedTuple):
 @maker
 def empty_columns() -> Columns:
     """Scratch for LANES contacts."""
-    return Columns(np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty((5, LANES), np.int64))
+    start, end = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    return Columns(start, end, np.empty((5, LANES), np.int64))
 
 
 @inlined
@@ -271,19 +295,20 @@ def leave_ramps(
     recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
 ) -> None:
     """`deposit` for `count` contacts, born >= 0."""
-    run, deposits, scales, stiffness = recorder.run, recorder.deposits, recorder.scales, lives.stiffness
-    start, end, column = columns.start, columns.end, columns.number
+    run, deposits, narrow, stiffness = recorder.run, recorder.deposits, recorder.narrow, lives.stiffness
+    _, to_force, to_square, to_slope, to_slope2, to_ramp2 = scales_of(recorder)
+    start, end, column = columns
     per_step = (run.points - 1) / run.distance
     for i in range(count):
         start[i], end[i] = point_after(born[i], run, per_step), point_after(broke[i], run, per_step)
     for i in range(count):
         kappa = stiffness[r, i]
         ramp = kappa * born[i]
-        column[0, i] = fixed(ramp, -scales[FORCE])
-        column[1, i] = fixed(ramp * ramp, scales[SQUARE])
-        column[2, i] = fixed(kappa, scales[SLOPE])
-        column[3, i] = fixed(kappa * kappa, scales[SLOPE2])
-        column[4, i] = fixed(kappa * ramp, -scales[RAMP2])
+        column[0, i] = fixed_narrow(ramp, -to_force, narrow)
+        column[1, i] = fixed_narrow(ramp * ramp, to_square, narrow)
+        column[2, i] = fixed_narrow(kappa, to_slope, narrow)
+        column[3, i] = fixed_narrow(kappa * kappa, to_slope2, narrow)
+        column[4, i] = fixed_narrow(kappa * ramp, -to_ramp2, narrow)
     for i in range(count):
         if end[i] < run.points:
             row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
@@ -296,13 +321,15 @@ def leave_ramps(
 @routine
 def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: Columns, count: int) -> None:
     """`leave_ramps` of uniform stiffness, where COUNT and FORCE stand for the other columns."""
-    run, deposits, scales = recorder.run, recorder.deposits, recorder.scales
-    start, end, column = columns.start, columns.end, columns.number
+    run, deposits, narrow = recorder.run, recorder.deposits, recorder.narrow
+    _, to_force, to_square, _, _, _ = scales_of(recorder)
+    start, end, column = columns
     per_step = (run.points - 1) / run.distance
     for i in range(count):
         start[i], end[i] = point_after(born[i], run, per_step), point_after(broke[i], run, per_step)
-        column[0, i] = fixed(born[i], -scales[FORCE])
-        column[1, i] = fixed(born[i] * born[i], scales[SQUARE])
+    for i in range(count):
+        column[0, i] = fixed_narrow(born[i], -to_force, narrow)
+        column[1, i] = fixed_narrow(born[i] * born[i], to_square, narrow)
     for i in range(count):
         if end[i] < run.points:
             row = (1, column[0, i], column[1, i], 0)  # four numbers at a time are moved at once
@@ -316,15 +343,15 @@ def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: 
 def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: Columns, count: int) -> None:
     """Without delay a life begins where another, from `born` to `broke`, ends: with uniform stiffness nothing changes
     there but the square and the place of birth."""
-    run, deposits, scales, end, column = (
-        recorder.run, recorder.deposits, recorder.scales, columns.end, columns.number
-    )  # fmt: skip
+    run, deposits, narrow = recorder.run, recorder.deposits, recorder.narrow
+    _, to_force, to_square, _, _, _ = scales_of(recorder)
+    _, end, column = columns
     per_step = (run.points - 1) / run.distance
     for i in range(count):
         distance = broke[i] - born[i]
         end[i] = point_after(broke[i], run, per_step)
-        column[0, i] = fixed(distance, -scales[FORCE])
-        column[1, i] = fixed(distance * (born[i] + broke[i]), scales[SQUARE])
+        column[0, i] = fixed_narrow(distance, -to_force, narrow)
+        column[1, i] = fixed_narrow(distance * (born[i] + broke[i]), to_square, narrow)
     for i in range(count):
         if end[i] < run.points:
             add_row(deposits, end[i], FORCE, (column[0, i], column[1, i]))

@@ -213,7 +213,7 @@ class ConstantDrive(NamedTuple):
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
         sums = (total.scratch, total.batches, total.status)
-        recorder = Recorder(self.run, self.scales.deposits, self.scales.batches, *sums)
+        recorder = Recorder(self.run, self.scales.deposits, self.scales.batches, *sums, self.scales.narrow)
         simulate(self.contacts, self.stationary, recorder, self.stream, first, last)
 
     def moments(self, deposits: Array, contacts: int) -> Moments:

@@ -172,4 +172,26 @@ def _four_of(typing: Any, table: Any, j: Any) -> Any:
     return row(table, types.int64), generate
 
 
-fma, four_of = intrinsic(_fma), intrinsic(_four_of)
+def _float_of(typing: Any, whole: Any) -> Any:
+    """The double nearest to an integer of 0 to 2^63, in kernels: where the processor has no instruction that converts
+    vectors of 64 bits, from halves in the last bits of 2^84 and of 2^52, whose sum is rounded once."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        double, integer = ir.DoubleType(), ir.IntType(64)
+        triple, _, features = context.codegen().magic_tuple()
+        if not triple.startswith("x86_64") or "+avx512dq" in features:
+            return builder.sitofp(arguments[0], double)
+
+        def above(power: int, half: Any) -> Any:  # 2^power + half of its last bits
+            exponent = ir.Constant(integer, (1023 + power) << 52)
+            return builder.bitcast(builder.or_(half, exponent), double)
+
+        high = builder.lshr(arguments[0], ir.Constant(integer, 32))
+        low = builder.and_(arguments[0], ir.Constant(integer, 2**32 - 1))
+        rest = builder.fsub(above(84, high), ir.Constant(double, 2.0**84 + 2.0**52))
+        return builder.fadd(rest, above(52, low))
+
+    return types.float64(types.int64), generate
+
+
+fma, four_of, float_of = intrinsic(_fma), intrinsic(_four_of), intrinsic(_float_of)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.compiled import float_of, inlined, routine
 
 TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
 STEADY = 2  # first purpose of a steady estimate; others are hashes of what it is an estimate of
@@ -19,6 +19,7 @@ ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and mo
 
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_UNITS = np.uint64(0x4330000000000000)  # bits of 2^52
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 
 
@@ -50,6 +51,7 @@ def name_of(*declared: Any) -> int:
 @inlined
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
+    c1, c3, k0, k1 = c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW  # else the compiler multiplies 64 bits by 64 at first
     for _ in range(10):
         p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
         c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW
@@ -61,14 +63,20 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
     bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
-    return min((np.float64(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
+    return min((float_of(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
+
+
+@inlined
+def _midpoint(word: Any) -> float:
+    """A 32-bit word and a half: the word in the last bits of 2^52."""
+    return np.uint64(word | _UNITS).view(np.float64) - (2.0**52 - 0.5)
 
 
 @inlined
 def product(low: Any, high: Any) -> float:
     """The product of two independent uniforms in (0, 1) from two 32-bit words: mid-points of cells 2^-32 wide, good
     enough where the product is above `ROUGH`; below, `fine_product` divides the cells further."""
-    return ((np.float64(np.int64(low)) + 0.5) * 2.0**-32) * ((np.float64(np.int64(high)) + 0.5) * 2.0**-32)
+    return (_midpoint(low) * 2.0**-32) * (_midpoint(high) * 2.0**-32)
 
 
 @inlined

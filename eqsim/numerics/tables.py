@@ -21,6 +21,7 @@ NO_TABLE: Array = np.empty((0, 4))
 CELLS = 64
 _SHIFT = 52 - 6  # bits of the mantissa below those that number the 64 cells of an octave
 _FRACTION = (1 << _SHIFT) - 1
+_UNITS = 0x4330000000000000  # bits of 2^52, the last of which are those of an integer that is added
 _BIAS = 1023 * CELLS  # of the IEEE exponent, in cells
 
 
@@ -57,7 +58,8 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
 def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)
-    cell, t = (bits >> _SHIFT) - np.int64(first), float(bits & _FRACTION) * (1.0 / (_FRACTION + 1))
+    cell = (bits >> _SHIFT) - np.int64(first)
+    t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (1.0 / (_FRACTION + 1))
     if cell < 0:
         t = s * per_edge
     if cell >= np.int64(cells):
