@@ -292,7 +292,9 @@ class Proposal(NamedTuple):
         for part in parts:
             part = part.reshape(log_e.size, log_clock.size)
             size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
-            squares.append((part / size[:, None]) ** 2)
+            square = part / size[:, None]
+            square *= square
+            squares.append(square)
             sizes.append(births * size / (births @ part @ clock_births))
 
         def mixed(log_x: Array, *parts: Array) -> Array:
