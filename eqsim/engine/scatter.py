@@ -21,7 +21,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal, special
+from scipy import special
 
 from eqsim.engine.contacts import Contacts
 from eqsim.engine.lanes import lives, spread
@@ -143,6 +143,8 @@ def _stationary(c: Contacts, born: Births) -> Array:
 
 def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts there, shape (p, X)."""
+    from scipy.signal import lfilter  # takes long to import
+
     edges = step * np.arange(_NODES + 1)
     at = np.minimum(born.travel / step, _NODES)
     cell = at.astype(np.int64)
@@ -154,7 +156,7 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     renewals = np.convolve(ends, waits)[:_NODES]
     first = np.zeros(_NODES)
     first[0] = 1.0
-    density = signal.lfilter(first[:1], first - renewals, first)
+    density = lfilter(first[:1], first - renewals, first)
     moments = np.zeros((_POWERS, _NODES + 1))
     moments[0, 0] = 1.0
     with np.errstate(over="ignore", invalid="ignore"):
