@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from eqsim.numerics.tables import Array
 from eqsim.results import Result, new_axes
@@ -202,4 +202,4 @@ def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) 
     z = (estimate.value - reference) / sigma
     if estimate.dof is None:
         return z
-    return math.copysign(float(-stats.norm.ppf(stats.t.sf(abs(z), estimate.dof))), z)
+    return math.copysign(float(-special.ndtri(special.stdtr(estimate.dof, -abs(z)))), z)

@@ -31,6 +31,7 @@ from eqsim.engine.contacts import contacts as contacts_of
 from eqsim.engine.lanes import lives
 from eqsim.engine.langevin import step_error
 from eqsim.master import annealed, quenched, velocities
+from eqsim.master import steady as master_steady
 from eqsim.master.closure import closure
 from eqsim.master.transient import fluctuations, transient
 from eqsim.model.reduced import births
@@ -221,6 +222,7 @@ def test_error_estimates(disorder, monkeypatch):
     """Coarser solvers quote larger errors, and these cover what they miss, which is more than the error of the best."""
     ensemble = Ensemble(Gamma(0.0), Thermal(0.3), disorder=disorder)
     best = reference(ensemble, Drive(1e-6))
+    monkeypatch.setattr(master_steady, "_moments", master_steady._moments.__wrapped__)  # what is known is not used
     if disorder == "quenched":
         monkeypatch.setattr(quenched, "_CONVERGED", 1.0)
     else:

@@ -21,7 +21,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal, special
+from scipy import special
 
 from eqsim.engine.contacts import Contacts
 from eqsim.engine.lanes import lives, spread
@@ -141,6 +141,18 @@ def _stationary(c: Contacts, born: Births) -> Array:
     return np.array(moments)
 
 
+def _births_after(renewals: Array) -> Array:
+    """Births in each cell, shape (n,), from one in the first and the share of it that is born again in each: what
+    `scipy.signal.lfilter` finds, whose import takes as long as 500 of these."""
+    first, later = renewals[0], -renewals[1:] / (1.0 - renewals[0])
+    found, pending = np.empty(renewals.size), np.zeros(renewals.size)
+    pending[0] = 1.0 / (1.0 - first)
+    for k in range(renewals.size):
+        found[k] = pending[0]
+        pending[:-1] = pending[1:] - found[k] * later
+    return found
+
+
 def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts there, shape (p, X)."""
     edges = step * np.arange(_NODES + 1)
@@ -152,9 +164,7 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     rest = c.delay.law.rest(edges)
     waits = np.append(1.0 + (rest[1] - rest[0]) / step, np.diff(rest, 2) / step)
     renewals = np.convolve(ends, waits)[:_NODES]
-    first = np.zeros(_NODES)
-    first[0] = 1.0
-    density = signal.lfilter(first[:1], first - renewals, first)
+    density = _births_after(renewals)
     moments = np.zeros((_POWERS, _NODES + 1))
     moments[0, 0] = 1.0
     with np.errstate(over="ignore", invalid="ignore"):

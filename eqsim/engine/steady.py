@@ -22,16 +22,17 @@ errors quoted hold the error of C.
 """
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy import integrate, interpolate
-from scipy.stats import qmc
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import LANES, ROUNDS, Sample, lives, plain_sums, rough_stretch
@@ -44,8 +45,9 @@ from eqsim.laws.newborn import DeltaBirths, Stretched
 from eqsim.laws.threshold import Smooth
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of
+from eqsim.model.reduced import bare, drag_of
 from eqsim.numerics.compiled import kernel
+from eqsim.numerics.sobol import Sobol
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
@@ -133,7 +135,7 @@ def steady(
     require_number("max_lives", max_lives, above=0)
     rough = rough_stretch(ensemble, velocity)
     c = contacts(ensemble, velocity, rough)
-    proposal = None if plain else Proposal.of(c)
+    proposal = None if plain else _proposal(bare(ensemble), velocity, rough)
     # parameters enter the streams, so that the errors of many parameter sets at one seed are independent; as they were
     # declared, because a table's last bits are the processor's
     identity = name_of(*ensemble.declared(velocity))
@@ -290,7 +292,9 @@ class Proposal(NamedTuple):
         for part in parts:
             part = part.reshape(log_e.size, log_clock.size)
             size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
-            squares.append((part / size[:, None]) ** 2)
+            square = part / size[:, None]
+            square *= square
+            squares.append(square)
             sizes.append(births * size / (births @ part @ clock_births))
 
         def mixed(log_x: Array, *parts: Array) -> Array:
@@ -311,47 +315,71 @@ class Proposal(NamedTuple):
         return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
 
 
+@functools.lru_cache(maxsize=16)
+def _proposal(ensemble: Ensemble, velocity: float, stretch: float | None) -> Proposal:
+    """The densities for contacts of any delay, which has no part in lives."""
+    return Proposal.of(contacts(ensemble, velocity, stretch))
+
+
 def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, travel, square of the force added up over the travel and stretch at
     birth; and the largest single share of the first two, shape (RANDOMISATIONS, 5)."""
-    third = _births_vary(c)
     stream: Key = key(job.seed, STEADY + job.identity)
+    together = min(max(1, _BLOCK // size), -(-RANDOMISATIONS // job.threads)) if job.proposal else 1
+    groups = [range(RANDOMISATIONS)[first : first + together] for first in range(0, RANDOMISATIONS, together)]
 
-    def one(index: int) -> tuple[float, ...]:
-        if job.proposal is None:
-            rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
-            plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
-            return *(plain[:4] / size), float(np.max(most / plain[[4, 1]]))
-        sobol = qmc.Sobol(2 + third, rng=np.random.default_rng((job.seed, STEADY, job.identity, size, index)))
-        sums, largest, born = np.zeros(5), np.zeros(2), isinstance(c.newborn, Stretched)
-        for first in range(0, size, _BLOCK):
-            points = sobol.random(min(size, _BLOCK)) + 2.0**-31  # 30 bits, centred in their cells, away from 0
-            u, weight = job.proposal.threshold.draw(points[:, 0])
-            v, clock_weight = job.proposal.clock.draw(points[:, 1])
-            birth = points[:, 2] if third else None
-            found = lives(c, stream, index * size + first, u, v, job.step, birth)
-            weight *= clock_weight
-            for i, part in enumerate((found.work, found.travel, found.square)):
-                terms = weight * part
-                sums[i] += terms.sum()
-                if i < 2:
-                    largest[i] = max(largest[i], (np.abs(terms) if born else terms).max())
-            if born:
-                sums[3:] += (weight * found.birth).sum(), (weight * np.abs(found.work)).sum()
-        sums[4] = sums[4] if born else sums[0]
-        return *(sums[:4] / size), float(np.max(largest / sums[[4, 1]]))
+    def some(group: range) -> Array:
+        return _plainly(c, stream, group[0], size) if job.proposal is None else _weighted(job, c, stream, group, size)
 
-    rows: list[tuple[float, ...]] = []
+    rows: list[Array] = []
     report = job.progress or (lambda *_: None)
     report(0, RANDOMISATIONS * size)
-    pool = ThreadPoolExecutor(max(1, job.threads))
-    try:
-        for row in pool.map(one, range(RANDOMISATIONS)):
-            rows.append(row)
-            report(len(rows) * size, RANDOMISATIONS * size)
-    finally:
-        pool.shutdown(cancel_futures=True)
+    with ThreadPoolExecutor(job.threads) if job.threads > 1 else nullcontext() as pool:
+        try:
+            for found in pool.map(some, groups) if pool else map(some, groups):
+                rows.extend(found)
+                report(len(rows) * size, RANDOMISATIONS * size)
+        except BaseException:
+            if pool:
+                pool.shutdown(cancel_futures=True)
+            raise
     return np.array(rows)
+
+
+def _plainly(c: Contacts, stream: Key, index: int, size: int) -> Array:
+    """`_randomise` by `size` independent lives of contacts of their own."""
+    rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
+    plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
+    return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]])]])
+
+
+def _weighted(job: _Job, c: Contacts, stream: Key, group: range, size: int) -> Array:
+    """`_randomise` by weighted Sobol points, of consecutive randomisations at once."""
+    assert job.proposal
+    third, born = _births_vary(c), isinstance(c.newborn, Stretched)
+    names = [(job.seed, STEADY, job.identity, size, index) for index in group]
+    # the child of a name, which is what SciPy's own sequence would draw from
+    seeds = [np.random.SeedSequence(name, spawn_key=(0,)) for name in names]
+    sobol = Sobol.of([np.random.Generator(np.random.PCG64(seed)) for seed in seeds], 2 + third, size)
+    block = min(size, _BLOCK)
+    sums, largest = np.zeros((len(group), 5)), np.zeros((len(group), 2))
+    for first in range(0, size, block):
+        points = sobol.points(first, block).reshape(2 + third, -1)
+        u, weight = job.proposal.threshold.draw(points[0])
+        v, clock_weight = job.proposal.clock.draw(points[1])
+        found = lives(c, stream, group[0] * size + first, u, v, job.step, points[2] if third else None)
+        weight *= clock_weight
+        for i, part in enumerate((found.work, found.travel, found.square)):
+            terms = (weight * part).reshape(len(group), block)
+            sums[:, i] += terms.sum(axis=1)
+            if i < 2:
+                largest[:, i] = np.maximum(largest[:, i], (np.abs(terms) if born else terms).max(axis=1))
+        if born:
+            for i, part in ((3, found.birth), (4, np.abs(found.work))):
+                sums[:, i] += (weight * part).reshape(len(group), block).sum(axis=1)
+    sums[:, 4] = sums[:, 4] if born else sums[:, 0]
+    shares = largest / sums[:, [4, 1]]
+    return np.column_stack((sums[:, :4] / size, shares.max(axis=1)))
 
 
 def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:

@@ -93,12 +93,15 @@ def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> tuple[Array, Arra
     levels = barrier.stretch_at(_LEVELS, xi, barrier.b * kappa) / xi[:, None]
     phi = np.arcsin(np.sqrt(np.clip(levels, 0.0, 1.0)))
     edges = np.concatenate((np.zeros((xi.size, 1)), phi, np.full((xi.size, 1), 0.5 * math.pi)), axis=1)
-    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    phi = edges[:, :-1, None] + half * (1.0 + _NODES)
-    xi, kappa = xi[:, None, None], kappa[:, None, None]
-    x = np.maximum(xi * np.sin(phi) ** 2, 1e-200)
-    terms = half * _WEIGHTS * xi * np.sin(2 * phi) * survival(barrier, x, xi, kappa)
-    return terms.sum(axis=(1, 2)), (terms * x).sum(axis=(1, 2))
+    half = 0.5 * np.diff(edges, axis=1)
+    contact, panel = np.nonzero(half)  # the others are empty: levels that this contact does not meet
+    h, own = half[contact, panel][:, None], xi[contact, None]
+    phi = edges[contact, panel][:, None] + h * (1.0 + _NODES)
+    x = np.maximum(own * np.sin(phi) ** 2, 1e-200)
+    found = h * _WEIGHTS * own * np.sin(2 * phi) * survival(barrier, x, own, kappa[contact, None])
+    terms = np.zeros((2, *half.shape, _NODES.size))
+    terms[:, contact, panel] = found, found * x
+    return terms[0].sum(axis=(1, 2)), terms[1].sum(axis=(1, 2))
 
 
 def stationary(s: Reduced) -> Moments:

@@ -10,10 +10,10 @@ from eqsim.estimate import Averages, Estimate
 from eqsim.master import annealed, newborn
 from eqsim.master.quenched import Moments
 from eqsim.master.solvers import solver
-from eqsim.master.velocities import bare, delay_of, lives_of
+from eqsim.master.velocities import delay_of, lives_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Reduced, drag_of, reduced
+from eqsim.model.reduced import Reduced, bare, drag_of, reduced
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,7 +78,7 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         found, method = Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,))[:4])), annealed.METHOD
     else:
         s = settled(ensemble, v)
-        found, method = solver(s).stationary(s), _method(ensemble, s)
+        found, method = _moments(bare(ensemble), v), _method(ensemble, s)
     if variance and found.square is None:
         found = _with_square(settled(ensemble, v), found)
     unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
@@ -107,6 +107,13 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         f_k=Estimate(f_k * unit, f_k_error * unit, 0),
         method=method,
     )
+
+
+@functools.lru_cache(maxsize=64)
+def _moments(ensemble: Ensemble, velocity: float) -> Moments:
+    """Of the lives of contacts, whatever the delay, which only changes how often they begin."""
+    s = settled(ensemble, velocity)
+    return solver(s).stationary(s)
 
 
 def _method(ensemble: Ensemble, s: Reduced) -> str:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import fft, ndimage, signal
+from scipy import fft, ndimage
 from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
@@ -291,7 +291,7 @@ def _squares(cells: Cells, s: Reduced, solved: list[_Means]) -> tuple[Array, Arr
         x = cells.x[::step]
         births = means.breaks + np.diff(means.pinned) / x[1]
         first = _from_birth(profile, s, x, 2)
-        later = signal.fftconvolve(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
+        later = _convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
         found.append((first + np.append(0.0, later) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
     best, missed = _extrapolated(*found)
     error = missed + profile.error * np.abs(best)
@@ -389,7 +389,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         carried = rest[1][1] - x * rest[0][1]
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
         after, detached = _reborn(means.force, x, s)
-        back = np.append(0.0, signal.fftconvolve(breaks, np.diff(after) / x[1])[: x.size - 1])
+        back = np.append(0.0, _convolved(breaks, np.diff(after) / x[1])[: x.size - 1])
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best, missed = _extrapolated(*solved)
@@ -399,6 +399,13 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         error += _between(best)
     lag = np.linspace(0.0, distance, points)
     return Fluctuations(lag, *(np.interp(lag / unit, cells.x[::2], part) * unit**2 for part in (best, error)))
+
+
+def _convolved(a: Array, b: Array) -> Array:
+    """The convolution of two sequences."""
+    length = a.size + b.size - 1
+    size = fft.next_fast_len(length, real=True)
+    return np.asarray(fft.irfft(fft.rfft(a, size) * fft.rfft(b, size), size)[:length])
 
 
 def _reborn(fresh: Array, x: Array, s: Reduced) -> tuple[Array, Array]:
@@ -418,11 +425,13 @@ def _after_fixed(fresh: Array, x: Array, total: Any, delay: float, drag: float) 
 
 def _after_exponential(fresh: Array, x: Array, total: Any, delay: float, drag: float) -> tuple[Array, Array]:
     """`_reborn` after exponential delays."""
+    from scipy.signal import lfilter  # takes long to import
+
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh linear in each cell
     ratio = x[1] / delay
     keep, first = math.exp(-ratio), -math.expm1(-ratio)
     slope = 1.0 - first / ratio
-    y = signal.lfilter([1.0], [1.0, -keep], np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]))
+    y = lfilter([1.0], [1.0, -keep], np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]))
     fading = np.exp(-x / delay)
     return drag * delay * (1.0 - fading) + total(x) - delay * y, drag * fading + y
 

@@ -20,13 +20,12 @@ from scipy import special
 
 from eqsim.errors import InputError, require_number
 from eqsim.laws.aging import Aging
-from eqsim.laws.delay import Delay
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.master import annealed
 from eqsim.master.quenched import beyond, kappa_of
 from eqsim.master.solvers import solver
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Reduced, drag_of, reduced
+from eqsim.model.reduced import Reduced, bare, drag_of, reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
@@ -126,11 +125,6 @@ def curve(ensemble: Ensemble, velocities: Array) -> Curve:
         v, friction * unit, pinned, (lives.birth + lives.stretch) * unit,
         friction_error * unit, pinned_error, lives.stretch_error * unit,
     )  # fmt: skip
-
-
-def bare(ensemble: Ensemble) -> Ensemble:
-    """Without what plays no part in lives: the delay, drag and count."""
-    return replace(ensemble, delay=Delay(), eta=0.0, count=1)
 
 
 def delay_of(ensemble: Ensemble, velocity: float) -> float:

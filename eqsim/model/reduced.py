@@ -8,13 +8,14 @@ stiffness is in units of k and energy in units of kT.
 import functools
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
 from eqsim.laws.aging import AgingLaw, PooledThresholds, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
-from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.delay import Delay, Exponential, Fixed
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
@@ -72,6 +73,11 @@ class Reduced(NamedTuple):
     def springs(self) -> Springs:
         """k_i/k for kernels."""
         return Springs(0.0, self.law.scale / self.law.rms) if self.stiffness == "sqrt" else Springs(1.0, 0.0)
+
+
+def bare(ensemble: Ensemble) -> Ensemble:
+    """Without what plays no part in lives: the delay, drag and count."""
+    return replace(ensemble, delay=Delay(), eta=0.0, count=1)
 
 
 @functools.lru_cache(maxsize=64)

@@ -10,14 +10,18 @@ machine code of every kernel that calls it in use. Here the cache folder carries
 import functools
 import hashlib
 import os
+import pickle
 import tempfile
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils, event, types
+from numba.core.serialize import dumps
 from numba.extending import intrinsic, overload, register_jitable
 
 Body = TypeVar("Body", bound=Callable[..., Any])
@@ -45,6 +49,87 @@ def _cache_folder() -> str | None:
 
 
 _CACHE = _cache_folder()
+_PATIENCE = 120.0  # seconds that a process waits for another one that compiles the same kernel
+
+
+class Files:
+    """Machine code on disk, a file for each kernel and signature, instead of numba's, which keeps one index for all
+    signatures of a kernel: processes that compile at the same time lose or mix up what others write there.
+
+    A process that has to compile holds a lock until it has saved; others wait for it and then load. What is damaged, or
+    cannot be written, is compiled again.
+    """
+
+    def __init__(self, numbas: Any) -> None:
+        self._folder, self._name = Path(numbas._cache_path), numbas._index_name.removesuffix(".nbi")
+        self._stamp = numba.__version__, numbas._source_stamp
+        self._locks: dict[Path, int] = {}
+
+    def path(self, key: Any) -> Path:
+        """Where the machine code of a signature is."""
+        digest = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()
+        return self._folder / f"{self._name}.{digest[:24]}.nbc"
+
+    def load(self, key: Any) -> Any:
+        """What was saved, or None: then this process has to compile it."""
+        path = self.path(key)
+        found = self._read(path, key)
+        if found is None and self._alone(path):
+            found = self._read(path, key)  # written since
+            if found is not None:
+                self._release(path)
+        return found
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep machine code, all or nothing, if the disk takes it."""
+        path, content = self.path(key), dumps((key, data))
+        with suppress(OSError):
+            handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(hashlib.sha256(content).digest() + content)
+                os.replace(name, path)
+            except OSError:
+                os.unlink(name)
+                raise
+        self._release(path)
+
+    @staticmethod
+    def _read(path: Path, key: Any) -> Any:
+        try:
+            content = path.read_bytes()
+            if hashlib.sha256(content[32:]).digest() != content[:32]:
+                return None
+            of, data = pickle.loads(content[32:])
+        except (OSError, pickle.PickleError, EOFError, AttributeError, ImportError, IndexError):
+            return None
+        return data if of == key else None
+
+    def _alone(self, path: Path) -> bool:
+        """Whether the lock is new, after waiting for another process that may have had it."""
+        if path in self._locks:  # what was to be compiled failed
+            return False
+        try:
+            import fcntl
+
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o666)
+        except (ImportError, OSError):  # a system or a folder without locks: more than one may compile
+            return False
+        self._locks[path] = handle
+        with event.trigger_event("numba:compile", data={}):  # for those who show what is going on
+            end = time.monotonic() + _PATIENCE
+            while time.monotonic() < end:
+                with suppress(OSError):  # held by another process, or a file system without locks
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(0.05)
+        return True
+
+    def _release(self, path: Path) -> None:
+        handle = self._locks.pop(path, None)
+        if handle is not None:
+            os.close(handle)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -53,9 +138,11 @@ def kernel(function: Callable[..., Any]) -> Any:
         return numba.njit(function, nogil=True, error_model="numpy")
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE  # read when the function is decorated
     try:
-        return numba.njit(function, nogil=True, error_model="numpy", cache=True)
+        made = numba.njit(function, nogil=True, error_model="numpy", cache=True)
     finally:
         numba.config.CACHE_DIR = previous
+    made._cache._cache_file = Files(made._cache._cache_file)
+    return made
 
 
 # Of routines that only kernels call; Python, if it calls them, interprets them. They do not count references, which

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import OfTrajectory
 from eqsim.sweeps.workers import Workers
+from eqsim.workflows.ahead import compiling_together
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
 
@@ -277,13 +278,15 @@ def run(
         if workers:
             raise InputError("--workers, --dask: coupled blocks are simulated in one process; threads share replicas")
         return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
-    expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
-    if output.series and workers:
-        raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
-    if output.breaks and isinstance(drive, Drive):
-        check_breaks(ensemble, drive, output.seed, output.replicas)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
-    with workers.fixed_pool() if workers else nullcontext() as pool:
+    with ExitStack() as stack:
+        stack.enter_context(compiling_together(ensemble, drive))
+        expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+        if output.series and workers:
+            raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
+        if output.breaks and isinstance(drive, Drive):
+            check_breaks(ensemble, drive, output.seed, output.replicas)
+        pool = stack.enter_context(workers.fixed_pool()) if workers else None
         progress(0, expected)
         level = None
         if isinstance(drive, Drive):

@@ -1,0 +1,78 @@
+"""Scrambled Sobol sequences, many at a time: to the last bit those of `scipy.stats.qmc.Sobol`, which takes longer to
+begin one of them than two thousand points do.
+
+Point i of a sequence is a shift and, for each bit k of i, an exclusive or with a word w_k: so many points follow from
+half as many. Direction numbers are those of Joe and Kuo (2008); the scramble is a lower triangular matrix of bits and a
+shift (Matousek, J. of Complexity 14, 527, 1998).
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from eqsim.numerics.tables import Array
+
+_BITS = 30
+_PLACES = np.arange(_BITS - 1, -1, -1, dtype=np.int32)  # of the bits of a number, the highest first
+
+
+@functools.cache
+def _directions(dimensions: int) -> Array:
+    """The bits of the direction numbers of up to three dimensions, shape (dimensions, bits, numbers)."""
+    m = np.ones((3, _BITS), np.int64)
+    m[2, 1] = 3
+    for k in range(1, _BITS):
+        m[1, k] = 2 * m[1, k - 1] ^ m[1, k - 1]
+        if k > 1:
+            m[2, k] = 2 * m[2, k - 1] ^ 4 * m[2, k - 2] ^ m[2, k - 2]
+    numbers = m[:dimensions] << _PLACES
+    return np.asarray((numbers[:, None, :] >> _PLACES[:, None]) & 1, np.float32)
+
+
+class Sobol(NamedTuple):
+    """Sequences of points in the unit cube; the first point is number 0.
+
+    Attributes
+    ----------
+    shift : ndarray of uint32, shape (dimensions, sequences)
+    words : ndarray of uint32, shape (words, dimensions, sequences)
+        As many as the number of a point has bits.
+    """
+
+    shift: Array
+    words: Array
+
+    @classmethod
+    def of(cls, generators: Sequence[np.random.Generator], dimensions: int, most: int) -> "Sobol":
+        """A sequence of each random generator, of `most` points, up to 2^30, in up to three dimensions."""
+        shape = len(generators), dimensions, _BITS
+        shifts, scramble = np.empty(shape, np.uint32), np.empty((*shape, _BITS), np.float32)
+        for i, rng in enumerate(generators):
+            shifts[i] = rng.integers(2, size=shape[1:], dtype=np.uint32)
+            scramble[i] = rng.integers(2, size=(*shape[1:], _BITS), dtype=np.uint32)
+        scramble *= np.tri(_BITS, k=-1, dtype=np.float32)
+        scramble += np.eye(_BITS, dtype=np.float32)
+        needed = _directions(dimensions)[:, :, : (most - 1).bit_length()]
+        bits = (scramble @ needed).astype(np.int32) & 1
+        words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
+        words[..., 1:] ^= words[..., :-1]  # points follow each other in the order of Gray
+        return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32).T, words.T)
+
+    def __getitem__(self, which: slice) -> "Sobol":  # type: ignore[override]
+        """Some of the sequences."""
+        return Sobol(self.shift[:, which], self.words[:, :, which])
+
+    def points(self, first: int, count: int) -> Array:
+        """Points number `first` to `first` + `count` - 1 of each sequence in the middle of their cells, away from 0,
+        shape (dimensions, sequences, count); `count` is a power of 2 that divides `first`."""
+        found = np.empty((*self.shift.shape, count), np.uint32)
+        found[:, :, 0] = self.shift
+        for k in range(first.bit_length()):
+            if first >> k & 1:
+                found[:, :, 0] ^= self.words[k]
+        for k in range(count.bit_length() - 1):
+            half = 1 << k
+            np.bitwise_xor(found[:, :, :half], self.words[k][:, :, None], out=found[:, :, half : 2 * half])
+        return found * 2.0**-_BITS + 2.0 ** -(_BITS + 1)

@@ -1,0 +1,101 @@
+"""Machine code on disk: what processes that start at once, and files that are damaged, do to it."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from eqsim.numerics import compiled
+
+ONE = """
+from eqsim import Drive, Ensemble, Thermal, steady
+from numba.core import event
+count = []
+class Listener(event.Listener):
+    def on_start(self, happened):
+        name = getattr(getattr(happened.data.get("dispatcher"), "py_func", None), "__name__", "")
+        count.extend([name] * (name in ("fill_lives", "invert")))
+    def on_end(self, happened):
+        pass
+event.register("numba:compile", Listener())
+print(repr(steady(Ensemble(), Drive(velocity=0.1), rel_error=1e-2).friction.value), *count)
+"""
+
+
+def files(folder, stamp=1):
+    return compiled.Files(SimpleNamespace(_cache_path=str(folder), _index_name="kernel.nbi", _source_stamp=stamp))
+
+
+def saved(folder, key="a", data="code"):
+    store = files(folder)
+    assert store.load(key) is None
+    store.save(key, data)
+    return store
+
+
+def test_what_was_saved_is_loaded(tmp_path):
+    saved(tmp_path, "a", "of a")
+    saved(tmp_path, "b", "of b")
+    assert (files(tmp_path).load("a"), files(tmp_path).load("b")) == ("of a", "of b")
+    assert files(tmp_path, stamp=2).load("a") is None  # another source
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_damaged_files_are_compiled_again(tmp_path):
+    path = saved(tmp_path).path("a")
+    whole = path.read_bytes()
+    for content in (b"", whole[:40], whole.replace(b"code", b"cede")):
+        path.write_bytes(content)
+        store = files(tmp_path)
+        assert store.load("a") is None
+        store.save("a", "anew")
+        assert files(tmp_path).load("a") == "anew"
+
+
+def test_a_file_of_another_signature_is_not_taken(tmp_path):
+    store = saved(tmp_path, "a")
+    store.path("b").write_bytes(store.path("a").read_bytes())
+    assert files(tmp_path).load("b") is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks")
+def test_others_wait_for_the_one_that_compiles(tmp_path):
+    first, found = files(tmp_path), []
+    assert first.load("a") is None  # compiles from here on
+    other = threading.Thread(target=lambda: found.append(files(tmp_path).load("a")))
+    other.start()
+    time.sleep(0.3)
+    assert not found
+    first.save("a", "code")
+    other.join(10.0)
+    assert found == ["code"]
+
+
+def test_a_kernel_that_failed_to_compile_keeps_nobody_of_its_own_process_waiting(tmp_path):
+    store = files(tmp_path)
+    begin = time.monotonic()
+    assert store.load("a") is None
+    assert store.load("a") is None
+    assert time.monotonic() - begin < 5.0
+
+
+def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    store = files(tmp_path / "file")
+    assert store.load("a") is None
+    store.save("a", "code")
+    assert store.load("a") is None
+
+
+@pytest.mark.long
+def test_processes_that_start_at_once_compile_each_kernel_once(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", ONE]
+    every = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    said = [process.communicate(timeout=300)[0].split() for process in every]
+    assert len({numbers[0] for numbers in said}) == 1
+    assert sorted(name for words in said for name in words[1:]) == ["fill_lives", "invert"]
