@@ -22,32 +22,11 @@ from eqsim.io.runfile import check
 from eqsim.master.transient import transient
 
 ROOT = Path(__file__).parent.parent
-RUN = """
-[contacts]
-stiffness_law = "uniform"
-[thresholds]
-n = 1.0
-x_star = 1.0
-[aging]
-rule = "logarithmic"
-beta = 0.05
-cutoff_time = 0.1
-[drive]
-start = "stationary"
-velocity = 0.1
-programme = [{ velocity = 0.1, time = 3.0 }, { velocity = 1.0, time = 2.0 }]
-[drive.stage]
-stiffness = 0.5
-[output]
-points = 81
-[fit]
-record = { file = "record.csv", time = "t", force = "force" }
-noise = { absolute = 0.003 }
-scale = { start = 1.0, bounds = [0.1, 10.0] }
-[fit.free]
-"aging.beta" = { bounds = [1e-3, 0.5] }
-"fit.drift" = { bounds = [-0.1, 0.1] }
-"""
+RUN = (
+    coverage.RECORD.replace('file = ""', 'file = "record.csv", time = "t", force = "force"')
+    .replace('"drive.stage.stiffness" = { bounds = [0.05, 5.0] }\n', "")
+    .replace("[fit]", "[output]\npoints = 81\n[fit]")
+)
 TIMES = np.linspace(0.0, 5.0, 81)
 
 
