@@ -44,7 +44,7 @@ _MOST, _UNSEEN = 1e12, 640.0  # z up to which it is followed, and -ln of what it
 _FIRST, _LAST, _PER_UNIT = -40.0, 6.0, 64  # ln z below which nothing is broken and above which all are; of the table
 _FLAT = 0.03  # differences of ln z that are taken for larger: misses 1e-5 of what is about to break
 _AT_ONCE = 1e-11  # share of the whole time between births of about the same age
-_STRAIGHT = 0.01  # by how much E may be off the straight line of a step
+_STRAIGHT = 0.01  # by how much E may be off the straight line of a step; halves of it come in from half of that on
 _PARTS = 12  # of the births of a step where thresholds grow
 
 
@@ -145,11 +145,12 @@ def _thermal(c: Fronts, z: Array, ages: tuple[float, float], xs: tuple[float, fl
             break
         middle = height(c.barrier, xi * gm, xm, 0.5 * (a0 + a1))
         p = dt * prefactor(c.barrier, max(xi * gm, xm), xm)
-        if abs(middle - 0.5 * (low + high)) < _STRAIGHT:
-            z[k] += p * mean_exponential(low - c.barrier.log_w, high - c.barrier.log_w)
-        else:
-            first = mean_exponential(low - c.barrier.log_w, middle - c.barrier.log_w)
-            z[k] += 0.5 * p * (first + mean_exponential(middle - c.barrier.log_w, high - c.barrier.log_w))
+        halves, log_w = min(max(2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHT - 1.0, 0.0), 1.0), c.barrier.log_w
+        if halves < 1.0:
+            z[k] += p * (1.0 - halves) * mean_exponential(low - log_w, high - log_w)
+        if halves > 0.0:
+            both = mean_exponential(low - log_w, middle - log_w) + mean_exponential(middle - log_w, high - log_w)
+            z[k] += 0.5 * p * halves * both
 
 
 @inlined
