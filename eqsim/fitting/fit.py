@@ -341,7 +341,8 @@ def _fitted(
     rough = [
         one.key
         for one, x, s in zip(parameters, best.u, sd, strict=True)
-        if any(end is not None and abs(end - x) < _ROUGH * s for end in (side.ends["95"] for side in pairs[one.key]))
+        if one.low < x < one.high  # at a bound a covariance says nothing
+        and any(end is not None and abs(end - x) < _ROUGH * s for end in (side.ends["95"] for side in pairs[one.key]))
     ]
     if rough:
         warnings = [*warnings, f"intervals of {', '.join(rough)} end at roughness of the solver: not to be trusted"]
