@@ -1,15 +1,19 @@
 """The benchmark's rivals do the same work as eqsim, and its table holds together."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from analysis.benchmarks import parts, report, tuned
 from analysis.benchmarks.cases import CASES, COMPILE, VELOCITY, Case
-from analysis.benchmarks.jobs import accuracy, plain, time_plain, time_trajectory
+from analysis.benchmarks.driven import along, pulled, stepped, ten_segments
+from analysis.benchmarks.jobs import accuracy, calls, plain, time_plain, time_trajectory
 from eqsim import Drive, reference, trajectory
+from eqsim.engine.slider import Slider
 
 needs_compiler = pytest.mark.skipif(not tuned.COMPILER, reason="no gcc")
 CONTACTS, DISTANCE, POINTS = 20_000, 20.0, 201
@@ -75,9 +79,12 @@ def test_plain_averages_of_eqsim_are_exact():
 
 def test_table_and_picture(tmp_path):
     rows = [{"job": job.__name__, **job(GENERAL, COMPILE, 2, 1)} for job in (time_trajectory, time_plain)]
-    rows.append({"job": "alone", "case": "no rivals", "seconds": 1.0})
+    rows.append({"job": "alone", "case": "no rivals", "seconds": 1.0, "bytes": 40.0})
     figures = pd.DataFrame(rows)
-    assert report.table(figures).row_count == 2 * len(rows)
+    compared, alone = report.tables(figures)
+    assert (compared.row_count, alone.row_count) == (4, 2)
+    assert "B" in [column.header for column in compared.columns]
+    assert [column.header for column in alone.columns] == ["case", "s", "bytes"]
     report.picture(figures, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 0
 
@@ -94,3 +101,38 @@ def test_parts_of_a_life(tmp_path):
     assert parts.table(figures).row_count == 4
     parts.picture(figures, tmp_path / "parts.png")
     assert (tmp_path / "parts.png").stat().st_size > 10_000
+
+
+@by_case([CASES[0], GENERAL, CASES[4]])
+def test_scalar_contacts_follow_a_programme(case):
+    """Forces at the ends of ten segments: steps, holds, reversals."""
+    programme, contacts = ten_segments(10.0), 20_000
+    ours = trajectory(case.ensemble(contacts), programme, points=51, seed=3)
+    ends = [np.flatnonzero(ours.segment == index)[-1] for index in range(10)]
+    force, stderr, lives = along(case, programme, contacts, seed=4)
+    error = np.hypot(stderr, ours.force_stderr[ends])
+    assert np.abs((force - ours.force[ends]) / error).max() < 5  # at most ten deviates: 6e-6
+    assert 0.9 < lives / ours.lives < 1.02  # eqsim counts some that begin after the end
+    other = replace(case, general=not case.general)  # with the other law of stiffness and delay the same scores fail
+    wrong, stderr, _ = along(other, programme, contacts, seed=4)
+    assert np.abs((wrong - ours.force[ends]) / np.hypot(stderr, ours.force_stderr[ends])).max() > 10
+
+
+@by_case([CASES[0], GENERAL, CASES[4]])
+def test_scalar_slider_behind_a_spring(case):
+    """The mean force over the second half of the time, of ten sliders each; false alarms: 1e-5."""
+    count, contacts = 600, 2000
+    ours = [pulled(case, contacts, 21, seed)[0] for seed in range(10)]
+    theirs = [stepped(case, count, contacts, seed) for seed in range(10)]
+    assert stats.ttest_ind(theirs, ours, equal_var=False).pvalue > 1e-5
+    other = [stepped(replace(case, general=not case.general), count, contacts, seed) for seed in range(10)]
+    assert stats.ttest_ind(other, ours, equal_var=False).pvalue < 1e-5
+
+
+def test_calls_are_counted():
+    """Steps are those between the instants recorded, at least, and counting changes nothing."""
+    found = []
+    count = calls(Slider, "step", lambda: found.append(pulled(GENERAL, 320, 21, 1)))
+    assert count >= 20
+    assert found == [pulled(GENERAL, 320, 21, 1)]
+    assert calls(Slider, "step", lambda: None) == 0

@@ -12,8 +12,16 @@ import typer
 from rich.console import Console
 
 from analysis.benchmarks import report, tuned
-from analysis.benchmarks.alone import time_langevin, time_programmes, time_references, time_start
+from analysis.benchmarks.alone import (
+    measure_memory,
+    time_curves,
+    time_fits,
+    time_langevin,
+    time_references,
+    time_start,
+)
 from analysis.benchmarks.cases import CASES, COMPILE, QUICK, Case, Sizes
+from analysis.benchmarks.driven import time_programmes, time_spring
 from analysis.benchmarks.elastic import time_elastic
 from analysis.benchmarks.jobs import time_plain, time_steady, time_trajectory
 
@@ -39,10 +47,11 @@ def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
             console.print(f"[dim]{name}: {case.name}")
             seed = 1000 * (len(rows) + 1)  # rows share no random numbers
             rows.append({"job": name, **job(case, sizes, threads, seed)})
-    console.print("[dim]langevin lives, programmes, avalanches, references, start-up")
-    rows += time_langevin(sizes, threads, 1) + time_programmes(sizes, threads, 1)
-    rows += time_elastic(sizes, threads, 1)
-    rows += time_references(sizes) + time_start(sizes)
+    console.print("[dim]programmes, a spring, avalanches")
+    rows += time_programmes(sizes, threads, 1) + time_spring(sizes, threads, 1) + time_elastic(sizes, threads, 1)
+    console.print("[dim]langevin lives, references, fits, memory, start-up")
+    rows += time_langevin(sizes, threads, 1) + time_references(sizes) + time_curves(sizes) + time_fits(sizes)
+    rows += measure_memory(sizes) + time_start(sizes)
     about = {f"{name}_version": version(name) for name in ("eqsim", "numba", "numpy")}
     about |= {"compiler": tuned.compiler_version(), "load": os.getloadavg()[0]}
     return pd.DataFrame(rows).assign(thread_count=threads, contacts=sizes.contacts, **about)
@@ -55,11 +64,11 @@ def main(
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()
-    console.width = max(console.width, 144)  # the table needs as much
+    console.width = max(console.width, 156)  # the table needs as much
     if not tuned.available():
         console.print("no gcc that compiles tuned.c: rival C is left out")
     figures = measure(sizes, threads, console)
-    console.print(report.table(figures))
+    console.print(*report.tables(figures), sep="\n")
     console.print(report.notes(sizes, threads))
     out.mkdir(parents=True, exist_ok=True)
     figures.to_parquet(out / "benchmarks.parquet", index=False)

@@ -1,18 +1,41 @@
-"""Jobs without rivals: fluctuating thresholds, programmes, reference solves, and how long the program takes to
+"""Jobs without rivals: fluctuating thresholds, reference solves, fits, memory, and how long the program takes to
 start."""
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from analysis import coverage
 from analysis.benchmarks.cases import CASES, VELOCITY, Case, Sizes
-from analysis.benchmarks.jobs import Outcome, interleaved, plain, ratios, speed
-from eqsim import Aging, Drive, Ensemble, Gamma, Programme, Segment, Thermal, reference, trajectory, transient
+from analysis.benchmarks.driven import STAGE, ten_segments
+from analysis.benchmarks.jobs import Outcome, calls, interleaved, plain, ratios, speed
+from eqsim import (
+    Aging,
+    Drive,
+    Ensemble,
+    Gamma,
+    Programme,
+    Segment,
+    Thermal,
+    curve,
+    fit,
+    reference,
+    trajectory,
+    transient,
+)
+from eqsim.fitting.model import SteadyForward
+from eqsim.fitting.record import RecordForward, search
+from eqsim.master.velocities import lives_of
 
 ROOT = Path(__file__).parents[2]
 NOTHING = Outcome(0.0, 0.0)  # a job that is not about friction
@@ -35,37 +58,6 @@ def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]
             case = f"{f'soft kT={kT:g}' if kT else 'T=0'}, {law} k"
             gain = ratios("threads", rounds, "eqsim, threads", "eqsim")
             rows.append({"job": "langevin lives, D_v = 0.1", "case": case} | speed(rounds, "eqsim", "") | gain)
-    return rows
-
-
-def time_programmes(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
-    """A programme of ten segments: steps, two holds, two reversals, as far in all as the constant drive it is compared
-    with, per life."""
-    pace, part = 10 * VELOCITY, 0.125 * sizes.distance
-    velocities = (pace, 0.0, 10 * pace, -pace, pace, 0.0, 10 * pace, -pace, pace, 0.1 * pace)
-    segments = [Segment(v, distance=part) if v else Segment(0.0, time=10.0 / VELOCITY) for v in velocities]
-    rows = []
-    for case in (case for case in CASES if case.kT):
-        ensemble = case.ensemble(sizes.contacts)
-
-        def run(seed: int, drive: Drive | Programme, threads: int = 1, ensemble: Ensemble = ensemble) -> Outcome:
-            found = trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads)
-            return Outcome(0.0, 0.0, found.lives)
-
-        programme, constant = Programme(tuple(segments)), Drive(pace, sizes.distance)
-        contenders = {
-            "eqsim": lambda seed, run=run, drive=programme: run(seed, drive),
-            "eqsim, threads": lambda seed, run=run, drive=programme: run(seed, drive, threads),
-            "constant": lambda seed, run=run, drive=constant: run(seed, drive),
-        }
-        for contender in contenders.values():
-            contender(seed)  # compiles
-        rounds = interleaved(contenders, sizes.repeats, seed)
-        cost = {name: [(seconds / found.lives, found) for seconds, found in of] for name, of in rounds.items()}
-        row = speed(rounds, "eqsim", "") | ratios("threads", rounds, "eqsim, threads", "eqsim")
-        rows.append(
-            {"job": "programme of ten segments", "case": case.name} | row | ratios("P", cost, "eqsim", "constant")
-        )
     return rows
 
 
@@ -93,6 +85,90 @@ def time_references(sizes: Sizes) -> list[dict[str, Any]]:
                 for job in ("stationary", "transient")
             ]
     return sorted(rows, key=lambda row: row["job"])
+
+
+def time_curves(sizes: Sizes) -> list[dict[str, Any]]:
+    """Twelve velocities at once, as fits solve them, and one after the other; each round has its own."""
+    warm = Case(0.1, "soft", False).ensemble(1)
+    aging = Aging("flow", rate=0.1, x_star_final=1.0)
+    chosen = {
+        "quenched": warm,
+        "annealed": replace(warm, disorder="annealed"),
+        "annealed, aging": replace(warm, disorder="annealed", thresholds=Gamma(1.0, 0.1), aging=aging),
+    }
+    rows = []
+    for case, ensemble in chosen.items():
+
+        def together(number: int, ensemble: Ensemble = ensemble) -> Outcome:
+            curve(ensemble, (1 + 1e-3 * number) * np.logspace(-3, 1, 12))
+            return NOTHING
+
+        def singly(number: int, ensemble: Ensemble = ensemble) -> Outcome:
+            for v in (1 + 1e-3 * number) * np.logspace(-3, 1, 12):
+                reference(ensemble, Drive(float(v)))
+            return NOTHING
+
+        together(0), singly(0)
+        rounds = interleaved({"eqsim": together, "singly": singly}, sizes.plain_repeats, 1)
+        row = speed(rounds, "eqsim", "") | ratios("singly", rounds, "singly", "eqsim")
+        rows.append({"job": "twelve velocities at once", "case": case} | row)
+    return rows
+
+
+def time_fits(sizes: Sizes) -> list[dict[str, Any]]:
+    """A whole fit, profiles and all, of 27 averages at two temperatures; and least squares of a record of 81 points (a
+    velocity step at T = 0 through a spring, `analysis.coverage`), from a start away from the truth. A solve gives all
+    that was measured at one set of parameters; answers are forgotten between rounds."""
+    exact = coverage.record()
+    record = coverage.sample(exact, np.random.default_rng(1))
+    start = exact.low + 0.4 * (exact.high - exact.low)
+
+    def whole(_: int = 0) -> Outcome:
+        lives_of.cache_clear()
+        fit(ROOT / "runs/fit-synthetic.toml", starts=1)
+        return NOTHING
+
+    def of_record(_: int = 0) -> Outcome:
+        search(record, start)
+        return NOTHING
+
+    rows = []
+    for case, forward, run in (
+        ("27 averages, one start", SteadyForward, whole),
+        ("a record, least squares", RecordForward, of_record),
+    ):
+        solves = calls(forward, "predict", run)
+        row = speed(interleaved({"eqsim": run}, sizes.fits, 1), "eqsim", "")
+        solved = {"solves": solves, "ms_per_solve": 1e3 * row["seconds"] / solves}
+        rows.append({"job": "fits", "case": case} | row | solved)
+    return rows
+
+
+DRIVES: dict[str, Drive | Programme] = {
+    "constant drive": Drive(10 * VELOCITY, 0.5),
+    "programme": ten_segments(0.5),
+    "spring": Programme((Segment(10 * VELOCITY, distance=0.02),), stage=STAGE),
+}
+
+
+def peak(name: str, contacts: int) -> int:
+    """Peak memory of this process in bytes after so many warm soft contacts with a delay have followed a drive."""
+    trajectory(Case(0.1, "soft", True).ensemble(contacts), DRIVES[name], points=21)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def measure_memory(sizes: Sizes) -> list[dict[str, Any]]:
+    """Bytes per contact: how much more peak memory many contacts take than a thousand, in processes of their own. These
+    are forked by a server, not started by this one, whose own peak they would report."""
+    rows = []
+    for name in DRIVES:
+        peak(name, 2048)  # compiles, which takes memory
+        found = []
+        for contacts in (1000, sizes.many):
+            with ProcessPoolExecutor(1, get_context("forkserver")) as pool:
+                found.append(pool.submit(peak, name, contacts).result())
+        rows.append({"job": "memory", "case": name, "bytes": (found[1] - found[0]) / (sizes.many - 1000)})
+    return rows
 
 
 def time_start(sizes: Sizes) -> list[dict[str, Any]]:

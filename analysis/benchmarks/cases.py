@@ -58,6 +58,11 @@ class Sizes:
     repeats: int = 5
     plain_repeats: int = 3
     cold_starts: int = 2
+    scalar_contacts: int = 4000  # that rival B takes along a programme
+    pulled_contacts: int = 10_000  # behind a spring
+    pulled_points: int = 61
+    fits: int = 2  # how often one is timed
+    many: int = 1_000_000  # contacts whose memory is compared with that of a thousand
 
     @property
     def contact_steps(self) -> float:
@@ -65,5 +70,5 @@ class Sizes:
         return self.contacts * self.distance / (self.stepped_contacts * self.stepped_distance)
 
 
-QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 640_000, 64_000, (1e-3, 1e-4), 3, 3, 0)
-COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 6400, 320, (1e-2,), 1, 1, 0)
+QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 640_000, 64_000, (1e-3, 1e-4), 3, 3, 0, 320, 1000, 31, 1, 100_000)
+COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 6400, 320, (1e-2,), 1, 1, 0, 32, 32, 5, 1, 2000)

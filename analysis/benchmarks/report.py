@@ -1,5 +1,6 @@
 """The figures as a table and as a picture."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -38,6 +39,7 @@ def column(name: str, form: Callable[[float], str]) -> tuple[str, Callable[[pd.S
 COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {  # heading: a figure it needs, and how to print it
     "s": column("seconds", "{:.3g}".format),
     "ns": column("ns_per_life", short),
+    "ns/step": column("ns_per_step", short),
     "thr.": column("threads", "{:.2f}".format),
     "P": column("P", "{:.2f}".format),
     "A": column("A", short),
@@ -50,6 +52,10 @@ COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {  # heading: a fig
     "bias of A": ("A_bias", bias),
     "z of B": column("B_z", "{:+.1f}".format),
     "z of C": column("C_z", "{:+.1f}".format),
+    "singly": column("singly", short),
+    "solves": column("solves", "{:.0f}".format),
+    "ms/solve": column("ms_per_solve", "{:.3g}".format),
+    "bytes": column("bytes", "{:.1f}".format),
 }
 BARS = {  # figure: label and colour
     "A": ("A: NumPy script", "#b0b7bf"),
@@ -73,22 +79,38 @@ def notes(sizes: Sizes, threads: int) -> str:
         "machine. wanted: least C.\n"
         f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} threads over seconds on one "
         f"({1 / threads:.2f} is ideal).\n"
-        "P: time per life of a programme over that of a constant drive.\n"
+        f"Programme: B follows {sizes.scalar_contacts} contacts from event to event (scaled by contacts) and keeps the "
+        "forces at the ends of segments;\n   z: the farthest from 0 of these ten. P: time per life over that of a "
+        "constant drive.\n"
+        f"Spring: {sizes.pulled_contacts} contacts, no slips; B follows all of them, too, in as many steps as eqsim "
+        "takes, but of one length,\n   and by the rate in the middle of a step. ns/step: nanoseconds of eqsim per step "
+        "and contact.\n"
         "C on thr.: seconds of C per second of eqsim, both on so many threads.\n"
-        "bias, z: of the rival's friction against eqsim's."
+        "bias, z: of the rival's friction against eqsim's.\n"
+        "singly: seconds of twelve single solves over those of one for all. bytes: how much more peak memory "
+        f"{sizes.many:.0e} contacts take than 1000, per contact."
     )
 
 
+def tables(figures: pd.DataFrame) -> list[Table]:
+    """Of the jobs with rivals, and of the others."""
+    compared = figures["B"].notna()
+    return [table(figures[compared]), table(figures[~compared])]
+
+
 def table(figures: pd.DataFrame) -> Table:
-    """One section per job."""
+    """One section per job, and the columns that are known of some."""
+    columns = {
+        heading: made for heading, made in COLUMNS.items() if made[0] in figures and figures[made[0]].notna().any()
+    }
     shown = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     shown.add_column("case", no_wrap=True, min_width=figures["case"].str.len().max())
-    for heading in COLUMNS:
+    for heading in columns:
         shown.add_column(heading, justify="right", no_wrap=True)
     for job, rows in figures.groupby("job", sort=False):
         shown.add_row(f"[bold]{job}")
         for _, row in rows.iterrows():
-            cells = ("" if pd.isna(row.get(name, np.nan)) else form(row) for name, form in COLUMNS.values())
+            cells = ("" if pd.isna(row.get(name, np.nan)) else form(row) for name, form in columns.values())
             shown.add_row(row["case"], *cells)
         shown.add_section()
     return shown
@@ -99,11 +121,14 @@ def picture(figures: pd.DataFrame, path: Path) -> None:
     compared = figures[figures["B"].notna()]
     jobs = compared["job"].unique()
     plt.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-    figure, panels = plt.subplots(1, len(jobs), figsize=(4.4 * len(jobs), 7.2), sharey=True, layout="constrained")
-    for panel, job in zip(panels, jobs, strict=True):
+    columns = math.ceil(len(jobs) / 2)
+    figure, panels = plt.subplots(2, columns, figsize=(5.6 * columns, 13), layout="constrained", squeeze=False)
+    for panel in panels.flat[len(jobs) :]:
+        panel.remove()
+    for panel, job in zip(panels.flat, jobs, strict=False):
         _bars(panel, compared[compared["job"] == job])
         panel.set_title(job)
-    panels[0].invert_yaxis()
+        panel.invert_yaxis()
     handles = [Patch(color=color, label=label) for label, color in BARS.values()]
     handles.append(Line2D([], [], color="#c03030", lw=2, ls=":", label="wanted of C, at least"))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
@@ -132,5 +157,6 @@ def _bars(panel: Axes, rows: pd.DataFrame) -> None:
     panel.set_xlim(0.7 * least, 1.25 * most * (most / least) ** 0.15)  # room for the last number
     panel.axvline(1, color="#333333", lw=1)
     panel.xaxis.set_major_formatter("{x:,g}")
+    panel.xaxis.set_minor_formatter("")
     panel.set_yticks(range(len(rows)), rows["case"])
     panel.tick_params(axis="y", length=0)

@@ -68,10 +68,16 @@ def stiff_stretch(xi: float, a: float, clock: float) -> float:
 
 
 @numba.njit
+def newborn(general: bool) -> tuple[float, float]:
+    """k_i/k and threshold of a newborn contact."""
+    xi = math.sqrt(-math.log((1.0 - np.random.random()) * (1.0 - np.random.random())))  # noqa: NPY002
+    return xi / math.sqrt(2.0) if general else 1.0, xi
+
+
+@numba.njit
 def life(kT: float, stiff: bool, general: bool) -> tuple[float, float]:
     """k_i/k of a newborn contact, and the stretch at which it breaks."""
-    xi = math.sqrt(-math.log((1.0 - np.random.random()) * (1.0 - np.random.random())))  # noqa: NPY002
-    kappa = xi / math.sqrt(2.0) if general else 1.0
+    kappa, xi = newborn(general)
     if kT == 0.0:
         return kappa, xi
     a = kappa / (2.0 * kT)
@@ -115,7 +121,8 @@ def totals(kT: float, stiff: bool, general: bool, lives: int, seed: int) -> tupl
     return work, stretches
 
 
-def _law(case: Case) -> tuple[float, bool, bool]:
+def law_of(case: Case) -> tuple[float, bool, bool]:
+    """kT, and whether barriers are stiff and contacts general."""
     return case.kT, case.barrier == "stiff", case.general
 
 
@@ -123,7 +130,7 @@ def friction(case: Case, contacts: int, distance: float, points: int, seed: int)
     """Mean of the force over the second half of the grid, and its standard error."""
     size = contacts // BATCHES
     curves = [
-        force(*_law(case), case.delay, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)
+        force(*law_of(case), case.delay, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)
     ]
     means = np.array([curve[points // 2 :].mean() for curve in curves])
     return float(means.mean()), float(means.std(ddof=1)) / math.sqrt(BATCHES)
@@ -132,7 +139,7 @@ def friction(case: Case, contacts: int, distance: float, points: int, seed: int)
 def steady_friction(case: Case, lives: int, seed: int) -> tuple[float, float]:
     """Steady friction by renewal-reward over plainly drawn lives, and its standard error."""
     size = lives // BATCHES
-    work, stretch = np.array([totals(*_law(case), size, seed * BATCHES + batch) for batch in range(BATCHES)]).T
+    work, stretch = np.array([totals(*law_of(case), size, seed * BATCHES + batch) for batch in range(BATCHES)]).T
     cycle = stretch + size * case.delay
     value = work.sum() / cycle.sum()
     return float(value), float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())
