@@ -37,10 +37,10 @@ def step(before, after, distance=2.5, points=1000):
 
 
 def check(found, error, known, stated, low=0.0):
-    """Within both errors, that of the solver below two thousandths of the force; `known` may be too low by `low`, as
+    """Within both errors, that of the solver below two thousandths of k x_*; `known` may be too low by `low`, as
     maxima over a coarse grid are."""
     assert known - stated - error <= found <= known + stated + low + error
-    assert error < 2e-3 * found
+    assert error < 2e-3
 
 
 # ------------------------------------------------------------------------------------- numbers that others have found
