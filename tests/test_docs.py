@@ -142,7 +142,8 @@ def test_pictures_are_drawn_by_commands():
     assert [path for path in shown if not path.exists()] == []
     found = set((DOCS / "pictures").glob("*.png"))
     assert found - shown == set()
-    assert {path.name for path in found} - {"readme.png"} == set(pages.pictures())
+    measured = {"ns-by-part.png"}  # by a benchmark
+    assert {path.name for path in found} - {"readme.png"} - measured == set(pages.pictures())
     assert sum(path.stat().st_size for path in found) < 4_000_000
 
 
