@@ -1,10 +1,12 @@
 """What steady friction can tell, expected (Fisher information), and whether intervals of fits cover the truth.
 
-    python -m analysis.coverage [--sets 40] [--seed 1] [--only NAME]
+    python -m analysis.coverage [--sets 40] [--seed 1] [--only NAME] [--posterior]
 
 First a table of expected standard deviations of the logarithms of F0 = N k x_*, v0 = omega x_*, b and n + 1, from 12
 velocities per temperature with 5 % noise; then, for some models, how often the profile intervals of fits to synthetic
-data hold the truth, with the range that is expected of a binomial number.
+data hold the truth, with the range that is expected of a binomial number. With --posterior, instead: truths drawn from
+the prior, data drawn for them, and the share of the posterior below the truth, which must be uniform (simulation-based
+calibration; Talts et al., arXiv:1804.06788).
 """
 
 import argparse
@@ -19,6 +21,7 @@ import numpy as np
 from scipy import stats
 
 from eqsim import Ensemble, Gamma, Thermal
+from eqsim.fitting import posterior
 from eqsim.fitting.data import Row, Table
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.model import Problem, problem_of
@@ -184,6 +187,25 @@ def _starts(exact: Problem, rng: np.random.Generator) -> list[np.ndarray]:
     return list(exact.low + (exact.high - exact.low) * rng.random((2, exact.low.size)))
 
 
+def prior_problem() -> Problem:
+    """Annealed contacts, b = 5 in the middle of the prior, which is flat within .6 in each variable."""
+    one = problem(Case("annealed", 5.0, "uniform", 4.0, (1.0,)))
+    near = [p._replace(low=p.start - 0.6, high=p.start + 0.6) for p in one.parameters]
+    return replace(one, parameters=near)
+
+
+def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
+    """Of each data set and key: the share of the posterior below the truth, which comes from the prior."""
+    rng = np.random.default_rng(seed)
+    for _ in range(sets):
+        truth = exact.low + (exact.high - exact.low) * rng.random(exact.low.size)
+        one = replace(exact, value=exact.given(truth) + exact.sigma * rng.standard_normal(exact.value.size))
+        best = minimise(one, exact.start).u
+        drawn = posterior.sample(one, best, covariance(one.jacobian(best)), rng)
+        shares = np.mean(drawn.points < truth, axis=0)
+        yield {parameter.key: float(share) for parameter, share in zip(exact.parameters, shares, strict=True)}
+
+
 def binomial(sets: int, share: float) -> tuple[float, float]:
     """Shares between which a fair count of `sets` falls but in one of a thousand cases."""
     low, high = stats.binom.ppf([0.5e-3, 1.0 - 0.5e-3], sets, share)
@@ -196,7 +218,11 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=40, help="data sets of each model")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", choices=sorted(COVERED), help="one model")
+    parser.add_argument("--posterior", action="store_true", help="calibration of posteriors instead")
     asked = parser.parse_args()
+    if asked.posterior:
+        _calibration(asked.sets, asked.seed)
+        return
     print("expected standard deviations of ln F0, ln v0, ln b, ln(n + 1)")
     for case in TABLE:
         found = expected(problem(case))
@@ -210,13 +236,25 @@ def main() -> None:
         print(f"{name}: share of {asked.sets} data sets whose interval holds the truth")
         for key in every[0]:
             covered = {level: np.mean([one[key] < rise for one in every]) for level, rise in LEVELS.items()}
-            said = ", ".join(
-                "{} %: {:.1f} ({:.1f} to {:.1f} expected)".format(
-                    level, 100 * share, *(100 * x for x in binomial(asked.sets, int(level) / 100))
-                )
-                for level, share in covered.items()
-            )
-            print(f"  {key:28s} {said}")
+            print(f"  {key:28s} {_said(covered, asked.sets)}")
+
+
+def _said(covered: dict[str, float], sets: int) -> str:
+    return ", ".join(
+        "{} %: {:.1f} ({:.1f} to {:.1f} expected)".format(
+            level, 100 * share, *(100 * x for x in binomial(sets, int(level) / 100))
+        )
+        for level, share in covered.items()
+    )
+
+
+def _calibration(sets: int, seed: int) -> None:
+    every = list(below(prior_problem(), sets, seed))
+    print(f"share of {sets} truths of the prior that intervals of the posterior hold, and whether ranks are uniform")
+    for key in every[0]:
+        ranks = np.array([one[key] for one in every])
+        covered = {level: np.mean((ranks > low) & (ranks < high)) for level, (low, high) in posterior.SHARES.items()}
+        print(f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = {stats.kstest(ranks, 'uniform').pvalue:.2f}")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
 from eqsim.fitting.fit import FitResult, fit
+from eqsim.fitting.posterior import Posterior, posterior
 from eqsim.io.runfile import RunFile, load
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
@@ -52,6 +53,7 @@ __all__ = [
     "Newborn",
     "Normal",
     "Pareto",
+    "Posterior",
     "Programme",
     "ProgrammeTrajectory",
     "Reference",
@@ -79,6 +81,7 @@ __all__ = [
     "fluctuations",
     "fresh_slip",
     "load",
+    "posterior",
     "reference",
     "replay",
     "run",

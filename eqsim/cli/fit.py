@@ -17,6 +17,7 @@ _ALLOW = "Fit also what the data cannot separate, with a warning."
 _VELOCITY = "Within these limits. Default: up to ten times beyond the velocities of the data."
 _TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
 _COMPARE = "Another model of the same data: its chi-square, AICc and BIC beside this one's."
+_POSTERIOR = "Draw from the posterior, too: posterior.parquet and a picture. Needs eqsim[posterior]."
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class FitOptions:
     data: Annotated[Path | None, Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")] = None
     starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
     compare: Annotated[Path | None, Option(metavar="OTHER.toml", help=_COMPARE)] = None
+    posterior: Annotated[bool, Option("--posterior", help=_POSTERIOR)] = False
     allow_degenerate: Annotated[bool, Option("--allow-degenerate", help=_ALLOW)] = False
 
 
@@ -47,10 +49,13 @@ def fit(
     require_integer("--starts", options.starts, 1, 1000)
     from eqsim.fitting import fit as fitting
     from eqsim.fitting import report
+    from eqsim.fitting.posterior import needed, posterior
     from eqsim.io import storage
     from eqsim.io.runfile import load
 
     storage.check_folder(out)
+    if options.posterior:
+        needed("emcee", "corner")
     other = None if options.compare is None else load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         found = fitting.fit(
@@ -60,13 +65,18 @@ def fit(
         rival = None
         if options.compare is not None and other is not None:
             rival = fitting.compared(found, other, options.compare.parent, options.starts)
-    files = report.files(found, out, path.stem)
-    storage.publish(out, files)
+    files = report.write(found, out, path.stem)
     data = report.summary(found)
     lines = list(report.remarks(found))
     if rival is not None:
         data["compare"] = {"file": str(options.compare), **rival._asdict()}
         lines.insert(1, report.quality(str(options.compare), rival))
+    if options.posterior:
+        with shown.bar("drawing", "steps") as progress:
+            sampled = posterior(found, workers=count, progress=progress)
+        files += report.write_posterior(found, sampled, out, path.stem)
+        data["posterior"] = report.posterior_summary(sampled)
+        lines += report.drawn(sampled)
     lines.append(f"{out}/: {', '.join(files)}")
     shown.report(data, title=file.title or path.stem, columns=report.COLUMNS, rows=report.rows(found), notes=lines)
     if found.rejected or not found.converged:

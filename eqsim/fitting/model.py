@@ -304,6 +304,18 @@ class Problem:
         linear = [(one, x) for one, x in zip(self.parameters, u, strict=True) if one.linear]
         return rest + sum(base * float(one.value(x)) for base, (one, x) in zip(bases, linear, strict=True))
 
+    def density(self, u: Array) -> float:
+        """Logarithm of the posterior density of the parameters' variables, but for a constant: of the prior, which is
+        flat where the run file has none, times the likelihood; -inf beyond the bounds and where the reference
+        refuses."""
+        if np.any((u < self.low) | (u > self.high)):
+            return -math.inf
+        try:
+            r = self.deviate(self.white((self.value - self.given(u)) / self.sigma))
+        except InputError:
+            return -math.inf
+        return -0.5 * float(r @ r + self._prior(u) @ self._prior(u))
+
     def unitless(self, jacobian: Array) -> Array:
         """Derivatives with respect to logarithms, and of other variables in units of the distance of their bounds."""
         width = np.where([one.transform == "linear" for one in self.parameters], self.high - self.low, 1.0)

@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from eqsim.fitting.data import MEASURED
 from eqsim.fitting.estimate import DEGENERATE
 from eqsim.fitting.model import Problem, SteadyForward
+from eqsim.fitting.posterior import SHARES, needed
 from eqsim.fitting.profiles import LEVELS, WIDE
 from eqsim.io.labels import axis, plain
 from eqsim.io.style import DASHES, MARKERS, styled
@@ -17,6 +18,7 @@ from eqsim.numerics.tables import Array
 
 if TYPE_CHECKING:
     from eqsim.fitting.fit import FitResult
+    from eqsim.fitting.posterior import Posterior
 
 _BETWEEN = 8  # points of a curve between neighbouring velocities
 _LABELS = {
@@ -207,4 +209,21 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
     right.set_xticks(np.arange(len(keys)), keys, rotation=30, ha="right", fontsize=8)
     figure.colorbar(image, ax=right, label="component")
     figure.suptitle(plain(f"{title}: what the data determine, best first"), fontsize=10)
+    return figure
+
+
+@styled
+def posterior_figure(sampled: "Posterior", title: str) -> Figure:
+    """Draws of the posterior by pairs of keys, in the variables that were fitted, with the quantiles of intervals.
+    Raises InputError without corner."""
+    corner = needed("corner")
+    parameters = sampled.problem.parameters
+    variables = {"log": "ln {}", "log1p": "ln(1 + {})", "linear": "{}"}
+    size = 2.2 * len(parameters) + 0.8
+    figure = Figure(figsize=(size, size))
+    corner.corner(
+        sampled.points, labels=[variables[one.transform].format(one.key) for one in parameters], quantiles=SHARES["95"],
+        fig=figure, label_kwargs={"fontsize": 8}, color="C0", max_n_ticks=4,
+    )  # fmt: skip
+    figure.suptitle(plain(f"{title}: posterior".removeprefix(": ") + " (dashed: 95 %)"), fontsize=10)
     return figure

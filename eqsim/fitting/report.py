@@ -12,14 +12,16 @@ import numpy as np
 
 from eqsim.fitting.estimate import DEGENERATE, different
 from eqsim.fitting.fit import REJECTED, FitResult, Goodness, derived
+from eqsim.fitting.posterior import Posterior
 from eqsim.fitting.profiles import WIDE
 from eqsim.io import storage
 from eqsim.io.runfile import at
 
+_DRAWN = ("posterior.parquet", "posterior.png")
 COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 
 
-def summary(result: FitResult) -> dict[str, Any]:
+def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, Any]:
     """The content of fit.json."""
     keys = [one.key for one in result.problem.parameters]
     return {
@@ -54,11 +56,29 @@ def summary(result: FitResult) -> dict[str, Any]:
         "derived": derived(result),
         "correlation": None if result.correlation is None else result.correlation._asdict(),
         "noise_floor": result.floor,
+        **({} if sampled is None else {"posterior": posterior_summary(sampled)}),
         "warnings": list(result.warnings),
         "seed": result.seed,
         "data_sha256": result.table.sha256,
         "versions": storage.versions(),
     }  # fmt: skip
+
+
+def posterior_summary(sampled: Posterior) -> dict[str, Any]:
+    """What fit.json says of draws from the posterior."""
+    intervals = sampled.intervals
+    return {
+        "parameters": {
+            key: {"median": one["median"], "interval_68": one["68"], "interval_95": one["95"]}
+            for key, one in intervals.items()
+        },
+        "walkers": sampled.walkers,
+        "steps": sampled.steps,
+        "autocorrelation": sampled.autocorrelation,
+        "effective_draws": sampled.effective,
+        "acceptance": sampled.acceptance,
+        "converged": sampled.converged,
+    }
 
 
 def _values(result: FitResult, u: Any) -> dict[str, float]:
@@ -101,14 +121,14 @@ def profiles(result: FitResult) -> dict[str, Any]:
     return {"key": held, "rise": np.concatenate(rises), **values}
 
 
-def files(result: FitResult, out: Path, title: str = "") -> dict[str, bytes]:
-    """The files of a results folder by name."""
+def write(result: FitResult, out: Path, title: str = "") -> list[str]:
+    """Write a results folder; the names of its files. Draws from the posterior of another fit are removed."""
     from eqsim.fitting import pictures
     from eqsim.io.style import saved
 
     file, title = result.file, result.file.title or title
     origin = storage.provenance("fit", file.model_dump(), file.text, result.seed, result.folder)
-    return {
+    files = {
         "fit.json": storage.to_json(summary(result)).encode(),
         "fitted.parquet": storage.parquet(fitted(result), origin),
         "profiles.parquet": storage.parquet(profiles(result), origin),
@@ -117,6 +137,22 @@ def files(result: FitResult, out: Path, title: str = "") -> dict[str, bytes]:
         "profiles.png": saved(pictures.profiles_figure(result, title)),
         "identifiability.png": saved(pictures.identifiability_figure(result, title)),
     }
+    storage.publish(out, files)
+    for name in _DRAWN:
+        (out / name).unlink(missing_ok=True)
+    return list(files)
+
+
+def write_posterior(result: FitResult, sampled: Posterior, out: Path, title: str = "") -> list[str]:
+    """Add draws from the posterior to a results folder; the names of the new files."""
+    from eqsim.fitting import pictures
+    from eqsim.io.style import saved
+
+    origin = storage.provenance("fit", result.file.model_dump(), result.file.text, result.seed, result.folder)
+    picture = pictures.posterior_figure(sampled, result.file.title or title)
+    content = dict(zip(_DRAWN, (storage.parquet(sampled.columns, origin), saved(picture)), strict=True))
+    storage.publish(out, {**content, "fit.json": storage.to_json(summary(result, sampled)).encode()})
+    return list(content)
 
 
 def run_toml(result: FitResult, out: Path) -> str:
@@ -209,6 +245,18 @@ def remarks(result: FitResult) -> Iterator[str]:
     for name, value in derived(result).items():
         yield f"{name} = {value:.4g}"
     yield from result.warnings
+
+
+def drawn(sampled: Posterior) -> Iterator[str]:
+    """What draws from the posterior say."""
+    long = f"{sampled.steps} steps, {sampled.steps / sampled.autocorrelation:.0f} autocorrelation times"
+    if not sampled.converged:
+        yield f"posterior: NOT CONVERGED, {long}: no intervals are quoted"
+        return
+    yield f"posterior, flat in each key's variable between its bounds where it has no prior ({long}, worth"
+    yield f"{sampled.effective:.0f} independent draws: the 2.5 % beyond an end are known to {100 * sampled.doubt:.1f}):"
+    for key, one in sampled.intervals.items():
+        yield f"  {key}: median {one['median']:.4g}, 68 % {_range(one['68'])}, 95 % {_range(one['95'])}"
 
 
 def quality(name: str, good: Goodness) -> str:
