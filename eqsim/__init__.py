@@ -22,4 +22,4 @@ else:
         return public[name]
 
     def __dir__():
-        return sorted({*globals(), *import_module("eqsim.api").__all__, "__version__"})
+        return sorted([*import_module("eqsim.api").__all__, "__version__"])

@@ -213,7 +213,7 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) ->
         yield "averages: over the second half of the run; peak: the first maximum of the force after the start"
     slips = getattr(found, "slips", None)
     if slips is not None:
-        yield f"{len(slips)} slips" + ("" if slips else ": the slider follows the stage")
+        yield f"{len(slips)} slips" if slips else "no slip in this run"
         if not found.force_reliable:
             yield "force_stderr: that of contacts at this X; how far X differs between ensembles takes 8 replicas"
     elif not found.force_reliable:

@@ -124,7 +124,10 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
             raise InputError(f"fit.free.{name}: is a column of the data; a key is either free or given by each row")
         if name not in (*known, *MEASURED, *errors, "set", fit.temperature):
             every = [*known, *MEASURED, "set"]
-            hint = meant(name, every) or "columns are keys such as drive.velocity and " + ", ".join(MEASURED)
+            hint = meant(name, every) or (
+                "columns are keys such as drive.velocity and " + ", ".join(MEASURED)
+                + " (friction may be a force, a stress or a coefficient: fit.scale is its unit)"
+            )  # fmt: skip
             raise InputError(f'fit.data: column "{name}" is neither a key nor an observable; {hint}')
     for error, name in errors.items():
         if error in header and name not in header:

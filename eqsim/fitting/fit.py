@@ -27,6 +27,7 @@ from eqsim.sweeps.workers import Workers
 REJECTED = 1e-3  # p below which a model is rejected
 _FLOOR = 0.1  # of a standard error, what the solver may miss
 _ROUGH = 0.1  # of a standard deviation, half of a 95 % interval that data cannot have
+_AT_BOUND = 1e-3  # of the distance of bounds
 _AGAIN = 3  # times that a profile may find a better fit
 _WHITENED = 2  # times that residuals tell the correlation of errors
 
@@ -338,6 +339,11 @@ def _fitted(
     floor = float(np.max(error / problem.sigma))
     if floor > _FLOOR:
         warnings = [*warnings, f"noise floor: the solver's own error is {floor:.2g} of a measurement's standard error"]
+    for one, x in zip(parameters, best.u, strict=True):
+        for bound in (one.low, one.high):
+            if abs(x - bound) < _AT_BOUND * (one.high - one.low):
+                place = f"{one.key} is at its bound {float(one.value(bound)):g}"
+                warnings = [*warnings, f"{place}: values and intervals of the other keys depend on this bound"]
     rough = [
         one.key
         for one, x, s in zip(parameters, best.u, sd, strict=True)

@@ -116,7 +116,7 @@ def _crossing(found: list[tuple[float, float, Array]], level: float) -> _Crossin
 
 
 def status(low: Side, high: Side, transform: str) -> str:
-    """ "determined" if the 95 % interval is closed, and of a logarithm the 68 % one within a factor 3 to either side;
+    """ "determined" if the 95 % interval is closed, and of a logarithm the 68 % one spans a factor 9 at most;
     "one-sided" if only one of its ends is known; else "degenerate"."""
     closed = [one.ends["95"] is not None for one in (low, high)]
     if not all(closed):

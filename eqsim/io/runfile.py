@@ -8,6 +8,7 @@ import csv
 import functools
 import json
 import math
+import re
 import stat
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
@@ -708,7 +709,7 @@ def _recorded(path: Path, field: str, stamp: tuple[int, int] | None) -> list[Seg
 
 
 class _Lines:
-    """The lines of a text file but for comments, and which `number` the last one has."""
+    """The lines of a text file but for comments and empty ones, and which `number` the last one has."""
 
     def __init__(self, file: Iterable[str]) -> None:
         self.file, self.number = file, 0
@@ -716,7 +717,7 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         for line in self.file:
             self.number += 1
-            if not line.lstrip().startswith("#"):
+            if line.strip() and not line.lstrip().startswith("#"):
                 yield line
 
 
@@ -728,6 +729,8 @@ def _columns(path: Path, field: str, wanted: tuple[str, ...], alone: bool = Fals
             lines = _Lines(file)
             rows = csv.DictReader(lines, skipinitialspace=True, strict=True)
             rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
+            if len(names) == 1 and re.search("[;\t]", names[0]):
+                raise InputError(f"{field}: cells must be separated by commas")
             if alone and len(names) == 1 and wanted[0] not in names:
                 if not math.isnan(_number(names[0])):
                     yield lines.number, names

@@ -27,6 +27,7 @@ Points = Any  # a pandas DataFrame, one point of a sweep a row
 Column = Any  # a pandas Series
 
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
+_PRINTED = {"mu": "friction_coefficient"}  # columns that tables of the terminal call otherwise
 _MOST_SERIES = len(COLORS)  # that a legend names; more have a colour bar
 _FINE, _COARSE = 120, 40  # points of a reference curve against velocity, which costs one solve, and against other keys
 _MOST_SOLVES = 600
@@ -128,7 +129,9 @@ def _figure(sweep: Sweep, table: Points, columns: tuple[str, str], by: list[str]
     if bar is not None:
         figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
     handles = [*legends, *_explained(table, y, kinds)]
-    if handles:  # outside of the axes, where it covers nothing
+    if handles and not by:
+        axes.legend(handles=handles, fontsize=8)
+    elif handles:  # outside of the axes, where it covers nothing
         look = (1 + len(handles) // 26, "outside right upper") if bar is None else (4, "outside lower center")
         figure.legend(handles=handles, ncols=look[0], loc=look[1])
     axes.set(
@@ -376,7 +379,8 @@ def _beside(sweep: Sweep, table: Points) -> Quantity | None:
 
 def _column(table: Points, name: str, option: str) -> Column:
     if name not in table:
-        hint = meant(name, map(str, table)) or f"there are {', '.join(map(str, table))}"
+        known = [*map(str, table)]
+        hint = meant(_PRINTED.get(name, name), known) or f"there are {', '.join(known)}"
         raise InputError(f"{option} {name}: no such column; {hint}")
     return table[name]
 
