@@ -142,7 +142,7 @@ class Material(ABC):
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            if field.name not in ("name", "delay", "aging"):
+            if field.name not in ("name", "delay", "aging") and getattr(self, field.name) is not None:
                 require_number(field.name, getattr(self, field.name), above=0, least=1e-30, most=1e30)
 
     @property
@@ -253,12 +253,15 @@ class RoughContacts(Material):
         E (Pa).
     contact_radius : float
         r_c (m).
+    indentation_hardness : float, optional
+        H (Pa), the normal stress that the contacts carry; by default 3 sqrt(3) sigma_*.
     **material
         Those of `Material`.
     """
 
     young_modulus: float
     contact_radius: float
+    indentation_hardness: float | None = None
 
     @property
     def stiffness(self) -> float:
@@ -282,9 +285,9 @@ class RoughContacts(Material):
 
     @property
     def hardness(self) -> float:
-        """3 sqrt(3) sigma_* (Pa), of plastic contacts: three times the yield stress (Tabor), which is sqrt(3) times
-        that in shear (von Mises)."""
-        return 3.0 * math.sqrt(3.0) * self.shear_strength
+        """As given, or 3 sqrt(3) sigma_* (Pa), of plastic contacts: three times the yield stress (Tabor), which is
+        sqrt(3) times that in shear (von Mises)."""
+        return self.indentation_hardness or 3.0 * math.sqrt(3.0) * self.shear_strength
 
     @property
     def elastic_modulus(self) -> float:
@@ -481,9 +484,12 @@ def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> lis
 def _hardness(material: Material) -> list[Parameter]:
     if material.hardness is None:
         return []
-    return [
-        Parameter("H", material.hardness, "Pa", "hardness of plastic contacts, 3 sqrt(3) sigma_*; mu = shear stress/H")
-    ]
+    return [Parameter("H", material.hardness, "Pa", f"{_origin(material)}; mu = shear stress/H")]
+
+
+def _origin(material: Material) -> str:
+    given = getattr(material, "indentation_hardness", None)
+    return "hardness, given" if given else "hardness of plastic contacts, 3 sqrt(3) sigma_*"
 
 
 def _elastic_lengths(material: Material) -> list[Parameter]:
@@ -582,7 +588,7 @@ def run_file_text(
         "# normal_stress = 1e6  # Pa, for a friction coefficient",
     )
     if material.hardness is not None:
-        load = f"normal_stress = {material.hardness:.4g}  # Pa, hardness of plastic contacts, 3 sqrt(3) sigma_*"
+        load = f"normal_stress = {material.hardness:.4g}  # Pa, {_origin(material)}"
     decade = math.floor(math.log10(drive.velocity))
     sections = _RUN_FILE + (_AGING if material.aging else "") + (_DELAY if material.delay else "") + _DRIVE
     numbers = {

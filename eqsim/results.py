@@ -8,6 +8,8 @@ import numpy as np
 
 from eqsim.numerics.tables import Array
 
+_FEW = 50  # points of a curve that are marked
+
 
 class Drawn(NamedTuple):
     """Which columns `Result.plot` draws, with the error of the second one if it has one, and how the axes are labelled;
@@ -91,7 +93,11 @@ class Result:
                 axes.set_xscale("log")
         along, y = (getattr(self, name) for name in (x or self.drawn.x, self.drawn.y))
         order = np.argsort(along, kind="stable") if self.drawn.log else slice(None)  # velocities come in any order
-        look = {"linestyle": "", "marker": ".", "markersize": 2} if self.drawn.dots else {"linewidth": 1.2}
+        look: dict[str, Any] = {"linewidth": 1.2}
+        if self.drawn.dots:
+            look = {"linestyle": "", "marker": ".", "markersize": 2}
+        elif along.size <= _FEW:
+            look |= {"marker": "."}
         (line,) = axes.plot(along[order], y[order], **{**look, **style})
         if self.drawn.error:
             low, high = (y + sign * 2 * getattr(self, self.drawn.error) for sign in (-1, 1))

@@ -332,6 +332,16 @@ def test_constants_make_the_material_again(material):
     assert from_constants(constants_of(material)) == material
 
 
+def test_hardness(tmp_path):
+    """Given, or that of plastic contacts; the friction coefficient of the run file goes as its inverse."""
+    soft = dataclasses.replace(STEEL, indentation_hardness=1e9)
+    assert STEEL.hardness == pytest.approx(3 * math.sqrt(3) * 1e9, rel=1e-12, abs=0)
+    assert soft.hardness == 1e9
+    assert "normal_stress = 1e+09  # Pa, hardness, given" in run_file_text(soft)
+    with pytest.raises(InputError, match="indentation_hardness"):
+        dataclasses.replace(STEEL, indentation_hardness=-1.0)
+
+
 def test_a_material_from_options():
     """All of its constants, or other ones than those of a preset."""
     given = {"density": 1e4, "young_modulus": 2e11, "shear_strength": 1e9, "contact_radius": 5e-7}

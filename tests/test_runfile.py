@@ -3,6 +3,7 @@
 import math
 import re
 
+import numpy as np
 import pytest
 
 from eqsim import (
@@ -20,6 +21,7 @@ from eqsim import (
 )
 from eqsim.errors import require_integer, require_number
 from eqsim.io.runfile import at, check, keys, parameters, read_thresholds
+from eqsim.laws.stiffness import relative_stiffness
 
 
 def test_defaults(tmp_path):
@@ -216,6 +218,28 @@ def test_good_tables(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("\ufeffsample, threshold\n1, 2.5\n2, 0.5\n\n3, 1e3\n", encoding="utf-8")
     assert list(read_thresholds(path).steps) == [0.5, 2.5, 1000.0]
+
+
+def test_tables_of_forces(tmp_path):
+    """Contacts with these stretches and stiffnesses hold these forces."""
+    forces = np.array([1.0, 4.0, 10.0])
+    (tmp_path / "strengths.csv").write_text("# by indentation\n\nstrength_nN\n1\n4\n10\n")
+    table = {"law": "table", "file": "strengths.csv", "quantity": "force"}
+    for law in ("uniform", "sqrt"):
+        file = check({"thresholds": table, "contacts": {"stiffness": 2.0, "stiffness_law": law}})
+        ensemble = file.ensemble(tmp_path)
+        stretch = ensemble.thresholds.steps
+        stiffness = 2.0 * relative_stiffness(law, stretch, ensemble.thresholds.rms)
+        np.testing.assert_allclose(stiffness * stretch, forces, rtol=1e-14, atol=0)
+    with pytest.raises(InputError, match="quantity = 'force': not allowed with law"):
+        check({"thresholds": {"quantity": "force"}}).ensemble(tmp_path)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_cells_are_separated_by_commas(tmp_path, separator):
+    (tmp_path / "table.csv").write_text(f"threshold{separator}area\n1{separator}2\n")
+    with pytest.raises(InputError, match="cells must be separated by commas"):
+        read_thresholds(tmp_path / "table.csv")
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,9 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
         panel.set_visible(False)
     for panel in panels[::wide]:
         panel.set_ylabel("chi-square above the least")
-    figure.suptitle(plain(f"{title}: profile likelihood (thick line: a bound reached first)"), fontsize=10)
+    figure.suptitle(
+        plain(f"{title}: profile likelihood (orange: best fit; thick black: a bound reached first)"), fontsize=10
+    )
     return figure
 
 

@@ -240,7 +240,10 @@ def remarks(result: FitResult) -> Iterator[str]:
             yield f"not separated (eigenvalue ratio {rung.ratio:.1e}): {rung.name}"
         elif rung.sd > WIDE:
             yield f"known to no better than a factor {math.exp(min(rung.sd, 50.0)):.3g}: {rung.name}"
-    if not result.rejected and any(one.status != "determined" for one in result.intervals):
+    unsure = [one.key for one in result.intervals if one.status != "determined"]
+    if any(key.startswith("thermal.") for key in unsure) and len({row.heat for row in result.table.rows}) == 1:
+        yield "these are data of one temperature: a second one tells most about heat and thresholds (eqsim design)"
+    if not result.rejected and unsure:
         yield "predictions within the range of the data are good all the same; beyond it they are not"
     for name, value in derived(result).items():
         yield f"{name} = {value:.4g}"

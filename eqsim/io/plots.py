@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from eqsim.model.ensemble import Ensemble
     from eqsim.validation import Validation
 
+_FAST = 3.0  # velocities of the stage, from which on those of slips need a logarithmic axis
 _MOST_HOLDS, _MOST_MARKS = 4, 60  # of a programme that are drawn in panels of their own, and marked
 _BINS_PER_DECADE = 8  # of a picture of sizes
 _BRIGHTEST = 0.999  # quantile of an image that is the end of its scale
@@ -232,10 +233,13 @@ def slider_figure(run: "SliderTrajectory", exact: "Transient | None", caption: C
     place.plot(run.t, run.stage, color="C3", linewidth=1)
     drawn["displacement of the slider"] = place.plot(run.t, run.X, color="C0", linestyle="--", linewidth=1)[0]
     place.set(ylabel=caption.length("displacement"), xlim=(run.t[0], run.t[-1]))
-    phase.plot(np.gradient(run.X, run.t), run.spring, color="C3", linewidth=0.7)
+    velocity = np.gradient(run.X, run.t)
+    phase.plot(velocity, run.spring, color="C3", linewidth=0.7)
     speed = with_unit("velocity of the slider, between two records", unit_text(caption.units, VELOCITY))
     phase.set(xlabel=speed, ylabel=caption.length("force of the spring / $(N k)$"))
-    phase.set_xscale("symlog", linthresh=max(np.abs(np.diff(run.stage) / np.diff(run.t)).max(), 1e-300))
+    driven = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
+    if np.abs(velocity).max() > _FAST * driven > 0:
+        phase.set_xscale("symlog", linthresh=driven)
     for panel in (force, place):
         panel.set_xlabel(caption.along("time"))
     for panel in (force, place, phase):

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
+import numpy as np
 import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from pydantic.fields import FieldInfo
@@ -74,6 +75,7 @@ class Thresholds(_Section):
     file: str | None = None
     column: str | None = None
     scale: float | None = None
+    quantity: Literal["stretch", "force"] | None = None
 
 
 class ThermalSection(_Section):
@@ -311,7 +313,7 @@ class RunFile(_Section):
             )
 
     def _threshold_law(self, folder: Path) -> ThresholdLaw:
-        law, tabled = self.thresholds.law, ("file", "column", "scale")
+        law, tabled = self.thresholds.law, ("file", "column", "scale", "quantity")
         given = self.thresholds.model_dump(exclude={"law"}, exclude_none=True)
         allowed = tabled if law == "table" else threshold_parameters(law)
         for key, value in given.items():
@@ -324,7 +326,14 @@ class RunFile(_Section):
             raise InputError('thresholds.file: is required with law = "table"')
         scale = given.get("scale", 1.0)
         require_number("thresholds.scale", scale, **POSITIVE)
-        return read_thresholds(folder / given["file"], given.get("column"), scale)
+        found = read_thresholds(folder / given["file"], given.get("column"), scale)
+        if given.get("quantity") != "force":
+            return found
+        require_number("contacts.stiffness", self.contacts.stiffness, **POSITIVE)
+        force = found.steps  # f = k_i xi, with k_i = k sqrt(f/<f>) under the sqrt law
+        stretch = force if self.contacts.stiffness_law == "uniform" else np.sqrt(force * force.mean())
+        with under("thresholds"):
+            return Table(stretch / self.contacts.stiffness)
 
     def driven(self, folder: Path | None = None) -> Drive | Programme:
         """How the slider moves; the path of a recorded drive is relative to `folder`, by default that of the run file.

@@ -395,10 +395,10 @@ def _plain(value: Any) -> Any:
 
 
 def _texts(column: Column) -> dict[Any, str]:
-    """Its values as they are printed: numbers with six digits, or as many as tell neighbours apart."""
+    """Its values as they are printed: numbers with four digits, or as many as tell neighbours apart."""
     values = [_plain(value) for value in column.drop_duplicates()]
-    texts = {value: _text(value, 6) for value in values}
-    for digits in range(7, 18):
+    texts = {value: _text(value, 4) for value in values}
+    for digits in range(5, 18):
         shared = {text for text, count in Counter(texts.values()).items() if count > 1}
         texts = {value: _text(value, digits) if text in shared else text for value, text in texts.items()}
     return texts
