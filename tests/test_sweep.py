@@ -599,7 +599,7 @@ def test_quiet_and_progress(small):
     assert result.output == ""
     result = CliRunner().invoke(app, [*command, str(small / "new")])
     assert "12 points (3 x 2 x 2)" in result.stdout
-    assert "ms a point" in result.stdout
+    assert "s a point" in result.stdout
     result = CliRunner().invoke(
         app, ["sweep", str(small / "small.toml"), "--out", "x", "--workers", "2", "--dask", "y"]
     )

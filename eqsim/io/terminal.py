@@ -109,11 +109,13 @@ def lives(number: int, seconds: float, of: str = "") -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds in the largest unit of which there are two, to two digits or one decimal."""
+    """Seconds in a unit fit for them, to two digits or more."""
     for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.2g} s"
+    if seconds < 1.0:
+        return f"{seconds * 1e3:.3g} ms"
+    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
 
 
 def announcing(progress: Callable[[int, int], None], note: Callable[[str], None]) -> Callable[[int, int], None]:

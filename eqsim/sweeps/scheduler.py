@@ -137,7 +137,7 @@ class Scheduler:
                 if self.recent and queue:
                     mean, slots = statistics.fmean(self.recent), self.pool.slots()
                     needed = duration(mean * len(queue) / slots)
-                    self.note(f"about {needed} to go: {mean * 1e3:.3g} ms a point, {slots} workers")
+                    self.note(f"about {needed} to go: {duration(mean)} a point, {slots} workers")
             self.progress(self.done, total)
         return self.seconds
 
