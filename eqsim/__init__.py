@@ -16,10 +16,12 @@ else:
     def __getattr__(name):
         if name == "__version__":
             return metadata.version("eqsim")
+        if name == "materials":
+            return import_module("eqsim.materials")
         public = vars(import_module("eqsim.api")) if name == "__all__" or not name.startswith("__") else {}
         if name not in ("__all__", *public.get("__all__", ())):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
         return public[name]
 
     def __dir__():
-        return sorted([*import_module("eqsim.api").__all__, "__version__"])
+        return sorted([*import_module("eqsim.api").__all__, "__version__", "materials"])

@@ -1,5 +1,6 @@
 """The public names: what a type checker and a user see of them."""
 
+import re
 import subprocess
 import sys
 from importlib import metadata
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import eqsim
+from eqsim import Ensemble, InputError, Programme, Thermal
 
 ROOT = Path(__file__).parent.parent
 USER = """\
@@ -45,3 +47,19 @@ def test_public_names():
     assert names["Newborn"] is eqsim.laws.newborn.Newborn
     with pytest.raises(AttributeError, match="module 'eqsim' has no attribute 'Ensembel'"):
         eqsim.Ensembel  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (
+            lambda: Ensemble(Thermal(0.1)),
+            "thresholds = Thermal(kT=0.1, attempt_frequency=1.0, barrier='soft'): must be a law",
+        ),
+        (lambda: Ensemble(thermal=0.1), "thermal = 0.1: must be Thermal(...)"),
+        (lambda: Programme([0.1]), "programme: holds 0.1; must be Segment("),
+    ],
+)
+def test_arguments_of_another_kind_are_named(call, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        call()

@@ -158,7 +158,7 @@ def test_long_estimates_say_how_long(run_file, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(terminal, "_LONG", 0.0)
     args = ("steady", run_file, "--rel-error", "2e-5")
-    assert re.search(r"^about \S+ s to go: \S+ [kM] lives at \S+ [kM]/s\n", call(*args).stdout)
+    assert re.search(r"^about \S+ m?s to go: \S+ [kM] lives at \S+ [kM]/s\n", call(*args).stdout)
     assert "to go" not in call(*args, "--json").stdout
 
 

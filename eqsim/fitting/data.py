@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import math
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,13 +52,12 @@ class Table(NamedTuple):
 def contents(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[str]]], str]:
     """Header, numbered rows and SHA-256 of a CSV file. Raises InputError with the line that cannot be used."""
     try:
-        if not path.is_file():
-            raise InputError(
-                f"{field} = {str(path)!r}: " + ("is not a file" if path.exists() else "there is no such file")
-            )
-        content = path.read_bytes()
+        known, there = path.is_file(), path.exists()
+        content = path.read_bytes() if known else b""
     except (OSError, ValueError) as error:
         raise InputError(f"{field} = {str(path)!r}: cannot be read ({getattr(error, 'strerror', error)})") from None
+    if not known:
+        raise InputError(f"{field} = {str(path)!r}: " + ("is not a file" if there else "there is no such file"))
     if len(content) > _MOST:
         raise InputError(f"{field} = {path}: is longer than {_MOST:.0e} bytes")
     if content.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
@@ -75,8 +75,8 @@ def contents(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[st
     for name in header:
         if header.count(name) > 1:
             raise InputError(f'{field} = {path}: has {header.count(name)} columns "{name}"')
-    if len(header) == 1 and ";" in header[0]:
-        raise InputError(f"{field} = {path}: cells must be separated by commas, not semicolons")
+    if len(header) == 1 and re.search("[;\t]", header[0]):
+        raise InputError(f"{field} = {path}: cells must be separated by commas")
     for line, row in numbered[1:]:
         if len(row) > len(header):
             raise InputError(f"{field} = {path}, line {line}: more cells than columns (a decimal comma?)")
@@ -123,7 +123,7 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
         if name in fit.free:
             raise InputError(f"fit.free.{name}: is a column of the data; a key is either free or given by each row")
         if name not in (*known, *MEASURED, *errors, "set", fit.temperature):
-            every = [*known, *MEASURED, "set"]
+            every = [*known, *MEASURED, *errors, "set"]
             hint = meant(name, every) or (
                 "columns are keys such as drive.velocity and " + ", ".join(MEASURED)
                 + " (friction may be a force, a stress or a coefficient: fit.scale is its unit)"

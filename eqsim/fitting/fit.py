@@ -213,7 +213,7 @@ def fit(
     file: RunFile | Path | str,
     folder: Path | str | None = None,
     *,
-    data: Path | None = None,
+    data: Path | str | None = None,
     starts: int = 8,
     allow_degenerate: bool = False,
     workers: int = 1,
@@ -228,7 +228,7 @@ def fit(
         With a [fit] section, or the path of one; `output.seed` draws the starts.
     folder : Path, optional
         That paths in the run file are relative to; by default its own folder.
-    data : Path, optional
+    data : Path or str, optional
         Measurements, instead of the section's.
     starts : int
         Points from which a least-squares fit begins: the run file's values, and others between the bounds.
@@ -256,7 +256,7 @@ def fit(
     require_integer("workers", workers, 1, 1024)
     file = opened(file)
     folder = file.folder if folder is None else Path(folder)
-    prepared = prepare(file, folder, data, allow_degenerate)
+    prepared = prepare(file, folder, None if data is None else Path(data), allow_degenerate)
     problem = prepared.problem
     every = estimate.starts(problem, starts, file.output.seed)
     estimate.check_starts(problem, every)
@@ -401,6 +401,9 @@ def derived(result: FitResult) -> dict[str, float]:
     unit = ensemble.thresholds.scale
     found = {"F0 = N k x_*": scale * unit}
     if ensemble.thermal.kT > 0:
+        kelvin = result.file.in_units().kelvin(ensemble.thermal.kT)
+        if kelvin is not None:
+            found["T of kT (K)"] = kelvin
         found |= {"v0 = omega x_*": ensemble.thermal.attempt_frequency * unit, "b = k x_*^2/(2 kT)": ensemble.b}
         if ensemble.disorder == "annealed":
             found["v_*"] = ensemble.crossover_velocity

@@ -95,7 +95,8 @@ def fit_figure(result: "FitResult", title: str) -> Figure:
             top.legend(fontsize=8)
     good = result.goodness
     p = "" if good.p is None else f", p = {good.p:.2g}"
-    panels[0].set_title(plain(f"{title}\nchi-square {good.chi2:.1f} of {good.dof} degrees of freedom{p}"), fontsize=10)
+    said = f"chi-square {good.chi2:.1f} of {good.dof} degrees of freedom{p}; bars: 1 standard error, bands: 68 and 95 %"
+    panels[0].set_title(plain(f"{title}\n{said}"), fontsize=10)
     figure.align_ylabels(panels)
     return figure
 

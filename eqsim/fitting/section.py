@@ -162,7 +162,8 @@ def _explain(error: pydantic.ValidationError) -> str:
         known = list(sections.get(place[0] if place[1:] else "", Fit).model_fields)
         return f"{field}: unknown key; " + (meant(place[-1], known) or "known here: " + ", ".join(known))
     if first["type"] in ("model_type", "dict_type"):
-        return f"{field} = {value}: must be a section"
+        free = ", such as { bounds = [0.1, 10.0] }" if place[:1] == ["free"] else ""
+        return f"{field} = {value}: must be a section{free}"
     return f"{field} = {value}: " + first["msg"].replace("Input should be", "must be").replace("'", '"')
 
 

@@ -27,6 +27,7 @@ Points = Any  # a pandas DataFrame, one point of a sweep a row
 Column = Any  # a pandas Series
 
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
+_FLAT = 0.01  # of its values, the least height of the y axis
 _PRINTED = {"mu": "friction_coefficient"}  # columns that tables of the terminal call otherwise
 _MOST_SERIES = len(COLORS)  # that a legend names; more have a colour bar
 _FINE, _COARSE = 120, 40  # points of a reference curve against velocity, which costs one solve, and against other keys
@@ -69,6 +70,8 @@ def read_sweep(folder: Path) -> Sweep:
     try:
         found = pq.read_table(folder)
     except (OSError, pyarrow.ArrowException) as error:
+        if (folder / "summary.json").is_file():
+            raise InputError(f"{folder}: is no sweep; the pictures of a run are in its folder already") from None
         raise InputError(f"{folder}: cannot be read as Parquet files ({str(error).splitlines()[0]})") from None
     table = found.to_pandas().reset_index(drop=True)
     for name in table.select_dtypes("category"):  # folders named KEY=VALUE
@@ -141,6 +144,10 @@ def _figure(sweep: Sweep, table: Points, columns: tuple[str, str], by: list[str]
     if y == "friction":
         beside = _beside(sweep, table)
         Caption("", quantity=beside).beside(axes)
+    low, high = axes.get_ylim()
+    least = _FLAT * max(abs(low), abs(high))
+    if axes.get_yscale() == "linear" and high - low < least:  # a flat curve looks flat
+        axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
     axes.set_title(title)
     axes.grid(alpha=0.3)
     return figure
@@ -395,10 +402,10 @@ def _plain(value: Any) -> Any:
 
 
 def _texts(column: Column) -> dict[Any, str]:
-    """Its values as they are printed: numbers with four digits, or as many as tell neighbours apart."""
+    """Its values as they are printed: numbers with six digits, or as many as tell neighbours apart."""
     values = [_plain(value) for value in column.drop_duplicates()]
-    texts = {value: _text(value, 4) for value in values}
-    for digits in range(5, 18):
+    texts = {value: _text(value, 6) for value in values}
+    for digits in range(7, 18):
         shared = {text for text, count in Counter(texts.values()).items() if count > 1}
         texts = {value: _text(value, digits) if text in shared else text for value, text in texts.items()}
     return texts

@@ -200,6 +200,11 @@ class Programme:
         object.__setattr__(self, "segments", tuple(self.segments))
         if not self.segments:
             raise InputError("programme = []: must have at least one segment")
+        for segment in self.segments:
+            if not isinstance(segment, Segment):
+                raise InputError(
+                    f"programme: holds {shown(segment)}; must be Segment(velocity, distance=... or time=...)"
+                )
         require_choice("start", self.start, ("fresh", "stationary"))
         if self.velocity is not None:
             require_number("velocity", self.velocity, **POSITIVE)

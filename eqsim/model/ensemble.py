@@ -4,7 +4,16 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_choice, require_integer, require_number, under
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    require_choice,
+    require_integer,
+    require_number,
+    shown,
+    under,
+)
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.pooled import pooled_hazard_of
@@ -64,6 +73,11 @@ class Ensemble:
     newborn: Newborn = Newborn()
 
     def __post_init__(self) -> None:
+        if not hasattr(self.thresholds, "declared"):
+            raise InputError(f"thresholds = {shown(self.thresholds)}: must be a law of thresholds, such as Gamma(1.0)")
+        for name, kind in (("thermal", Thermal), ("delay", Delay), ("aging", Aging), ("newborn", Newborn)):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"{name} = {shown(getattr(self, name))}: must be {kind.__name__}(...)")
         require_integer("count", self.count, 1, 10**12)
         require_number("stiffness", self.stiffness, **POSITIVE)
         require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
