@@ -223,7 +223,7 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     law = ensemble.thresholds
     if isinstance(law, Table):
         values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    del values["thresholds.column"], values["thresholds.scale"]
+    del values["thresholds.column"], values["thresholds.scale"], values["thresholds.quantity"]
     text = json.dumps([values, seed, results_version()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
