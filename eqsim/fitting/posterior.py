@@ -177,11 +177,12 @@ def sample(
             continue
         chain = sampler.get_chain(discard=done // _SETTLING)
         tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0)))
+        tau = tau if math.isfinite(tau) else math.inf  # of walkers that have not moved it is not known
         if len(chain) >= _ENOUGH * tau:
             break
         progress(done, min(_MOST, max(done + _CHECKED, _ENOUGH * tau * _SETTLING / (_SETTLING - 1))))
     progress(done, done)
-    part = {"discard": done // _SETTLING, "thin": max(int(0.5 * tau), 1), "flat": True}
+    part = {"discard": done // _SETTLING, "thin": max(int(min(0.5 * tau, done / 10)), 1), "flat": True}
     return Posterior(
         problem, sampler.get_chain(**part), sampler.get_log_prob(**part), walkers, len(chain), tau,
         float(np.mean(sampler.acceptance_fraction)),
