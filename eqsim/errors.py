@@ -5,6 +5,7 @@ import math
 import reprlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 # Bounds of dimensional quantities: their products stay finite.
@@ -55,6 +56,17 @@ def under(section: str) -> Iterator[None]:
         yield
     except InputError as error:
         raise InputError(f"{section}.{error}") from None
+
+
+def require_package(extra: str, *packages: str) -> Any:
+    """The last of some packages of an extra of eqsim, imported. Raises InputError, which names the option of the same
+    name, unless all are installed."""
+    for package in packages:
+        try:
+            found = import_module(package)
+        except ImportError:
+            raise InputError(f'--{extra}: needs the package "{package}" (pip install "eqsim[{extra}]")') from None
+    return found
 
 
 def require_number(

@@ -142,8 +142,9 @@ class Material(ABC):
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            if field.name not in ("name", "delay", "aging") and getattr(self, field.name) is not None:
-                require_number(field.name, getattr(self, field.name), above=0, least=1e-30, most=1e30)
+            value = getattr(self, field.name)
+            if field.name not in ("name", "delay", "aging") and (value is not None or field.default is not None):
+                require_number(field.name, value, above=0, least=1e-30, most=1e30)
 
     @property
     @abstractmethod

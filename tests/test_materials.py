@@ -340,6 +340,8 @@ def test_hardness(tmp_path):
     assert "normal_stress = 1e+09  # Pa, hardness, given" in run_file_text(soft)
     with pytest.raises(InputError, match="indentation_hardness"):
         dataclasses.replace(STEEL, indentation_hardness=-1.0)
+    with pytest.raises(InputError, match="density = None"):  # only what has a default may be left out
+        dataclasses.replace(STEEL, density=None)
 
 
 def test_a_material_from_options():

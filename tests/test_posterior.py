@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from scipy import stats
+from test_fit import RUN
 from typer.testing import CliRunner
 
 from eqsim.cli.app import app
@@ -19,21 +20,6 @@ from eqsim.fitting.section import Parameter
 
 KEYS = ("thermal.kT", "thermal.attempt_frequency")
 MEAN, SD, UPPER = np.array([1.0, 3.0]), np.array([0.5, 2.0]), 4.0  # the second variable ends half a sd above its mean
-RUN = """
-disorder = "annealed"
-[contacts]
-stiffness_law = "uniform"
-[thermal]
-kT = 0.1
-[thresholds]
-n = 1.0
-[fit]
-data = "data.csv"
-scale = { start = 1.0, bounds = [0.1, 10.0] }
-noise = { relative = 0.05 }
-[fit.free]
-"thermal.kT" = { bounds = [1e-2, 1.0] }
-"""
 
 
 class Logarithms:

@@ -230,7 +230,7 @@ def test_tables_of_forces(tmp_path):
         ensemble = file.ensemble(tmp_path)
         stretch = ensemble.thresholds.steps
         stiffness = 2.0 * relative_stiffness(law, stretch, ensemble.thresholds.rms)
-        np.testing.assert_allclose(stiffness * stretch, forces, rtol=1e-14, atol=0)
+        np.testing.assert_allclose(stiffness * stretch, forces, rtol=1e-14, atol=0)  # ten roundings of 1e-16
     with pytest.raises(InputError, match="quantity = 'force': not allowed with law"):
         check({"thresholds": {"quantity": "force"}}).ensemble(tmp_path)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Exit, Option
 
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
-from eqsim.errors import InputError, require_integer
+from eqsim.errors import InputError, require_integer, require_package
 
 if TYPE_CHECKING:
     from eqsim.fitting.design import Design
@@ -49,13 +49,13 @@ def fit(
     require_integer("--starts", options.starts, 1, 1000)
     from eqsim.fitting import fit as fitting
     from eqsim.fitting import report
-    from eqsim.fitting.posterior import needed, posterior
+    from eqsim.fitting.posterior import posterior
     from eqsim.io import storage
     from eqsim.io.runfile import load
 
     storage.check_folder(out)
     if options.posterior:
-        needed("emcee", "corner")
+        require_package("posterior", "emcee", "corner")
     other = None if options.compare is None else load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         found = fitting.fit(
@@ -66,17 +66,16 @@ def fit(
         if options.compare is not None and other is not None:
             rival = fitting.compared(found, other, options.compare.parent, options.starts)
     files = report.write(found, out, path.stem)
-    data = report.summary(found)
-    lines = list(report.remarks(found))
-    if rival is not None:
-        data["compare"] = {"file": str(options.compare), **rival._asdict()}
-        lines.insert(1, report.quality(str(options.compare), rival))
+    lines, sampled = list(report.remarks(found)), None
     if options.posterior:
         with shown.bar("drawing", "steps") as progress:
             sampled = posterior(found, workers=count, progress=progress)
         files += report.write_posterior(found, sampled, out, path.stem)
-        data["posterior"] = report.posterior_summary(sampled)
         lines += report.drawn(sampled)
+    data = report.summary(found, sampled)
+    if rival is not None:
+        data["compare"] = {"file": str(options.compare), **rival._asdict()}
+        lines.insert(1, report.quality(str(options.compare), rival))
     lines.append(f"{out}/: {', '.join(files)}")
     shown.report(data, title=file.title or path.stem, columns=report.COLUMNS, rows=report.rows(found), notes=lines)
     if found.rejected or not found.converged:

@@ -3,7 +3,6 @@
 import csv
 import hashlib
 import math
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from eqsim.errors import InputError, meant
 from eqsim.fitting.section import Fit
-from eqsim.io.runfile import RunFile, keys
+from eqsim.io.runfile import RunFile, keys, require_commas
 from eqsim.numerics.tables import Array
 
 # observables, and by which power of the scale of forces what is measured exceeds them; of `force_std` it is another one
@@ -75,8 +74,7 @@ def contents(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[st
     for name in header:
         if header.count(name) > 1:
             raise InputError(f'{field} = {path}: has {header.count(name)} columns "{name}"')
-    if len(header) == 1 and re.search("[;\t]", header[0]):
-        raise InputError(f"{field} = {path}: cells must be separated by commas")
+    require_commas(f"{field} = {path}", header)
     for line, row in numbered[1:]:
         if len(row) > len(header):
             raise InputError(f"{field} = {path}, line {line}: more cells than columns (a decimal comma?)")

@@ -4,7 +4,6 @@ import hashlib
 import math
 from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -261,9 +260,7 @@ def fit(
     every = estimate.starts(problem, starts, file.output.seed)
     estimate.check_starts(problem, every)
     warnings = prepared.warnings + _singular(problem, allow_degenerate)
-    pool: Any = Workers(workers).fixed_pool() if workers > 1 else nullcontext()
-    with pool as found:
-        executor = found.executor if found else None
+    with Workers(workers).executor() as executor:
         kept = Kept(None if keep is None else Path(keep) / f".unfinished-{_identity(file, prepared, every)}")
         result = _fitted(file, folder, prepared._replace(warnings=warnings), every, (executor, kept), progress)
         kept.clear()

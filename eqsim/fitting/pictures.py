@@ -7,10 +7,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from scipy.interpolate import PchipInterpolator
 
+from eqsim.errors import require_package
 from eqsim.fitting.data import MEASURED
 from eqsim.fitting.estimate import DEGENERATE
 from eqsim.fitting.model import Problem, SteadyForward
-from eqsim.fitting.posterior import SHARES, needed
+from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
 from eqsim.io.labels import axis, plain
 from eqsim.io.style import DASHES, MARKERS, styled
@@ -219,7 +220,7 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
 def posterior_figure(sampled: "Posterior", title: str) -> Figure:
     """Draws of the posterior by pairs of keys, in the variables that were fitted, with the quantiles of intervals.
     Raises InputError without corner."""
-    corner = needed("corner")
+    corner = require_package("posterior", "corner")
     parameters = sampled.problem.parameters
     variables = {"log": "ln {}", "log1p": "ln(1 + {})", "linear": "{}"}
     size = 2.2 * len(parameters) + 0.8

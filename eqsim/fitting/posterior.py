@@ -5,29 +5,23 @@ little, the posterior says what the bounds are.
 """
 
 import math
-from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from eqsim.errors import InputError, require_integer
+from eqsim.errors import require_integer, require_package
+from eqsim.fitting.fit import FitResult, Progress
 from eqsim.fitting.model import Problem
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.workers import Workers
-
-if TYPE_CHECKING:
-    from eqsim.fitting.fit import FitResult
 
 SHARES = {"68": (0.16, 0.84), "95": (0.025, 0.975)}  # of the posterior below the ends of an interval
 _ENOUGH = 50.0  # autocorrelation times, from which on emcee's estimate of that time can be trusted
 _WALKERS, _LEAST = 4, 16  # of each parameter, and at least
 _MOST, _CHECKED = 10_000, 100  # steps, and after how many the chain is looked at
 _SETTLING = 4  # 1/4 of the steps is left out
-
-Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,19 +106,7 @@ class Posterior:
         return shown
 
 
-def needed(*packages: str) -> Any:
-    """The last of some packages of the extra "posterior". Raises InputError unless all are installed."""
-    from importlib import import_module
-
-    for package in packages:
-        try:
-            found = import_module(package)
-        except ImportError:
-            raise InputError(f'--posterior: needs the package "{package}" (pip install "eqsim[posterior]")') from None
-    return found
-
-
-def posterior(result: "FitResult", *, workers: int = 1, progress: Progress = lambda done, total: None) -> Posterior:
+def posterior(result: FitResult, *, workers: int = 1, progress: Progress = lambda done, total: None) -> Posterior:
     """Draw from the posterior of the parameters of a fit.
 
     Parameters
@@ -147,10 +129,9 @@ def posterior(result: "FitResult", *, workers: int = 1, progress: Progress = lam
         If emcee is not installed.
     """
     require_integer("workers", workers, 1, 1024)
-    pool: Any = Workers(workers).fixed_pool() if workers > 1 else nullcontext()
-    with pool as found:
+    with Workers(workers).executor() as executor:
         rng = np.random.default_rng(result.seed)
-        return sample(result.problem, result.best.u, result.covariance, rng, found and found.executor, progress)
+        return sample(result.problem, result.best.u, result.covariance, rng, executor, progress)
 
 
 def sample(
@@ -158,7 +139,7 @@ def sample(
     executor: Executor | None = None, progress: Progress = lambda done, total: None,
 ) -> Posterior:  # fmt: skip
     """As `posterior`, by the `covariance` about the `best` fit, shapes (parameters, parameters) and (parameters,)."""
-    emcee = needed("emcee")
+    emcee = require_package("posterior", "emcee")
 
     def densities(points: Array) -> Array:
         known = map(problem.density, points) if executor is None else executor.map(problem.density, points, chunksize=8)
@@ -193,9 +174,8 @@ def _around(problem: Problem, best: Array, covariance: Array, count: int, rng: n
     """Points about a best fit, spread as its covariance says, inside the bounds."""
     low, high = problem.low, problem.high
     width = high - low
-    values, vectors = np.linalg.eigh(np.where(np.isfinite(covariance), covariance, 0.0))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    steps = rng.standard_normal((count, best.size)) @ root.T
+    known = np.where(np.isfinite(covariance), covariance, 0.0)
+    steps = rng.multivariate_normal(np.zeros(best.size), known, count, method="eigh", check_valid="ignore")
     steps *= np.minimum(1.0, 0.4 / np.maximum(np.max(np.abs(steps) / width, axis=1), 1e-300))[:, None]
     steps += 1e-4 * width * rng.standard_normal(steps.shape)  # directions of no known width
     moved = low + np.abs(best + steps - low)

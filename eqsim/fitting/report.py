@@ -56,7 +56,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "derived": derived(result),
         "correlation": None if result.correlation is None else result.correlation._asdict(),
         "noise_floor": result.floor,
-        **({} if sampled is None else {"posterior": posterior_summary(sampled)}),
+        **({} if sampled is None else {"posterior": _posterior(sampled)}),
         "warnings": list(result.warnings),
         "seed": result.seed,
         "data_sha256": result.table.sha256,
@@ -64,8 +64,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
     }  # fmt: skip
 
 
-def posterior_summary(sampled: Posterior) -> dict[str, Any]:
-    """What fit.json says of draws from the posterior."""
+def _posterior(sampled: Posterior) -> dict[str, Any]:
     intervals = sampled.intervals
     return {
         "parameters": {

@@ -738,8 +738,7 @@ def _columns(path: Path, field: str, wanted: tuple[str, ...], alone: bool = Fals
             lines = _Lines(file)
             rows = csv.DictReader(lines, skipinitialspace=True, strict=True)
             rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
-            if len(names) == 1 and re.search("[;\t]", names[0]):
-                raise InputError(f"{field}: cells must be separated by commas")
+            require_commas(field, names)
             if alone and len(names) == 1 and wanted[0] not in names:
                 if not math.isnan(_number(names[0])):
                     yield lines.number, names
@@ -761,6 +760,12 @@ def _columns(path: Path, field: str, wanted: tuple[str, ...], alone: bool = Fals
         raise
     except (ValueError, csv.Error):  # not UTF-8, or not a path
         raise InputError(f"{field.partition(' = ')[0]} = {str(path)!r}: is not a CSV text file") from None
+
+
+def require_commas(field: str, names: list[str]) -> None:
+    """Raise InputError if other signs separate the names of the columns of a CSV file."""
+    if len(names) == 1 and re.search("[;\t]", names[0]):
+        raise InputError(f"{field}: cells must be separated by commas")
 
 
 def _number(text: str) -> float:

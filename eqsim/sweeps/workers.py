@@ -17,7 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from eqsim.errors import InputError
+from eqsim.errors import InputError, require_package
 from eqsim.io.signals import deferred
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
@@ -53,6 +53,15 @@ class Workers:
             found.close(hurry=True)
             raise
         found.close(hurry=False)
+
+    @contextmanager
+    def executor(self) -> Iterator[Executor | None]:
+        """That of a `fixed_pool`, or None for a single worker, which is this process. Raises InputError."""
+        if self.count == 1:
+            yield None
+            return
+        with self.fixed_pool() as found:
+            yield found.executor
 
     @contextmanager
     def fixed_pool(self) -> Iterator["Pool"]:
@@ -168,10 +177,7 @@ class Cluster:
     threads = 1
 
     def __init__(self, address: str) -> None:
-        try:
-            import distributed
-        except ImportError:
-            raise InputError('--dask: needs the package "distributed" (pip install "eqsim[dask]")') from None
+        distributed = require_package("dask", "distributed")
         self.address = address
         self.lost = (distributed.KilledWorker, MemoryError)
         where = address
