@@ -38,6 +38,7 @@ def compile_kernels(barrier, aging):
         disorder="annealed" if barrier == "annealed" else "quenched",
     )
     steady(contacts, Drive(1.0), rel_error=1.0)
+    trajectory(contacts, Drive(1.0, 1.0), points=2)
     start = "fresh" if aging == "langevin" else "stationary"
     trajectory(contacts, Drive(1.0, 1.0, start), points=2)
     if aging == "none" or barrier == "soft":

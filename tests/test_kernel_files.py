@@ -1,15 +1,19 @@
-"""Machine code on disk: what processes that start at once, and files that are damaged, do to it."""
+"""What is compiled, and machine code on disk: what processes that start at once and damaged files do to it."""
 
 import os
+import pickle
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from types import SimpleNamespace
 
 import pytest
+from numba.core import event
 
 from eqsim.numerics import compiled
+from eqsim.workflows import ahead
 
 ONE = """
 from eqsim import Drive, Ensemble, Thermal, steady
@@ -99,3 +103,65 @@ def test_processes_that_start_at_once_compile_each_kernel_once(tmp_path):
     said = [process.communicate(timeout=300)[0].split() for process in every]
     assert len({numbers[0] for numbers in said}) == 1
     assert sorted(name for words in said for name in words[1:]) == ["fill_lives", "invert"]
+
+
+@compiled.routine
+def inner(x):
+    return 2.0 * x
+
+
+@compiled.inlined
+def by_inlined(x):
+    return inner(x) + 1.0
+
+
+@compiled.routine
+def by_routine(x):
+    return inner(x) + 10.0
+
+
+@compiled.shared
+def by_shared(x):
+    return inner(x) + 100.0
+
+
+@compiled.kernel
+def outer(x):
+    return by_inlined(x) + by_routine(x) + by_shared(x)
+
+
+def test_a_routine_is_compiled_once_for_all_that_call_it(tmp_path, monkeypatch):
+    class Compiled(event.Listener):
+        def on_start(self, happened):
+            if "dispatcher" in happened.data:
+                done[happened.data["dispatcher"].py_func.__name__] += 1
+
+        def on_end(self, happened):
+            pass
+
+    done = Counter()
+    for one in (outer, by_shared):
+        monkeypatch.setattr(one._cache._cache_file, "_folder", tmp_path)
+    with event.install_listener("numba:compile", Compiled()):
+        assert outer(1.0) == 117.0
+        assert by_shared(2.0) == 104.0
+    assert done == dict.fromkeys(("inner", "by_inlined", "by_routine", "by_shared", "outer"), 1)
+    assert len(list(tmp_path.glob("*.nbc"))) == 2  # what another kernel finds there
+
+
+@pytest.mark.parametrize(
+    ("program", "found"),
+    [
+        ("import pickle, sys; pickle.dump(len(pickle.load(sys.stdin.buffer)), sys.stdout.buffer)", 3),
+        ("import sys; sys.stdin.buffer.read(); sys.stdout.write('rubbish')", None),
+        ("raise SystemExit(1)", None),
+    ],
+)
+def test_what_the_second_process_sends(monkeypatch, program, found):
+    monkeypatch.setattr(ahead, "_COMMAND", program)
+    helper = ahead._Helper(pickle.dumps((1, 2, 3)))
+    assert helper.found() is None  # nothing was compiled
+    helper.on_start(None)
+    assert helper.found() == found
+    helper.end()
+    assert helper.process.returncode is not None

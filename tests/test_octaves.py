@@ -1,11 +1,13 @@
 """Tables in octaves: the documented error of powers, exact nodes, both ends, and no overshoot."""
 
+import math
+
 import numpy as np
 import pytest
 from kernels import compiled
 
 from eqsim.numerics import tables
-from eqsim.numerics.tables import CELLS, octave_edges, octave_table
+from eqsim.numerics.tables import CELLS, octave_edges, octave_table, search
 
 look_up = compiled(tables.look_up)
 
@@ -80,3 +82,11 @@ def test_rising_data_give_a_rising_function():
     found = looked_up(table, s)
     assert np.diff(found).min() >= -8 * EPS * y[-1]
     np.testing.assert_allclose(looked_up(table, edges[:-1]), y[:-1], rtol=4 * EPS)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("values", [[], [1.0], [0.0, 0.5, 0.5, 0.5, 2.0, math.inf]])
+def test_search_is_that_of_numpy(values, side):
+    values = np.array(values)
+    for x in (-1.0, 0.0, 0.25, 0.5, 1.0, 2.0, 3.0, math.inf):
+        assert compiled(search)(values, x, side == "right") == np.searchsorted(values, x, side=side)

@@ -14,7 +14,7 @@ from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
 from eqsim.engine.scatter import births, known_variance, scatter
-from eqsim.engine.stationary import FRESH
+from eqsim.engine.stationary import Fresh
 from eqsim.engine.trajectory import ConstantDrive, independent
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
@@ -200,7 +200,7 @@ def test_many_contacts_know_their_errors(ensemble):
     run = Run(8.0, 41, False, False)
     c, total = contacts(ensemble, 1.0), Totals(41, 1)
     scales = Scales.of(c, run, n, 1, drag)
-    ConstantDrive(c, FRESH, run, scales, key(1, TRAJECTORY), 0.0).simulate(total, 0, n)
+    ConstantDrive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(total, 0, n)
     _, _, variance = moments(total.deposits, scales, run, n, drag)
     born = births(c)
     fresh, level = scatter(c, born, 8.0, drag), scatter(c, born, None, drag)

@@ -30,7 +30,7 @@ from eqsim import (
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.recorder import Run, Scales, moments
-from eqsim.engine.stationary import stationary
+from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.trajectory import ConstantDrive, predicted_lives
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
@@ -314,7 +314,7 @@ def test_a_contact_does_not_depend_on_the_others():
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1, 0.0)
     second = Totals(101, 1)
-    ConstantDrive(c, stationary(c), run, scales, key(1, TRAJECTORY), 0.0).simulate(second, 1, 2)
+    ConstantDrive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(second, 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), rtol=0, atol=1e-12)
 

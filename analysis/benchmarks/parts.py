@@ -25,7 +25,7 @@ from analysis.benchmarks.cases import CASES, QUICK, VELOCITY, Case, Sizes
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, complete, draw_lives, empty_lanes, empty_lives, plain_sums
 from eqsim.engine.recorder import Run, Scales
-from eqsim.engine.stationary import FRESH
+from eqsim.engine.stationary import Fresh
 from eqsim.engine.trajectory import ConstantDrive
 from eqsim.laws.barrier.base import thermal
 from eqsim.numerics.streams import TRAJECTORY, Key, fill_words, key
@@ -82,7 +82,7 @@ def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
         return work
 
     run = Run(sizes.distance, sizes.points, False, False)
-    job = ConstantDrive(c, FRESH, run, Scales.of(c, run, sizes.contacts, 1, 0.0), name, 0.0)
+    job = ConstantDrive(c, Fresh(), run, Scales.of(c, run, sizes.contacts, 1, 0.0), name, 0.0)
 
     def trajectory() -> int:
         total = job.totals(1)

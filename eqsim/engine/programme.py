@@ -16,7 +16,7 @@ from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales, moment
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.scatter import RARE, Scatter, births, known_variance, pinned_variance, scatter
 from eqsim.engine.segments import Leg, Population, begin_stationary, follow, waits_at_rest
-from eqsim.engine.stationary import FRESH, Stationary, stationary
+from eqsim.engine.stationary import Stationary, stationary
 from eqsim.errors import InputError, require_number, under
 from eqsim.laws.aging.langevin import MOST_ALPHA
 from eqsim.model import reduced
@@ -156,7 +156,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         steps.append(_Step(c, moves, run, scales, drag, row))
         row += run.points
         pace, sign = leg.pace, leg.sign
-    table = stationary(before) if before else FRESH
+    table = stationary(before) if before else Stationary()
     return Steps(tuple(steps), before, table, key(seed, TRAJECTORY))
 
 

@@ -23,7 +23,7 @@ from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import add_row, inlined, maker, routine, take_row
+from eqsim.numerics.compiled import add_row, inlined, maker, routine, shared, take_row
 from eqsim.numerics.tables import Array
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -290,7 +290,7 @@ def joined(c: Contacts, recorder: Recorder) -> bool:
     return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not alone
 
 
-@routine
+@shared
 def leave_ramps(
     recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
 ) -> None:
@@ -318,7 +318,7 @@ def leave_ramps(
             leave(recorder, start[i], 1, stiffness[r, i], born[i])
 
 
-@routine
+@shared
 def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: Columns, count: int) -> None:
     """`leave_ramps` of uniform stiffness, where COUNT and FORCE stand for the other columns."""
     run, deposits, narrow = recorder.run, recorder.deposits, recorder.narrow
@@ -339,7 +339,7 @@ def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: 
             leave(recorder, start[i], 1, 1.0, born[i])
 
 
-@routine
+@shared
 def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: Columns, count: int) -> None:
     """Without delay a life begins where another, from `born` to `broke`, ends: with uniform stiffness nothing changes
     there but the square and the place of birth."""

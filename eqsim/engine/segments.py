@@ -39,7 +39,7 @@ from eqsim.laws.newborn import born_stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.numerics.compiled import by_law, inlined, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
-from eqsim.numerics.tables import Array
+from eqsim.numerics.tables import Array, search
 
 _SEEN = 100.0  # relaxations after which a threshold at rest has seen all there is
 
@@ -183,7 +183,7 @@ def index_of(leg: Leg, recorder: Recorder, s: float) -> int:
     """The first instant of a segment at or after `s`; beyond the last one if there is none."""
     run = recorder.run
     if leg.moves == 0:
-        return int(np.searchsorted(leg.times, s))
+        return search(leg.times, s, False)
     return math.ceil(min(s * ((run.points - 1) / run.distance), float(run.points)))
 
 

@@ -31,7 +31,7 @@ from eqsim.engine.recorder import (
     leave_uniform_ramps,
     record,
 )
-from eqsim.engine.stationary import Stationary, snapshot
+from eqsim.engine.stationary import Fresh, Stationary, snapshot
 from eqsim.laws.aging import Flow, Langevin
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
@@ -61,7 +61,7 @@ class Journey(NamedTuple):
 
 
 @kernel
-def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, first: int, last: int) -> None:
+def simulate(c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Key, first: int, last: int) -> None:
     """Follow contacts first <= i < last over the whole distance and add up what they leave.
 
     A contact's lives come in order of position, so what they leave in the batch sums is added up on the way and noted
@@ -75,7 +75,7 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
     active, upcoming = np.int64(0), np.int64(first)  # typed: a literal 0 would be compiled for itself
     while True:
         if 2 * active <= LANES:
-            active, upcoming = _start(c, stationary, recorder, key, lanes, journey, (active, upcoming, np.int64(last)))
+            active, upcoming = _start(c, start, recorder, key, lanes, journey, (active, upcoming, np.int64(last)))
         if active == 0 or recorder.status[1] != 0:
             return
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
@@ -101,15 +101,19 @@ def simulate(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, 
 
 @maker
 def _empty_journey(c: Contacts) -> Journey:
-    position, edge, since = np.full(LANES, math.inf), np.empty(LANES), np.empty(LANES)
+    position, edge, since = np.empty(LANES), np.empty(LANES), np.empty(LANES)
     mark, work, distance = np.empty(LANES, np.int64), np.empty(LANES), np.empty(LANES)
-    delay = np.full((ROUNDS, LANES), c.delay.mean)
+    delay = np.empty((ROUNDS, LANES))
+    for i in range(LANES):
+        position[i] = math.inf
+        for r in range(ROUNDS):
+            delay[r, i] = c.delay.mean
     return Journey(position, np.empty(LANES), np.empty(LANES), edge, since, mark, work, distance, delay)
 
 
 @routine
 def _start(
-    c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, lanes: Lanes, journey: Journey,
+    c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Key, lanes: Lanes, journey: Journey,
     queue: tuple[int, int, int],
 ) -> tuple[int, int]:  # fmt: skip
     """Fill the lanes from `active` on with the contacts from `upcoming` up to `last`, which are the `queue`; what it is
@@ -119,9 +123,8 @@ def _start(
     per_step = (run.points - 1) / run.distance
     oldest = 1 if run.stationary else 0
     while active < LANES and upcoming < last:
-        lanes.contact[active], lanes.age[active], position[active] = upcoming, oldest, 0.0
-        if run.stationary:
-            position[active] = _found_at_start(c, stationary, recorder, key, upcoming)
+        lanes.contact[active], lanes.age[active] = upcoming, oldest
+        position[active] = found_at_start(start, c, recorder, key, upcoming)
         upcoming += 1
         x = position[active]
         if x > run.distance:
@@ -298,13 +301,18 @@ def _leave_path(
 # ------------------------------------------------------------------------------------------------ stationary start
 
 
-@routine
-def _found_at_start(c: Contacts, stationary: Stationary, recorder: Recorder, key: Key, contact: int) -> float:
-    """Where a contact of the stationary start is pinned for the first time after what the start finds, its life 0."""
+@by_law
+def found_at_start(start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int) -> float:
+    """Where a contact is pinned for the first time: at once, or after what a stationary start finds, its life 0."""
+    return 0.0
+
+
+@found_at_start.register(Stationary)
+def _after_snapshot(start: Stationary, c: Contacts, recorder: Recorder, key: Key, contact: int) -> float:
     batch = contact % BATCHES
     u_state, u_residual = uniforms(key, contact, 0, 0)
     delay = delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
-    return found(c.aging, c, stationary, recorder, key, (contact, batch), (u_state, u_residual, delay))
+    return found(c.aging, c, start, recorder, key, (contact, batch), (u_state, u_residual, delay))
 
 
 @by_law

@@ -29,7 +29,7 @@ from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds
 from eqsim.numerics.compiled import by_law, inlined, kernel
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.streams import key as key_of
-from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table, search
 
 _LEAST_LOG_E, _MOST_LOG_E = -53 * math.log(2), math.log(500)
 _EXTREME_RANK, _EXTREME_CLOCK = 45.0, 110.0  # -ln of no 63-bit uniform, no clock of a contact found, exceeds these
@@ -46,27 +46,28 @@ class Stationary(NamedTuple):
     no life is longer.
     """
 
-    pinned: float
-    longest: float
-    biased: Array
-    life: Array
-    share: Array
-    step_life: Array
+    pinned: float = 1.0
+    longest: float = math.inf
+    biased: Array = NO_TABLE
+    life: Array = NO_TABLE
+    share: Array = NO_STEPS
+    step_life: Array = NO_STEPS
 
 
-FRESH = Stationary(1.0, math.inf, NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)  # of a fresh start, which needs none of it
+class Fresh(NamedTuple):
+    """In the place of `Stationary` at a fresh start, so that kernels leave out what finds contacts."""
 
 
 def stationary(c: Contacts) -> Stationary:
     """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where contacts found by
     trying that live 1000 times longer than the mean still matter, too rare to be found."""
     if c.aging.fluctuates or isinstance(c.newborn, Stretched):
-        return Stationary(1.0, _longest(c), NO_TABLE, NO_TABLE, NO_STEPS, NO_STEPS)
+        return Stationary(longest=_longest(c))
     if c.thresholds.steps.size:
         means = mean_lives(c, c.thresholds.steps)
         mean = float(means.mean())
         share = np.cumsum(means) / means.sum()
-        return Stationary(mean / (mean + c.delay.mean), math.inf, NO_TABLE, NO_TABLE, share, means)
+        return Stationary(mean / (mean + c.delay.mean), share=share, step_life=means)
     grid = np.linspace(_LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging.closed else 600)  # lives that age take long
     xi = np.empty(grid.size)
     thresholds(c.thresholds, np.exp(-np.exp(grid)), xi)
@@ -91,7 +92,7 @@ def stationary(c: Contacts) -> Stationary:
     at = np.clip(np.log(edges), grid[0], grid[-1])
     m = np.exp(to_life(at))
     table = octave_table(FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0))
-    return Stationary(mean / (mean + c.delay.mean), math.inf, biased, table, NO_STEPS, NO_STEPS)
+    return Stationary(mean / (mean + c.delay.mean), biased=biased, life=table)
 
 
 def _longest(c: Contacts) -> float:
@@ -213,7 +214,7 @@ def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -
     state."""
     steps = c.thresholds.steps
     if steps.size > 0:
-        rank = min(int(np.searchsorted(s.share, u, side="right")), steps.size - 1)
+        rank = min(search(s.share, u, True), steps.size - 1)
         xi, m = steps[rank], s.step_life[rank]
     else:
         e = look_up(s.biased, -math.log(u))

@@ -35,7 +35,7 @@ from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.scatter import ENOUGH, RARE, Births, Scatter, births, known_variance, pinned_variance, scatter
 from eqsim.engine.simulate import simulate
 from eqsim.engine.slider import pulled
-from eqsim.engine.stationary import FRESH, Stationary, stationary
+from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, Estimate, drifts, known, ratio
@@ -139,7 +139,7 @@ def trajectory(
     unit = ensemble.thresholds.scale
     count = ensemble.count * replicas
     run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", count < BATCHES)
-    table = stationary(c) if run.stationary else FRESH
+    table = stationary(c) if run.stationary else Fresh()
     drag = drag_of(ensemble, drive.velocity)
     scales = Scales.of(c, run, count, replicas, drag)
     job = ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag)
@@ -198,7 +198,7 @@ class ConstantDrive(NamedTuple):
     """A `blocks.Job` at constant velocity."""
 
     contacts: Contacts
-    stationary: Stationary
+    start: Fresh | Stationary
     run: Run
     scales: Scales
     stream: Key
@@ -214,7 +214,7 @@ class ConstantDrive(NamedTuple):
     def simulate(self, total: Totals, first: int, last: int) -> None:
         sums = (total.scratch, total.batches, total.status)
         recorder = Recorder(self.run, self.scales.deposits, self.scales.batches, *sums, self.scales.narrow)
-        simulate(self.contacts, self.stationary, recorder, self.stream, first, last)
+        simulate(self.contacts, self.start, recorder, self.stream, first, last)
 
     def moments(self, deposits: Array, contacts: int) -> Moments:
         return moments(deposits, self.scales, self.run, contacts, self.drag)

@@ -13,7 +13,7 @@ import numpy as np
 
 from eqsim.laws.delay import Waits
 from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
-from eqsim.numerics.tables import Array
+from eqsim.numerics.tables import Array, search
 from eqsim.numerics.vector_math import exp, exp_less_one
 
 _GONE = 1e-15  # pinned shares that do not count
@@ -93,19 +93,6 @@ class Population(NamedTuple):
 
 
 @inlined
-def _up_to(values: Array, x: float) -> int:
-    """How many of ascending values are at most x."""
-    low, high = 0, values.size
-    while low < high:
-        middle = (low + high) // 2
-        if values[middle] <= x:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@inlined
 def grown_by(growth: Growth, age: float) -> float:
     """By what factor thresholds have grown at an age."""
     if growth.values.size == 0:
@@ -120,7 +107,7 @@ def grown_by(growth: Growth, age: float) -> float:
 @routine
 def _pooled(pool: Pool, p: int, low: float, high: float) -> float:
     """E[(k_i/k)^p; xi > y] in the mean over low < y < high."""
-    i = _up_to(pool.y, high) - 1
+    i = search(pool.y, high, True) - 1
     if i >= pool.y.size - 1:
         above, top = 0.0, pool.total[p, pool.y.size - 1]
     else:
@@ -130,7 +117,7 @@ def _pooled(pool: Pool, p: int, low: float, high: float) -> float:
         top = pool.total[p, i] + u * (pool.above[p, i] + 0.5 * slope * u)
     if high - low <= 1e-9 * high:
         return above
-    i = _up_to(pool.y, low) - 1
+    i = search(pool.y, low, True) - 1
     if i >= pool.y.size - 1:
         return 0.0
     u = low - pool.y[i]
@@ -147,7 +134,7 @@ def mean_exponential(low: float, high: float) -> float:
 
 @routine
 def _log_pooled_rate(pool: Pool, x: float) -> float:
-    i = min(_up_to(pool.y, x), pool.y.size - 1) - 1  # y begins with 0
+    i = min(search(pool.y, x, True), pool.y.size - 1) - 1  # y begins with 0
     width = pool.y[i + 1] - pool.y[i]
     part = min(max((x - pool.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
     return pool.log_rate[i] + part * (pool.log_rate[i + 1] - pool.log_rate[i])
@@ -239,7 +226,7 @@ def _broken_by(t: Array, broken: Array, last: int, at: float, before: float) -> 
     """Breaks up to a time, not after t[last], from `before` per unit time before 0."""
     if at <= 0.0:
         return before * at
-    i = min(_up_to(t, at), last) - 1
+    i = min(search(t, at, True), last) - 1
     return broken[i] + (broken[i + 1] - broken[i]) * (at - t[i]) / (t[i + 1] - t[i])
 
 

@@ -16,12 +16,17 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import ir
+from numba import _dynfunc
 from numba.core import cgutils, event, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
 from numba.core.serialize import dumps
+from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic, overload, register_jitable
 
 Body = TypeVar("Body", bound=Callable[..., Any])
@@ -134,35 +139,94 @@ class Files:
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a routine that is called from Python, cached on disk if any of the usual folders can be written."""
+    return _cached(function)
+
+
+def shared(function: Callable[..., Any]) -> Any:
+    """Compile a routine that kernels of many laws call, cached on disk, so that not each of them compiles it. It makes
+    no arrays."""
+    return _cached(function, _nrt=False)
+
+
+def _cached(function: Callable[..., Any], **more: bool) -> Any:
+    options = {"error_model": "numpy", "pipeline_class": _Compiler, "no_cpython_wrapper": True, **more}
     if _CACHE is None:
-        return numba.njit(function, nogil=True, error_model="numpy")
+        return numba.njit(function, **options)
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE  # read when the function is decorated
     try:
-        made = numba.njit(function, nogil=True, error_model="numpy", cache=True)
+        made = numba.njit(function, cache=True, **options)
     finally:
         numba.config.CACHE_DIR = previous
     made._cache._cache_file = Files(made._cache._cache_file)
     return made
 
 
+class _Part(JITCodeLibrary):  # type: ignore[misc]
+    """LLVM code of a routine, which kernels take in. numba would make machine code of it, too, that nobody calls."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(NativeLowering):  # type: ignore[misc]
+    _name = "eqsim_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        for flag, value in state.pipeline.flags.items():
+            setattr(state.flags, flag, value)
+        if not state.flags.no_compile:
+            return super().run_pass(state)
+        state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
+        super().run_pass(state)
+        made = state.cr
+        # what numba finds the routine by, where it would have the compiled function
+        name = _dynfunc.make_function(made.fndesc.lookup_module(), "", "", 0, made.env, ())
+        state.targetctx.insert_user_function(name, made.fndesc, [state.library])
+        state.cr = made._replace(cfunc=name)
+        return True
+
+
+class _Compiler(CompilerBase):  # type: ignore[misc]
+    """numba's own; but all have the same flags, those of `register_jitable`, until it has come to LLVM code: numba
+    compiles a routine again for callers of other flags."""
+
+    flags: ClassVar[dict[str, bool]] = {"release_gil": True, "no_cpython_wrapper": False, "no_cfunc_wrapper": True}
+
+    def define_pipelines(self) -> list[Any]:
+        manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        manager.passes = [(_Lowering if one is NativeLowering else one, text) for one, text in manager.passes]
+        manager.finalize()
+        return [manager]
+
+
+class _PartCompiler(_Compiler):
+    flags: ClassVar[dict[str, bool]] = {"no_compile": True, "no_cfunc_wrapper": True}
+
+
+class _InlineCompiler(_Compiler):
+    flags: ClassVar[dict[str, bool]] = _PartCompiler.flags | {"forceinline": True}
+
+
 # Of routines that only kernels call; Python, if it calls them, interprets them. They do not count references, which
 # takes long in loops, unless they make arrays.
-_INNER = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_PART = {"error_model": "numpy", "pipeline_class": _PartCompiler}
+_INLINE = {"error_model": "numpy", "pipeline_class": _InlineCompiler}
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a routine into its callers, so that loops over lanes of contacts can vectorise. It makes no arrays."""
-    return register_jitable(forceinline=True, _nrt=False, **_INNER)(function)
+    return register_jitable(_nrt=False, **_INLINE)(function)
 
 
 def routine(function: Callable[..., Any]) -> Any:
     """Compile a longer routine that kernels call. It makes no arrays."""
-    return register_jitable(_nrt=False, **_INNER)(function)
+    return register_jitable(_nrt=False, **_PART)(function)
 
 
 def maker(function: Callable[..., Any]) -> Any:
     """Compile a routine that kernels call and that makes arrays."""
-    return register_jitable(_nrt=True, **_INNER)(function)
+    return register_jitable(_nrt=True, **_PART)(function)
 
 
 class LawRoutine(Protocol):
@@ -189,7 +253,7 @@ def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> LawRoutin
     def choose(law: Any, *arguments: Any) -> Any:
         return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    overload(call, jit_options={"forceinline": True, "_nrt": makes_arrays, **_INNER}, strict=False)(choose)
+    overload(call, jit_options={"_nrt": makes_arrays, **_INLINE}, strict=False)(choose)
 
     def register(law: type) -> Callable[[Body], Body]:
         def keep(function: Body) -> Body:

@@ -55,6 +55,19 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
 
 
 @inlined
+def search(values: Array, x: float, right: bool) -> int:
+    """How many of ascending values are below x, or at most x (`right`); `np.searchsorted` takes long to compile."""
+    low, high = 0, values.size
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < x or (right and values[middle] == x):
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inlined
 def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)

@@ -45,7 +45,7 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import lives
 from eqsim.engine.programme import steps_of
 from eqsim.engine.recorder import Run, Scales
-from eqsim.engine.stationary import FRESH, stationary, thresholds, whole_lives
+from eqsim.engine.stationary import Fresh, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
 from eqsim.errors import InputError
@@ -501,7 +501,7 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
         return steps_of(ensemble, drive, drive.grid(2), 1, seed)
     c = contacts(ensemble, drive.velocity)
     run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary", False)
-    table = stationary(c) if run.stationary else FRESH
+    table = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, ensemble.count, 1, 0.0)
     return ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))
 

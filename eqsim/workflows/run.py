@@ -129,10 +129,13 @@ class ProgrammeResult(OfTrajectory):
     ensemble: Ensemble
     drive: Programme
     trajectory: ProgrammeTrajectory
+    solved: Transient | None = None
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
         """The exact mean, or None and why there is none."""
+        if self.solved is not None:
+            return self.solved, ""
         return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
 
     @cached_property
@@ -280,7 +283,7 @@ def run(
         return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
-        stack.enter_context(compiling_together(ensemble, drive))
+        solved = stack.enter_context(compiling_together(ensemble, drive, output.points))
         expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
         if output.series and workers:
             raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
@@ -296,10 +299,9 @@ def run(
             threads=(pool.executor, pool.slots()) if pool else threads,
             progress=lambda lives: progress(lives, expected),
         )  # fmt: skip
-    if isinstance(drive, Programme) and drive.stage:
-        return SliderResult(file, folder, ensemble, drive, found)
-    if isinstance(drive, Programme):
-        return ProgrammeResult(file, folder, ensemble, drive, found)
+        if isinstance(drive, Programme):
+            kind = SliderResult if drive.stage else ProgrammeResult
+            return kind(file, folder, ensemble, drive, found, solved())
     assert level is not None
     listed = None
     if output.breaks:
