@@ -7,11 +7,13 @@ import sys
 import threading
 import time
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from numba.core import event
 
+from eqsim import Drive, Ensemble, trajectory
 from eqsim.numerics import compiled
 from eqsim.workflows import ahead
 
@@ -147,6 +149,16 @@ def test_a_routine_is_compiled_once_for_all_that_call_it(tmp_path, monkeypatch):
         assert by_shared(2.0) == 104.0
     assert done == dict.fromkeys(("inner", "by_inlined", "by_routine", "by_shared", "outer"), 1)
     assert len(list(tmp_path.glob("*.nbc"))) == 2  # what another kernel finds there
+
+
+@pytest.mark.skipif(compiled._CACHE is None, reason="no folder for kernels")
+def test_the_second_process_compiles_what_kernels_ask_for():
+    """There would be two files of a routine if the types of its arguments differed."""
+    for start in ("fresh", "stationary"):
+        trajectory(Ensemble(count=1), Drive(1.0, 1.0, start), points=2)
+    ahead._recording()
+    names = ("join_uniform_ramps", "leave_uniform_ramps", "leave_ramps")
+    assert [len(list(Path(compiled._CACHE).rglob(f"recorder.{name}-*.nbc"))) for name in names] == [1] * 3
 
 
 @pytest.mark.parametrize(

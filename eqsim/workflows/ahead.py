@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import numba
 import numpy as np
 from numba.core import event
 
@@ -67,14 +68,17 @@ def _simulator(ensemble: Ensemble, drive: Drive) -> None:
 
 
 def _recording() -> None:
-    """The routines with which kernels record, of no contacts."""
-    run, total, none = Run(1.0, 2, False, False), Totals(2, 1), np.empty(0)
+    """The routines with which kernels of all laws record."""
+    total, one, row = Totals(2, 1), np.zeros(1), np.zeros((1, 1))
     sums = (total.scratch, total.batches, total.status)
-    recorder = Recorder(run, _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
-    columns, lives = empty_columns(), Lives(*np.empty((4, 1, 0)))
-    join_uniform_ramps(recorder, none, none, columns, 0)
-    leave_uniform_ramps(recorder, none, none, columns, 0)
-    leave_ramps(recorder, none, none, lives, 0, columns, 0)
+    recorder = Recorder(Run(1.0, 2, False, False), _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
+    columns, lives = empty_columns(), Lives(row, row, row, row)
+    for routine, arguments in (
+        (join_uniform_ramps, (recorder, one, one, columns, 0)),
+        (leave_uniform_ramps, (recorder, one, one, columns, 0)),
+        (leave_ramps, (recorder, one, one, lives, 0, columns, 0)),
+    ):
+        routine.compile(tuple(map(numba.typeof, arguments)))
 
 
 class _Helper(event.Listener):  # type: ignore[misc]
