@@ -110,6 +110,8 @@ def test_command(folder, monkeypatch):
     table = pq.read_table(folder / "out/posterior.parquet").to_pandas()
     assert list(table) == ["thermal.kT", "fit.scale", "log_density"]
     assert (folder / "out/posterior.png").stat().st_size > 10_000
+    assert call(folder, "--workers", "1").exit_code == 0
+    assert not list((folder / "out").glob("posterior.*"))  # of another fit
 
 
 def test_without_the_package(folder, monkeypatch):
