@@ -15,10 +15,10 @@ from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.barrier.base import thermal, travel
 from eqsim.laws.delay import delay_draw
 from eqsim.laws.newborn import Stretched, newborn_draw
-from eqsim.laws.stiffness import kappa
+from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
+from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine, shared
 from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
@@ -72,7 +72,7 @@ def empty_lives(c: Contacts, rounds: int) -> Lives:
 @by_law
 def draw_lives(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
     """Thresholds, births and, if heat breaks contacts, clocks of the next ROUNDS lives of the first `count` lanes."""
-    _draw_unstressed(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, count)
+    draw_unstressed(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, count)
 
 
 @draw_lives.register(Stretched)
@@ -91,8 +91,8 @@ def _draw_born(c: Contacts, key: Key, contact: int, number: int) -> tuple[float,
     return xi, y, -math.log(v)
 
 
-@routine
-def _draw_unstressed(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+@shared
+def draw_unstressed(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
     """Half of a Philox result serves one draw. Without a clock the two halves are the thresholds of two lives."""
     contact, age, index, words = lanes.contact, lanes.age, lanes.number, lanes.words
     threshold, clock = lives.stretch, lives.clock
@@ -165,7 +165,7 @@ def _draw_one_stretched(law: Stretched, c: Contacts, key: Key, contact: int, num
     return _draw_born(c, key, contact, number)
 
 
-@routine
+@shared
 def draw_thresholds(law: Thresholds, r: int, u: Array, row: Array, count: int) -> None:
     """Thresholds in the place of the uniforms u[r]; `row` is scratch."""
     if law.steps.size > 0:
@@ -175,6 +175,14 @@ def draw_thresholds(law: Thresholds, r: int, u: Array, row: Array, count: int) -
     for i in range(count):
         u[r, i] = -log(u[r, i])
     look_up_all(law.table, r, u, row, count)
+
+
+@shared
+def break_unstressed(
+    law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Lives, row: Array, count: int
+) -> None:
+    """`break_lives` of contacts born unstressed."""
+    break_lives(law, barrier, table, springs, r, lives, row, count)
 
 
 @by_law
@@ -187,7 +195,7 @@ def complete(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count:
 @by_law
 def carry(law: Any, c: Contacts, r: int, lives: Lives, row: Array, count: int) -> None:
     """`complete` of round r; `row` is scratch."""
-    break_lives(c.aging, c.barrier, c.barrier_table, c.springs, r, lives, row, count)
+    break_unstressed(c.aging, c.barrier, c.barrier_table, c.springs, r, lives, row, count)
 
 
 @carry.register(Stretched)
@@ -308,7 +316,7 @@ def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, sam
         for i in range(count):
             x[r, i], clock[r, i] = u[first + i], -log(v[first + i])
         draw_thresholds(c.thresholds, r, x, row, count)
-        break_lives(law, c.barrier, c.barrier_table, c.springs, r, found, row, count)
+        break_unstressed(law, c.barrier, c.barrier_table, c.springs, r, found, row, count)
         for i in range(count):
             sample.travel[first + i], sample.stiffness[first + i] = x[r, i], stiffness[r, i]
             sample.work[first + i] = work_of(law, c.aging_table, c.springs, stiffness[r, i], x[r, i])

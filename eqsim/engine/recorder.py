@@ -376,7 +376,7 @@ def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float,
             recorder.batches[batch, quarter, AREA] += fixed(until - before, recorder.batch_scales[AREA])
 
 
-@routine
+@shared
 def follow_path(
     c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, born: float
 ) -> tuple[float, langevin.Path]:

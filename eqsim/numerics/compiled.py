@@ -2,9 +2,6 @@
 
 Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every division, and no loop with one
 vectorises.
-
-numba keys a cached kernel on the file of the outermost function alone, so an edit of a law would leave the old
-machine code of every kernel that calls it in use. Here the cache folder carries a digest of all kernel sources.
 """
 
 import functools
@@ -29,41 +26,26 @@ from numba.core.serialize import dumps
 from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic, overload, register_jitable
 
+from eqsim.numerics.kernel_folder import kernel_folder
+
 Body = TypeVar("Body", bound=Callable[..., Any])
-_PACKAGE = Path(__file__).parent.parent
-
-
-def _cache_folder() -> str | None:
-    digest = hashlib.sha256()
-    for part in ("numerics", "laws", "engine", "master/cohorts.py", "master/fronts.py", "master/slider.py"):
-        path = _PACKAGE / part
-        for source in [path] if path.suffix else sorted(path.rglob("*.py")):
-            digest.update(source.read_bytes())
-    name = f"eqsim-kernels-{digest.hexdigest()[:16]}"
-    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    own = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else []
-    homes = [user_cache] if user_cache.is_absolute() else []  # a user whom the machine does not know has none
-    for parent in (*own, _PACKAGE / "__pycache__", *homes):
-        try:
-            (parent / name).mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=parent / name).close()
-        except OSError:
-            continue
-        return str(parent / name)
-    return None
-
-
-_CACHE = _cache_folder()
+_CACHE = kernel_folder()
 _PATIENCE = 120.0  # seconds that a process waits for another one that compiles the same kernel
+
+
+class TakenError(Exception):
+    """Another process compiles what is asked for."""
 
 
 class Files:
     """Machine code on disk, a file for each kernel and signature, instead of numba's, which keeps one index for all
     signatures of a kernel: processes that compile at the same time lose or mix up what others write there.
 
-    A process that has to compile holds a lock until it has saved; others wait for it and then load. What is damaged, or
-    cannot be written, is compiled again.
+    A process that has to compile holds a lock until it has saved; others wait for it and then load, or raise TakenError
+    unless they are `patient`. What is damaged, or cannot be written, is compiled again.
     """
+
+    patient = True
 
     def __init__(self, numbas: Any) -> None:
         self._folder, self._name = Path(numbas._cache_path), numbas._index_name.removesuffix(".nbi")
@@ -125,10 +107,16 @@ class Files:
         with event.trigger_event("numba:compile", data={}):  # for those who show what is going on
             end = time.monotonic() + _PATIENCE
             while time.monotonic() < end:
-                with suppress(OSError):  # held by another process, or a file system without locks
+                try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     break
-                time.sleep(0.05)
+                except BlockingIOError:  # held by another process
+                    if not self.patient:
+                        self._release(path)
+                        raise TakenError from None
+                    time.sleep(0.05)
+                except OSError:  # a file system without locks
+                    break
         return True
 
     def _release(self, path: Path) -> None:
@@ -142,10 +130,24 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _cached(function)
 
 
-def shared(function: Callable[..., Any]) -> Any:
-    """Compile a routine that kernels of many laws call, cached on disk, so that not each of them compiles it. It makes
-    no arrays."""
-    return _cached(function, _nrt=False)
+def shared(function: Callable[..., Any], makes_arrays: bool = False) -> Any:
+    """Compile a longer routine that several kernels call, cached on disk, so that not each of them compiles it."""
+    return _cached(function, _nrt=makes_arrays)
+
+
+def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile what `shared` made, for arguments of such types, unless it is on disk or another process does it."""
+    if _CACHE is None:
+        return
+    files, types_ = routine._cache._cache_file, tuple(map(numba.typeof, arguments))
+    if files.path(routine._cache._index_key(types_, routine.targetctx.codegen())).exists():
+        return
+    files.patient = False
+    try:
+        with suppress(TakenError):
+            routine.compile(types_)
+    finally:
+        files.patient = True
 
 
 def _cached(function: Callable[..., Any], **more: bool) -> Any:

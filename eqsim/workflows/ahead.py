@@ -1,27 +1,26 @@
 """Kernels of a run that another process compiles while this one compiles others: numba compiles one at a time. Where
 that process has to solve something to compile it, it solves what the run will ask for."""
 
-import os
 import pickle
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-import numba
 import numpy as np
 from numba.core import event
 
+from eqsim.engine import langevin
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import Lives, rough_stretch
+from eqsim.engine.lanes import Lanes, Lives, break_unstressed, draw_thresholds, draw_unstressed, rough_stretch
 from eqsim.engine.recorder import (
     Extent,
     Recorder,
     Run,
     Scales,
     empty_columns,
+    follow_path,
     join_uniform_ramps,
     leave_ramps,
     leave_uniform_ramps,
@@ -30,13 +29,15 @@ from eqsim.engine.stationary import Fresh, Stationary
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import ConstantDrive
 from eqsim.errors import InputError
+from eqsim.laws.newborn import born_stretched
 from eqsim.master.transient import transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.compiled import compile_unless_taken
 from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.workflows.second import Second, several_processors, take
 
 _SCALES = Scales(np.ones(6), np.ones(6), 1.0, 1.0, True, False)  # of nothing
-_COMMAND = "import gc; gc.disable(); from eqsim.workflows import ahead; ahead.main()"
 
 
 @contextmanager
@@ -44,18 +45,20 @@ def compiling_together(ensemble: Ensemble, drive: Drive | Programme, points: int
     """For as long as the block takes, have a second process compile what its run needs besides, if this one finds
     anything to compile. The cache on disk is where they meet: whoever needs what the other compiles waits for it.
     Yields a function that returns the exact mean along a programme, once that process has it, None if it has not."""
-    if (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()) == 1:
+    if not several_processors():
         yield lambda: None
         return
-    helper = _Helper(pickle.dumps((ensemble, drive, points)))
+    process = take()
     try:
-        with event.install_listener("numba:compile", helper):
-            if isinstance(drive, Drive):
-                with suppress(InputError):  # which the run itself shows
+        with event.install_listener("numba:compile", _Compiling(process, pickle.dumps((ensemble, drive, points)))):
+            with suppress(InputError):  # which the run itself shows
+                for routine, arguments in _routines(ensemble, drive):
+                    compile_unless_taken(routine, arguments)
+                if isinstance(drive, Drive):
                     _simulator(ensemble, drive)
-            yield helper.found
+            yield process.found
     finally:
-        helper.end()
+        process.end()
 
 
 def _simulator(ensemble: Ensemble, drive: Drive) -> None:
@@ -67,60 +70,53 @@ def _simulator(ensemble: Ensemble, drive: Drive) -> None:
     job.simulate(job.totals(1), 0, 0)
 
 
-def _recording() -> None:
-    """The routines with which kernels of all laws record."""
-    total, one, row = Totals(2, 1), np.zeros(1), np.zeros((1, 1))
+def _routines(ensemble: Ensemble, drive: Drive | Programme) -> list[tuple[Any, tuple[Any, ...]]]:
+    """What kernels of several kinds call, and arguments of the types that they call it with. Raises InputError."""
+    every = [drive.velocity] if isinstance(drive, Drive) else [abs(segment.velocity) for segment in drive.segments]
+    velocity = max(every) or 1.0
+    c = contacts(ensemble, velocity, ensemble.thresholds.mean if ensemble.self_consistent else None)
+    total, stream, run = Totals(2, 1), key(0, TRAJECTORY), Run(1.0, 2, False, False)
     sums = (total.scratch, total.batches, total.status)
-    recorder = Recorder(Run(1.0, 2, False, False), _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
-    columns, lives = empty_columns(), Lives(row, row, row, row)
-    for routine, arguments in (
+    recorder = Recorder(run, _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
+    one, row, columns, lives = np.zeros(1), np.zeros(1, np.int64), empty_columns(), Lives(*np.zeros((4, 1, 1)))
+    lanes = Lanes(row, row, row, np.zeros((4, 1), np.uint64))
+    found: list[tuple[Any, tuple[Any, ...]]] = [
         (join_uniform_ramps, (recorder, one, one, columns, 0)),
         (leave_uniform_ramps, (recorder, one, one, columns, 0)),
         (leave_ramps, (recorder, one, one, lives, 0, columns, 0)),
-    ):
-        routine.compile(tuple(map(numba.typeof, arguments)))
+        (draw_thresholds, (c.thresholds, 0, lives.stretch, row, 0)),
+    ]
+    if born_stretched(c.newborn):
+        return found
+    found.append((draw_unstressed, (c.thresholds, True, stream, lanes, lives, 0)))
+    if not c.aging.fluctuates:
+        return [*found, (break_unstressed, (c.aging, c.barrier, c.barrier_table, c.springs, 0, lives, row, 0))]
+    laws = langevin.Pinned(c.barrier, c.springs, c.aging, 1.0)
+    path = langevin.Path(stream, 0, 0, 0, 1.0, 1.0, 1.0)
+    found.append((follow_path, (laws, recorder, 0, path, 1.0)))
+    return [*found, (langevin.lives, (laws, stream, 1.0, row, row, one, one))]
 
 
-class _Helper(event.Listener):  # type: ignore[misc]
-    """Starts the process as soon as anything is compiled."""
+class _Compiling(event.Listener):  # type: ignore[misc]
+    """Gives the second process its work as soon as anything is compiled."""
 
-    def __init__(self, content: bytes) -> None:
-        self.content = content
-        self.process: subprocess.Popen[bytes] | None = None
+    def __init__(self, process: Second, content: bytes) -> None:
+        self.process, self.content = process, content
 
     def on_start(self, _: Any) -> None:
-        if self.process is None and sys.executable:
-            with suppress(OSError):  # no process to be had: this one compiles all
-                self.process = subprocess.Popen(
-                    [sys.executable, "-c", _COMMAND],
-                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                )  # fmt: skip
-                assert self.process.stdin
-                with self.process.stdin as pipe:
-                    pipe.write(self.content)
+        self.process.send(self.content)
 
     def on_end(self, _: Any) -> None:
         pass
 
-    def found(self) -> Any:
-        """What the process sends when it is done, or None."""
-        with suppress(Exception):  # if it has found nothing, or was ended by somebody else
-            return pickle.load(self.process.stdout) if self.process and self.process.stdout else None
-        return None
-
-    def end(self) -> None:
-        """It is not needed any more."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait()
-
 
 def main() -> None:
-    """The second process: what kernels record with, and kernels of steady estimates, or of the exact mean along a
-    programme."""
+    """The second process: what several kernels call, from the other end on, and kernels of steady estimates, or of the
+    exact mean along a programme."""
     ensemble, drive, points = pickle.loads(sys.stdin.buffer.read())
     with suppress(InputError):  # which the first one shows
-        _recording()
+        for routine, arguments in reversed(_routines(ensemble, drive)):
+            compile_unless_taken(routine, arguments)
         if isinstance(drive, Programme):
             pickle.dump(transient(ensemble, drive, points), sys.stdout.buffer)
         else:
