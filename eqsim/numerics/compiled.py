@@ -166,8 +166,27 @@ def _cached(function: Callable[..., Any], **more: bool) -> Any:
 class _Part(JITCodeLibrary):  # type: ignore[misc]
     """LLVM code of a routine, which kernels take in. numba would make machine code of it, too, that nobody calls."""
 
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.needs: list[Any] = []
+
+    def add_linking_library(self, library: Any) -> None:
+        if isinstance(library, _Part):
+            super().add_linking_library(library)
+            self.needs += library.needs
+        else:
+            self.needs.append(library)
+
     def _finalize_final_module(self) -> None:
         self._finalized = True
+
+
+class _Whole(JITCodeLibrary):  # type: ignore[misc]
+    """Machine code of a kernel, with what its parts need."""
+
+    def add_linking_library(self, library: Any) -> None:
+        for one in (library, *getattr(library, "needs", ())):
+            super().add_linking_library(one)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -178,6 +197,8 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
         for flag, value in state.pipeline.flags.items():
             setattr(state.flags, flag, value)
         if not state.flags.no_compile:
+            state.library = _Whole(state.targetctx.codegen(), state.func_id.func_qualname)
+            state.library.enable_object_caching()
             return super().run_pass(state)
         state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
         super().run_pass(state)
