@@ -18,7 +18,7 @@ from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine, shared
+from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine, shared, shared_maker
 from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
@@ -51,7 +51,7 @@ class Lives(NamedTuple):
     birth: Array
 
 
-@maker
+@shared_maker
 def empty_lanes() -> Lanes:
     """Lanes for any contacts."""
     index = np.empty(LANES, np.int64)

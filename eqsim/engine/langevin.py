@@ -22,7 +22,6 @@ side by side, a loop for each part, which the compiler vectorises. What happens 
 a time (`meeting`, `burn`), is done for one path after the other.
 """
 
-import functools
 import math
 from typing import Any, NamedTuple
 
@@ -32,7 +31,7 @@ from eqsim.engine.contacts import Contacts
 from eqsim.laws.aging import Langevin
 from eqsim.laws.barrier.base import height, height_slope, path_step, prefactor, thermal
 from eqsim.laws.stiffness import Springs, kappa
-from eqsim.numerics.compiled import inlined, routine, shared
+from eqsim.numerics.compiled import inlined, routine, shared_maker
 from eqsim.numerics.streams import Key, midpoints
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp, exp_less_one, log, quarter_sine
@@ -519,7 +518,7 @@ def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
         square[i] = chi_square(shape, square[i], u[i])
 
 
-@functools.partial(shared, makes_arrays=True)
+@shared_maker
 def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array) -> None:
     """`life` of many contacts' lives `numbers`, to the same bits: `stretches` at breaking in the place of thresholds at
     birth, and `works` in the place of clocks.

@@ -23,7 +23,7 @@ from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import add_row, inlined, maker, routine, shared, take_row
+from eqsim.numerics.compiled import add_row, inlined, routine, shared, shared_maker, take_row
 from eqsim.numerics.tables import Array
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -276,7 +276,7 @@ class Columns(NamedTuple):
     number: Array
 
 
-@maker
+@shared_maker
 def empty_columns() -> Columns:
     """Scratch for LANES contacts."""
     start, end = np.empty(LANES, np.int64), np.empty(LANES, np.int64)

@@ -38,7 +38,7 @@ from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
-from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
+from eqsim.numerics.compiled import by_law, kernel, maker, routine, shared
 from eqsim.numerics.streams import Key, fill_words, uniform, uniforms
 from eqsim.numerics.tables import Array
 
@@ -68,14 +68,14 @@ def simulate(c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Ke
     when a life crosses the end of a quarter; only that life has to be divided. Contacts start together, so that they
     all write in one stretch of the grid, and new ones fill the lanes only when half of them have come to the end.
     """
-    lanes, lives, journey, columns = empty_lanes(), empty_lives(c, ROUNDS), _empty_journey(c), empty_columns()
+    lanes, lives, journey, columns = empty_lanes(), empty_lives(c, ROUNDS), empty_journey(c), empty_columns()
     # contacts that are recorded one by one
     alone = recorder.run.batch_by_life or stiffness_varies(c.aging, c.springs) or born_stretched(c.newborn)
     age, position = lanes.age, journey.position  # out of loops: numba counts references where it takes from a tuple
     active, upcoming = np.int64(0), np.int64(first)  # typed: a literal 0 would be compiled for itself
     while True:
         if 2 * active <= LANES:
-            active, upcoming = _start(c, start, recorder, key, lanes, journey, (active, upcoming, np.int64(last)))
+            active, upcoming = fill_lanes(c, start, recorder, key, lanes, journey, (active, upcoming, np.int64(last)))
         if active == 0 or recorder.status[1] != 0:
             return
         full = min(LANES, (active + 31) // 32 * 32)  # no loop has a tail of single lanes; what is left over is idle
@@ -88,10 +88,10 @@ def simulate(c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Ke
             if alone:
                 for i in range(active):
                     if position[i] <= recorder.run.distance:
-                        position[i] = _live(c, recorder, key, lanes, lives, journey, (r, i))
+                        position[i] = live(c, recorder, key, lanes, lives, journey, (r, i))
                         recorder.status[0] += 1
                 ended = True
-            elif _record_round(c, recorder, lanes, lives, journey, columns, (r, active, full)):
+            elif record_round(c, recorder, lanes, lives, journey, columns, (r, active, full)):
                 ended = True
         for i in range(active):
             age[i] += 1
@@ -100,7 +100,7 @@ def simulate(c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Ke
 
 
 @maker
-def _empty_journey(c: Contacts) -> Journey:
+def empty_journey(c: Contacts) -> Journey:
     position, edge, since = np.empty(LANES), np.empty(LANES), np.empty(LANES)
     mark, work, distance = np.empty(LANES, np.int64), np.empty(LANES), np.empty(LANES)
     delay = np.empty((ROUNDS, LANES))
@@ -111,8 +111,8 @@ def _empty_journey(c: Contacts) -> Journey:
     return Journey(position, np.empty(LANES), np.empty(LANES), edge, since, mark, work, distance, delay)
 
 
-@routine
-def _start(
+@shared
+def fill_lanes(
     c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Key, lanes: Lanes, journey: Journey,
     queue: tuple[int, int, int],
 ) -> tuple[int, int]:  # fmt: skip
@@ -182,8 +182,8 @@ def _advance_paths(
 # --------------------------------------------------------------------------------------------- recording together
 
 
-@inlined
-def _record_round(
+@shared
+def record_round(
     c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, journey: Journey, columns: Columns,
     counts: tuple[int, int, int],
 ) -> bool:  # fmt: skip
@@ -250,8 +250,8 @@ def _cross(
 # ------------------------------------------------------------------------------------------- recording one by one
 
 
-@routine
-def _live(
+@shared
+def live(
     c: Contacts, recorder: Recorder, key: Key, lanes: Lanes, lives: Lives, journey: Journey, which: tuple[int, int]
 ) -> float:
     """One life on its own and the delay after it, and where they end."""

@@ -130,9 +130,15 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _cached(function)
 
 
-def shared(function: Callable[..., Any], makes_arrays: bool = False) -> Any:
-    """Compile a longer routine that several kernels call, cached on disk, so that not each of them compiles it."""
-    return _cached(function, _nrt=makes_arrays)
+def shared(function: Callable[..., Any]) -> Any:
+    """Compile a longer routine that kernels call, cached on disk, so that not each of them compiles it, or not the same
+    process. It makes no arrays."""
+    return _cached(function, _nrt=False)
+
+
+def shared_maker(function: Callable[..., Any]) -> Any:
+    """`shared`, of a routine that makes arrays."""
+    return _cached(function, _nrt=True)
 
 
 def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:

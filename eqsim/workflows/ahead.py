@@ -13,8 +13,17 @@ from numba.core import event
 from eqsim.engine import langevin
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import Lanes, Lives, break_unstressed, draw_thresholds, draw_unstressed, rough_stretch
+from eqsim.engine.lanes import (
+    Lanes,
+    Lives,
+    break_unstressed,
+    draw_thresholds,
+    draw_unstressed,
+    empty_lanes,
+    rough_stretch,
+)
 from eqsim.engine.recorder import (
+    Columns,
     Extent,
     Recorder,
     Run,
@@ -25,6 +34,7 @@ from eqsim.engine.recorder import (
     leave_ramps,
     leave_uniform_ramps,
 )
+from eqsim.engine.simulate import Journey, fill_lanes, live, record_round
 from eqsim.engine.stationary import Fresh, Stationary
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import ConstantDrive
@@ -65,36 +75,48 @@ def _simulator(ensemble: Ensemble, drive: Drive) -> None:
     """The kernel of a constant drive, for contacts of which none is followed. Raises InputError."""
     c = contacts(ensemble, drive.velocity, ensemble.thresholds.mean if ensemble.self_consistent else None)
     run = Run(1.0, 2, drive.start == "stationary", False)
-    start = Stationary() if run.stationary else Fresh()
-    job = ConstantDrive(c, start, run, _SCALES, key(0, TRAJECTORY), 0.0)
+    job = ConstantDrive(c, _start_of(drive), run, _SCALES, key(0, TRAJECTORY), 0.0)
     job.simulate(job.totals(1), 0, 0)
 
 
+def _start_of(drive: Drive) -> Fresh | Stationary:
+    """A start of the type of the drive's."""
+    return Stationary() if drive.start == "stationary" else Fresh()
+
+
 def _routines(ensemble: Ensemble, drive: Drive | Programme) -> list[tuple[Any, tuple[Any, ...]]]:
-    """What kernels of several kinds call, and arguments of the types that they call it with. Raises InputError."""
+    """What kernels of several kinds call, or a large part of one, and arguments of the types that they call it with.
+    One is after those that it calls. Raises InputError."""
     every = [drive.velocity] if isinstance(drive, Drive) else [abs(segment.velocity) for segment in drive.segments]
-    velocity = max(every) or 1.0
-    c = contacts(ensemble, velocity, ensemble.thresholds.mean if ensemble.self_consistent else None)
+    c = contacts(ensemble, max(every) or 1.0, ensemble.thresholds.mean if ensemble.self_consistent else None)
     total, stream, run = Totals(2, 1), key(0, TRAJECTORY), Run(1.0, 2, False, False)
     sums = (total.scratch, total.batches, total.status)
     recorder = Recorder(run, _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
-    one, row, columns, lives = np.zeros(1), np.zeros(1, np.int64), empty_columns(), Lives(*np.zeros((4, 1, 1)))
-    lanes = Lanes(row, row, row, np.zeros((4, 1), np.uint64))
+    one, row, grid = np.zeros(1), np.zeros(1, np.int64), np.zeros((1, 1))
+    columns, lives = Columns(row, row, np.zeros((1, 1), np.int64)), Lives(grid, grid, grid, grid)
+    lanes = Lanes(row, row, row, np.zeros((1, 1), np.uint64))
     found: list[tuple[Any, tuple[Any, ...]]] = [
+        (empty_lanes, ()),
+        (empty_columns, ()),
         (join_uniform_ramps, (recorder, one, one, columns, 0)),
         (leave_uniform_ramps, (recorder, one, one, columns, 0)),
         (leave_ramps, (recorder, one, one, lives, 0, columns, 0)),
         (draw_thresholds, (c.thresholds, 0, lives.stretch, row, 0)),
     ]
-    if born_stretched(c.newborn):
-        return found
-    found.append((draw_unstressed, (c.thresholds, True, stream, lanes, lives, 0)))
-    if not c.aging.fluctuates:
-        return [*found, (break_unstressed, (c.aging, c.barrier, c.barrier_table, c.springs, 0, lives, row, 0))]
-    laws = langevin.Pinned(c.barrier, c.springs, c.aging, 1.0)
-    path = langevin.Path(stream, 0, 0, 0, 1.0, 1.0, 1.0)
-    found.append((follow_path, (laws, recorder, 0, path, 1.0)))
-    return [*found, (langevin.lives, (laws, stream, 1.0, row, row, one, one))]
+    if not born_stretched(c.newborn):
+        found.append((draw_unstressed, (c.thresholds, True, stream, lanes, lives, 0)))
+        if not c.aging.fluctuates:
+            found.append((break_unstressed, (c.aging, c.barrier, c.barrier_table, c.springs, 0, lives, row, 0)))
+    if c.aging.fluctuates:
+        laws = langevin.Pinned(c.barrier, c.springs, c.aging, 1.0)
+        found.append((follow_path, (laws, recorder, 0, langevin.Path(stream, 0, 0, 0, 1.0, 1.0, 1.0), 1.0)))
+        found.append((langevin.lives, (laws, stream, 1.0, row, row, one, one)))
+    if isinstance(drive, Drive):
+        journey, start = Journey(one, one, one, one, one, row, one, one, grid), _start_of(drive)
+        found.append((record_round, (c, recorder, lanes, lives, journey, columns, (0, 0, 0))))
+        found.append((fill_lanes, (c, start, recorder, stream, lanes, journey, (0, 0, 0))))
+        found.append((live, (c, recorder, stream, lanes, lives, journey, (0, 0))))
+    return found
 
 
 class _Compiling(event.Listener):  # type: ignore[misc]
