@@ -38,7 +38,7 @@ from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
-from eqsim.numerics.compiled import by_law, kernel, maker, routine, shared
+from eqsim.numerics.compiled import by_law, kernel, maker, routine, shared, shared_inlined
 from eqsim.numerics.streams import Key, fill_words, uniform, uniforms
 from eqsim.numerics.tables import Array
 
@@ -182,7 +182,7 @@ def _advance_paths(
 # --------------------------------------------------------------------------------------------- recording together
 
 
-@shared
+@shared_inlined
 def record_round(
     c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, journey: Journey, columns: Columns,
     counts: tuple[int, int, int],

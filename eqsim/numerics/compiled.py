@@ -136,6 +136,11 @@ def shared(function: Callable[..., Any]) -> Any:
     return _cached(function, _nrt=False)
 
 
+def shared_inlined(function: Callable[..., Any]) -> Any:
+    """`shared`, of a routine that is compiled into its callers."""
+    return _cached(function, _nrt=False, pipeline_class=_InlineKernelCompiler)
+
+
 def shared_maker(function: Callable[..., Any]) -> Any:
     """`shared`, of a routine that makes arrays."""
     return _cached(function, _nrt=True)
@@ -156,7 +161,7 @@ def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:
         files.patient = True
 
 
-def _cached(function: Callable[..., Any], **more: bool) -> Any:
+def _cached(function: Callable[..., Any], **more: Any) -> Any:
     options = {"error_model": "numpy", "pipeline_class": _Compiler, "no_cpython_wrapper": True, **more}
     if _CACHE is None:
         return numba.njit(function, **options)
@@ -169,8 +174,9 @@ def _cached(function: Callable[..., Any], **more: bool) -> Any:
     return made
 
 
-class _Part(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM code of a routine, which kernels take in. numba would make machine code of it, too, that nobody calls."""
+class _Library(JITCodeLibrary):  # type: ignore[misc]
+    """LLVM code of a routine, and the kernels and routines of numba's that it `needs`: with those, which are optimised
+    already, numba would optimise it again in each routine on the way from them to the kernel that calls it."""
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -183,16 +189,20 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]
         else:
             self.needs.append(library)
 
+
+class _Part(_Library):
+    """Of a routine that kernels take in. numba would make machine code of it, too, that nobody calls."""
+
     def _finalize_final_module(self) -> None:
         self._finalized = True
 
 
-class _Whole(JITCodeLibrary):  # type: ignore[misc]
-    """Machine code of a kernel, with what its parts need."""
+class _Whole(_Library):
+    """Of a kernel."""
 
-    def add_linking_library(self, library: Any) -> None:
-        for one in (library, *getattr(library, "needs", ())):
-            super().add_linking_library(one)
+    def finalize(self) -> None:
+        self._linking_libraries += self.needs  # after all that refer to them: else the linker drops them
+        super().finalize()
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -227,6 +237,10 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
         manager.passes = [(_Lowering if one is NativeLowering else one, text) for one, text in manager.passes]
         manager.finalize()
         return [manager]
+
+
+class _InlineKernelCompiler(_Compiler):
+    flags: ClassVar[dict[str, bool]] = _Compiler.flags | {"forceinline": True}
 
 
 class _PartCompiler(_Compiler):

@@ -105,17 +105,19 @@ def _routines(ensemble: Ensemble, drive: Drive | Programme) -> list[tuple[Any, t
     ]
     if not born_stretched(c.newborn):
         found.append((draw_unstressed, (c.thresholds, True, stream, lanes, lives, 0)))
-        if not c.aging.fluctuates:
-            found.append((break_unstressed, (c.aging, c.barrier, c.barrier_table, c.springs, 0, lives, row, 0)))
+    laws = langevin.Pinned(c.barrier, c.springs, c.aging, 1.0)
     if c.aging.fluctuates:
-        laws = langevin.Pinned(c.barrier, c.springs, c.aging, 1.0)
-        found.append((follow_path, (laws, recorder, 0, langevin.Path(stream, 0, 0, 0, 1.0, 1.0, 1.0), 1.0)))
-        found.append((langevin.lives, (laws, stream, 1.0, row, row, one, one)))
+        path = langevin.Path(stream, 0, 0, 0, 1.0, 1.0, 1.0)
+        found.append((follow_path, (laws, recorder, 0, path, 1.0)))
     if isinstance(drive, Drive):
         journey, start = Journey(one, one, one, one, one, row, one, one, grid), _start_of(drive)
         found.append((record_round, (c, recorder, lanes, lives, journey, columns, (0, 0, 0))))
         found.append((fill_lanes, (c, start, recorder, stream, lanes, journey, (0, 0, 0))))
         found.append((live, (c, recorder, stream, lanes, lives, journey, (0, 0))))
+    if c.aging.fluctuates:
+        found.append((langevin.lives, (laws, stream, 1.0, row, row, one, one)))
+    elif not born_stretched(c.newborn):
+        found.append((break_unstressed, (c.aging, c.barrier, c.barrier_table, c.springs, 0, lives, row, 0)))
     return found
 
 
