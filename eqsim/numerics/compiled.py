@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 import numba
+from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import _dynfunc
 from numba.core import cgutils, event, types
+from numba.core.caching import CompileResultCacheImpl
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, compile_result
 from numba.core.compiler_machinery import register_pass
 from numba.core.serialize import dumps
 from numba.core.typed_passes import NativeLowering
@@ -130,37 +132,6 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _cached(function)
 
 
-def shared(function: Callable[..., Any]) -> Any:
-    """Compile a longer routine that kernels call, cached on disk, so that not each of them compiles it, or not the same
-    process. It makes no arrays."""
-    return _cached(function, _nrt=False)
-
-
-def shared_inlined(function: Callable[..., Any]) -> Any:
-    """`shared`, of a routine that is compiled into its callers."""
-    return _cached(function, _nrt=False, pipeline_class=_InlineKernelCompiler)
-
-
-def shared_maker(function: Callable[..., Any]) -> Any:
-    """`shared`, of a routine that makes arrays."""
-    return _cached(function, _nrt=True)
-
-
-def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile what `shared` made, for arguments of such types, unless it is on disk or another process does it."""
-    if _CACHE is None:
-        return
-    files, types_ = routine._cache._cache_file, tuple(map(numba.typeof, arguments))
-    if files.path(routine._cache._index_key(types_, routine.targetctx.codegen())).exists():
-        return
-    files.patient = False
-    try:
-        with suppress(TakenError):
-            routine.compile(types_)
-    finally:
-        files.patient = True
-
-
 def _cached(function: Callable[..., Any], **more: Any) -> Any:
     options = {"error_model": "numpy", "pipeline_class": _Compiler, "no_cpython_wrapper": True, **more}
     if _CACHE is None:
@@ -175,7 +146,7 @@ def _cached(function: Callable[..., Any], **more: Any) -> Any:
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM code of a routine, and the kernels and routines of numba's that it `needs`: with those, which are optimised
+    """LLVM code of a routine, and what it `needs` of numba's and of shared ones: with those, which are optimised
     already, numba would optimise it again in each routine on the way from them to the kernel that calls it."""
 
     def __init__(self, codegen: Any, name: str) -> None:
@@ -191,18 +162,47 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Part(_Library):
-    """Of a routine that kernels take in. numba would make machine code of it, too, that nobody calls."""
+    """Of a routine that others take in. numba would make machine code of it, too, that nobody calls."""
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
 
 
-class _Whole(_Library):
-    """Of a kernel."""
+class _Kernel(_Library):
+    """Of a kernel, and machine code."""
 
     def finalize(self) -> None:
         self._linking_libraries += self.needs  # after all that refer to them: else the linker drops them
         super().finalize()
+
+
+class _Shared(_Kernel):
+    """Of a shared routine, with all it needs and without machine code."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def serialize_using_object_code(self) -> Any:
+        return self.name, self._final_module.as_bitcode()
+
+
+class _SharedOnDisk(CompileResultCacheImpl):  # type: ignore[misc]
+    """How a shared routine is read from disk; numba would make machine code."""
+
+    def rebuild(self, context: Any, kept: Any) -> Any:
+        (name, code), fndesc, environment, signature, *_ = kept
+        library = _Shared(context.codegen(), name)
+        library._final_module, library._finalized = llvm.parse_bitcode(code), True
+        return compile_result(
+            target_context=context, typing_context=context.typing_context, signature=signature, fndesc=fndesc,
+            library=library, environment=environment, entry_point=_named(fndesc, environment), objectmode=False,
+            lifted=(),
+        )  # fmt: skip
+
+
+def _named(fndesc: Any, environment: Any) -> Any:
+    """What numba finds a routine by, where it would have the compiled function."""
+    return _dynfunc.make_function(fndesc.lookup_module(), "", "", 0, environment, ())
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -212,15 +212,13 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
     def run_pass(self, state: Any) -> bool:
         for flag, value in state.pipeline.flags.items():
             setattr(state.flags, flag, value)
+        state.library = state.pipeline.library(state.targetctx.codegen(), state.func_id.func_qualname)
         if not state.flags.no_compile:
-            state.library = _Whole(state.targetctx.codegen(), state.func_id.func_qualname)
             state.library.enable_object_caching()
             return super().run_pass(state)
-        state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
         super().run_pass(state)
         made = state.cr
-        # what numba finds the routine by, where it would have the compiled function
-        name = _dynfunc.make_function(made.fndesc.lookup_module(), "", "", 0, made.env, ())
+        name = _named(made.fndesc, made.env)
         state.targetctx.insert_user_function(name, made.fndesc, [state.library])
         state.cr = made._replace(cfunc=name)
         return True
@@ -231,6 +229,7 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
     compiles a routine again for callers of other flags."""
 
     flags: ClassVar[dict[str, bool]] = {"release_gil": True, "no_cpython_wrapper": False, "no_cfunc_wrapper": True}
+    library: ClassVar[type[_Library]] = _Kernel
 
     def define_pipelines(self) -> list[Any]:
         manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
@@ -239,16 +238,21 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
         return [manager]
 
 
-class _InlineKernelCompiler(_Compiler):
-    flags: ClassVar[dict[str, bool]] = _Compiler.flags | {"forceinline": True}
-
-
 class _PartCompiler(_Compiler):
     flags: ClassVar[dict[str, bool]] = {"no_compile": True, "no_cfunc_wrapper": True}
+    library: ClassVar[type[_Library]] = _Part
 
 
-class _InlineCompiler(_Compiler):
+class _InlineCompiler(_PartCompiler):
     flags: ClassVar[dict[str, bool]] = _PartCompiler.flags | {"forceinline": True}
+
+
+class _SharedCompiler(_PartCompiler):
+    library: ClassVar[type[_Library]] = _Shared
+
+
+class _InlineSharedCompiler(_InlineCompiler):
+    library: ClassVar[type[_Library]] = _Shared
 
 
 # Of routines that only kernels call; Python, if it calls them, interprets them. They do not count references, which
@@ -270,6 +274,46 @@ def routine(function: Callable[..., Any]) -> Any:
 def maker(function: Callable[..., Any]) -> Any:
     """Compile a routine that kernels call and that makes arrays."""
     return register_jitable(_nrt=True, **_PART)(function)
+
+
+def shared(function: Callable[..., Any]) -> Any:
+    """`routine`, of a longer one, of which LLVM code is cached on disk, so that not each kernel compiles it, or not the
+    same process."""
+    return _shared(function, _SharedCompiler, False)
+
+
+def shared_inlined(function: Callable[..., Any]) -> Any:
+    """`inlined` likewise."""
+    return _shared(function, _InlineSharedCompiler, False)
+
+
+def shared_maker(function: Callable[..., Any]) -> Any:
+    """`maker` likewise."""
+    return _shared(function, _SharedCompiler, True)
+
+
+def _shared(function: Any, compiler: type[_Compiler], makes_arrays: bool) -> Any:
+    made = _cached(function, pipeline_class=compiler, _nrt=makes_arrays)
+    if _CACHE is not None:
+        made._cache._impl = _SharedOnDisk(function)
+    function.dispatcher, function._numba_type_ = made, types.Dispatcher(made)
+    return function
+
+
+def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile a shared routine for arguments of such types, unless it is on disk or another process does it."""
+    if _CACHE is None:
+        return
+    made, signature = routine.dispatcher, tuple(map(numba.typeof, arguments))
+    files = made._cache._cache_file
+    if files.path(made._cache._index_key(signature, made.targetctx.codegen())).exists():
+        return
+    files.patient = False
+    try:
+        with suppress(TakenError):
+            made.compile(signature)
+    finally:
+        files.patient = True
 
 
 class LawRoutine(Protocol):
