@@ -135,14 +135,14 @@ class _Compiling(event.Listener):  # type: ignore[misc]
 
 
 def main() -> None:
-    """The second process: what several kernels call, from the other end on, and kernels of steady estimates, or of the
-    exact mean along a programme."""
+    """The second process: the exact mean along a programme, which takes long enough; else what several kernels call,
+    from the other end on, and kernels of steady estimates."""
     ensemble, drive, points = pickle.loads(sys.stdin.buffer.read())
     with suppress(InputError):  # which the first one shows
-        for routine, arguments in reversed(_routines(ensemble, drive)):
-            compile_unless_taken(routine, arguments)
         if isinstance(drive, Programme):
             pickle.dump(transient(ensemble, drive, points), sys.stdout.buffer)
-        else:
-            steady(ensemble, drive, rel_error=1.0)
-            Extent.of(contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity)))
+            return
+        for routine, arguments in reversed(_routines(ensemble, drive)):
+            compile_unless_taken(routine, arguments)
+        steady(ensemble, drive, rel_error=1.0)
+        Extent.of(contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity)))
