@@ -1,5 +1,6 @@
 """What is compiled, and machine code on disk: what processes that start at once and damaged files do to it."""
 
+import fcntl
 import os
 import pickle
 import subprocess
@@ -7,15 +8,16 @@ import sys
 import threading
 import time
 from collections import Counter
-from pathlib import Path
 from types import SimpleNamespace
 
+import numba
+import numpy as np
 import pytest
 from numba.core import event
 
-from eqsim import Drive, Ensemble, trajectory
+from eqsim import Aging, Drive, Ensemble, trajectory
 from eqsim.numerics import compiled
-from eqsim.workflows import ahead
+from eqsim.workflows import ahead, second
 
 ONE = """
 from eqsim import Drive, Ensemble, Thermal, steady
@@ -142,23 +144,83 @@ def test_a_routine_is_compiled_once_for_all_that_call_it(tmp_path, monkeypatch):
             pass
 
     done = Counter()
-    for one in (outer, by_shared):
+    for one in (outer, by_shared.dispatcher):
         monkeypatch.setattr(one._cache._cache_file, "_folder", tmp_path)
     with event.install_listener("numba:compile", Compiled()):
         assert outer(1.0) == 117.0
-        assert by_shared(2.0) == 104.0
+        assert by_shared(2.0) == 104.0  # interpreted
     assert done == dict.fromkeys(("inner", "by_inlined", "by_routine", "by_shared", "outer"), 1)
     assert len(list(tmp_path.glob("*.nbc"))) == 2  # what another kernel finds there
 
 
+@compiled.shared_inlined
+def by_shared_inlined(x):
+    return by_shared(x) * 2.0
+
+
+@compiled.shared_maker
+def by_shared_maker(x):
+    return np.full(2, by_shared_inlined(x))
+
+
+@compiled.kernel
+def first_caller(x):
+    return by_shared_maker(x)[1] + by_shared(x)
+
+
+@compiled.kernel
+def later_caller(x):
+    return by_shared_maker(x)[1] - by_shared(x)
+
+
+@numba.njit
+def compiled_by_numba(x):
+    return by_routine(x) + by_shared_maker(x)[0]
+
+
+def test_shared_routines_are_taken_from_disk(tmp_path, monkeypatch):
+    def as_in_a_new_process():
+        every = (
+            compiled.shared(by_shared),
+            compiled.shared_inlined(by_shared_inlined),
+            compiled.shared_maker(by_shared_maker),
+        )
+        for one in (*(routine.dispatcher for routine in every), first_caller, later_caller):
+            monkeypatch.setattr(one._cache._cache_file, "_folder", tmp_path)
+        return [routine.dispatcher.stats.cache_hits for routine in every]
+
+    hits = as_in_a_new_process()
+    assert first_caller(1.0) == 306.0
+    assert [sum(each.values()) for each in hits] == [0, 0, 0]
+    hits = as_in_a_new_process()
+    assert later_caller(3.0) == 106.0
+    assert compiled_by_numba(3.0) == 228.0
+    assert [sum(each.values()) for each in hits] == [1, 0, 1]  # what is on disk has in it what it calls
+
+
+def test_a_routine_that_another_process_compiles_is_left_to_it(tmp_path, monkeypatch):
+    made = by_shared.dispatcher
+    monkeypatch.setattr(made._cache._cache_file, "_folder", tmp_path)
+    arguments = (np.float32(1.0),)
+    path = made._cache._cache_file.path(made._cache._index_key((numba.float32,), made.targetctx.codegen()))
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        compiled.compile_unless_taken(by_shared, arguments)
+        assert not path.exists()
+    compiled.compile_unless_taken(by_shared, arguments)
+    assert path.exists()
+
+
 @pytest.mark.skipif(compiled._CACHE is None, reason="no folder for kernels")
-def test_the_second_process_compiles_what_kernels_ask_for():
+@pytest.mark.parametrize("start", ["fresh", "stationary"])
+@pytest.mark.parametrize("aging", [Aging(), Aging("langevin", 0.1, 2.0)])
+def test_processes_compile_what_kernels_ask_for(start, aging):
     """There would be two files of a routine if the types of its arguments differed."""
-    for start in ("fresh", "stationary"):
-        trajectory(Ensemble(count=1), Drive(1.0, 1.0, start), points=2)
-    ahead._recording()
-    names = ("join_uniform_ramps", "leave_uniform_ramps", "leave_ramps")
-    assert [len(list(Path(compiled._CACHE).rglob(f"recorder.{name}-*.nbc"))) for name in names] == [1] * 3
+    ensemble, drive = Ensemble(count=1, aging=aging), Drive(1.0, 1.0, start)
+    trajectory(ensemble, drive, points=2)
+    for routine, arguments in ahead._routines(ensemble, drive):
+        files, key = routine.dispatcher._cache._cache_file, tuple(map(numba.typeof, arguments))
+        assert files.path(routine.dispatcher._cache._index_key(key, routine.dispatcher.targetctx.codegen())).exists()
 
 
 @pytest.mark.parametrize(
@@ -170,10 +232,24 @@ def test_the_second_process_compiles_what_kernels_ask_for():
     ],
 )
 def test_what_the_second_process_sends(monkeypatch, program, found):
-    monkeypatch.setattr(ahead, "_COMMAND", program)
-    helper = ahead._Helper(pickle.dumps((1, 2, 3)))
-    assert helper.found() is None  # nothing was compiled
-    helper.on_start(None)
-    assert helper.found() == found
-    helper.end()
-    assert helper.process.returncode is not None
+    monkeypatch.setattr(second, "_COMMAND", program)
+    process = second.Second()
+    assert process.found() is None  # nothing was compiled
+    process.send(pickle.dumps((1, 2, 3)))
+    assert process.found() == found
+    process.send(b"more")  # is not taken
+    process.end()
+    assert process.process.returncode is not None
+
+
+def test_a_process_that_is_started_early(monkeypatch):
+    monkeypatch.setattr(second, "_COMMAND", "import sys; sys.stdin.buffer.read()")
+    monkeypatch.setattr(second, "several_processors", lambda: True)
+    for empty in (False, True):
+        monkeypatch.setattr(second.kernel_folder, "is_empty", lambda empty=empty: empty)
+        second.start_early()
+        assert (second._started != []) == empty
+    process = second.take()
+    assert process.process.poll() is None
+    process.end()
+    assert second.take().process is None

@@ -151,14 +151,21 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
+        self.parts: list[_Part] = []
         self.needs: list[Any] = []
 
     def add_linking_library(self, library: Any) -> None:
         if isinstance(library, _Part):
-            super().add_linking_library(library)
+            self.parts.append(library)
             self.needs += library.needs
         else:
             self.needs.append(library)
+
+    def finalize(self) -> None:
+        for part in dict.fromkeys(self.parts):
+            self._reload_init.update(part._reload_init)
+            self._final_module.link_in(part.own(), preserve=True)
+        super().finalize()
 
 
 class _Part(_Library):
@@ -166,6 +173,16 @@ class _Part(_Library):
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
+
+    def own(self) -> Any:
+        """Its code without what it needs."""
+        return super()._get_module_for_linking()
+
+    def _get_module_for_linking(self) -> Any:  # for callers that numba compiles in its own way
+        module = self.own().clone()
+        for one in dict.fromkeys(self.needs):
+            module.link_in(one._get_module_for_linking(), preserve=True)
+        return module
 
 
 class _Kernel(_Library):
