@@ -251,5 +251,6 @@ def test_a_process_that_is_started_early(monkeypatch):
         assert (second._started != []) == empty
     process = second.take()
     assert process.process.poll() is None
+    assert process.found() is None  # nor does anybody wait for one that has nothing to do
     process.end()
     assert second.take().process is None

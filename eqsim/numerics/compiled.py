@@ -23,6 +23,7 @@ from numba.core import cgutils, event, types
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, compile_result
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.serialize import dumps
 from numba.core.typed_passes import NativeLowering
@@ -40,8 +41,8 @@ class TakenError(Exception):
 
 
 class Files:
-    """Machine code on disk, a file for each kernel and signature, instead of numba's, which keeps one index for all
-    signatures of a kernel: processes that compile at the same time lose or mix up what others write there.
+    """What is compiled, on disk, a file for each routine and signature, instead of numba's, which keeps one index for
+    all signatures of a routine: processes that compile at the same time lose or mix up what others write there.
 
     A process that has to compile holds a lock until it has saved; others wait for it and then load, or raise TakenError
     unless they are `patient`. What is damaged, or cannot be written, is compiled again.
@@ -146,8 +147,9 @@ def _cached(function: Callable[..., Any], **more: Any) -> Any:
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM code of a routine, and what it `needs` of numba's and of shared ones: with those, which are optimised
-    already, numba would optimise it again in each routine on the way from them to the kernel that calls it."""
+    """LLVM code of a routine with that of its `parts`. What it `needs` of numba's and of shared routines, which is
+    optimised already, is taken in by the kernel at the end; numba would do so in each routine on the way there, and
+    optimise it each time."""
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -325,12 +327,13 @@ def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:
     files = made._cache._cache_file
     if files.path(made._cache._index_key(signature, made.targetctx.codegen())).exists():
         return
-    files.patient = False
-    try:
-        with suppress(TakenError):
-            made.compile(signature)
-    finally:
-        files.patient = True
+    with global_compiler_lock:  # no other thread asks for it meanwhile
+        files.patient = False
+        try:
+            with suppress(TakenError):
+                made.compile(signature)
+        finally:
+            files.patient = True
 
 
 class LawRoutine(Protocol):

@@ -36,9 +36,11 @@ class Second:
                 pipe.write(content)
 
     def found(self) -> Any:
-        """What it sends when it is done, or None."""
-        with suppress(Exception):  # if it has found nothing, or was ended by somebody else
-            return pickle.load(self.process.stdout) if self.process and self.process.stdout else None
+        """What it sends when it is done; None if it was given nothing."""
+        process = self.process
+        if process and process.stdout and process.stdin and process.stdin.closed:
+            with suppress(Exception):  # if it has found nothing, or was ended by somebody else
+                return pickle.load(process.stdout)
         return None
 
     def end(self) -> None:
