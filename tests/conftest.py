@@ -23,7 +23,7 @@ def pytest_sessionstart(session):
             done.touch()
 
 
-# of these, tests with many cases; the others of a test with three cases or more run with -m verification
+# of these, tests with many cases; the others run with -m verification
 THINNED = {
     *("test_aging", "test_aging_engine", "test_closure", "test_flow", "test_fokker_planck", "test_langevin_programme"),
     *("test_logarithmic", "test_oracle", "test_programme", "test_programme_reference", "test_reference", "test_steady"),
@@ -35,8 +35,8 @@ THINNED = {
 
 @pytest.hookimpl(tryfirst=True)  # before cases are chosen by their marks
 def pytest_collection_modifyitems(config, items):
-    """By default one in three cases of a test that has three or more, in `THINNED` modules, one in four of six or more
-    and one in six of twelve or more, unless asked for by name."""
+    """By default one in four cases of a test that has three or more, in `THINNED` modules, one in six of six or more
+    and one in ten of twelve or more, unless asked for by name."""
     cases = {}
     if any("::" in arg for arg in config.args):
         return
@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(config, items):
         if item.module.__name__ in THINNED and not any(map(item.get_closest_marker, ("long", "verification"))):
             cases.setdefault((item.module.__name__, item.originalname), []).append(item)
     for found in cases.values():
-        every = next((every for every, least in ((6, 12), (4, 6), (3, 3)) if len(found) >= least), 1)
+        every = next((every for every, least in ((10, 12), (6, 6), (4, 3)) if len(found) >= least), 1)
         for index, item in enumerate(found):
             if index % every:
                 item.add_marker(pytest.mark.verification)
