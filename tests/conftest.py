@@ -29,7 +29,7 @@ THINNED = {
     *("test_logarithmic", "test_oracle", "test_programme", "test_programme_reference", "test_reference", "test_steady"),
     *("test_thermal", "test_stability", "test_master_edges", "test_asymptotics", "test_densities", "test_lives"),
     *("test_threshold", "test_trajectory", "test_elastic", "test_newborn", "test_newborn_reference", "test_slider"),
-    *("test_velocities", "test_scatter"),
+    *("test_velocities", "test_scatter", "test_portable", "test_properties", "test_figures"),
 }
 
 

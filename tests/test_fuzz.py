@@ -332,6 +332,7 @@ def fuzz(folder, seeds, solved):
     return outcomes
 
 
+@pytest.mark.long
 def test_run_files(tmp_path):
     outcomes = fuzz(tmp_path, range(200), solved=6)
     assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 6  # neither all is refused nor all taken

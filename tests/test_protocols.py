@@ -69,6 +69,7 @@ def test_run_and_replay(path, tmp_path):
     assert again.exit_code == 0, again.output
 
 
+@pytest.mark.long
 def test_sweep_and_plot(path, tmp_path):
     """One row per hold time, every segment beside its reference; the peak grows with the hold."""
     out = tmp_path / "healing"

@@ -165,7 +165,6 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
 
     def finalize(self) -> None:
         for part in dict.fromkeys(self.parts):
-            self._reload_init.update(part._reload_init)
             self._final_module.link_in(part.own(), preserve=True)
         super().finalize()
 
