@@ -35,8 +35,8 @@ THINNED = {
 
 @pytest.hookimpl(tryfirst=True)  # before cases are chosen by their marks
 def pytest_collection_modifyitems(config, items):
-    """By default one in four cases of a test that has three or more, in `THINNED` modules, one in six of six or more
-    and one in ten of twelve or more, unless asked for by name."""
+    """By default one in five cases of a test that has three or more, in `THINNED` modules, one in eight of six or more
+    and one in twelve of twelve or more, unless asked for by name."""
     cases = {}
     if any("::" in arg for arg in config.args):
         return
@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(config, items):
         if item.module.__name__ in THINNED and not any(map(item.get_closest_marker, ("long", "verification"))):
             cases.setdefault((item.module.__name__, item.originalname), []).append(item)
     for found in cases.values():
-        every = next((every for every, least in ((10, 12), (6, 6), (4, 3)) if len(found) >= least), 1)
+        every = next((every for every, least in ((12, 12), (8, 6), (5, 3)) if len(found) >= least), 1)
         for index, item in enumerate(found):
             if index % every:
                 item.add_marker(pytest.mark.verification)
