@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 
 import numba
@@ -211,7 +212,7 @@ def test_a_routine_that_another_process_compiles_is_left_to_it(tmp_path, monkeyp
     assert path.exists()
 
 
-@pytest.mark.skipif(compiled._CACHE is None, reason="no folder for kernels")
+@pytest.mark.skipif(compiled._CACHE is None, reason="it looks for files, and no folder for them can be written")
 @pytest.mark.parametrize("start", ["fresh", "stationary"])
 @pytest.mark.parametrize("aging", [Aging(), Aging("langevin", 0.1, 2.0)])
 def test_processes_compile_what_kernels_ask_for(start, aging):
@@ -221,6 +222,9 @@ def test_processes_compile_what_kernels_ask_for(start, aging):
     for routine, arguments in ahead._routines(ensemble, drive):
         files, key = routine.dispatcher._cache._cache_file, tuple(map(numba.typeof, arguments))
         assert files.path(routine.dispatcher._cache._index_key(key, routine.dispatcher.targetctx.codegen())).exists()
+    names = ("join_uniform_ramps", "leave_uniform_ramps", "leave_ramps", "empty_columns")
+    of_all_laws = [*(f"recorder.{name}" for name in names), "lanes.empty_lanes", "lanes.draw_unstressed"]
+    assert [len(list(Path(compiled._CACHE).rglob(f"{name}-*.nbc"))) for name in of_all_laws] == [1] * 6
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_run_and_replay(path, tmp_path):
     assert again.exit_code == 0, again.output
 
 
-@pytest.mark.long
+@pytest.mark.long  # 20 s: the default suite has to end in time on a machine that others use as well
 def test_sweep_and_plot(path, tmp_path):
     """One row per hold time, every segment beside its reference; the peak grows with the hold."""
     out = tmp_path / "healing"
