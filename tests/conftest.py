@@ -23,8 +23,8 @@ def pytest_sessionstart(session):
             done.touch()
 
 
-# of these, tests with many cases, so that the suite ends in time also on a machine half as fast as usual; the others run
-# with -m verification
+# of these, a part of the cases of tests with many, so that the suite ends in time even on a machine half as fast as
+# usual; the others run with -m verification
 THINNED = {
     *("test_aging", "test_aging_engine", "test_closure", "test_flow", "test_fokker_planck", "test_langevin_programme"),
     *("test_logarithmic", "test_oracle", "test_programme", "test_programme_reference", "test_reference", "test_steady"),
