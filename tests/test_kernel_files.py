@@ -223,8 +223,12 @@ def test_processes_compile_what_kernels_ask_for(start, aging):
         files, key = routine.dispatcher._cache._cache_file, tuple(map(numba.typeof, arguments))
         assert files.path(routine.dispatcher._cache._index_key(key, routine.dispatcher.targetctx.codegen())).exists()
     names = ("join_uniform_ramps", "leave_uniform_ramps", "leave_ramps", "empty_columns")
-    of_all_laws = [*(f"recorder.{name}" for name in names), "lanes.empty_lanes", "lanes.draw_unstressed"]
-    assert [len(list(Path(compiled._CACHE).rglob(f"{name}-*.nbc"))) for name in of_all_laws] == [1] * 6
+    of_all_laws = [f"recorder.{name}" for name in names]
+    of_all_laws += [f"lanes.{name}" for name in ("empty_lanes", "draw_unstressed", "draw_thresholds")]
+    for name in of_all_laws:
+        keys = [pickle.loads(path.read_bytes()[32:])[0] for path in Path(compiled._CACHE).rglob(f"{name}-*.nbc")]
+        processors = [processor for _, processor, _ in keys]  # other tests compile for older ones
+        assert len(keys) == len(set(processors)) >= 1, name
 
 
 @pytest.mark.parametrize(
