@@ -456,8 +456,21 @@ def test_rare_clocks(kT, odds, monkeypatch):
         assert max(abs(z(1e-3, seed)) for seed in range(40)) > 8
 
 
+def test_half_as_many_lives_for_a_hundredth(monkeypatch):
+    """Where 1e-2 is enough; unless a single life dominates: then another attempt has as many as for less."""
+    point = Ensemble(thermal=Thermal(0.1)), Drive(0.1)
+    few, more = (steady(*point, rel_error=error) for error in (1e-2, 9e-3))
+    assert few.lives == 2**15
+    assert more.lives == 2**16
+    monkeypatch.setattr(module, "_DOMINANT", 1e-5)
+    again = steady(*point, rel_error=1e-2)
+    assert again.lives == few.lives + more.lives
+    assert again.friction.value == more.friction.value
+    assert not again.friction.reliable
+
+
 def test_early_clocks_show_in_every_error_bar(monkeypatch):
-    """One contact in ten thousand breaks early: over 2^16 lives that is an error bar. If such clocks are
+    """One contact in ten thousand breaks early: over 2^15 lives that is an error bar. If such clocks are
     drawn too seldom some seeds meet one and others do not. Error bars from 32 normal batches differ by more than a
     factor 3 among 50 seeds with probability 2e-5."""
     ensemble = Ensemble(Gamma(0.0), Thermal(0.0012, barrier="stiff"), disorder="annealed")

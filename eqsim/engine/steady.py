@@ -54,6 +54,7 @@ from eqsim.numerics.vector_math import exp
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
+_COARSE = 1e-2  # a relative error from which on half as many will do at first
 _DECAY = 0.75  # assumed when lives are predicted: error ~ lives^-0.75, between Monte Carlo and smooth integrands
 _NEGLIGIBLE = 1e-12
 _NUDGE = 1e-2  # relative change of C that shows how births respond to it; the fixed point is linearised within 1e-4
@@ -153,7 +154,8 @@ def steady(
     if isinstance(ensemble.thresholds, Smooth):
         tables = max(tables, ensemble.thresholds.drawn_to)
     response: Array | None = None
-    size, done = _FIRST, 0
+    # where half as many do, errors are a hundredth of what is asked; plain lives and random paths have larger ones
+    size, done = _FIRST // 2 if proposal and rel_error >= _COARSE and not c.aging.fluctuates else _FIRST, 0
     while True:
         if RANDOMISATIONS * size > max_lives:
             raise InputError(f"this needs {RANDOMISATIONS * size:.3g} lives, more than max_lives = {max_lives:.3g}")
@@ -170,7 +172,8 @@ def steady(
         # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
         aim, decay = (1.3, 0.5) if plain or c.aging.fluctuates else (2.0, _DECAY)
         needed = 2 ** math.ceil(math.log2(max(size * (aim * excess) ** (1 / decay), 2.0 * size)))
-        if excess <= 1 or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
+        enough = excess <= 1 and (size >= _FIRST or result[0].reliable)
+        if enough or (done > 2 * RANDOMISATIONS * _FIRST and RANDOMISATIONS * needed > max_lives):
             how = done, seed, time.perf_counter() - begin, error <= rel_error, hidden
             return Steady(*result, *how)  # type: ignore[call-arg,arg-type]  # in the order of the fields
         size = needed
@@ -240,7 +243,8 @@ class Density(NamedTuple):
         keep = np.append(True, np.diff(p) > 1e-15)
         p, log_e = p[keep] / p[keep][-1], log_e[keep]
         guide = np.searchsorted(p, np.linspace(0.0, 1.0, 2**14 + 1), side="right") - 1
-        return cls(p, log_e, np.diff(log_e) / np.diff(p), np.clip(guide, 0, p.size - 2))
+        guide = np.clip(guide, 0, p.size - 2).astype(np.uint16)  # short, for the processor's cache
+        return cls(p, log_e, np.diff(log_e) / np.diff(p), guide)
 
     def draw(self, p: Array) -> tuple[Array, Array]:
         """exp(-e), and the weights that turn averages over e into averages over Exp(1)."""
@@ -253,7 +257,7 @@ class Density(NamedTuple):
 def invert(p: Array, log_e: Array, slope: Array, guide: Array, at: Array, u: Array, weight: Array) -> None:
     """The kernel of `Density.draw`."""
     for i in range(at.size):
-        cell = guide[int(at[i] * (guide.size - 1))]
+        cell = int(guide[int(at[i] * (guide.size - 1))])
         while cell < slope.size - 1 and p[cell + 1] <= at[i]:
             cell += 1
         u[i] = log_e[cell] + slope[cell] * (at[i] - p[cell])

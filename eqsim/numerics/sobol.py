@@ -28,7 +28,7 @@ def _directions(dimensions: int) -> Array:
         if k > 1:
             m[2, k] = 2 * m[2, k - 1] ^ 4 * m[2, k - 2] ^ m[2, k - 2]
     numbers = m[:dimensions] << _PLACES
-    return np.asarray((numbers[:, None, :] >> _PLACES[:, None]) & 1, np.float32)
+    return np.asarray((numbers[:, None, :] >> _PLACES[:, None]) & 1, np.float64)
 
 
 class Sobol(NamedTuple):
@@ -47,13 +47,10 @@ class Sobol(NamedTuple):
     @classmethod
     def of(cls, generators: Sequence[np.random.Generator], dimensions: int, most: int) -> "Sobol":
         """A sequence of each random generator, of `most` points, up to 2^30, in up to three dimensions."""
-        shape = len(generators), dimensions, _BITS
-        shifts, scramble = np.empty(shape, np.uint32), np.empty((*shape, _BITS), np.float32)
-        for i, rng in enumerate(generators):
-            shifts[i] = rng.integers(2, size=shape[1:], dtype=np.uint32)
-            scramble[i] = rng.integers(2, size=(*shape[1:], _BITS), dtype=np.uint32)
-        scramble *= np.tri(_BITS, k=-1, dtype=np.float32)
-        scramble += np.eye(_BITS, dtype=np.float32)
+        size, shape = dimensions * _BITS, (len(generators), dimensions, _BITS)
+        drawn = np.array([rng.integers(2, size=size * (1 + _BITS), dtype=np.uint32) for rng in generators])
+        shifts = drawn[:, :size].reshape(shape)
+        scramble = drawn[:, size:].reshape(*shape, _BITS) * np.tri(_BITS, k=-1) + np.eye(_BITS)
         needed = _directions(dimensions)[:, :, : (most - 1).bit_length()]
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
