@@ -230,6 +230,12 @@ def _note_path_work(law: Langevin, c: Contacts, lives: Lives, r: int, count: int
     pass  # they are there
 
 
+@inlined
+def squared(stiffness: Any, travel: Any, y: Any) -> Any:
+    """`Sample.square` of one life or of many."""
+    return stiffness**2 * travel * (y * y + travel * (y + travel / 3.0))
+
+
 class Sample(NamedTuple):
     """Lives, arrays (n,): work over k, int (k_i/k) x dx from birth to breaking, travel, k_i/k at birth and stretch at
     birth."""
@@ -242,9 +248,8 @@ class Sample(NamedTuple):
     @property
     def square(self) -> Array:
         """int (k_i x/k)^2 dx from birth to breaking, of contacts whose stiffness does not change."""
-        y, travel = self.birth, self.travel
         with np.errstate(over="ignore"):  # of laws so broad that it is not finite
-            return self.stiffness**2 * travel * (y * y + travel * (y + travel / 3.0))
+            return squared(self.stiffness, self.travel, self.birth)
 
 
 def typical_lives(c: Contacts) -> Sample:

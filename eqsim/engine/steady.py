@@ -35,7 +35,7 @@ import numpy as np
 from scipy import integrate, interpolate
 
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Sample, lives, plain_sums, rough_stretch
+from eqsim.engine.lanes import LANES, ROUNDS, Sample, lives, plain_sums, rough_stretch, squared
 from eqsim.engine.langevin import STEP, step_error
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, known
@@ -330,10 +330,13 @@ def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     birth; and the largest single share of the first two, shape (RANDOMISATIONS, 5)."""
     stream: Key = key(job.seed, STEADY + job.identity)
     together = min(max(1, _BLOCK // size), -(-RANDOMISATIONS // job.threads)) if job.proposal else 1
-    groups = [range(RANDOMISATIONS)[first : first + together] for first in range(0, RANDOMISATIONS, together)]
+    groups = [slice(first, min(first + together, RANDOMISATIONS)) for first in range(0, RANDOMISATIONS, together)]
+    sobol = None if job.proposal is None else _sequences(job, 2 + _births_vary(c), size)
 
-    def some(group: range) -> Array:
-        return _plainly(c, stream, group[0], size) if job.proposal is None else _weighted(job, c, stream, group, size)
+    def some(group: slice) -> Array:
+        if sobol is None:
+            return _plainly(c, stream, group.start, size)
+        return _weighted(job, c, stream, sobol.some(group), range(group.start * size, group.start * size + size))
 
     rows: list[Array] = []
     report = job.progress or (lambda *_: None)
@@ -357,33 +360,46 @@ def _plainly(c: Contacts, stream: Key, index: int, size: int) -> Array:
     return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]])]])
 
 
-def _weighted(job: _Job, c: Contacts, stream: Key, group: range, size: int) -> Array:
-    """`_randomise` by weighted Sobol points, of consecutive randomisations at once."""
-    assert job.proposal
-    third, born = _births_vary(c), isinstance(c.newborn, Stretched)
-    names = [(job.seed, STEADY, job.identity, size, index) for index in group]
+def _sequences(job: _Job, dimensions: int, size: int) -> Sobol:
+    """Those of all randomisations, of `size` points each."""
+    names = [(job.seed, STEADY, job.identity, size, index) for index in range(RANDOMISATIONS)]
     # the child of a name, which is what SciPy's own sequence would draw from
     seeds = [np.random.SeedSequence(name, spawn_key=(0,)) for name in names]
-    sobol = Sobol.of([np.random.Generator(np.random.PCG64(seed)) for seed in seeds], 2 + third, size)
+    return Sobol.of([np.random.Generator(np.random.PCG64(seed)) for seed in seeds], dimensions, size)
+
+
+def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range) -> Array:
+    """`_randomise` by weighted Sobol points, of some sequences at once; `numbers` those of the first one's contacts."""
+    assert job.proposal
+    size, third = len(numbers), _births_vary(c)
     block = min(size, _BLOCK)
-    sums, largest = np.zeros((len(group), 5)), np.zeros((len(group), 2))
+    sums = np.zeros((sobol.shift.shape[1], 7))
     for first in range(0, size, block):
         points = sobol.points(first, block).reshape(2 + third, -1)
         u, weight = job.proposal.threshold.draw(points[0])
         v, clock_weight = job.proposal.clock.draw(points[1])
-        found = lives(c, stream, group[0] * size + first, u, v, job.step, points[2] if third else None)
-        weight *= clock_weight
-        for i, part in enumerate((found.work, found.travel, found.square)):
-            terms = (weight * part).reshape(len(group), block)
-            sums[:, i] += terms.sum(axis=1)
-            if i < 2:
-                largest[:, i] = np.maximum(largest[:, i], (np.abs(terms) if born else terms).max(axis=1))
-        if born:
-            for i, part in ((3, found.birth), (4, np.abs(found.work))):
-                sums[:, i] += (weight * part).reshape(len(group), block).sum(axis=1)
-    sums[:, 4] = sums[:, 4] if born else sums[:, 0]
-    shares = largest / sums[:, [4, 1]]
+        found = lives(c, stream, numbers[first], u, v, job.step, points[2] if third else None)
+        add_weighted(found, weight, clock_weight, sums)
+    shares = sums[:, 5:] / sums[:, [4, 1]]
     return np.column_stack((sums[:, :4] / size, shares.max(axis=1)))
+
+
+@kernel
+def add_weighted(found: Sample, weight: Array, clock_weight: Array, sums: Array) -> None:
+    """Add to each row of `sums` those of its share of lives, one row after the other: work, travel, square, birth and
+    |work|; the last two columns are the largest |work| and |travel| of a life."""
+    count = weight.size // sums.shape[0]
+    for row in range(sums.shape[0]):
+        work, travel, square, birth = sums[row, 0], sums[row, 1], sums[row, 2], sums[row, 3]
+        size, most_work, most_travel = sums[row, 4], sums[row, 5], sums[row, 6]
+        for i in range(row * count, (row + 1) * count):
+            w, s, y = weight[i] * clock_weight[i], found.travel[i], found.birth[i]
+            one, way = w * found.work[i], w * s
+            work, travel, birth, size = work + one, travel + way, birth + w * y, size + abs(one)
+            square += w * squared(found.stiffness[i], s, y)
+            most_work, most_travel = max(most_work, abs(one)), max(most_travel, abs(way))
+        sums[row, 0], sums[row, 1], sums[row, 2], sums[row, 3] = work, travel, square, birth
+        sums[row, 4], sums[row, 5], sums[row, 6] = size, most_work, most_travel
 
 
 def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:

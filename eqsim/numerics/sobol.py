@@ -57,7 +57,7 @@ class Sobol(NamedTuple):
         words[..., 1:] ^= words[..., :-1]  # points follow each other in the order of Gray
         return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32).T, words.T)
 
-    def __getitem__(self, which: slice) -> "Sobol":  # type: ignore[override]
+    def some(self, which: slice) -> "Sobol":
         """Some of the sequences."""
         return Sobol(self.shift[:, which], self.words[:, :, which])
 
