@@ -326,7 +326,7 @@ MISTAKES = [
       "test_steady.py::test_a_law_without_an_end_is_unreliable"),
     M("steady: error of C unseen", "engine/steady.py", "    rows[:, :4] += shift[:, None] * response[:4]\n", "",
       "test_steady.py::test_every_randomisation_has_its_own_fixed_point"),
-    M("steady: weights of the clock left out", "engine/steady.py", "weight *= clock_weight", "weight *= 1.0",
+    M("steady: weights of the clock left out", "engine/steady.py", "weight[i] * clock_weight[i]", "weight[i]",
       "test_steady.py::test_heavy_tails"),
     # births
     M("newborn: thresholds that do not know that they hold", "laws/newborn.py", "look_up(thresholds.table, e - log(u))",
