@@ -41,7 +41,7 @@ from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
-_BLOCK = 2048  # contacts whose sums are added up before those of others: the same bits whoever adds them
+_BLOCK = 512  # contacts whose sums are added up before those of others: the same bits whoever adds them
 _TOGETHER = 1 << 16  # contacts that a stationary start draws at once
 _BREAKS = 30.0  # that say at what rate contacts break
 _FIRST = 1e-6  # first step, of the first segment
@@ -216,7 +216,7 @@ class Slider:
         blocks = -(-ensemble.count // _BLOCK)
         threads = max(1, min(threads, blocks))
         self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
-        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self.found = np.zeros((blocks, 10))
         low, high = np.asarray(law.inverse_survival(np.array([0.17, 1.8]))) / unit  # two standard deviations
         typical = law.mean / unit
@@ -269,10 +269,10 @@ class Slider:
         def follow(share: tuple[int, int]) -> None:
             advance(self.c, piece, self.stream, self.first, self.population, share, self.found)
 
-        if self.pool:
-            list(self.pool.map(follow, self.shares))
-        else:
-            follow(self.shares[0])
+        others = [self.pool.submit(follow, share) for share in self.shares[1:]] if self.pool else []
+        follow(self.shares[0])
+        for other in others:
+            other.result()
         return np.asarray(self.found.sum(axis=0) / self.count)
 
     def _estimate(self, dt: float, speed: float) -> tuple[float, float]:

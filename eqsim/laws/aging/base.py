@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import hazard, is_flat, rate, stretch, stretches
+from eqsim.laws.barrier.base import hazard, hazard_between, rate, stretch, stretches, travel
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
@@ -229,13 +229,10 @@ def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], move
     if moves == 0:
         return rate(c.barrier, xi, stiffness, abs(y)) * length
     end = y + moves * length
-    if y * end >= 0.0 and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
-        # what tables are good to may be as much as the segment is long
-        first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
-        return length / 6.0 * (first + 4.0 * rate(c.barrier, xi, stiffness, abs(y + 0.5 * moves * length)) + last)
-    passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
-    before = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y)) if y != 0.0 else 0.0
-    return (math.copysign(passed, end) - math.copysign(before, y)) / moves
+    if y < 0.0 < end:
+        before = hazard(c.barrier, c.hazard_table, xi, stiffness, -y)
+        return (before + hazard(c.barrier, c.hazard_table, xi, stiffness, end)) / moves
+    return abs(hazard_between(c.barrier, c.hazard_table, xi, stiffness, abs(y), abs(end))) / moves
 
 
 @spend.register(Unaged)
@@ -246,23 +243,8 @@ def _spend(
     if moves == 0:
         per_time = rate(c.barrier, xi, stiffness, abs(y))
         return (clock / per_time if per_time * length >= clock else math.inf), clock - per_time * length
-    end = y + moves * length
-    if y * end >= 0.0 and abs(end) < xi and is_flat(c.barrier, xi, stiffness, abs(y), abs(end)):
-        passed = spent(law, c, contact, moves, length)
-        if passed < clock:
-            return math.inf, clock - passed
-        first, last = rate(c.barrier, xi, stiffness, abs(y)), rate(c.barrier, xi, stiffness, abs(end))
-        root = math.sqrt(max(first * first + 2.0 * (last - first) / length * clock, 0.0))
-        return min(2.0 * clock / (first + root), length), 0.0  # of a rate that changes in proportion
-    before, ahead = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(y)), moves * clock
-    if y < 0.0:
-        if ahead < before:  # it breaks on the way back to 0, if the way is long enough
-            at = -min(stretch(c.barrier, c.barrier_table, xi, stiffness, before - ahead), -y)
-        else:
-            at = stretch(c.barrier, c.barrier_table, xi, stiffness, ahead - before)
-    else:
-        at = max(stretch(c.barrier, c.barrier_table, xi, stiffness, before + ahead), y)
-    if at <= end:
-        return (at - y) / moves, 0.0
-    passed = hazard(c.barrier, c.hazard_table, xi, stiffness, abs(end))
-    return math.inf, clock - (math.copysign(passed, end) - math.copysign(before, y)) / moves
+    if abs(y + moves * length) < xi:
+        left = clock - spent(law, c, contact, moves, length)
+        if left > 0.0:
+            return math.inf, left
+    return min(max(travel(c, xi, stiffness, y, moves * clock), 0.0) / moves, length), 0.0

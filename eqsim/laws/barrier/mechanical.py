@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, hazard, is_flat, rate, stretches, thermal
+from eqsim.laws.barrier.base import Barrier, hazard, rate, stretches, thermal
 from eqsim.numerics.tables import Array
 
 
@@ -47,8 +47,3 @@ def _no_hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) ->
 @rate.register(Mechanical)
 def _no_rate(law: Any, xi: float, stiffness: float, x: float) -> float:
     return 0.0
-
-
-@is_flat.register(Mechanical)
-def _not_flat(law: Any, xi: float, stiffness: float, x: float, other: float) -> bool:
-    return False

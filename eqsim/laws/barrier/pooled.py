@@ -14,7 +14,7 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, back, hazard, is_flat, onward, rate, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, back, hazard, onward, rate, stretch, stretches
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
 from eqsim.numerics.compiled import inlined, routine
@@ -218,11 +218,6 @@ def _hazard(law: Pooled, table: Array, xi: float, stiffness: float, x: float) ->
 @rate.register(Pooled)
 def _rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
     return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[1]
-
-
-@is_flat.register(Pooled)
-def _not_flat(law: Pooled, xi: float, stiffness: float, x: float, other: float) -> bool:
-    return False
 
 
 @routine

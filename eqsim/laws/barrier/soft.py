@@ -12,7 +12,19 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import special
 
-from eqsim.laws.barrier.base import Barrier, Numbers, back, hazard, height, height_slope, onward, stretch, stretches
+from eqsim.laws.barrier.base import (
+    Barrier,
+    Numbers,
+    back,
+    hazard,
+    hazard_between,
+    height,
+    height_slope,
+    onward,
+    rate,
+    stretch,
+    stretches,
+)
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
@@ -169,6 +181,19 @@ def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> f
     a = law.b * stiffness
     per_dawson = look_up(table, max(math.sqrt(a) * x, _LEAST_Z))
     return math.exp(law.log_w - a * max(xi - x, 0.0) * (xi + x)) * x / per_dawson
+
+
+@hazard_between.register(Soft)
+def _hazard_between(law: Soft, table: Array, xi: float, stiffness: float, x: float, other: float) -> float:
+    """Where it is short by its series about the middle: of the mean of exp(p t + q t^2) over -1 < t < 1 (derived)."""
+    length, middle = other - x, 0.5 * (x + other)
+    p, q = law.b * stiffness * middle * length, 0.25 * law.b * stiffness * length * length
+    if abs(p) > 0.25 or q > 0.004:
+        return hazard(law, table, xi, stiffness, other) - hazard(law, table, xi, stiffness, x)
+    p2 = p * p
+    mean = 1.0 + p2 * (1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 / 5040.0))
+    mean += q * (1.0 / 3.0 + p2 * (0.1 + p2 / 168.0) + q * (0.1 + p2 / 28.0 + q / 42.0))
+    return rate(law, xi, stiffness, middle) * length * mean
 
 
 # Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock sqrt(a) exp(a (xi^2 - y^2)):

@@ -16,6 +16,7 @@ from eqsim.laws.barrier.base import (
     Numbers,
     back,
     hazard,
+    hazard_between,
     height,
     height_slope,
     onward,
@@ -134,6 +135,16 @@ def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> 
     barrier = a * xi * xi
     spent = -math.expm1(1.5 * math.log1p(-min(x / xi, 1.0)))  # 1 - (1 - x/xi)^(3/2)
     return -math.exp(law.log_w - barrier * (1.0 - spent)) * math.expm1(-barrier * spent) / (1.5 * a * xi)
+
+
+@hazard_between.register(Stiff)
+def _hazard_between(law: Stiff, table: Array, xi: float, stiffness: float, x: float, other: float) -> float:
+    a, near, far = law.b * stiffness, (xi - other) / xi, (xi - x) / xi
+    whole, left, before = a * xi * xi, near * math.sqrt(near), far * math.sqrt(far)
+    if left + before == 0.0:
+        return 0.0
+    fall = whole * (other - x) / xi * (near * near + near * far + far * far) / (left + before)  # of E
+    return -math.exp(law.log_w - whole * left) * math.expm1(-fall) / (1.5 * a * xi)
 
 
 @onward.register(Stiff)
