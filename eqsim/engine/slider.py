@@ -37,7 +37,7 @@ from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
-from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.compiled import inlined, kernel, routine
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
@@ -88,9 +88,13 @@ def advance(
 ) -> None:
     """Follow the contacts of some blocks along a piece; `sums` (all blocks, 10). The first of all is `first`."""
     for block in range(blocks[0], blocks[1]):
-        sums[block] = 0.0
-        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, p.time.size)):
-            _follow(c, piece, stream, first, p, i, sums[block])
+        total = sums[block]
+        total[:] = 0.0
+        own = slice(block * _BLOCK, (block + 1) * _BLOCK)  # whose places count from 0, which no index is below
+        some = Followed(p.time[own], p.xi[own], p.stretch[own], p.clock[own], p.lives[own])
+        for i in range(some.time.size):
+            _follow(c, piece, stream, first + block * _BLOCK, some, i, total)
+        _add(c, some, total)
 
 
 @inlined
@@ -128,10 +132,9 @@ def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: 
     p.clock[i] = clock
     p.time[i] -= left
     p.stretch[i] = piece.sign * (y + piece.moves * left)
-    _add(c, p, i, total)
 
 
-@inlined
+@routine
 def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
     """After the life of which a contact knows how many were drawn."""
     if lives < 0 and c.delay.random > 0.0:
@@ -140,15 +143,18 @@ def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
 
 
 @inlined
-def _add(c: Contacts, p: Followed, i: int, total: Array) -> None:
-    grown = growth(c.aging, -p.time[i]) if stiffness_varies(c.aging, c.springs) else 1.0
-    stiffness = kappa(c.springs, p.xi[i]) * grown
-    force = stiffness * p.stretch[i]
-    total[PINNED] += 1.0
-    total[STIFFNESS] += stiffness
-    total[FORCE] += force
-    total[SQUARE] += force * force
-    total[STORED] += 0.5 * force * p.stretch[i]
+def _add(c: Contacts, p: Followed, total: Array) -> None:
+    """Add up what contacts are at the end of a piece."""
+    pinned, stiffness, force, square, stored = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(p.time.size):
+        held = 1.0 if math.copysign(1.0, p.time[i]) < 0.0 else 0.0
+        own = held * kappa(c.springs, p.xi[i])
+        if stiffness_varies(c.aging, c.springs):
+            own *= growth(c.aging, max(-p.time[i], 0.0))
+        pull = own * p.stretch[i]
+        pinned, stiffness, force = pinned + held, stiffness + own, force + pull
+        square, stored = square + pull * pull, stored + 0.5 * pull * p.stretch[i]
+    total[PINNED], total[STIFFNESS], total[FORCE], total[SQUARE], total[STORED] = pinned, stiffness, force, square, stored
 
 
 class State(NamedTuple):
