@@ -28,6 +28,7 @@ from eqsim.numerics.streams import TRAJECTORY, key
 look_up, uniforms = compiled(tables.look_up), compiled(streams.uniforms)
 soft_odds, soft_rank = compiled(soft._odds), compiled(soft._rank)
 stretch, pooled_stretch = compiled(base.stretch), compiled(pooled._inverse)
+hazard_between = compiled(base.hazard_between)
 
 EPS = np.finfo(float).eps
 # relative error of the tabulated inverse of ln(1 + erfi z): that of a root in a cell of relative width 1/64, three
@@ -169,6 +170,42 @@ def test_inverse_is_the_inverse_of_the_hazard(barrier):
     missed, inside = round_trip(barrier, xi, a, log_w, clock)
     assert missed.max() <= 1.0
     assert 0.2 < inside.mean() < 0.9  # both ends of a life are met
+
+
+@pytest.mark.parametrize("barrier", BARRIERS.values())
+def test_hazard_between_two_stretches(barrier):
+    """Against quadrature of the rate in 30 digits on intervals that shrink towards the end: to the documented 1e-8 and
+    a few eps of each term of the exponent, over pieces from all of a threshold down to 1e-12 of it, those that a series
+    only just holds for, too, from 0 and up to xi. The rate in the middle times the length fails."""
+    rng = np.random.default_rng(8)
+    a, xi, part = 10 ** rng.uniform(-3, 5, 400), rng.uniform(0.2, 3.0, 400), rng.random(400)
+    length = np.where(rng.random(400) < 0.5, 10 ** rng.uniform(-12, 0, 400), 10 ** rng.uniform(-2, 0.5, 400) / (a * xi))
+    part[:60], part[60:120] = 0.0, 1.0
+    x = part * np.maximum(xi - length, 0.0)
+    other = np.where(part == 1.0, xi, np.minimum(x + length, xi))
+    log_w = rng.uniform(-5, 5, 400) - barrier.log_rate(np.minimum(other, (1 - 1e-9) * xi), xi, a)
+    missed, of_middle = np.zeros(400), np.zeros(400)
+    for i in range(400):
+        law = barrier(a[i], log_w[i])
+        found = hazard_between(law, barrier.hazard_table(), xi[i], 1.0, x[i], other[i])
+        with mpmath.workdps(30):
+            c, low, high, end = (mpmath.mpf(v) for v in (a[i] * xi[i] ** 2, x[i], other[i], xi[i]))
+
+            def r(y, c=c, end=end):
+                gap = 1 - y / end
+                return (
+                    mpmath.exp(-c * gap * (2 - gap))
+                    if barrier is Soft
+                    else mpmath.sqrt(gap) * mpmath.exp(-c * gap**1.5)
+                )
+
+            steps = max(2, int(math.log2(1.0 + 3.0 * a[i] * xi[i] * (other[i] - x[i]))) + 3)
+            edges = [high - (high - low) * mpmath.mpf(2) ** -j for j in range(steps)] + [high]
+            exact = mpmath.quad(r, edges) * mpmath.exp(mpmath.mpf(log_w[i]))
+            missed[i] = abs(found / exact - 1) / (1e-8 + 16 * EPS * (1 + abs(log_w[i]) + float(c)))
+            of_middle[i] = abs(r((low + high) / 2) * (high - low) * mpmath.exp(log_w[i]) / exact - 1)
+    assert missed.max() <= 1.0
+    assert np.mean(of_middle > 1e-7) > 0.3
 
 
 @pytest.mark.parametrize("barrier", BARRIERS.values())

@@ -42,6 +42,7 @@ from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
 _BLOCK = 512  # contacts whose sums are added up before those of others: the same bits whoever adds them
+_SHARE = 20  # blocks that a thread must have: to wake it takes as long as they do
 _TOGETHER = 1 << 16  # contacts that a stationary start draws at once
 _BREAKS = 30.0  # that say at what rate contacts break
 _FIRST = 1e-6  # first step, of the first segment
@@ -154,7 +155,13 @@ def _add(c: Contacts, p: Followed, total: Array) -> None:
         pull = own * p.stretch[i]
         pinned, stiffness, force = pinned + held, stiffness + own, force + pull
         square, stored = square + pull * pull, stored + 0.5 * pull * p.stretch[i]
-    total[PINNED], total[STIFFNESS], total[FORCE], total[SQUARE], total[STORED] = pinned, stiffness, force, square, stored
+    total[PINNED], total[STIFFNESS], total[FORCE], total[SQUARE], total[STORED] = (
+        pinned,
+        stiffness,
+        force,
+        square,
+        stored,
+    )
 
 
 class State(NamedTuple):
@@ -220,7 +227,7 @@ class Slider:
         self.stream, self.first, self.count = key(seed, TRAJECTORY), first, ensemble.count
         self.population = Followed.fresh(ensemble.count)
         blocks = -(-ensemble.count // _BLOCK)
-        threads = max(1, min(threads, blocks))
+        threads = max(1, min(threads, blocks // _SHARE))
         self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
         self.pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self.found = np.zeros((blocks, 10))

@@ -161,7 +161,7 @@ def hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> flo
 
 @by_law
 def hazard_between(law: Any, table: Array, xi: float, stiffness: float, x: float, other: float) -> float:
-    """(omega/v) (H(other) - H(x)), 0 <= x, other <= xi; of laws in closed form to 1e-10 of itself however short."""
+    """(omega/v) (H(other) - H(x)), 0 <= x, other <= xi; soft and stiff: to 1e-8 of itself however short."""
     return hazard(law, table, xi, stiffness, other) - hazard(law, table, xi, stiffness, x)
 
 
