@@ -135,7 +135,7 @@ def test_agrees_with_small_steps():
     ],
     ids=["stick-slip", "soft sqrt, mass, viscous", "quasi-static", "annealed"],
 )
-def test_energy_and_threads(ensemble, stage):
+def test_energy_and_threads(ensemble, stage, monkeypatch):
     """Work of the stage = stored + dissipated + what finite steps miss, to rounding; the latter is small. Two threads
     leave the same bits."""
     ensemble = replace(ensemble, count=6_000)
@@ -144,6 +144,7 @@ def test_energy_and_threads(ensemble, stage):
     assert np.abs(work - stored - dissipated - missing).max() < 1e-11 * max(work.max(), 1.0)
     assert np.abs(missing).max() < 1e-2 * dissipated.max()
     assert dissipated.max() > 0.1
+    monkeypatch.setattr("eqsim.engine.slider._SHARE", 3)  # as if the contacts were many
     same = pulled(ensemble, 150.0, stage, 61, 0.3, threads=2)
     assert same.columns().keys() == found.columns().keys()
     for name, column in found.columns().items():

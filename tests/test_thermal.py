@@ -193,11 +193,9 @@ def test_hazard_between_two_stretches(barrier):
 
             def r(y, c=c, end=end):
                 gap = 1 - y / end
-                return (
-                    mpmath.exp(-c * gap * (2 - gap))
-                    if barrier is Soft
-                    else mpmath.sqrt(gap) * mpmath.exp(-c * gap**1.5)
-                )
+                if barrier is Soft:
+                    return mpmath.exp(-c * gap * (2 - gap))
+                return mpmath.sqrt(gap) * mpmath.exp(-c * gap**1.5)
 
             steps = max(2, int(math.log2(1.0 + 3.0 * a[i] * xi[i] * (other[i] - x[i]))) + 3)
             edges = [high - (high - low) * mpmath.mpf(2) ** -j for j in range(steps)] + [high]

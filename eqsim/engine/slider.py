@@ -155,13 +155,8 @@ def _add(c: Contacts, p: Followed, total: Array) -> None:
         pull = own * p.stretch[i]
         pinned, stiffness, force = pinned + held, stiffness + own, force + pull
         square, stored = square + pull * pull, stored + 0.5 * pull * p.stretch[i]
-    total[PINNED], total[STIFFNESS], total[FORCE], total[SQUARE], total[STORED] = (
-        pinned,
-        stiffness,
-        force,
-        square,
-        stored,
-    )
+    total[PINNED], total[STIFFNESS], total[FORCE] = pinned, stiffness, force
+    total[SQUARE], total[STORED] = square, stored
 
 
 class State(NamedTuple):
