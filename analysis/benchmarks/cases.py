@@ -59,7 +59,7 @@ class Sizes:
     plain_repeats: int = 3
     cold_starts: int = 2
     scalar_contacts: int = 4000  # that rival B takes along a programme
-    pulled_contacts: int = 10_000  # behind a spring
+    pulled_contacts: int = 100_000  # behind a spring
     pulled_points: int = 61
     fits: int = 2  # how often one is timed
     many: int = 1_000_000  # contacts whose memory is compared with that of a thousand
