@@ -190,8 +190,15 @@ class _Kernel(_Library):
     """Of a kernel, and machine code."""
 
     def finalize(self) -> None:
+        self._own = {one.name for one in self._final_module.functions if not one.is_declaration}
         self._linking_libraries += self.needs  # after all that refer to them: else the linker drops them
         super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        for one in self._final_module.functions:
+            if not one.is_declaration and one.name not in self._own:
+                one.linkage = llvm.Linkage.internal
+        super()._optimize_final_module()
 
 
 class _Shared(_Kernel):
