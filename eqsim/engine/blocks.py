@@ -18,17 +18,17 @@ _SHARES = 4  # for each worker of an executor: few enough that tables and sums t
 
 
 class Totals:
-    """Integer sums of one thread or share of the contacts, of `rows` instants; those of several simply add up. Of
-    replicas the forces at `points` instants are noted, and one by one if they are `kept`."""
+    """Integer sums of one thread or share of the contacts, `rows` of them for `points` instants; those of several simply
+    add up. Of replicas the forces at these instants are noted, and one by one if they are `kept`."""
 
     sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
 
-    def __init__(self, rows: int, replicas: int, points: int | None = None) -> None:
+    def __init__(self, rows: int, points: int, replicas: int) -> None:
         self.deposits = np.zeros((rows, 6), np.int64)
         self.batches = np.zeros((BATCHES, 2, 6), np.int64)
         self.status = np.zeros(2, np.int64)  # lives so far; anything but 0 stops the kernel
         self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
-        self.replica_sum = np.zeros((points or rows) if replicas > 1 else 0, np.int64)
+        self.replica_sum = np.zeros(points if replicas > 1 else 0, np.int64)
         self.replica_square = np.zeros_like(self.replica_sum)
         self.kept = replicas * self.replica_sum.size <= MOST_SERIES
         self.forces: list[tuple[int, Array]] = []  # with their replica

@@ -92,8 +92,8 @@ class Steps(NamedTuple):
 
     def totals(self, replicas: int) -> Totals:
         last = self.steps[-1]
-        rows = last.row + last.run.points
-        return Totals(rows, replicas, rows - len(self.steps) + 1)
+        rows = last.row + last.run.points + 1
+        return Totals(rows, rows - 2 * len(self.steps) + 1, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
         for begin in range(first, last, _TOGETHER):
@@ -103,7 +103,7 @@ class Steps(NamedTuple):
             for step in self.steps:
                 if total.status[1]:
                     return
-                rows = total.scratch[step.row : step.row + step.run.points]
+                rows = total.scratch[step.row : step.row + step.run.points + 1]
                 scales = step.scales
                 sums = (rows, total.batches, total.status)
                 recorder = Recorder(step.run, scales.deposits, scales.batches, *sums, scales.narrow)
@@ -112,8 +112,7 @@ class Steps(NamedTuple):
     def moments(self, deposits: Array, contacts: int) -> Moments:
         parts = []
         for step in self.steps:
-            rows = deposits[step.row : step.row + step.run.points]
-            found = moments(rows, step.scales, step.run, contacts, step.drag)
+            found = moments(deposits[step.row :], step.scales, step.run, contacts, step.drag)
             later = slice(1 if step.row else 0, None)  # a segment begins where another has ended
             parts.append(Moments(step.leg.sign * found.force[later], found.pinned[later], found.variance[later]))
         return Moments(*(np.concatenate(part) for part in zip(*parts, strict=True)))
@@ -154,7 +153,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         last = index + 1 == len(legs)
         moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, last, times)
         steps.append(_Step(c, moves, run, scales, drag, row))
-        row += run.points
+        row += run.points + 1  # the last of which is beyond the grid
         pace, sign = leg.pace, leg.sign
     table = stationary(before) if before else Stationary()
     return Steps(tuple(steps), before, table, key(seed, TRAJECTORY))

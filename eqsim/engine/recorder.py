@@ -120,8 +120,8 @@ class Scales(NamedTuple):
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave: powers of 2 of the columns, sums over the grid (points, 6) and over
-    batches and quarters (BATCHES, 2, 6), and `status`: lives so far, and anything but 0 stops the kernel. `narrow` as
+    """Where kernels add up what contacts leave: powers of 2 of the columns, sums over the grid (points + 1, 6), of
+    which nobody reads the last row, where what is beyond the grid is left, and over batches and quarters (BATCHES, 2, 6), and `status`: lives so far, and anything but 0 stops the kernel. `narrow` as
     in `Scales`."""
 
     run: Run
@@ -144,7 +144,7 @@ class Moments(NamedTuple):
 def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: float) -> Moments:
     """What deposits say, at every grid point."""
     X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)  # squares cancel: 64 bits where there are
-    total = np.cumsum(deposits, axis=0) / (scales.deposits * contacts).astype(np.longdouble)
+    total = np.cumsum(deposits[: run.points], axis=0) / (scales.deposits * contacts).astype(np.longdouble)
     if scales.uniform:  # k_i/k = 1
         total[:, SLOPE] = total[:, SLOPE2] = total[:, COUNT]
         total[:, RAMP2] = total[:, FORCE]
@@ -310,12 +310,9 @@ def leave_ramps(
         column[3, i] = fixed_narrow(kappa * kappa, to_slope2, narrow)
         column[4, i] = fixed_narrow(kappa * ramp, -to_ramp2, narrow)
     for i in range(count):
-        if end[i] < run.points:
-            row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
-            add_row(deposits, start[i], COUNT, row)
-            take_row(deposits, end[i], COUNT, row)
-        elif start[i] < run.points:
-            leave(recorder, start[i], 1, stiffness[r, i], born[i])
+        row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
+        add_row(deposits, start[i], COUNT, row)
+        take_row(deposits, end[i], COUNT, row)
 
 
 @shared
@@ -331,12 +328,9 @@ def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: 
         column[0, i] = fixed_narrow(born[i], -to_force, narrow)
         column[1, i] = fixed_narrow(born[i] * born[i], to_square, narrow)
     for i in range(count):
-        if end[i] < run.points:
-            row = (1, column[0, i], column[1, i], 0)  # four numbers at a time are moved at once
-            add_row(deposits, start[i], COUNT, row)
-            take_row(deposits, end[i], COUNT, row)
-        elif start[i] < run.points:
-            leave(recorder, start[i], 1, 1.0, born[i])
+        row = (1, column[0, i], column[1, i], 0)  # four numbers at a time are moved at once
+        add_row(deposits, start[i], COUNT, row)
+        take_row(deposits, end[i], COUNT, row)
 
 
 @shared
@@ -353,8 +347,7 @@ def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: C
         column[0, i] = fixed_narrow(distance, -to_force, narrow)
         column[1, i] = fixed_narrow(distance * (born[i] + broke[i]), to_square, narrow)
     for i in range(count):
-        if end[i] < run.points:
-            add_row(deposits, end[i], FORCE, (column[0, i], column[1, i]))
+        add_row(deposits, end[i], FORCE, (column[0, i], column[1, i]))
 
 
 @routine

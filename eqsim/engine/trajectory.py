@@ -209,7 +209,7 @@ class ConstantDrive(NamedTuple):
         return self.scales.replica, self.scales.replica_square
 
     def totals(self, replicas: int) -> Totals:
-        return Totals(self.run.points, replicas)
+        return Totals(self.run.points + 1, self.run.points, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
         sums = (total.scratch, total.batches, total.status)

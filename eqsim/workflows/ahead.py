@@ -89,7 +89,7 @@ def _routines(ensemble: Ensemble, drive: Drive | Programme) -> list[tuple[Any, t
     One is after those that it calls. Raises InputError."""
     every = [drive.velocity] if isinstance(drive, Drive) else [abs(segment.velocity) for segment in drive.segments]
     c = contacts(ensemble, max(every) or 1.0, ensemble.thresholds.mean if ensemble.self_consistent else None)
-    total, stream, run = Totals(2, 1), key(0, TRAJECTORY), Run(1.0, 2, False, False)
+    total, stream, run = Totals(3, 2, 1), key(0, TRAJECTORY), Run(1.0, 2, False, False)
     sums = (total.scratch, total.batches, total.status)
     recorder = Recorder(run, _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
     one, row, grid = np.zeros(1), np.zeros(1, np.int64), np.zeros((1, 1))
