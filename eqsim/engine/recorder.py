@@ -23,7 +23,7 @@ from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import add_row, inlined, routine, shared, shared_maker, take_row
+from eqsim.numerics.compiled import add_row, inlined, move_rows, routine, shared, shared_maker, take_row
 from eqsim.numerics.tables import Array
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -309,10 +309,8 @@ def leave_ramps(
         column[2, i] = fixed_narrow(kappa, to_slope, narrow)
         column[3, i] = fixed_narrow(kappa * kappa, to_slope2, narrow)
         column[4, i] = fixed_narrow(kappa * ramp, -to_ramp2, narrow)
-    for i in range(count):
-        row = (1, column[0, i], column[1, i], column[2, i], column[3, i], column[4, i])
-        add_row(deposits, start[i], COUNT, row)
-        take_row(deposits, end[i], COUNT, row)
+    for i in range(0, count, 4):
+        move_rows(deposits, start, end, column, i)
 
 
 @shared

@@ -421,6 +421,47 @@ add_row = _row_change("add", "Add the tuple `row` to row `j` of `sums` from `col
 take_row = _row_change("sub", "Take the tuple `row` from row `j` of `sums` from `column` on.")
 
 
+def _move_rows(typing: Any, sums: Any, start: Any, end: Any, column: Any, i: Any) -> Any:
+    """Add 1 and the numbers in five rows of `column` to the rows start[i] .. start[i + 3] of `sums`, and take them from
+    the rows end[i] .. end[i + 3]: all C-ordered 64-bit integers, transposed four at a time."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        into, starts, ends, source = (
+            context.make_array(kind)(context, builder, value=value)
+            for kind, value in zip(signature.args[:4], arguments[:4], strict=True)
+        )
+        whole, index = ir.IntType(64), ir.IntType(32)
+        four = ir.VectorType(whole, 4)
+        width, lanes = (cgutils.unpack_tuple(builder, array.shape)[1] for array in (into, source))
+
+        def at(array: Any, offset: Any, vector: Any) -> Any:
+            return builder.bitcast(builder.gep(array.data, [offset]), vector.as_pointer())
+
+        def shuffled(a: Any, b: Any, *order: int) -> Any:
+            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(index, len(order)), list(order)))
+
+        columns = [ir.Constant(four, [1] * 4)]
+        for k in range(5):
+            offset = builder.add(builder.mul(ir.Constant(whole, k), lanes), arguments[4])
+            columns.append(builder.load(at(source, offset, four), align=8))
+        pairs = []
+        for a, b in zip(columns[::2], columns[1::2], strict=True):
+            pairs.append((shuffled(a, b, 0, 4, 2, 6), shuffled(a, b, 1, 5, 3, 7)))  # of lanes 0 and 2, 1 and 3
+        for lane in range(4):
+            a, b, c = (pair[lane % 2] for pair in pairs)
+            half = lane // 2 * 2
+            row = shuffled(a, b, half, half + 1, half + 4, half + 5), shuffled(c, c, half, half + 1)
+            number = builder.add(arguments[4], ir.Constant(whole, lane))
+            for which, change in ((starts, builder.add), (ends, builder.sub)):
+                j = builder.mul(builder.load(builder.gep(which.data, [number])), width)
+                for first, part in zip((0, 4), row, strict=True):
+                    place = at(into, builder.add(j, ir.Constant(whole, first)), part.type)
+                    builder.store(change(builder.load(place, align=8), part), place, align=8)
+        return context.get_dummy_value()
+
+    return types.void(sums, start, end, column, types.int64), generate
+
+
 def _four_of(typing: Any, table: Any, j: Any) -> Any:
     """The numbers of row j of a C-ordered table of four columns, in one load. Left to itself the compiler gathers each
     column for many rows at once, which takes twice as long."""
@@ -458,4 +499,4 @@ def _float_of(typing: Any, whole: Any) -> Any:
     return types.float64(types.int64), generate
 
 
-fma, four_of, float_of = intrinsic(_fma), intrinsic(_four_of), intrinsic(_float_of)
+fma, four_of, float_of, move_rows = intrinsic(_fma), intrinsic(_four_of), intrinsic(_float_of), intrinsic(_move_rows)
