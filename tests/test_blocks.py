@@ -166,7 +166,7 @@ class Watched(Executor):
         function, args, kwargs = pickle.loads(sent)
         result = function(*args, **kwargs)
         self.returned.append(len(pickle.dumps(result)))
-        future.set_result(Totals(101, 1) if index == self.forget else result)
+        future.set_result(Totals(102, 101, 1) if index == self.forget else result)
         return future
 
 
@@ -178,7 +178,7 @@ def test_few_shares_small_messages_and_progress(replicas):
     assert found == bits(THERMAL, "stationary", replicas)
     assert len(executor.sent) == 12
     assert max(executor.sent) < 2**20
-    sums = 101 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, batches, status, replicas
+    sums = 102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, batches, status, replicas
     assert max(executor.returned) < 8 * sums + 1000
     assert told[-1] == found[-1]
 

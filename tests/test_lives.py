@@ -112,7 +112,7 @@ def test_side_by_side_as_one_by_one(ensemble, start, points):
     found = []
     for by_life in (False, True):
         run = Run(20.0, points, start == "stationary", by_life)
-        scales, total = Scales.of(c, run, count, 1, 0.0), Totals(points, 1)
+        scales, total = Scales.of(c, run, count, 1, 0.0), Totals(points + 1, points, 1)
         ConstantDrive(c, stationary(c), run, scales, key(2, TRAJECTORY), 0.0).simulate(total, 0, count)
         sums = total.batches.sum(axis=0) / scales.batches
         found.append((*moments(total.deposits, scales, run, count, 0.0), sums, np.array(total.lives)))

@@ -47,7 +47,7 @@ def scales(uniform):
 def empty(run, uniform=False, narrow=False):
     """A recorder of nothing yet."""
     units, status = scales(uniform), np.zeros(2, np.int64)
-    sums = np.zeros((run.points, 6), np.int64), np.zeros((BATCHES, 2, 6), np.int64)
+    sums = np.zeros((run.points + 1, 6), np.int64), np.zeros((BATCHES, 2, 6), np.int64)
     return Recorder(run, units.deposits, units.batches, *sums, status, narrow)
 
 
@@ -90,7 +90,7 @@ def compare(found, uniform, expected):
     np.testing.assert_allclose(force, expected[0], rtol=ROUNDING, atol=ROUNDING)
     np.testing.assert_array_equal(pinned, expected[1])
     # few contacts have a smaller sum of squares than the square of their sum: compare what was added up
-    total = np.cumsum(deposits, axis=0) / scales(uniform).deposits
+    total = np.cumsum(deposits[:-1], axis=0) / scales(uniform).deposits
     X = np.linspace(0.0, run.distance, run.points)
     slope2, ramp2 = (total[:, 0], total[:, 1]) if uniform else (total[:, 4], total[:, 5])
     np.testing.assert_allclose((slope2 * X + 2 * ramp2) * X + total[:, 2], expected[2], rtol=ROUNDING, atol=1e-8)

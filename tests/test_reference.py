@@ -492,7 +492,7 @@ def trajectory_sample(ensemble, drive, runs):
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = []
     for first in range(0, runs * n, n):
-        total = Totals(5, 1)
+        total = Totals(6, 5, 1)
         ConstantDrive(*job, 0.0).simulate(total, first, first + n)
         forces.append(moments(total.deposits, scales, run, n, drag)[0] * unit)
     return np.array(forces)

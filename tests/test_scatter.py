@@ -198,7 +198,7 @@ def test_many_contacts_know_their_errors(ensemble):
     """The errors of 100 000 ordinary contacts are those of the sample, to 2 %."""
     n, drag = 100_000, drag_of(ensemble, 1.0)
     run = Run(8.0, 41, False, False)
-    c, total = contacts(ensemble, 1.0), Totals(41, 1)
+    c, total = contacts(ensemble, 1.0), Totals(42, 41, 1)
     scales = Scales.of(c, run, n, 1, drag)
     ConstantDrive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(total, 0, n)
     _, _, variance = moments(total.deposits, scales, run, n, drag)

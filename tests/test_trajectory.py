@@ -292,7 +292,7 @@ def test_same_bits_for_any_blocks(start):
     table = stationary(c)
     sums = []
     for size in (1, 37, 128, 300):
-        total = Totals(101, 1)
+        total = Totals(102, 101, 1)
         firsts = list(range(0, 300, size))
         np.random.default_rng(size).shuffle(firsts)
         for first in firsts:
@@ -313,7 +313,7 @@ def test_a_contact_does_not_depend_on_the_others():
     c = contacts(Ensemble(thermal=Thermal(0.1)), 0.1)
     run = Run(10.0, 101, False, False)
     scales = Scales.of(c, run, 2, 1, 0.0)
-    second = Totals(101, 1)
+    second = Totals(102, 101, 1)
     ConstantDrive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(second, 1, 2)
     force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(both.force[::10], 0.5 * (alone.force + force), rtol=0, atol=1e-12)
