@@ -135,6 +135,7 @@ def left(routine, points, narrow):
     """A recorder of what lives leave that are recorded side by side, and the lives."""
     uniform = routine is leave_uniform_ramps
     run, rows = Run(DISTANCE, points, False, False), lives(uniform, True)
+    rows = rows[: len(rows) // 4 * 4]  # four are recorded at a time
     found, count = empty(run, uniform, narrow), len(rows)
     stiffness, born, broke = (np.ascontiguousarray(rows[:, i]) for i in range(3))
     if uniform:

@@ -294,7 +294,7 @@ def joined(c: Contacts, recorder: Recorder) -> bool:
 def leave_ramps(
     recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
 ) -> None:
-    """`deposit` for `count` contacts, born >= 0."""
+    """`deposit` for `count` contacts, a multiple of four, born >= 0."""
     run, deposits, narrow, stiffness = recorder.run, recorder.deposits, recorder.narrow, lives.stiffness
     _, to_force, to_square, to_slope, to_slope2, to_ramp2 = scales_of(recorder)
     start, end, column = columns
