@@ -477,6 +477,42 @@ def _four_of(typing: Any, table: Any, j: Any) -> Any:
     return row(table, types.int64), generate
 
 
+def _four_cubics(typing: Any, table: Any, row: Any, r: Any, t: Any, i: Any) -> Any:
+    """In the place of t[r, i] .. t[r, i + 3] the cubic polynomials there whose coefficients are in the rows row[i] ..
+    row[i + 3] of a C-ordered table of four columns, from those turned into columns."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        tables, rows, numbers = (
+            context.make_array(signature.args[k])(context, builder, value=arguments[k]) for k in (0, 1, 3)
+        )
+        index, four = ir.IntType(32), ir.VectorType(ir.DoubleType(), 4)
+
+        def vector_at(array: Any, offset: Any) -> Any:
+            return builder.bitcast(builder.gep(array.data, [offset]), four.as_pointer())
+
+        def shuffled(a: Any, b: Any, *order: int) -> Any:
+            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(index, 4), list(order)))
+
+        found = []
+        for lane in range(4):
+            j = builder.load(builder.gep(rows.data, [builder.add(arguments[4], ir.Constant(ir.IntType(64), lane))]))
+            found.append(builder.load(vector_at(tables, builder.mul(j, ir.Constant(j.type, 4))), align=8))
+        (ac01, bd01), (ac23, bd23) = (
+            (shuffled(x, y, 0, 4, 2, 6), shuffled(x, y, 1, 5, 3, 7)) for x, y in (found[:2], found[2:])
+        )
+        a, c = shuffled(ac01, ac23, 0, 1, 4, 5), shuffled(ac01, ac23, 2, 3, 6, 7)
+        b, d = shuffled(bd01, bd23, 0, 1, 4, 5), shuffled(bd01, bd23, 2, 3, 6, 7)
+        lanes = cgutils.unpack_tuple(builder, numbers.shape)[1]
+        place = vector_at(numbers, builder.add(builder.mul(arguments[2], lanes), arguments[4]))
+        at = builder.load(place, align=8)
+        for coefficient in (c, b, a):
+            d = builder.fadd(coefficient, builder.fmul(at, d))
+        builder.store(d, place, align=8)
+        return context.get_dummy_value()
+
+    return types.void(table, row, types.int64, t, types.int64), generate
+
+
 def _float_of(typing: Any, whole: Any) -> Any:
     """The double nearest to an integer of 0 to 2^63, in kernels: where the processor has no instruction that converts
     vectors of 64 bits, from halves in the last bits of 2^84 and of 2^52, whose sum is rounded once."""
@@ -499,4 +535,5 @@ def _float_of(typing: Any, whole: Any) -> Any:
     return types.float64(types.int64), generate
 
 
-fma, four_of, float_of, move_rows = intrinsic(_fma), intrinsic(_four_of), intrinsic(_float_of), intrinsic(_move_rows)
+fma, float_of, move_rows = intrinsic(_fma), intrinsic(_float_of), intrinsic(_move_rows)
+four_of, four_cubics = intrinsic(_four_of), intrinsic(_four_cubics)

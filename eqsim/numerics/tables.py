@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import four_of, inlined, routine
+from eqsim.numerics.compiled import four_cubics, four_of, inlined, routine
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -100,5 +100,7 @@ def look_up_all(table: Array, r: int, s: Array, row: Array, lanes: int) -> None:
     first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
     for i in range(lanes):
         row[i], s[r, i] = _place(first, per_edge, cells, s[r, i])
-    for i in range(lanes):
+    for i in range(0, lanes - 3, 4):
+        four_cubics(table, row, r, s, i)
+    for i in range(lanes - lanes % 4, lanes):
         s[r, i] = _polynomial(table, row[i], s[r, i])
