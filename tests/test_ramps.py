@@ -141,7 +141,8 @@ def left(routine, points, narrow):
     if uniform:
         leave_uniform_ramps(found, born, broke, columns(count), count)
     else:
-        of_rows = Lives((broke - born)[None], np.empty((1, count)), stiffness[None], np.zeros((1, count)))
+        none = np.zeros((1, count))
+        of_rows = Lives((broke - born)[None], none, stiffness[None], none, none[0])
         leave_ramps(found, born, broke, of_rows, 0, columns(count), count)
     return found, rows
 

@@ -43,12 +43,13 @@ class Lives(NamedTuple):
     """The next lives of each, arrays (rounds, LANES). `stretch`: threshold at birth, then the travel from birth to
     breaking, which is the stretch there unless the contact was born stretched. `clock`: what the exponential clock
     shows at breaking; of fluctuating thresholds then the work over k, of others scratch. `stiffness`: k_i/k at birth.
-    `birth`: stretch at birth."""
+    `birth`: stretch at birth. `root` (LANES,): scratch of laws."""
 
     stretch: Array
     clock: Array
     stiffness: Array
     birth: Array
+    root: Array
 
 
 @shared_maker
@@ -62,7 +63,7 @@ def empty_lanes() -> Lanes:
 def empty_lives(c: Contacts, rounds: int) -> Lives:
     """Lives that clocks never end, of contacts as stiff as uniform ones."""
     shape = (rounds, LANES)
-    lives = Lives(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
+    lives = Lives(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(LANES))
     for r in range(rounds):  # numba takes longer to compile each other way of making an array
         for i in range(LANES):
             lives.clock[r, i], lives.stiffness[r, i], lives.birth[r, i] = math.inf, c.springs.constant, 0.0
@@ -219,7 +220,7 @@ def _complete_paths(law: Langevin, c: Contacts, key: Key, lanes: Lanes, lives: L
 @by_law
 def note_work(law: Any, c: Contacts, lives: Lives, r: int, count: int) -> None:
     """int (k_i/k) x dx of complete lives, from birth to breaking, in the place of their clocks."""
-    stretch, work, stiffness, birth = lives
+    stretch, work, stiffness, birth = lives.stretch, lives.clock, lives.stiffness, lives.birth
     for i in range(count):
         work[r, i] = work_of(law, c.aging_table, c.springs, stiffness[r, i], stretch[r, i])
         work[r, i] += stiffness[r, i] * stretch[r, i] * birth[r, i]
@@ -315,7 +316,7 @@ def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, sam
     """Lives LANES at a time."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     found, row = empty_lives(c, 1), np.empty(LANES, np.int64)
-    x, clock, stiffness, _ = found
+    x, clock, stiffness = found.stretch, found.clock, found.stiffness
     for first in range(0, u.size, LANES):
         count = min(LANES, u.size - first)
         for i in range(count):

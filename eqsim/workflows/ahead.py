@@ -93,7 +93,7 @@ def _routines(ensemble: Ensemble, drive: Drive | Programme) -> list[tuple[Any, t
     sums = (total.scratch, total.batches, total.status)
     recorder = Recorder(run, _SCALES.deposits, _SCALES.batches, *sums, _SCALES.narrow)
     one, row, grid = np.zeros(1), np.zeros(1, np.int64), np.zeros((1, 1))
-    columns, lives = Columns(row, row, np.zeros((1, 1), np.int64)), Lives(grid, grid, grid, grid)
+    columns, lives = Columns(row, row, np.zeros((1, 1), np.int64)), Lives(grid, grid, grid, grid, one)
     lanes = Lanes(row, row, row, np.zeros((1, 1), np.uint64))
     found: list[tuple[Any, tuple[Any, ...]]] = [
         (empty_lanes, ()),

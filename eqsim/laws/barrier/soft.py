@@ -156,7 +156,8 @@ def _stretch(law: Soft, table: Array, xi: float, stiffness: float, clock: float)
 
 @stretches.register(Soft)
 def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
+    x, clock, stiffness, roots = lives.stretch, lives.clock, lives.stiffness, lives.root
+    b, log_w = law.b, law.log_w
     if springs.slope == 0.0:  # roots and divisions are the same for all
         root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
         for i in range(count):
@@ -168,12 +169,13 @@ def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: A
             x[r, i] = _end(x[r, i], per_root, clock[r, i])
     else:
         for i in range(count):
-            clock[r, i] = _odds(x[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
+            roots[i] = math.sqrt(b * stiffness[r, i])
+            clock[r, i] = _odds(x[r, i], roots[i], log_w, clock[r, i])
         for i in range(count):
-            clock[r, i] = _rank(x[r, i], math.sqrt(b * stiffness[r, i]), log_w, clock[r, i])
+            clock[r, i] = _rank(x[r, i], roots[i], log_w, clock[r, i])
         look_up_all(table, r, clock, row, count)
         for i in range(count):
-            x[r, i] = _end(x[r, i], 1.0 / math.sqrt(b * stiffness[r, i]), clock[r, i])
+            x[r, i] = _end(x[r, i], 1.0 / roots[i], clock[r, i])
 
 
 @hazard.register(Soft)
