@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from eqsim.numerics import vector_math
-from eqsim.numerics.compiled import add_row, float_of, fma, four_of, take_row
+from eqsim.numerics.compiled import add_row, float_of, fma, four_of, move_rows, take_row
+from eqsim.numerics.tables import look_up, look_up_all, octave_edges, octave_table
 
 RNG = np.random.default_rng(5)
 UNIT = RNG.random(4000)  # of (0, 1)
@@ -158,6 +159,48 @@ def test_rows():
         expected[j + 1, column + 2 : column + 4] -= row[:2]
         change(sums, j, column, row)
         np.testing.assert_array_equal(sums, expected)
+
+
+def test_rows_of_four():
+    """Four rows at a time are changed as one after the other, also where they are the same row."""
+
+    @numba.njit
+    def change(sums, start, end, number):
+        for i in range(0, start.size, 4):
+            move_rows(sums, start, end, number, i)
+
+    sums, number = RNG.integers(-(2**62), 2**62, (9, 7)), RNG.integers(-(2**60), 2**60, (5, 12))
+    start, end, expected = RNG.integers(0, 9, 12), RNG.integers(0, 9, 12), sums.copy()
+    start[4:8] = end[2:6] = 3
+    for i in range(12):
+        row = [1, *number[:, i]]
+        expected[start[i], :6] += row
+        expected[end[i], :6] -= row
+    change(sums, start, end, number)
+    np.testing.assert_array_equal(sums, expected)
+
+
+@pytest.mark.parametrize("count", [1, 4, 7, 8])
+def test_look_up_all(count):
+    """The same bits as one at a time, also below and beyond the table, and nothing else is touched."""
+
+    @numba.njit
+    def each(table, x, y):
+        for i in range(x.size):
+            y[i] = look_up(table, x[i])
+
+    @numba.njit
+    def together(table, s, row, count):
+        look_up_all(table, 1, s, row, count)
+
+    edges = octave_edges(-3, 3)
+    table = octave_table(-3, edges**0.7, 0.7 * edges**-0.3)
+    s = 2.0 ** RNG.uniform(-5, 5, (2, 8))
+    expected, found = s.copy(), np.empty(count)
+    each(table, s[1, :count].copy(), found)
+    expected[1, :count] = found
+    together(table, s, np.empty(8, np.int64), count)
+    np.testing.assert_array_equal(s, expected)
 
 
 def test_four_of():

@@ -18,8 +18,8 @@ _SHARES = 4  # for each worker of an executor: few enough that tables and sums t
 
 
 class Totals:
-    """Integer sums of one thread or share of the contacts, `rows` of them for `points` instants; those of several simply
-    add up. Of replicas the forces at these instants are noted, and one by one if they are `kept`."""
+    """Integer sums of one thread or share of the contacts, in `rows` for `points` instants; those of several simply add
+    up. Of replicas the forces at these instants are noted, and one by one if they are `kept`."""
 
     sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
 

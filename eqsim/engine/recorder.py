@@ -120,9 +120,9 @@ class Scales(NamedTuple):
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave: powers of 2 of the columns, sums over the grid (points + 1, 6), of
-    which nobody reads the last row, where what is beyond the grid is left, and over batches and quarters (BATCHES, 2, 6), and `status`: lives so far, and anything but 0 stops the kernel. `narrow` as
-    in `Scales`."""
+    """Where kernels add up what contacts leave: powers of 2 of the columns, sums over the grid (points + 1, 6), whose
+    last row takes what is beyond the grid, and over batches and quarters (BATCHES, 2, 6), and `status`: lives so far,
+    and anything but 0 stops the kernel. `narrow` as in `Scales`."""
 
     run: Run
     scales: Array

@@ -195,6 +195,7 @@ class _Kernel(_Library):
         super().finalize()
 
     def _optimize_final_module(self) -> None:
+        """Nobody else calls the rest: LLVM then drops arguments that are not read, of which calls would push dozens."""
         for one in self._final_module.functions:
             if not one.is_declaration and one.name not in self._own:
                 one.linkage = llvm.Linkage.internal
@@ -421,45 +422,52 @@ add_row = _row_change("add", "Add the tuple `row` to row `j` of `sums` from `col
 take_row = _row_change("sub", "Take the tuple `row` from row `j` of `sums` from `column` on.")
 
 
-def _move_rows(typing: Any, sums: Any, start: Any, end: Any, column: Any, i: Any) -> Any:
-    """Add 1 and the numbers in five rows of `column` to the rows start[i] .. start[i + 3] of `sums`, and take them from
-    the rows end[i] .. end[i + 3]: all C-ordered 64-bit integers, transposed four at a time."""
+def _shuffled(builder: Any, a: Any, b: Any, *order: int) -> Any:
+    """The numbers of two vectors, those of the second counted on, in an order."""
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order)))
+
+
+def _transposed(builder: Any, rows: Any) -> Any:
+    """Columns of four vectors of four numbers."""
+    even, odd = (
+        [_shuffled(builder, *rows[k : k + 2], n, n + 4, n + 2, n + 6) for k in (0, 2)] for n in (0, 1)
+    )  # of lanes 0 and 2, 1 and 3
+    return [_shuffled(builder, *pair, n, n + 1, n + 4, n + 5) for n in (0, 2) for pair in (even, odd)]
+
+
+def _vector_at(builder: Any, array: Any, offset: Any, vector: Any) -> Any:
+    """Where a vector of neighbouring numbers of an array begins."""
+    return builder.bitcast(builder.gep(array.data, [offset]), vector.as_pointer())
+
+
+def _move_rows(typing: Any, sums: Any, start: Any, end: Any, number: Any, i: Any) -> Any:
+    """Add 1 and the five numbers[:, j], for j from i to i + 3, to the rows start[j] of `sums`, and take them from the
+    rows end[j]; all arrays are C-ordered, of 64-bit integers. Columns are turned into rows in vectors of four."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        into, starts, ends, source = (
+        into, starts, ends, numbers = (
             context.make_array(kind)(context, builder, value=value)
             for kind, value in zip(signature.args[:4], arguments[:4], strict=True)
         )
-        whole, index = ir.IntType(64), ir.IntType(32)
-        four = ir.VectorType(whole, 4)
-        width, lanes = (cgutils.unpack_tuple(builder, array.shape)[1] for array in (into, source))
-
-        def at(array: Any, offset: Any, vector: Any) -> Any:
-            return builder.bitcast(builder.gep(array.data, [offset]), vector.as_pointer())
-
-        def shuffled(a: Any, b: Any, *order: int) -> Any:
-            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(index, len(order)), list(order)))
-
+        whole = ir.IntType(64)
+        four, two = ir.VectorType(whole, 4), ir.VectorType(whole, 2)
+        width, lanes = (cgutils.unpack_tuple(builder, array.shape)[1] for array in (into, numbers))
         columns = [ir.Constant(four, [1] * 4)]
         for k in range(5):
             offset = builder.add(builder.mul(ir.Constant(whole, k), lanes), arguments[4])
-            columns.append(builder.load(at(source, offset, four), align=8))
-        pairs = []
-        for a, b in zip(columns[::2], columns[1::2], strict=True):
-            pairs.append((shuffled(a, b, 0, 4, 2, 6), shuffled(a, b, 1, 5, 3, 7)))  # of lanes 0 and 2, 1 and 3
-        for lane in range(4):
-            a, b, c = (pair[lane % 2] for pair in pairs)
-            half = lane // 2 * 2
-            row = shuffled(a, b, half, half + 1, half + 4, half + 5), shuffled(c, c, half, half + 1)
+            columns.append(builder.load(_vector_at(builder, numbers, offset, four), align=8))
+        rows = zip(_transposed(builder, columns[:4]), _transposed(builder, 2 * columns[4:]), strict=True)
+        for lane, (first, last) in enumerate(rows):
+            parts = (0, four, first), (4, two, _shuffled(builder, last, last, 0, 1))
             number = builder.add(arguments[4], ir.Constant(whole, lane))
             for which, change in ((starts, builder.add), (ends, builder.sub)):
-                j = builder.mul(builder.load(builder.gep(which.data, [number])), width)
-                for first, part in zip((0, 4), row, strict=True):
-                    place = at(into, builder.add(j, ir.Constant(whole, first)), part.type)
+                row = builder.mul(builder.load(builder.gep(which.data, [number])), width)
+                for column, vector, part in parts:
+                    place = _vector_at(builder, into, builder.add(row, ir.Constant(whole, column)), vector)
                     builder.store(change(builder.load(place, align=8), part), place, align=8)
         return context.get_dummy_value()
 
-    return types.void(sums, start, end, column, types.int64), generate
+    return types.void(sums, start, end, number, types.int64), generate
 
 
 def _four_of(typing: Any, table: Any, j: Any) -> Any:
@@ -478,35 +486,25 @@ def _four_of(typing: Any, table: Any, j: Any) -> Any:
 
 
 def _four_cubics(typing: Any, table: Any, row: Any, r: Any, t: Any, i: Any) -> Any:
-    """In the place of t[r, i] .. t[r, i + 3] the cubic polynomials there whose coefficients are in the rows row[i] ..
-    row[i + 3] of a C-ordered table of four columns, from those turned into columns."""
+    """Cubic polynomials in the place of their arguments t[r, j], for j from i to i + 3, with coefficients from the rows
+    row[j] of a C-ordered table of four columns. Rows are turned into columns in vectors of four."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         tables, rows, numbers = (
             context.make_array(signature.args[k])(context, builder, value=arguments[k]) for k in (0, 1, 3)
         )
-        index, four = ir.IntType(32), ir.VectorType(ir.DoubleType(), 4)
-
-        def vector_at(array: Any, offset: Any) -> Any:
-            return builder.bitcast(builder.gep(array.data, [offset]), four.as_pointer())
-
-        def shuffled(a: Any, b: Any, *order: int) -> Any:
-            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(index, 4), list(order)))
-
+        whole, four = ir.IntType(64), ir.VectorType(ir.DoubleType(), 4)
         found = []
         for lane in range(4):
-            j = builder.load(builder.gep(rows.data, [builder.add(arguments[4], ir.Constant(ir.IntType(64), lane))]))
-            found.append(builder.load(vector_at(tables, builder.mul(j, ir.Constant(j.type, 4))), align=8))
-        (ac01, bd01), (ac23, bd23) = (
-            (shuffled(x, y, 0, 4, 2, 6), shuffled(x, y, 1, 5, 3, 7)) for x, y in (found[:2], found[2:])
-        )
-        a, c = shuffled(ac01, ac23, 0, 1, 4, 5), shuffled(ac01, ac23, 2, 3, 6, 7)
-        b, d = shuffled(bd01, bd23, 0, 1, 4, 5), shuffled(bd01, bd23, 2, 3, 6, 7)
-        lanes = cgutils.unpack_tuple(builder, numbers.shape)[1]
-        place = vector_at(numbers, builder.add(builder.mul(arguments[2], lanes), arguments[4]))
-        at = builder.load(place, align=8)
+            j = builder.load(builder.gep(rows.data, [builder.add(arguments[4], ir.Constant(whole, lane))]))
+            place = _vector_at(builder, tables, builder.mul(j, ir.Constant(whole, 4)), four)
+            found.append(builder.load(place, align=8))
+        a, b, c, d = _transposed(builder, found)
+        first = builder.mul(arguments[2], cgutils.unpack_tuple(builder, numbers.shape)[1])
+        place = _vector_at(builder, numbers, builder.add(first, arguments[4]), four)
+        x = builder.load(place, align=8)
         for coefficient in (c, b, a):
-            d = builder.fadd(coefficient, builder.fmul(at, d))
+            d = builder.fadd(coefficient, builder.fmul(x, d))
         builder.store(d, place, align=8)
         return context.get_dummy_value()
 
