@@ -231,7 +231,7 @@ def test_crossing_an_edge(edge, delay):
     before["work"] = 3.25 + 0.5 * stiffness * x**2
     journey = one_lane(Journey, position=born, broke=broke, reborn=reborn, edge=edge, delay=[delay], **before)
     lanes = one_lane(Lanes, contact=1, age=age, number=0, words=[0])
-    lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness], birth=[0.0])
+    lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness], birth=[0.0], root=0.0)
     assert cross(c, found, lanes, lives, journey, (0, 0)) == (edge == DISTANCE)
     assert not found.batches[0].any()
     pinned = 1.5 if delay else 2.0
