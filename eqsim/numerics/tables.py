@@ -96,11 +96,10 @@ def look_up(table: Array, s: float) -> float:
 
 @routine
 def look_up_all(table: Array, r: int, s: Array, row: Array, lanes: int) -> None:
-    """The tabulated function in the place of s[r], for `lanes` numbers; `row` is scratch."""
+    """The tabulated function in the place of s[r], for `lanes` numbers and up to three more, four at a time; `row` is
+    scratch."""
     first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
-    for i in range(lanes):
+    for i in range((lanes + 3) // 4 * 4):
         row[i], s[r, i] = _place(first, per_edge, cells, s[r, i])
-    for i in range(0, lanes - 3, 4):
+    for i in range(0, lanes, 4):
         four_cubics(table, row, r, s, i)
-    for i in range(lanes - lanes % 4, lanes):
-        s[r, i] = _polynomial(table, row[i], s[r, i])
