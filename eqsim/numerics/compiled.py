@@ -195,10 +195,13 @@ class _Kernel(_Library):
         super().finalize()
 
     def _optimize_final_module(self) -> None:
-        """Nobody else calls the rest: LLVM then drops arguments that are not read, of which calls would push dozens."""
-        for one in self._final_module.functions:
-            if not one.is_declaration and one.name not in self._own:
-                one.linkage = llvm.Linkage.internal
+        """Nobody else calls the rest: LLVM then drops arguments that are not read, of which calls would push dozens. It
+        gets names of its own: whoever else has the same routine would be linked to this one, which takes other arguments.
+        """
+        for one in list(self._final_module.functions):
+            if one.name.startswith("_Z") and not one.is_declaration and one.name not in self._own:
+                if one.linkage != llvm.Linkage.internal:
+                    one.linkage, one.name = llvm.Linkage.internal, f"{one.name}.part"
         super()._optimize_final_module()
 
 
