@@ -231,6 +231,9 @@ MISTAKES = [
       "test_ramps.py::test_no_sum_can_overflow"),
     M("recorder: narrow numbers of no sign", "engine/recorder.py", "scale + 1.5 * 2.0**52)", "scale + 2.0**52)",
       "test_ramps.py::test_narrow_numbers_are_rounded_alike"),
+    M("kernels: what is internal keeps its name", "numerics/compiled.py",
+      'llvm.Linkage.internal, f"{one.name}.part"', "llvm.Linkage.internal, one.name",
+      "test_kernel_files.py::test_a_routine_of_a_kernel_elsewhere"),
     M("rows: lanes change places", "numerics/compiled.py", "for n in (0, 2) for pair in", "for n in (2, 0) for pair in",
       "test_ramps.py::test_deposits_side_by_side"),
     M("doubles: halves apart", "numerics/compiled.py", "rest = builder.fsub(above(84, high), ir.Constant(double, "

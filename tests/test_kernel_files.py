@@ -110,6 +110,26 @@ def test_processes_that_start_at_once_compile_each_kernel_once(tmp_path):
     assert sorted(name for words in said for name in words[1:]) == ["fill_lives", "invert"]
 
 
+def test_a_routine_of_a_kernel_elsewhere():
+    """A kernel's own copy of a routine takes fewer arguments than that of another module, which is compiled later. In a
+    process of its own: the wrong one reads and writes anywhere."""
+    code = """
+import numpy as np
+from eqsim import Aging, Ensemble, Thermal
+from eqsim.engine import langevin, lanes
+from eqsim.engine.contacts import contacts
+from tests.kernels import compiled
+c = contacts(Ensemble(thermal=Thermal(0.1), aging=Aging("langevin", 0.1, 2.0)), 1.0)
+name, n = lanes.key_of(1, 2), 300
+found = lanes.lives(c, name, 0, np.full(n, 0.3), np.full(n, 0.6))
+stretch, clock = np.full(n, compiled(lanes.threshold_draw)(c.thresholds, 0.3)), np.full(n, -np.log(0.6))
+arguments = langevin.pinned(c), name, langevin.STEP, np.arange(n), np.zeros(n, np.int64), stretch, clock
+compiled(langevin.lives)(*arguments)
+assert np.allclose(stretch, found.travel, rtol=1e-9, atol=0)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
+
+
 @compiled.routine
 def inner(x):
     return 2.0 * x
