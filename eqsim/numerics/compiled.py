@@ -196,12 +196,12 @@ class _Kernel(_Library):
 
     def _optimize_final_module(self) -> None:
         """Nobody else calls the rest: LLVM then drops arguments that are not read, of which calls would push dozens. It
-        gets names of its own: whoever else has the same routine would be linked to this one, which takes other arguments.
+        gets names of its own: who else has such a routine would be linked to this one, which takes other arguments.
         """
         for one in list(self._final_module.functions):
-            if one.name.startswith("_Z") and not one.is_declaration and one.name not in self._own:
-                if one.linkage != llvm.Linkage.internal:
-                    one.linkage, one.name = llvm.Linkage.internal, f"{one.name}.part"
+            done = one.is_declaration or one.linkage == llvm.Linkage.internal or one.name in self._own
+            if one.name.startswith("_Z") and not done:  # not what numba counts references by
+                one.linkage, one.name = llvm.Linkage.internal, f"{one.name}.part"
         super()._optimize_final_module()
 
 
