@@ -37,7 +37,7 @@ from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
-from eqsim.numerics.compiled import inlined, kernel, routine
+from eqsim.numerics.compiled import apart, inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
@@ -135,7 +135,7 @@ def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: 
     p.stretch[i] = piece.sign * (y + piece.moves * left)
 
 
-@routine
+@apart
 def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
     """After the life of which a contact knows how many were drawn."""
     if lives < 0 and c.delay.random > 0.0:

@@ -247,6 +247,8 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
             return super().run_pass(state)
         super().run_pass(state)
         made = state.cr
+        if state.pipeline.apart:
+            state.library.own().get_function(made.fndesc.llvm_func_name).add_function_attribute("noinline")
         name = _named(made.fndesc, made.env)
         state.targetctx.insert_user_function(name, made.fndesc, [state.library])
         state.cr = made._replace(cfunc=name)
@@ -259,6 +261,7 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
 
     flags: ClassVar[dict[str, bool]] = {"release_gil": True, "no_cpython_wrapper": False, "no_cfunc_wrapper": True}
     library: ClassVar[type[_Library]] = _Kernel
+    apart: ClassVar[bool] = False  # never taken into its callers
 
     def define_pipelines(self) -> list[Any]:
         manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
@@ -270,6 +273,10 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
 class _PartCompiler(_Compiler):
     flags: ClassVar[dict[str, bool]] = {"no_compile": True, "no_cfunc_wrapper": True}
     library: ClassVar[type[_Library]] = _Part
+
+
+class _ApartCompiler(_PartCompiler):
+    apart: ClassVar[bool] = True
 
 
 class _InlineCompiler(_PartCompiler):
@@ -298,6 +305,12 @@ def inlined(function: Callable[..., Any]) -> Any:
 def routine(function: Callable[..., Any]) -> Any:
     """Compile a longer routine that kernels call. It makes no arrays."""
     return register_jitable(_nrt=False, **_PART)(function)
+
+
+def apart(function: Callable[..., Any]) -> Any:
+    """`routine`, of one that is seldom called: as a part of its caller LLVM does ahead of time, every time, what no
+    condition keeps it from."""
+    return register_jitable(_nrt=False, error_model="numpy", pipeline_class=_ApartCompiler)(function)
 
 
 def maker(function: Callable[..., Any]) -> Any:
