@@ -132,10 +132,11 @@ def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
 
     @contextmanager
     def here(*_):
-        with ThreadPoolExecutor(1) as pool:  # in the order of the paper
+        with ThreadPoolExecutor(1) as pool:
             yield SimpleNamespace(executor=pool)
 
     monkeypatch.setattr("eqsim_figures._compute", stub)
+    monkeypatch.setattr("eqsim_figures.as_completed", iter)  # in the order of the paper, also if all is done by then
     monkeypatch.setattr("eqsim.sweeps.workers.Workers.fixed_pool", here)
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
     out = tmp_path / "o"
