@@ -184,7 +184,7 @@ def test_few_shares_small_messages_and_progress(replicas):
 
 
 def test_no_block_below_the_lanes():
-    """300 contacts are three blocks of up to 128, however many workers there are."""
+    """300 contacts are three blocks, however many workers there are."""
     executor = Watched()
     trajectory(Ensemble(count=300), Drive(0.1, 1.0), points=101, threads=(executor, 50))
     assert len(executor.sent) == 3

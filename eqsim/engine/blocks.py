@@ -1,6 +1,6 @@
 """Blocks of contacts, handed to threads or to the workers of an executor: integer sums that simply add up."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
 from typing import NamedTuple, Protocol
@@ -89,23 +89,39 @@ class Job(Protocol):
 
 
 class _Blocks(NamedTuple):
-    """How contacts are divided: blocks of `size`, whole ensembles of `contacts` if there are replicas."""
+    """How contacts are divided: block i is those from edges[i] up to edges[i + 1], whole ensembles of `contacts` if
+    there are replicas."""
 
-    size: int
+    edges: Sequence[int]
     contacts: int
     replicas: int
 
+    @classmethod
+    def of(cls, contacts: int, replicas: int, workers: int, alike: bool) -> "_Blocks":
+        """`alike`, a few for each worker, or ever smaller ones, so that those who take them in turn end together."""
+        count = contacts * replicas
+        if replicas > 1:
+            return cls(range(0, count + 1, contacts), contacts, replicas)
+        if alike:
+            shares = min(_SHARES * workers, -(-count // _BLOCK))
+            return cls([count * i // shares for i in range(shares + 1)], contacts, 1)
+        edges, least = [0], min(_BLOCK, -(-count // workers))
+        while edges[-1] < count:
+            rest = count - edges[-1]
+            edges.append(edges[-1] + min(rest, max(least, -(-rest // (2 * workers - 1)))))
+        return cls(edges, contacts, 1)
 
-def _follow(job: Job, blocks: _Blocks, firsts: Iterable[int], total: Totals | None = None) -> Totals:
-    """Simulate the blocks that begin at the contacts `firsts`, in a thread or in a worker of an executor."""
+
+def _follow(job: Job, blocks: _Blocks, which: Iterable[int], total: Totals | None = None) -> Totals:
+    """Simulate some blocks, in a thread or in a worker of an executor."""
     if total is None:  # a worker sends back sums only
         total = job.totals(blocks.replicas)
         total.kept = False
-    for first in firsts:
+    for i in which:
         if total.status[1]:
             break
-        job.simulate(total, first, min(first + blocks.size, blocks.contacts * blocks.replicas))
-        total.close_replica(job, blocks.contacts, first // blocks.contacts)
+        job.simulate(total, blocks.edges[i], blocks.edges[i + 1])
+        total.close_replica(job, blocks.contacts, i)
     return total
 
 
@@ -118,21 +134,19 @@ def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress
     """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free, or a few shares
     of them for each worker to an executor."""
     executor, threads = threads if isinstance(threads, tuple) else (None, max(1, threads))
-    contacts = count * replicas
-    least = _BLOCK if executor else min(_BLOCK, -(-contacts // threads))
-    size = count if replicas > 1 else max(least, min(-(-contacts // (16 * threads)), 2**20))
-    blocks, firsts = _Blocks(size, count, replicas), range(0, contacts, size)
+    blocks = _Blocks.of(count, replicas, threads, executor is not None)
+    every = range(len(blocks.edges) - 1)
     totals = [job.totals(replicas) for _ in range(1 if executor else threads)]
     running: set[Future[Totals]] = set()
     pool = None if executor else ThreadPoolExecutor(threads)
     with pool or nullcontext():
         try:
             if pool:
-                shared = iter(firsts)  # next() is atomic
+                shared = iter(every)  # next() is atomic
                 running = {pool.submit(_follow, job, blocks, shared, total) for total in totals}
             elif executor:
-                shares = min(_SHARES * threads, len(firsts))
-                running = {executor.submit(_follow, job, blocks, firsts[i::shares]) for i in range(shares)}
+                shares = min(_SHARES * threads, len(every))
+                running = {executor.submit(_follow, job, blocks, every[i::shares]) for i in range(shares)}
             while running:
                 done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
                 for future in done:
