@@ -25,10 +25,11 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -46,14 +47,15 @@ from eqsim.laws.threshold import Smooth
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import bare, drag_of
-from eqsim.numerics.compiled import kernel
-from eqsim.numerics.sobol import Sobol
+from eqsim.numerics.compiled import kernel, routine
+from eqsim.numerics.sobol import Sobol, put_points
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
+_BEGUN = 8  # Sobol sequences that begin at a time, at least
 _COARSE = 1e-2  # a relative error from which on half as many will do at first
 _DECAY = 0.75  # assumed when lives are predicted: error ~ lives^-0.75, between Monte Carlo and smooth integrands
 _NEGLIGIBLE = 1e-12
@@ -248,24 +250,42 @@ class Density(NamedTuple):
 
     def draw(self, p: Array) -> tuple[Array, Array]:
         """exp(-e), and the weights that turn averages over e into averages over Exp(1)."""
-        u, weight = np.empty(p.size), np.empty(p.size)
-        invert(self.p, self.log_e, self.slope, self.guide, p, u, weight)
+        u, weight = p.copy(), np.empty(p.size)
+        invert(self, u, weight)
         return u, weight
 
 
 @kernel
-def invert(p: Array, log_e: Array, slope: Array, guide: Array, at: Array, u: Array, weight: Array) -> None:
-    """The kernel of `Density.draw`."""
-    for i in range(at.size):
-        cell = int(guide[int(at[i] * (guide.size - 1))])
-        while cell < slope.size - 1 and p[cell + 1] <= at[i]:
+def invert(density: Density, u: Array, weight: Array) -> None:
+    """The kernel of `Density.draw`; `u` holds p before."""
+    _invert(density, u, weight)
+
+
+@routine
+def _invert(density: Density, u: Array, weight: Array) -> None:
+    p, log_e, slope, guide = density
+    for i in range(u.size):
+        cell = int(guide[int(u[i] * (guide.size - 1))])
+        while cell < slope.size - 1 and p[cell + 1] <= u[i]:
             cell += 1
-        u[i] = log_e[cell] + slope[cell] * (at[i] - p[cell])
+        u[i] = log_e[cell] + slope[cell] * (u[i] - p[cell])
         weight[i] = slope[cell]
-    for i in range(at.size):
+    for i in range(u.size):
         e = exp(u[i])
         u[i] = exp(-e)
         weight[i] *= u[i] * e
+
+
+@kernel
+def draw(sobol: Sobol, first: int, densities: tuple[Density, Density], bits: Array, drawn: Array) -> None:
+    """Points number `first` on of some sequences, one sequence after the other, as many of each as `bits` has room for.
+    `drawn` (dimensions, 2, n): what `Density.draw` makes of thresholds and clocks; points of births as they are."""
+    for s in range(sobol.shift.shape[0]):
+        own = slice(s * bits.size, (s + 1) * bits.size)
+        for d in range(sobol.shift.shape[1]):
+            put_points(sobol.shift[s, d], sobol.words[s, d], first, bits, drawn[d, 0, own])
+            if d < 2:
+                _invert(densities[d], drawn[d, 0, own], drawn[d, 1, own])
 
 
 class Proposal(NamedTuple):
@@ -330,20 +350,20 @@ def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     birth; and the largest single share of the first two, shape (RANDOMISATIONS, 5)."""
     stream: Key = key(job.seed, STEADY + job.identity)
     together = min(max(1, _BLOCK // size), -(-RANDOMISATIONS // job.threads)) if job.proposal else 1
-    groups = [slice(first, min(first + together, RANDOMISATIONS)) for first in range(0, RANDOMISATIONS, together)]
-    sobol = None if job.proposal is None else _sequences(job, 2 + _births_vary(c), size)
+    groups = [range(first, min(first + together, RANDOMISATIONS)) for first in range(0, RANDOMISATIONS, together)]
 
-    def some(group: slice) -> Array:
+    def some(group: range, sobol: Sobol | None) -> Array:
         if sobol is None:
             return _plainly(c, stream, group.start, size)
-        return _weighted(job, c, stream, sobol.some(group), range(group.start * size, group.start * size + size))
+        return _weighted(job, c, stream, sobol, range(group.start * size, group.start * size + size))
 
     rows: list[Array] = []
+    sequences = _sequences(job, 2 + _births_vary(c), size, groups) if job.proposal else repeat(None)
     report = job.progress or (lambda *_: None)
     report(0, RANDOMISATIONS * size)
     with ThreadPoolExecutor(job.threads) if job.threads > 1 else nullcontext() as pool:
         try:
-            for found in pool.map(some, groups) if pool else map(some, groups):
+            for found in (pool.map if pool else map)(some, groups, sequences):
                 rows.extend(found)
                 report(len(rows) * size, RANDOMISATIONS * size)
         except BaseException:
@@ -360,26 +380,31 @@ def _plainly(c: Contacts, stream: Key, index: int, size: int) -> Array:
     return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]])]])
 
 
-def _sequences(job: _Job, dimensions: int, size: int) -> Sobol:
-    """Those of all randomisations, of `size` points each."""
-    names = [(job.seed, STEADY, job.identity, size, index) for index in range(RANDOMISATIONS)]
-    # the child of a name, which is what SciPy's own sequence would draw from
-    seeds = [np.random.SeedSequence(name, spawn_key=(0,)) for name in names]
-    return Sobol.of([np.random.Generator(np.random.PCG64(seed)) for seed in seeds], dimensions, size)
+def _sequences(job: _Job, dimensions: int, size: int, groups: list[range]) -> Iterator[Sobol]:
+    """Those of each group of randomisations, of `size` points each. They begin a few at a time, which takes less time
+    than one by one; threads are at work on the first meanwhile."""
+    at_once = -(-_BEGUN // len(groups[0]))
+    for first in range(0, len(groups), at_once):
+        some = groups[first : first + at_once]
+        names = [(job.seed, STEADY, job.identity, size, index) for group in some for index in group]
+        # the child of a name, which is what SciPy's own sequence would draw from
+        seeds = [np.random.SeedSequence(name, spawn_key=(0,)) for name in names]
+        sobol = Sobol.of([np.random.Generator(np.random.PCG64(seed)) for seed in seeds], dimensions, size)
+        for group in some:
+            yield sobol.some(slice(group.start - some[0].start, group.stop - some[0].start))
 
 
 def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range) -> Array:
     """`_randomise` by weighted Sobol points, of some sequences at once; `numbers` those of the first one's contacts."""
     assert job.proposal
-    size, third = len(numbers), _births_vary(c)
+    size, (sequences, dimensions) = len(numbers), sobol.shift.shape
     block = min(size, _BLOCK)
-    sums = np.zeros((sobol.shift.shape[1], 7))
+    bits, drawn = np.empty(block, np.uint32), np.empty((dimensions, 2, sequences * block))
+    sums = np.zeros((sequences, 7))
     for first in range(0, size, block):
-        points = sobol.points(first, block).reshape(2 + third, -1)
-        u, weight = job.proposal.threshold.draw(points[0])
-        v, clock_weight = job.proposal.clock.draw(points[1])
-        found = lives(c, stream, numbers[first], u, v, job.step, points[2] if third else None)
-        add_weighted(found, weight, clock_weight, sums)
+        draw(sobol, first, (job.proposal.threshold, job.proposal.clock), bits, drawn)
+        found = lives(c, stream, numbers[first], drawn[0, 0], drawn[1, 0], job.step, *drawn[2:, 0])
+        add_weighted(found, drawn[0, 1], drawn[1, 1], sums)
     shares = sums[:, 5:] / sums[:, [4, 1]]
     return np.column_stack((sums[:, :4] / size, shares.max(axis=1)))
 

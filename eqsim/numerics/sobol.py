@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 _BITS = 30
@@ -36,8 +37,8 @@ class Sobol(NamedTuple):
 
     Attributes
     ----------
-    shift : ndarray of uint32, shape (dimensions, sequences)
-    words : ndarray of uint32, shape (words, dimensions, sequences)
+    shift : ndarray of uint32, shape (sequences, dimensions)
+    words : ndarray of uint32, shape (sequences, dimensions, words)
         As many as the number of a point has bits.
     """
 
@@ -55,21 +56,25 @@ class Sobol(NamedTuple):
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
         words[..., 1:] ^= words[..., :-1]  # points follow each other in the order of Gray
-        return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32).T, words.T)
+        return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32), words)
 
     def some(self, which: slice) -> "Sobol":
         """Some of the sequences."""
-        return Sobol(self.shift[:, which], self.words[:, :, which])
+        return Sobol(self.shift[which], self.words[which])
 
-    def points(self, first: int, count: int) -> Array:
-        """Points number `first` to `first` + `count` - 1 of each sequence in the middle of their cells, away from 0,
-        shape (dimensions, sequences, count); `count` is a power of 2 that divides `first`."""
-        found = np.empty((*self.shift.shape, count), np.uint32)
-        found[:, :, 0] = self.shift
-        for k in range(first.bit_length()):
-            if first >> k & 1:
-                found[:, :, 0] ^= self.words[k]
-        for k in range(count.bit_length() - 1):
-            half = 1 << k
-            np.bitwise_xor(found[:, :, :half], self.words[k][:, :, None], out=found[:, :, half : 2 * half])
-        return found * 2.0**-_BITS + 2.0 ** -(_BITS + 1)
+
+@routine
+def put_points(shift: int, words: Array, first: int, bits: Array, points: Array) -> None:
+    """One dimension of points number `first` on of a sequence in the middle of their cells, away from 0; as many as
+    `bits`, which is scratch, has room for, a power of 2 that divides `first`."""
+    bits[0], half = shift, 1
+    for k in range(words.size):
+        if first >> k & 1:
+            bits[0] ^= words[k]
+    for k in range(words.size):
+        if half < bits.size:
+            for i in range(half):
+                bits[half + i] = bits[i] ^ words[k]
+            half *= 2
+    for i in range(bits.size):
+        points[i] = bits[i] * 2.0**-_BITS + 2.0 ** -(_BITS + 1)
