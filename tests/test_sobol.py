@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from eqsim.numerics.sobol import Sobol, put_points
+from eqsim.numerics.sobol import CELL, Sobol, put_points
 from tests.kernels import compiled
 
 
@@ -18,11 +18,10 @@ def scipys(index, dimensions, points, seed=7):
 
 def points(sequences, index, first, count):
     """Those of one sequence, shape (count, dimensions)."""
-    put, bits = compiled(put_points), np.empty(count, np.uint32)
-    found = np.empty((sequences.shift.shape[1], count))
-    for shift, words, row in zip(sequences.shift[index], sequences.words[index], found, strict=True):
-        put(shift, words, first, bits, row)
-    return found.T
+    put, found = compiled(put_points), np.empty((len(sequences.shift), count), np.uint32)
+    for start, words, row in zip(sequences.at(first)[:, index], sequences.words[:, index], found, strict=True):
+        put(start, words, row)
+    return (found.T + 0.5) * CELL
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3])

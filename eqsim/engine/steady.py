@@ -47,8 +47,8 @@ from eqsim.laws.threshold import Smooth
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import bare, drag_of
-from eqsim.numerics.compiled import kernel, routine
-from eqsim.numerics.sobol import Sobol, put_points
+from eqsim.numerics.compiled import kernel
+from eqsim.numerics.sobol import CELL, Sobol, put_points
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
@@ -250,26 +250,24 @@ class Density(NamedTuple):
 
     def draw(self, p: Array) -> tuple[Array, Array]:
         """exp(-e), and the weights that turn averages over e into averages over Exp(1)."""
-        u, weight = p.copy(), np.empty(p.size)
-        invert(self, u, weight)
-        return u, weight
+        cell = np.minimum(np.searchsorted(self.p, p, side="right") - 1, self.slope.size - 1)
+        e = np.exp(self.log_e[cell] + self.slope[cell] * (p - self.p[cell]))
+        return np.exp(-e), self.slope[cell] * np.exp(-e) * e
 
 
 @kernel
-def invert(density: Density, u: Array, weight: Array) -> None:
-    """The kernel of `Density.draw`; `u` holds p before."""
-    _invert(density, u, weight)
-
-
-@routine
-def _invert(density: Density, u: Array, weight: Array) -> None:
+def draw(start: Array, words: Array, density: Density, points: Array, u: Array, weight: Array) -> None:
+    """`Density.draw` of as many points, from `start` on, of each of some Sobol sequences as `points` has room for, one
+    sequence after the other."""
     p, log_e, slope, guide = density
-    for i in range(u.size):
-        cell = int(guide[int(u[i] * (guide.size - 1))])
-        while cell < slope.size - 1 and p[cell + 1] <= u[i]:
-            cell += 1
-        u[i] = log_e[cell] + slope[cell] * (u[i] - p[cell])
-        weight[i] = slope[cell]
+    for s in range(start.size):
+        put_points(start[s], words[s], points)
+        for i in range(points.size):
+            at, j = (points[i] + 0.5) * CELL, s * points.size + i
+            cell = int(guide[int(at * (guide.size - 1))])
+            while cell < slope.size - 1 and p[cell + 1] <= at:
+                cell += 1
+            u[j], weight[j] = log_e[cell] + slope[cell] * (at - p[cell]), slope[cell]
     for i in range(u.size):
         e = exp(u[i])
         u[i] = exp(-e)
@@ -277,15 +275,12 @@ def _invert(density: Density, u: Array, weight: Array) -> None:
 
 
 @kernel
-def draw(sobol: Sobol, first: int, densities: tuple[Density, Density], bits: Array, drawn: Array) -> None:
-    """Points number `first` on of some sequences, one sequence after the other, as many of each as `bits` has room for.
-    `drawn` (dimensions, 2, n): what `Density.draw` makes of thresholds and clocks; points of births as they are."""
-    for s in range(sobol.shift.shape[0]):
-        own = slice(s * bits.size, (s + 1) * bits.size)
-        for d in range(sobol.shift.shape[1]):
-            put_points(sobol.shift[s, d], sobol.words[s, d], first, bits, drawn[d, 0, own])
-            if d < 2:
-                _invert(densities[d], drawn[d, 0, own], drawn[d, 1, own])
+def draw_evenly(start: Array, words: Array, points: Array, u: Array) -> None:
+    """The points themselves, otherwise as `draw`."""
+    for s in range(start.size):
+        put_points(start[s], words[s], points)
+        for i in range(points.size):
+            u[s * points.size + i] = (points[i] + 0.5) * CELL
 
 
 class Proposal(NamedTuple):
@@ -397,14 +392,18 @@ def _sequences(job: _Job, dimensions: int, size: int, groups: list[range]) -> It
 def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range) -> Array:
     """`_randomise` by weighted Sobol points, of some sequences at once; `numbers` those of the first one's contacts."""
     assert job.proposal
-    size, (sequences, dimensions) = len(numbers), sobol.shift.shape
+    size, (dimensions, sequences) = len(numbers), sobol.shift.shape
     block = min(size, _BLOCK)
-    bits, drawn = np.empty(block, np.uint32), np.empty((dimensions, 2, sequences * block))
+    points, (u, weight) = np.empty(block, np.uint32), np.empty((2, dimensions, sequences * block))
     sums = np.zeros((sequences, 7))
     for first in range(0, size, block):
-        draw(sobol, first, (job.proposal.threshold, job.proposal.clock), bits, drawn)
-        found = lives(c, stream, numbers[first], drawn[0, 0], drawn[1, 0], job.step, *drawn[2:, 0])
-        add_weighted(found, drawn[0, 1], drawn[1, 1], sums)
+        start = sobol.at(first)
+        draw(start[0], sobol.words[0], job.proposal.threshold, points, u[0], weight[0])
+        draw(start[1], sobol.words[1], job.proposal.clock, points, u[1], weight[1])
+        for d in range(2, dimensions):  # births
+            draw_evenly(start[d], sobol.words[d], points, u[d])
+        found = lives(c, stream, numbers[first], u[0], u[1], job.step, *u[2:])
+        add_weighted(found, weight[0], weight[1], sums)
     shares = sums[:, 5:] / sums[:, [4, 1]]
     return np.column_stack((sums[:, :4] / size, shares.max(axis=1)))
 
