@@ -149,7 +149,7 @@ MISTAKES = [
     # streams
     M("sobol: direction numbers in their own order", "numerics/sobol.py", "words[..., 1:] ^= words[..., :-1]",
       "words[..., 1:] ^= 0", "test_sobol.py"),
-    M("sobol: blocks begin anew", "numerics/sobol.py", "if number >> k & 1]", "if False]", "test_sobol.py"),
+    M("sobol: blocks begin anew", "numerics/sobol.py", "if first >> k & 1:", "if False:", "test_sobol.py"),
     M("kernels: damaged code is taken", "numerics/compiled.py", "!= content[:32]", "== b\"\"",
       "test_kernel_files.py::test_damaged_files_are_compiled_again"),
     M("kernels: code of another signature is taken", "numerics/compiled.py", "return data if of == key else None",

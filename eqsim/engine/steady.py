@@ -48,7 +48,7 @@ from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import bare, drag_of
 from eqsim.numerics.compiled import kernel
-from eqsim.numerics.sobol import CELL, Sobol, put_points
+from eqsim.numerics.sobol import Sobol
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
@@ -250,37 +250,24 @@ class Density(NamedTuple):
 
     def draw(self, p: Array) -> tuple[Array, Array]:
         """exp(-e), and the weights that turn averages over e into averages over Exp(1)."""
-        cell = np.minimum(np.searchsorted(self.p, p, side="right") - 1, self.slope.size - 1)
-        e = np.exp(self.log_e[cell] + self.slope[cell] * (p - self.p[cell]))
-        return np.exp(-e), self.slope[cell] * np.exp(-e) * e
+        u, weight = np.empty(p.size), np.empty(p.size)
+        invert(self.p, self.log_e, self.slope, self.guide, p, u, weight)
+        return u, weight
 
 
 @kernel
-def draw(start: Array, words: Array, density: Density, points: Array, u: Array, weight: Array) -> None:
-    """`Density.draw` of as many points, from `start` on, of each of some Sobol sequences as `points` has room for, one
-    sequence after the other."""
-    p, log_e, slope, guide = density
-    for s in range(start.size):
-        put_points(start[s], words[s], points)
-        for i in range(points.size):
-            at, j = (points[i] + 0.5) * CELL, s * points.size + i
-            cell = int(guide[int(at * (guide.size - 1))])
-            while cell < slope.size - 1 and p[cell + 1] <= at:
-                cell += 1
-            u[j], weight[j] = log_e[cell] + slope[cell] * (at - p[cell]), slope[cell]
-    for i in range(u.size):
+def invert(p: Array, log_e: Array, slope: Array, guide: Array, at: Array, u: Array, weight: Array) -> None:
+    """The kernel of `Density.draw`."""
+    for i in range(at.size):
+        cell = int(guide[int(at[i] * (guide.size - 1))])
+        while cell < slope.size - 1 and p[cell + 1] <= at[i]:
+            cell += 1
+        u[i] = log_e[cell] + slope[cell] * (at[i] - p[cell])
+        weight[i] = slope[cell]
+    for i in range(at.size):
         e = exp(u[i])
         u[i] = exp(-e)
         weight[i] *= u[i] * e
-
-
-@kernel
-def draw_evenly(start: Array, words: Array, points: Array, u: Array) -> None:
-    """The points themselves, otherwise as `draw`."""
-    for s in range(start.size):
-        put_points(start[s], words[s], points)
-        for i in range(points.size):
-            u[s * points.size + i] = (points[i] + 0.5) * CELL
 
 
 class Proposal(NamedTuple):
@@ -392,18 +379,15 @@ def _sequences(job: _Job, dimensions: int, size: int, groups: list[range]) -> It
 def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range) -> Array:
     """`_randomise` by weighted Sobol points, of some sequences at once; `numbers` those of the first one's contacts."""
     assert job.proposal
-    size, (dimensions, sequences) = len(numbers), sobol.shift.shape
+    size, third = len(numbers), _births_vary(c)
     block = min(size, _BLOCK)
-    points, (u, weight) = np.empty(block, np.uint32), np.empty((2, dimensions, sequences * block))
-    sums = np.zeros((sequences, 7))
+    sums = np.zeros((len(sobol.shift), 7))
     for first in range(0, size, block):
-        start = sobol.at(first)
-        draw(start[0], sobol.words[0], job.proposal.threshold, points, u[0], weight[0])
-        draw(start[1], sobol.words[1], job.proposal.clock, points, u[1], weight[1])
-        for d in range(2, dimensions):  # births
-            draw_evenly(start[d], sobol.words[d], points, u[d])
-        found = lives(c, stream, numbers[first], u[0], u[1], job.step, *u[2:])
-        add_weighted(found, weight[0], weight[1], sums)
+        points = sobol.points(first, block).reshape(2 + third, -1)
+        u, weight = job.proposal.threshold.draw(points[0])
+        v, clock_weight = job.proposal.clock.draw(points[1])
+        found = lives(c, stream, numbers[first], u, v, job.step, points[2] if third else None)
+        add_weighted(found, weight, clock_weight, sums)
     shares = sums[:, 5:] / sums[:, [4, 1]]
     return np.column_stack((sums[:, :4] / size, shares.max(axis=1)))
 

@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.numerics.compiled import routine
+from eqsim.numerics.compiled import kernel
 from eqsim.numerics.tables import Array
 
 _BITS = 30
-CELL = 2.0**-_BITS  # points lie in the middle of their cells, away from 0
 _PLACES = np.arange(_BITS - 1, -1, -1, dtype=np.int32)  # of the bits of a number, the highest first
 
 
@@ -38,8 +37,8 @@ class Sobol(NamedTuple):
 
     Attributes
     ----------
-    shift : ndarray of uint32, shape (dimensions, sequences)
-    words : ndarray of uint32, shape (dimensions, sequences, words)
+    shift : ndarray of uint32, shape (sequences, dimensions)
+    words : ndarray of uint32, shape (sequences, dimensions, words)
         As many as the number of a point has bits.
     """
 
@@ -57,26 +56,34 @@ class Sobol(NamedTuple):
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
         words[..., 1:] ^= words[..., :-1]  # points follow each other in the order of Gray
-        shift = (shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32)
-        return cls(shift.T.copy(), words.transpose(1, 0, 2).copy())
+        return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32), words)
 
     def some(self, which: slice) -> "Sobol":
         """Some of the sequences."""
-        return Sobol(self.shift[:, which], self.words[:, which])
+        return Sobol(self.shift[which], self.words[which])
 
-    def at(self, number: int) -> Array:
-        """Point `number` of each sequence, in cells, shape (dimensions, sequences)."""
-        places = [k for k in range(number.bit_length()) if number >> k & 1]
-        return self.shift ^ np.bitwise_xor.reduce(self.words[..., places], axis=2)
+    def points(self, first: int, count: int) -> Array:
+        """Points number `first` to `first` + `count` - 1 of each sequence in the middle of their cells, away from 0,
+        shape (dimensions, sequences, count); `count` is a power of 2 that divides `first`."""
+        found = np.empty((*self.shift.shape[::-1], count))
+        put_points(self, first, np.empty(count, np.uint32), found)
+        return found
 
 
-@routine
-def put_points(start: int, words: Array, found: Array) -> None:
-    """Points of one dimension in cells, from `start` on, whose number is a multiple of the power of 2 that `found` has
-    room for."""
-    found[0], half = start, 1
-    for k in range(words.size):
-        if half < found.size:
-            for i in range(half):
-                found[half + i] = found[i] ^ words[k]
-            half *= 2
+@kernel
+def put_points(sobol: Sobol, first: int, bits: Array, found: Array) -> None:
+    """The kernel of `Sobol.points`; `bits` is scratch."""
+    shift, words = sobol
+    for s in range(shift.shape[0]):
+        for d in range(shift.shape[1]):
+            bits[0], half = shift[s, d], 1
+            for k in range(words.shape[2]):
+                if first >> k & 1:
+                    bits[0] ^= words[s, d, k]
+            for k in range(words.shape[2]):
+                if half < bits.size:
+                    for i in range(half):
+                        bits[half + i] = bits[i] ^ words[s, d, k]
+                    half *= 2
+            for i in range(bits.size):
+                found[d, s, i] = bits[i] * 2.0**-_BITS + 2.0 ** -(_BITS + 1)
