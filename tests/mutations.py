@@ -24,9 +24,25 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 1800.0  # seconds that tests may take; a mistake without an end is caught
-KERNELS = ("numerics/", "laws/", "engine/")  # sources of compiled code, and of the name of its cache
-# decorators of functions that are compiled
-COMPILED = re.compile(r"kernel|inlined|routine|maker|by_law|functools\.partial\(by_law.*|\w+\.register\(.*")
+# Decorators of functions that stay plain Python. A function with any other decorator counts as compiled: one that is
+# not listed here costs time, and no mistake is judged beside kernels that do not have it.
+PLAIN = frozenset(
+    {
+        "abstractmethod",
+        "cached_property",
+        "classmethod",
+        "contextmanager",
+        "functools.cache",
+        "functools.cached_property",
+        "functools.lru_cache",
+        "functools.wraps",
+        "lru_cache",
+        "property",
+        "staticmethod",
+        "styled",
+    }
+)
+_COMPILER = re.compile(r"^(?:from|import) (?:numba|llvmlite)\b", re.MULTILINE)
 
 
 class Mistake(NamedTuple):
@@ -658,14 +674,21 @@ def changed(mistake: Mistake, root: Path = ROOT) -> str:
     return found
 
 
+def is_compiled(function: ast.FunctionDef) -> bool:
+    """Whether a function may be compiled, by its decorators."""
+    made_by = (one.func if isinstance(one, ast.Call) else one for one in function.decorator_list)
+    return any(ast.unparse(name) not in PLAIN for name in made_by)
+
+
 def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
-    """Whether compiled code changes: unless the mistake is in a function of plain Python."""
+    """Whether compiled code may change: unless the mistake is in a function of plain Python, in a file that does not
+    itself speak to the compiler."""
     source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
     before = source[: source.index(mistake.old)] + mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
     line = before.count("\n") + 1
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     around = [node for node in functions if node.lineno <= line <= (node.end_lineno or 0)]
-    return not around or any(COMPILED.fullmatch(ast.unparse(name)) for node in around for name in node.decorator_list)
+    return not around or any(map(is_compiled, around)) or bool(_COMPILER.search(source))
 
 
 class Copy:
@@ -679,7 +702,11 @@ class Copy:
 
     def kernels(self) -> Path:
         """Where the kernels of the code as it stands are kept."""
-        command = [sys.executable, "-c", "import eqsim.numerics.compiled as c; print(c._CACHE)"]
+        command = [
+            sys.executable,
+            "-c",
+            "from eqsim.numerics.kernel_folder import kernel_folder; print(kernel_folder())",
+        ]
         done = subprocess.run(command, cwd=self.root, env=self.environment, capture_output=True, text=True, check=True)
         return Path(done.stdout.strip())
 
@@ -707,8 +734,8 @@ class Copy:
         compiled = needs_kernels(mistake, self.root)
         path.write_text(changed(mistake, self.root), encoding="utf-8")
         try:
-            if mistake.file.startswith(KERNELS):
-                kept = self.kernels()
+            if (folder := self.kernels()) != self.known:  # its name tells the sources of kernels apart
+                kept = folder
                 if not compiled:
                     shutil.copytree(self.known, kept, dirs_exist_ok=True)
             for arguments in (["-n", "0", *ids([mistake])], *([[]] if whole else [])):
