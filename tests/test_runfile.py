@@ -187,7 +187,7 @@ def test_not_toml(tmp_path, content, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", 'needs a column "threshold" in its first line; found nothing'),
+        ("", "is empty; its first line must name the columns"),
         (
             "xi,y\n1.0,2\n",
             'needs a column "threshold" in its first line; found xi, y (thresholds.column names another)',
@@ -200,7 +200,11 @@ def test_not_toml(tmp_path, content, message):
         ("threshold\n0\n", "line 2: '0' must be"),
         ("threshold\nnan\n", "line 2: 'nan' must be"),
         ("threshold\ninf\n", "line 2: 'inf' must be"),
-        ("a,threshold\n1\n", "line 2: '' must be"),
+        ("a,threshold\n1,\n", "line 2: '' must be"),
+        ("a,threshold\n1\n", "line 2: has 1 of 2 cells"),
+        ("nan\n1.0\n", "line 1: 'nan' must be"),  # no name of a column
+        ("1.5e\n1.0\n", "line 1: '1.5e' must be"),
+        ("1.5 2.5\n1.0\n", "line 1: '1.5 2.5' must be"),
         ("threshold\n1e-200\n", "1e-200; every threshold"),
     ],
 )

@@ -188,6 +188,7 @@ def _measured(file: RunFile, folder: Path, section: Fit, data: Path | None) -> T
         raise InputError("fit.data: is required, the CSV file of measurements")
     table = read_table(data if data is not None else folder / str(section.data), file, section)
     _check_drive(file, table)
+    _check_rows(file, folder, table)
     return table
 
 
@@ -206,6 +207,17 @@ def _check_drive(file: RunFile, table: Table) -> None:
             raise InputError(f"drive.{name}: not allowed with fit.data, a table of steady observables")
     if file.drive.velocity is None and not all("drive.velocity" in dict(row.changes) for row in table.rows):
         raise InputError("drive.velocity: is required, in the run file or in every line of the data")
+
+
+def _check_rows(file: RunFile, folder: Path, table: Table) -> None:
+    """Raise InputError, with the line, for a row whose values no ensemble or drive can have."""
+    file.ensemble(folder)  # what the run file itself has wrong is not a row's fault
+    for changes, line in {row.changes: row.line for row in reversed(table.rows)}.items():
+        try:
+            there = at(file, dict(changes))
+            there.ensemble(folder), there.constant(folder)
+        except InputError as error:
+            raise InputError(f"fit.data, line {line}: {error}") from None
 
 
 def fit(

@@ -1,13 +1,12 @@
 """Tables as CSV: comment lines that say what they are, then what `pandas.read_csv(FILE, comment="#")` reads."""
 
-import csv
-import io
 import json
 from pathlib import Path
 from typing import Any
 
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
+from eqsim.io import csv
 
 _SWEEP, _PARTS = "_sweep.json", "_parts"  # of a sweep's folder, `eqsim.sweeps.store`
 _MEANINGS = {
@@ -78,13 +77,12 @@ def as_csv(paths: list[Path]) -> bytes:
         raise InputError(f"{paths[0]}: is not a Parquet file, or is damaged") from None
     lines = [*_origin(origin if isinstance(origin, dict) else {})]
     lines += [f"{name}: {text}" for name in table.column_names if (text := meaning(name))]
-    buffer = io.StringIO()
-    for line in lines:
-        buffer.write(f"# {line}".rstrip() + "\n")
-    buffer.write(",".join(table.column_names) + "\n")
-    # text in quotes: no # in it begins a comment
-    table.to_pandas().to_csv(buffer, header=False, index=False, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
-    return buffer.getvalue().encode()
+    rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
+    try:
+        lines = [f"# {line}".rstrip() for line in lines] + [*csv.written(table.column_names, rows)]
+    except InputError as error:
+        raise InputError(f"{paths[0]}: {error}") from None
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def _origin(origin: dict[str, Any]) -> list[str]:
