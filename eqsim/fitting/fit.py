@@ -18,7 +18,7 @@ from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
 from eqsim.fitting.record import Correlation, correlated, read_record, record_problem, search
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
-from eqsim.io.runfile import RunFile, at, opened
+from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.plan import results_version
 from eqsim.sweeps.workers import Workers
@@ -183,10 +183,10 @@ def prepare(file: RunFile, folder: Path, data: Path | None, allow_degenerate: bo
 def _measured(file: RunFile, folder: Path, section: Fit, data: Path | None) -> Table:
     """The measurements. Raises InputError."""
     if section.record is not None:
-        return read_record(data if data is not None else folder / section.record.file, section)
+        return read_record(data or path_of("fit.record.file", folder, section.record.file), section)
     if data is None and section.data is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
-    table = read_table(data if data is not None else folder / str(section.data), file, section)
+    table = read_table(data or path_of("fit.data", folder, str(section.data)), file, section)
     _check_drive(file, table)
     _check_rows(file, folder, table)
     return table

@@ -324,7 +324,7 @@ class RunFile(_Section):
             raise InputError('thresholds.file: is required with law = "table"')
         scale = given.get("scale", 1.0)
         require_number("thresholds.scale", scale, **POSITIVE)
-        found = read_thresholds(folder / given["file"], given.get("column"), scale)
+        found = read_thresholds(path_of("thresholds.file", folder, given["file"]), given.get("column"), scale)
         if given.get("quantity") != "force":
             return found
         require_number("contacts.stiffness", self.contacts.stiffness, **POSITIVE)
@@ -370,7 +370,7 @@ class RunFile(_Section):
                 with under("stage"):
                     stage = Stage(**given.stage.model_dump())
             if given.file is not None:
-                segments = read_drive(folder / given.file)
+                segments = read_drive(path_of("file", folder, given.file))
             elif alone:
                 distance = 200.0 * self._threshold_law(folder).mean if given.distance is None else given.distance
                 segments = [Segment(given.velocity or 0.0, distance)]
@@ -628,6 +628,13 @@ def _nearest(location: list[str]) -> str:
     elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]
     same = [key for key in here + elsewhere if key.rpartition(".")[2].lower() == last.lower()]
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
+
+
+def path_of(field: str, folder: Path, name: str) -> Path:
+    """The path of a file that a key names, relative to `folder`. Raises InputError for an empty name."""
+    if not name.strip():
+        raise InputError(f"{field} = {shown(name)}: must be the name of a file")
+    return folder / name
 
 
 def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
