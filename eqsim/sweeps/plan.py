@@ -192,13 +192,9 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
     if not path.is_file():
         raise InputError(f"sweep.file = {path}: is not a file; must be a Parquet file whose columns are keys")
     try:
-        table = pq.read_table(path)
+        rows = pq.read_table(path).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(f"sweep.file = {path}: cannot be read as Parquet ({str(error)[:100]})") from None
-    for key in table.column_names:
-        if table.column_names.count(key) > 1:  # of which a row would keep the last
-            raise InputError(f'sweep.file = {path}: has {table.column_names.count(key)} columns "{key}"')
-    rows = table.to_pylist()
     if not rows:
         raise InputError(f"sweep.file = {path}: has no rows; must have one a point")
     for key in rows[0]:
