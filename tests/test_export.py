@@ -11,8 +11,11 @@ from typer.testing import CliRunner
 
 from eqsim import load, sweep
 from eqsim.cli.app import app
+from eqsim.fitting.record import read_record
+from eqsim.fitting.section import section_of
 from eqsim.io import csv
 from eqsim.io.export import meaning
+from eqsim.io.runfile import check, read_drive
 
 RUN = """title = "small # not a comment"
 [contacts]
@@ -65,6 +68,16 @@ def test_a_run(made, tmp_path):
     assert same(table.with_suffix(".csv"), table)
     assert call("export", table, "--out", tmp_path).exit_code == 0  # into a folder
     assert (tmp_path / "trajectory.csv").read_text() == text
+
+
+def test_an_export_is_a_drive_and_a_record(made, tmp_path):
+    """The run file in its comments has quotes, in the title and around laws."""
+    assert call("export", made / "out" / "a" / "trajectory.parquet", "--out", tmp_path / "x.csv").exit_code == 0
+    table = pd.read_parquet(made / "out" / "a" / "trajectory.parquet")
+    assert [segment.time for segment in read_drive(tmp_path / "x.csv")] == list(np.diff(table["t"]))
+    fit = {"record": {"file": "x.csv"}, "noise": {"absolute": 1.0}, "free": {"fit.offset": {"bounds": [-1.0, 1.0]}}}
+    found = read_record(tmp_path / "x.csv", section_of(check({"fit": fit})))
+    assert (list(found.time), list(found.value)) == (list(table["t"]), list(table["force"]))
 
 
 @pytest.mark.parametrize("path", ["swept", "swept/sweep.parquet"])

@@ -5,7 +5,6 @@ what comes out, and `model.reduced` makes it dimensionless.
 """
 
 import functools
-import json
 import math
 import tomllib
 from collections.abc import Callable, Iterator
@@ -41,6 +40,7 @@ def _whole(value: Any) -> Any:
 Result = TypeVar("Result")
 Whole = Annotated[int, BeforeValidator(_whole)]
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
+_FREE_TEXT = ("title", "file", "column")  # keys whose text may be any word, also "Infinity"
 _LONGEST = 10_000_000  # characters of a run file
 
 
@@ -569,7 +569,15 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
 
 def stored(settings: dict[str, Any]) -> RunFile:
     """A run file as it was in force, from the provenance of a table, infinite rates included. Raises InputError."""
-    return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
+
+    def restored(value: Any, name: str = "") -> Any:
+        if isinstance(value, dict):
+            return {key: restored(content, key) for key, content in value.items()}
+        if isinstance(value, list):
+            return [restored(content, name) for content in value]
+        return math.inf if value == "Infinity" and name not in _FREE_TEXT else value
+
+    return check(restored(settings))
 
 
 def check(data: dict[str, Any]) -> RunFile:
