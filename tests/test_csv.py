@@ -135,7 +135,7 @@ def test_a_line_that_is_no_row_is_refused(tmp_path, content, message):
     assert message in str(caught.value)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(st.text('"#,; \t1.5aé', max_size=8), max_size=12), st.sampled_from(["\n", "\r\n", "\r"]))
 def test_no_row_is_lost_in_silence(tmp_path_factory, lines, end):
     """Any lines: as many rows as there are lines that are neither empty nor a comment, or an error."""
@@ -180,7 +180,7 @@ def read_as(cell, value):
     return cell == value if isinstance(value, str) else cell == str(value)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(tables())
 def test_what_is_exported_is_read_again(tmp_path_factory, table):
     folder = tmp_path_factory.getbasetemp()
