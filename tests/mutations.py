@@ -24,9 +24,25 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 1800.0  # seconds that tests may take; a mistake without an end is caught
-KERNELS = ("numerics/", "laws/", "engine/")  # sources of compiled code, and of the name of its cache
-# decorators of functions that are compiled
-COMPILED = re.compile(r"kernel|inlined|routine|maker|by_law|functools\.partial\(by_law.*|\w+\.register\(.*")
+# Decorators of functions that stay plain Python. A function with any other decorator counts as compiled: one that is
+# not listed here costs time, and no mistake is judged beside kernels that do not have it.
+PLAIN = frozenset(
+    {
+        "abstractmethod",
+        "cached_property",
+        "classmethod",
+        "contextmanager",
+        "functools.cache",
+        "functools.cached_property",
+        "functools.lru_cache",
+        "functools.wraps",
+        "lru_cache",
+        "property",
+        "staticmethod",
+        "styled",
+    }
+)
+_COMPILER = re.compile(r"^(?:from|import) (?:numba|llvmlite)\b", re.MULTILINE)
 
 
 class Mistake(NamedTuple):
@@ -571,7 +587,7 @@ MISTAKES = [
       "test_sweep.py::test_what_cannot_be_trusted_is_unreliable"),
     M("sweep: damaged parts are taken", "sweeps/store.py", 'path.stem == f"part-{_digest(content)}"', "True",
       "test_sweep.py::test_damaged_parts_are_named_and_computed_again"),
-    M("sweep: hidden parts are forgotten", "sweeps/store.py", '*(self.out / _HIDDEN).glob("*.parquet")]', "]",
+    M("sweep: hidden parts are forgotten", "sweeps/store.py", '*(self.out / SWEEP_HIDDEN).glob("*.parquet")]', "]",
       "test_sweep.py::test_death_before_the_table_has_its_name_loses_nothing"),
     # units
     M("units: the unit of energy is left out", "io/units.py", "constants.k * temperature / (self.size(ENERGY) or 1.0)",
@@ -598,8 +614,28 @@ MISTAKES = [
     M("grid: the value that a sweep replaces counts", "sweeps/store.py", "- plan.swept  #", "- set()  #",
       "test_sweep.py::test_what_the_sweep_replaces_may_change"),
     # tables
-    M("tables: text without quotes", "io/export.py", "csv.QUOTE_NONNUMERIC", "csv.QUOTE_MINIMAL",
+    M("tables: text without quotes", "io/csv.py", "else _quoted(str(value))", "else str(value)",
       "test_export.py::test_text_with_comment_signs"),
+    M("tables: whole numbers as floats", "io/csv.py", "return repr(value) if", "return repr(float(value)) if",
+      "test_csv.py::test_pandas_reads_what_is_exported"),
+    M("tables: a row of nothing is no line", "io/csv.py", "map(_cell, row)) or '\"\"'", "map(_cell, row))",
+      "test_csv.py::test_what_is_exported_is_read_again"),
+    M("csv: comments begin in the first column only", "io/csv.py", 'begin.startswith("#")', 'line.startswith("#")',
+      "test_csv.py::test_every_row_is_read"),
+    M("csv: a quote ends where it likes", "io/csv.py", '|([^",\\s][^,]*|))', "|([^,]*))",
+      "test_csv.py::test_a_line_that_is_no_row_is_refused"),
+    M("csv: cells that are not there are empty", "io/csv.py", "if len(cells) < width:", "if not cells:",
+      "test_csv.py::test_a_line_that_is_no_row_is_refused"),
+    M("csv: a first line of numbers is a name", "io/csv.py", "(\\.?\\d|(nan", "((nan",
+      "test_runfile.py::test_bad_tables"),
+    M("fits: rows are not checked", "fitting/fit.py", "    _check_rows(file, folder, table)\n", "",
+      "test_fit.py::test_bad_input[velocity of 0]"),
+    M("tables: units of the sweep of a run", "io/export.py", '_SETTINGS.get(str(origin.get("command")))', '"sweep"',
+      "test_export.py::test_units"),
+    M("sweep: rows of one at work are not seen", "io/storage.py", "(SWEEP_PARTS, SWEEP_HIDDEN) for path",
+      "(SWEEP_HIDDEN,) for path", "test_export.py::test_an_unfinished_sweep"),
+    M("options: an empty path is here", "cli/options.py", "if not str(text).strip():", "if not text:",
+      "test_cli.py::test_no_path_is_empty"),
     M("tables: thresholds as they stand in the file", "io/runfile.py", "values.append(value * scale)",
       "values.append(value)", "test_runfile.py::test_columns_and_scale_of_tables"),
     M("help: sections are markup", "cli/options.py", 'escape(inspect.cleandoc(command.__doc__ or ""))',
@@ -658,14 +694,21 @@ def changed(mistake: Mistake, root: Path = ROOT) -> str:
     return found
 
 
+def is_compiled(function: ast.FunctionDef) -> bool:
+    """Whether a function may be compiled, by its decorators."""
+    made_by = (one.func if isinstance(one, ast.Call) else one for one in function.decorator_list)
+    return any(ast.unparse(name) not in PLAIN for name in made_by)
+
+
 def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
-    """Whether compiled code changes: unless the mistake is in a function of plain Python."""
+    """Whether compiled code may change: unless the mistake is in a function of plain Python, in a file that does not
+    itself speak to the compiler."""
     source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
     before = source[: source.index(mistake.old)] + mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
     line = before.count("\n") + 1
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     around = [node for node in functions if node.lineno <= line <= (node.end_lineno or 0)]
-    return not around or any(COMPILED.fullmatch(ast.unparse(name)) for node in around for name in node.decorator_list)
+    return not around or any(map(is_compiled, around)) or bool(_COMPILER.search(source))
 
 
 class Copy:
@@ -679,7 +722,11 @@ class Copy:
 
     def kernels(self) -> Path:
         """Where the kernels of the code as it stands are kept."""
-        command = [sys.executable, "-c", "import eqsim.numerics.compiled as c; print(c._CACHE)"]
+        command = [
+            sys.executable,
+            "-c",
+            "from eqsim.numerics.kernel_folder import kernel_folder; print(kernel_folder())",
+        ]
         done = subprocess.run(command, cwd=self.root, env=self.environment, capture_output=True, text=True, check=True)
         return Path(done.stdout.strip())
 
@@ -707,8 +754,8 @@ class Copy:
         compiled = needs_kernels(mistake, self.root)
         path.write_text(changed(mistake, self.root), encoding="utf-8")
         try:
-            if mistake.file.startswith(KERNELS):
-                kept = self.kernels()
+            if (folder := self.kernels()) != self.known:  # its name tells the sources of kernels apart
+                kept = folder
                 if not compiled:
                     shutil.copytree(self.known, kept, dirs_exist_ok=True)
             for arguments in (["-n", "0", *ids([mistake])], *([[]] if whole else [])):

@@ -506,3 +506,44 @@ def test_the_bar_tells_of_compiling_that_takes_time(monkeypatch, capsys, least, 
                     time.sleep(0.3)  # ten looks a second
             progress(1, 2)
         assert ("compiling kernels" in capsys.readouterr().err) == (long and turn == "compiled")
+
+
+@pytest.mark.parametrize("text", ["", "  "])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run RUN --out", "sweep RUN --out", "reference RUN --transient --out", "stability RUN --out",
+        "fluctuations RUN --out", "validate --out", "figures --out", "fit RUN --out", "export RUN --out",
+        "plot RUN --out", "run", "info", "replay", "export", "plot", "fit RUN --out x --data",
+        "fit RUN --out x --compare", "design RUN --for a --fit",
+    ],
+)  # fmt: skip
+def test_no_path_is_empty(tmp_path, monkeypatch, words, text):
+    """As an unset variable of a shell leaves it: one line, exit code 2, and nothing in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text("[drive]\nvelocity = 1.0\n")
+    done = CliRunner().invoke(app, [*words.replace("RUN", "a.toml").split(), text])
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
+    assert "must be the name of a file or folder" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
+
+
+@pytest.mark.parametrize("text", ["", " "])
+@pytest.mark.parametrize(
+    ("section", "command", "key"),
+    [
+        ('[thresholds]\nlaw = "table"\nfile = "{}"\n[drive]\nvelocity = 1.0\n', "info", "thresholds.file"),
+        ('[drive]\nfile = "{}"\n', "info", "drive.file"),
+        ('[drive]\nvelocity = 1.0\n[sweep]\nfile = "{}"\n', "sweep", "sweep.file"),
+        ('[drive]\nvelocity = 1.0\n[fit]\ndata = "{}"\nfree."thresholds.n" = {{bounds = [0.5, 2.0]}}\n', "fit",
+         "fit.data"),
+        ('[drive]\nvelocity = 1.0\n[fit]\nrecord.file = "{}"\nfree."thresholds.n" = {{bounds = [0.5, 2.0]}}\n', "fit",
+         "fit.record.file"),
+    ],
+)  # fmt: skip
+def test_no_name_of_a_file_is_empty(tmp_path, section, command, key, text):
+    (tmp_path / "a.toml").write_text(section.format(text))
+    more = [] if command == "info" else ["--out", str(tmp_path / "x")]
+    done = CliRunner().invoke(app, [command, str(tmp_path / "a.toml"), *more])
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
+    assert f"{key} = {text!r}: must be the name of a file" in done.stderr

@@ -440,7 +440,7 @@ def test_many_threshold_tables(tmp_path):
         ("threshold\n1,5\n2,5\n", "line 2: more values than columns (a decimal comma?)"),
         ("threshold,threshold\n1,2\n", '2 columns "threshold"'),
         ("threshold\n1_5\n", "'1_5' must be a finite number"),
-        ('threshold\n1\n"2\n', "is not a CSV text file"),
+        ('threshold\n1\n"2\n', "line 3: '\"2' is no cell; a quote must be closed"),
         ("threshold\n1e-40\n1\n", "x.csv: threshold table: spans"),
         ("a\x1b[31mb,c\n", "found a\\x1b[31mb"),
     ],

@@ -172,3 +172,11 @@ def test_rates_without_a_rule_are_refused():
     assert plan_of(BASE + '[aging]\nrule = "flow"\nx_star_final = 2.0\n' + rates).size == 2
     aging = "[aging]\nrate = 0.1\nx_star_final = 2.0\n"
     assert plan_of(BASE + aging + '[sweep]\n"aging.rule" = ["none", "flow"]\n').size == 2
+
+
+@pytest.mark.parametrize("key", ["thermal.kT", "disorder"])
+def test_a_file_of_points_with_a_column_twice(tmp_path, key):
+    """A row would keep the last of the two."""
+    pq.write_table(pa.Table.from_arrays([pa.array([0.1]), pa.array([0.2])], [key, key]), tmp_path / "points.parquet")
+    with pytest.raises(InputError, match=r"points\.parquet: cannot be read as Parquet"):
+        plan_of(BASE + '[sweep]\nfile = "points.parquet"\n', tmp_path)

@@ -4,6 +4,7 @@ Commands and blocks of Python in them are those of test_docs.py."""
 import ast
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -11,6 +12,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+
+from eqsim.numerics import kernel_folder
+from tests import mutations
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -151,6 +155,60 @@ def test_tolerances_are_stated():
 def test_deliberate_mistakes_can_be_made():
     """Their texts are still there, once each."""
     run(sys.executable, "tests/mutations.py", "--list")
+
+
+def compiled_functions():
+    """File, and syntax, of every function that a decorator of the compiler makes: one that its file imports from
+    eqsim.numerics.compiled, or the register of a routine with a body for each law."""
+    for path in sorted((ROOT / "eqsim").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        compilers = {
+            name.asname or name.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.module == "eqsim.numerics.compiled"
+            for name in node.names
+        }
+        for node in ast.walk(tree):
+            decorators = node.decorator_list if isinstance(node, ast.FunctionDef) else []
+            names = {inner.id for one in decorators for inner in ast.walk(one) if isinstance(inner, ast.Name)}
+            registers = any(
+                isinstance(one, ast.Call) and ast.unparse(one.func).endswith(".register") for one in decorators
+            )
+            if names & compilers or registers:
+                yield path, node
+
+
+def test_mistakes_in_kernels_are_judged_beside_kernels_that_have_them():
+    """Whatever the decorators are called: each function that they make is taken for compiled, and a mistake in its
+    body is made in compiled code. What Python runs as it stands is not."""
+    found = list(compiled_functions())
+    assert len(found) > 250
+    assert [f"{path.name}: {node.name}" for path, node in found if not mutations.is_compiled(node)] == []
+    named = {mistake.name: mistake for mistake in mutations.MISTAKES}
+    assert mutations.needs_kernels(named["lives: both rounds alike at T > 0"])  # of a routine that kernels share
+    assert not mutations.needs_kernels(named["gamma: rms threshold"])
+
+
+def test_the_sources_of_kernels_name_their_folder(tmp_path, monkeypatch):
+    """Any file with compiled code: a mistake there gets a folder of its own, where no kernel lacks it. A file without
+    leaves the name as it is."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    shutil.copytree(ROOT / "eqsim", tmp_path / "eqsim", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(kernel_folder, "_PACKAGE", tmp_path / "eqsim")
+
+    def name_after_an_edit(path):
+        source = path.read_bytes()
+        path.write_bytes(source + b"\n# edited\n")
+        try:
+            return kernel_folder.kernel_folder.__wrapped__()
+        finally:
+            path.write_bytes(source)
+
+    before = kernel_folder.kernel_folder.__wrapped__()
+    sources = sorted({tmp_path / path.relative_to(ROOT) for path, _ in compiled_functions()})
+    assert len(sources) > 30
+    assert [path.name for path in sources if name_after_an_edit(path) == before] == []
+    assert name_after_an_edit(tmp_path / "eqsim" / "io" / "runfile.py") == before
 
 
 def test_readme_commands_are_what_ci_runs():

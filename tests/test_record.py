@@ -143,7 +143,7 @@ BAD = {
     "too long": ({}, "t,force\n" + "\n".join(f"{t},1" for t in range(20)), "after the programme, which takes 5"),
     "no error": ({"noise": {}}, None, "line 3: force has no error"),
     "both": ({"data": "record.csv"}, None, "fit.record: not allowed with fit.data"),
-    "file": ({"record": {"file": "none.csv"}}, None, "there is no such file"),
+    "file": ({"record": {"file": "none.csv"}}, None, "none.csv: cannot be read (No such file"),
     "two stiffnesses": (
         {"record": {"file": "record.csv", "machine_stiffness": 1.0},
          "free": {"drive.stage.stiffness": {"bounds": [0.1, 1.0]}}},

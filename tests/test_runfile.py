@@ -1,5 +1,6 @@
 """Run files: defaults, bad input in one line that names the field, and threshold tables."""
 
+import json
 import math
 import re
 
@@ -20,7 +21,8 @@ from eqsim import (
     trajectory,
 )
 from eqsim.errors import require_integer, require_number
-from eqsim.io.runfile import at, check, keys, parameters, read_thresholds
+from eqsim.io.runfile import at, check, keys, parameters, read_thresholds, stored
+from eqsim.io.storage import provenance
 from eqsim.laws.stiffness import relative_stiffness
 
 
@@ -187,7 +189,7 @@ def test_not_toml(tmp_path, content, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", 'needs a column "threshold" in its first line; found nothing'),
+        ("", "is empty; its first line must name the columns"),
         (
             "xi,y\n1.0,2\n",
             'needs a column "threshold" in its first line; found xi, y (thresholds.column names another)',
@@ -200,7 +202,11 @@ def test_not_toml(tmp_path, content, message):
         ("threshold\n0\n", "line 2: '0' must be"),
         ("threshold\nnan\n", "line 2: 'nan' must be"),
         ("threshold\ninf\n", "line 2: 'inf' must be"),
-        ("a,threshold\n1\n", "line 2: '' must be"),
+        ("a,threshold\n1,\n", "line 2: '' must be"),
+        ("a,threshold\n1\n", "line 2: has 1 of 2 cells"),
+        ("nan\n1.0\n", "line 1: 'nan' must be"),  # no name of a column
+        ("1.5e\n1.0\n", "line 1: '1.5e' must be"),
+        ("1.5 2.5\n1.0\n", "line 1: '1.5 2.5' must be"),
         ("threshold\n1e-200\n", "1e-200; every threshold"),
     ],
 )
@@ -382,3 +388,17 @@ def test_changes_of_a_programme(tmp_path):
     for key in ("drive.programme.2.hold", "drive.programme.hold.1", "drive.programme.1"):
         with pytest.raises(InputError, match=r"drive\.programme"):
             load(path, {key: 2.0})
+
+
+def test_settings_are_stored_and_read_again():
+    """An infinite rate, for which JSON has no number, and a title that is called as it is written."""
+    data = {
+        "title": "Infinity",
+        "disorder": "annealed",
+        "aging": {"rule": "flow", "rate": math.inf, "x_star_final": 2.0},
+    }
+    file = check(data)
+    settings = provenance("run", file.model_dump(), "", 1)["settings"]
+    assert settings["aging"]["rate"] == "Infinity"
+    again = stored(json.loads(json.dumps(settings)))
+    assert (again.title, again.aging.rate) == ("Infinity", math.inf)

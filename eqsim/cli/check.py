@@ -106,9 +106,9 @@ def export(
     from eqsim.io import storage
 
     found = tables.tables(path)
-    dataset = next(iter(found.values()))[0].parent
-    dataset = dataset.parent if dataset.name == "_parts" else dataset
-    sweep = (dataset / "_sweep.json").exists()
+    first = next(iter(found.values()))[0]
+    sweep = tables.sweep_of(first)
+    dataset = sweep or first.parent
     alone = len(found) == 1 and out is not None and not out.is_dir()
     folder = out.parent if alone and out else out or (dataset.absolute().parent if sweep else dataset)
     if sweep and folder.resolve().is_relative_to(dataset.resolve()):

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from rich.markup import escape
-from typer import Argument, Option
+from typer import Argument, BadParameter, Option
 
 from eqsim.errors import InputError, require_choice, require_integer
 from eqsim.io import terminal
@@ -165,11 +165,23 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
+def _path(text: str) -> Path:
+    """The path that an option or argument names; an empty one would be the current folder. Raises BadParameter."""
+    if not str(text).strip():
+        raise BadParameter(f"{str(text)!r} must be the name of a file or folder")
+    return Path(text)
+
+
+_path.__name__ = "path"  # what help calls such a value
+
+
 def _escaped(annotation: Any) -> Any:
-    """An annotated option or argument whose help shows as it is written."""
+    """An annotated option or argument whose help shows as it is written; no path is empty."""
     kind, given = get_args(annotation)
     shown = copy.copy(given)
     shown.help = escape(given.help or "")
+    if Path in (kind, *get_args(kind)):
+        shown.parser = _path
     if kind is bool:
         shown.metavar = " "
     return Annotated[kind, shown]

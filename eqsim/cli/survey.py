@@ -122,9 +122,14 @@ def plot(
     if file.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"--out {file}: must be outside {folder}, where everything is read as points")
     from eqsim.io import storage, style, sweep_plots
+    from eqsim.io.export import RENAMED_COLUMNS
 
     storage.check_folder(file.parent)
     found = sweep_plots.read_sweep(folder)
+    renamed = RENAMED_COLUMNS if y not in found.table else {}
+    if y in renamed:
+        complain(f"warning: --y {y} of a sweep is called {renamed[y]}")
+    y = renamed.get(y, y)
     points = sweep_plots.select(found.table, chosen)
     title = sweep_plots.heading(found, place.name, chosen)
     figure, notes = sweep_plots.sweep_figure(found, points, (x, y), by, log_x, title)

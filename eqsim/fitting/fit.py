@@ -18,7 +18,7 @@ from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
 from eqsim.fitting.record import Correlation, correlated, read_record, record_problem, search
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
-from eqsim.io.runfile import RunFile, at, opened
+from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.plan import results_version
 from eqsim.sweeps.workers import Workers
@@ -183,11 +183,12 @@ def prepare(file: RunFile, folder: Path, data: Path | None, allow_degenerate: bo
 def _measured(file: RunFile, folder: Path, section: Fit, data: Path | None) -> Table:
     """The measurements. Raises InputError."""
     if section.record is not None:
-        return read_record(data if data is not None else folder / section.record.file, section)
+        return read_record(data or path_of("fit.record.file", folder, section.record.file), section)
     if data is None and section.data is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
-    table = read_table(data if data is not None else folder / str(section.data), file, section)
+    table = read_table(data or path_of("fit.data", folder, str(section.data)), file, section)
     _check_drive(file, table)
+    _check_rows(file, folder, table)
     return table
 
 
@@ -206,6 +207,17 @@ def _check_drive(file: RunFile, table: Table) -> None:
             raise InputError(f"drive.{name}: not allowed with fit.data, a table of steady observables")
     if file.drive.velocity is None and not all("drive.velocity" in dict(row.changes) for row in table.rows):
         raise InputError("drive.velocity: is required, in the run file or in every line of the data")
+
+
+def _check_rows(file: RunFile, folder: Path, table: Table) -> None:
+    """Raise InputError, with the line, for a row whose values no ensemble or drive can have."""
+    file.ensemble(folder)  # what the run file itself has wrong is not a row's fault
+    for changes, line in {row.changes: row.line for row in reversed(table.rows)}.items():
+        try:
+            there = at(file, dict(changes))
+            there.ensemble(folder), there.constant(folder)
+        except InputError as error:
+            raise InputError(f"fit.data, line {line}: {error}") from None
 
 
 def fit(

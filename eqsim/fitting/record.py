@@ -17,10 +17,11 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.fitting.data import Row, Table, contents, number
+from eqsim.fitting.data import Row, Table
 from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
 from eqsim.fitting.section import Fit, Parameter
+from eqsim.io.csv import number, read
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.programme import means_of
 from eqsim.master.slider import Steps, TooManySteps, force_of, steps_of
@@ -41,14 +42,18 @@ def read_record(path: Path, fit: Fit) -> Table:
     of fit.noise add in quadrature. Raises InputError with the column or line that cannot be used."""
     record = fit.record
     assert record is not None
-    header, lines, digest = contents(path, "fit.record.file")
+    sheet = read(path, f"fit.record.file = {path}")
     for field in ("time", "force", "stderr"):
         name = getattr(record, field)
-        if name is not None and name not in header:
-            raise InputError(f'fit.record.{field} = "{name}": no such column; there are {", ".join(header)}')
+        if name is not None and name not in sheet.columns:
+            raise InputError(f'fit.record.{field} = "{name}": no such column; there are {", ".join(sheet.columns)}')
+        if name is not None:
+            sheet.index(name)  # of a name that is there twice
     t, force, sigma = [], [], []
-    for line, cells in lines:
-        given = dict(zip(header, cells, strict=True))
+    for line, cells in sheet.rows():
+        if not any(cells):  # a spreadsheet's last lines
+            continue
+        given = dict(zip(sheet.columns, cells, strict=True))
         where = f"fit.record.file, line {line}: "
         t.append(number(given[record.time], where + record.time))
         force.append(number(given[record.force], where + record.force))
@@ -64,7 +69,7 @@ def read_record(path: Path, fit: Fit) -> Table:
         raise InputError(f"fit.record.file = {path}: " + ("is empty" if not t else "begins before time 0"))
     n, one = len(t), [Row((), 1.0, "")]
     values = np.array(force), np.array(sigma)
-    return Table(one, np.zeros(n, int), ["friction"] * n, *values, [], np.ones(1), digest, np.array(t))
+    return Table(one, np.zeros(n, int), ["friction"] * n, *values, [], np.ones(1), sheet.sha256, np.array(t))
 
 
 @dataclass(frozen=True)

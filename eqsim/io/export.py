@@ -1,67 +1,55 @@
 """Tables as CSV: comment lines that say what they are, then what `pandas.read_csv(FILE, comment="#")` reads."""
 
-import csv
-import io
 import json
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from eqsim.errors import InputError
-from eqsim.estimate import OBSERVABLES
+from eqsim.io import csv, labels
+from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, sweep_files
+from eqsim.io.units import Units
 
-_SWEEP, _PARTS = "_sweep.json", "_parts"  # of a sweep's folder, `eqsim.sweeps.store`
-_MEANINGS = {
-    "X": "displacement of the slider (length)",
-    "t": "time",
-    "D": "displacement of the plate (length)",
-    "stage": "displacement of the stage (length)",
-    "spring": "force of the stage's spring over N k (length)",
-    "force": "<F>/(N k) (length)",
-    "segment": "of the programme, from 0",
-    "f_k": "F/(N_c k), elastic force per pinned contact (length)",
-    **{name: f"energy over N k (length^2), {name}" for name in ("work", "stored", "dissipated", "missing")},
-    **{
-        name: " ".join(shown.label.split()) + f" ({shown.unit})" * bool(shown.unit)
-        for name, shown in OBSERVABLES.items()
-    },
-}
-_SUFFIXES = {  # the longer of two first
-    "_reference_error": "bound of the error of the reference",
-    "_reference": "exact value",
-    "_replica_std": "standard deviation between replicas",
-    "_stderr": "statistical standard error",
-    "_error": "bound of the error of a numerical solution",
-    "_dof": "degrees of freedom of the standard error, none: normal",
-    "_reliable": "whether the standard error can be trusted",
-    "_z": "difference from the reference in standard errors",
-}
+# Columns that sweeps of version 1 of the schema call otherwise: there `force` was no length.
+RENAMED_COLUMNS = {f"force{end}": f"friction_force{end}" for end in ("", "_stderr", "_reference")}
+_UNKNOWN = Units()
+_RATE = ("breaks per contact and displacement, along a programme per contact and time", "")  # of an exact curve
+_SETTINGS = {"sweep": "sweep", "fluctuations": "run"}  # commands whose settings hold more than the run file
 
 
-def meaning(column: str) -> str:
-    """What a column of any table holds; "" where its name says it all, as that of a run file's key."""
-    for suffix, text in _SUFFIXES.items():
-        if column.endswith(suffix):
-            return text
-    return _MEANINGS.get(column, "")
+def meaning(column: str, units: Units = _UNKNOWN, command: str = "", fractions: bool = False) -> str:
+    """What a column of a table of a `command` holds, with its unit; "" where its name says it all."""
+    if command == "sweep":
+        column = RENAMED_COLUMNS.get(column, column)
+    words, unit = _RATE if (command, column) == ("reference", "breaks") else labels.column(column, units, fractions)
+    return f"{words} ({unit})".strip() if unit else words
 
 
 def tables(path: Path) -> dict[str, list[Path]]:
     """The Parquet files that make up each table of a file, of a sweep's folder (one table, finished or not) or of
     another folder of results, by the name of the table. Raises InputError."""
     if path.is_file():
-        inside = (path.parent / _SWEEP).exists()
-        return tables(path.parent) if inside else {path.stem: [path]}
+        return {path.stem: [path]} if (sweep := sweep_of(path)) is None else tables(sweep)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a file nor a folder")
-    if (path / _SWEEP).exists():
-        rows = [*path.glob("sweep.parquet")] or sorted((path / _PARTS).glob("*.parquet"))
+    rows = sweep_files(path)
+    if rows is not None:
         if not rows:
-            raise InputError(f"{path}: is a sweep of which no point is finished")
+            raise InputError(f"{path}: is a sweep of which no point is on disk yet")
         return {path.absolute().name: rows}
     found = {one.stem: [one] for one in sorted(path.glob("*.parquet"))}
     if not found:
         raise InputError(f"{path}: has no Parquet files")
     return found
+
+
+def sweep_of(path: Path) -> Path | None:
+    """The folder of the sweep that a Parquet file belongs to; None if it belongs to none."""
+    folder = path.absolute().parent
+    if folder.name in (SWEEP_PARTS, SWEEP_HIDDEN) and (folder.parent / SWEEP_MANIFEST).exists():
+        return folder.parent
+    return folder if (folder / SWEEP_MANIFEST).exists() else None
 
 
 def as_csv(paths: list[Path]) -> bytes:
@@ -76,24 +64,52 @@ def as_csv(paths: list[Path]) -> bytes:
         raise InputError(f"{paths[0]}: cannot be read ({error.strerror or error})") from None
     except (pyarrow.ArrowException, ValueError, RecursionError):
         raise InputError(f"{paths[0]}: is not a Parquet file, or is damaged") from None
-    lines = [*_origin(origin if isinstance(origin, dict) else {})]
-    lines += [f"{name}: {text}" for name in table.column_names if (text := meaning(name))]
-    buffer = io.StringIO()
-    for line in lines:
-        buffer.write(f"# {line}".rstrip() + "\n")
-    buffer.write(",".join(table.column_names) + "\n")
-    # text in quotes: no # in it begins a comment
-    table.to_pandas().to_csv(buffer, header=False, index=False, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
-    return buffer.getvalue().encode()
+    origin = origin if isinstance(origin, dict) else {}
+    command, settings = str(origin.get("command", "")), _settings(origin)
+    units, fractions = _units(settings), settings.get("newborn", {}).get("of") == "threshold"
+    lines = [*_origin(origin, units), *_unfinished(paths, table.num_rows)]
+    told = ((name, meaning(name, units, command, fractions)) for name in table.column_names)
+    lines += [f"{' '.join(name.split())}: {text}" for name, text in told if text]
+    rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
+    try:
+        lines = [f"# {line}".rstrip() for line in lines] + [*csv.written(table.column_names, rows)]
+    except InputError as error:
+        raise InputError(f"{paths[0]}: {error}") from None
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
-def _origin(origin: dict[str, Any]) -> list[str]:
-    """What made a table, and the run file."""
+def _settings(origin: dict[str, Any]) -> dict[str, Any]:
+    """The content of the run file of a table, as far as that is known."""
+    settings = origin.get("settings")
+    key = _SETTINGS.get(str(origin.get("command")))
+    if key is not None and isinstance(settings, dict):
+        settings = settings.get(key)
+    return settings if isinstance(settings, dict) else {}
+
+
+def _units(settings: dict[str, Any]) -> Units:
+    given = settings.get("units")
+    with suppress(TypeError, InputError):
+        return Units(**given) if isinstance(given, dict) else _UNKNOWN
+    return _UNKNOWN
+
+
+def _unfinished(paths: list[Path], rows: int) -> list[str]:
+    """What is to be said of a sweep whose rows are not all there."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        if paths[0].parent.name in (SWEEP_PARTS, SWEEP_HIDDEN):
+            planned = json.loads((paths[0].parent.parent / SWEEP_MANIFEST).read_bytes())["points"]
+            return [f"{rows} of {planned} points: the sweep is not finished"]
+    return []
+
+
+def _origin(origin: dict[str, Any], units: Units) -> list[str]:
+    """What made a table, in which units, and the run file."""
     if not isinstance(origin.get("command"), str):
         return []
-    settings, versions = (origin.get(name) or {} for name in ("settings", "versions"))
-    units = settings.get("sweep", settings).get("units") or {}
-    given = ", ".join(f"{name} {unit}" for name, unit in units.items() if unit)
+    versions, run_file = origin.get("versions") or {}, str(origin.get("run_file") or "")
+    given = ", ".join(f"{name} {unit}" for name, unit in asdict(units).items() if unit)
     lines = [f"eqsim {versions.get('eqsim', '')}: {origin['command']}, seed {origin.get('seed')}"]
-    lines.append(f"units: {given}" if given else "units: lengths, times and energies are in those of the run file")
-    return lines + [f"| {line}" for line in str(origin.get("run_file") or "").splitlines()]
+    if given or run_file:
+        lines.append(f"units: {given}" if given else "units: lengths, times and energies are in those of the run file")
+    return lines + [f"| {line}" for line in run_file.splitlines()]

@@ -3,6 +3,7 @@
 import math
 import re
 
+from eqsim.estimate import OBSERVABLES
 from eqsim.io import units as dimensions
 from eqsim.io.units import Dimension, Units
 from eqsim.model.ensemble import Ensemble
@@ -48,7 +49,7 @@ _KNOWN: dict[str, tuple[str, str, Dimension]] = {
     "travel": ("mean travel from birth to breaking", "", dimensions.LENGTH),
     "birth_stretch": ("mean stretch at birth", "", dimensions.LENGTH),
     "force_variance": ("force variance", r"$\mathrm{Var}(F) / (N k^2)$", dimensions.AREA),
-    "force": ("friction force", r"$\langle F \rangle$", dimensions.FORCE),
+    "friction_force": ("friction force", r"$\langle F \rangle$", dimensions.FORCE),
     "friction_coefficient": ("friction coefficient", r"$\mu$", dimensions.NUMBER),
     "size": ("breaks per avalanche", "", dimensions.NUMBER),
     "single": ("fraction of single breaks", "", dimensions.NUMBER),
@@ -64,9 +65,93 @@ _SEGMENT = {
     "direct": ("direct effect", dimensions.LENGTH), "evolution": ("evolution effect", dimensions.LENGTH),
     "memory": ("memory length", dimensions.LENGTH),
 }  # fmt: skip
+# Of each column of the tables of results that is no key of a run file and no column of a sweep: words and dimension.
+_COLUMNS: dict[str, tuple[str, Dimension]] = {
+    "t": ("time", dimensions.TIME),
+    "stage": ("displacement of the stage", dimensions.LENGTH),
+    "spring": ("force of the stage's spring over N k", dimensions.LENGTH),
+    "force": ("friction force over N k, <F>/(N k)", dimensions.LENGTH),
+    "segment": ("of the programme, from 0", dimensions.NUMBER),
+    "work": ("work of the stage over N k", dimensions.AREA),
+    "stored": ("energy over N k of spring, slider and contacts", dimensions.AREA),
+    "dissipated": ("dissipated energy over N k", dimensions.AREA),
+    "missing": ("energy over N k that finite steps miss", dimensions.AREA),
+    "distance": ("how far the slider moves", dimensions.LENGTH),
+    "stretch": ("stretch at breaking", dimensions.LENGTH),
+    "stiffness": ("k_i/k of the contact at birth", dimensions.NUMBER),
+    "breaks": ("number of breaks", dimensions.NUMBER),
+    "f_k": ("elastic force per pinned contact, F/(N_c k)", dimensions.LENGTH),
+    "shear_stress": ("friction force over apparent area", dimensions.STRESS),
+    "velocity": ("driving velocity", dimensions.VELOCITY),
+    "critical_stiffness": ("kappa_s = K/(N k) below which steady sliding is unstable", dimensions.NUMBER),
+    "fresh_critical_stiffness": ("kappa_s = K/(N k) of a first slip", dimensions.NUMBER),
+    "lag": ("displacement between two forces", dimensions.LENGTH),
+    "covariance": ("N times the autocovariance of F/(N k)", dimensions.AREA),
+    "simulated": ("N times the autocovariance of F/(N k), simulated", dimensions.AREA),
+    "error": ("bound of the error of the covariance", dimensions.AREA),
+    **{f"thresholds.{name}": ("", dimensions.LENGTH) for name in ("low", "high", "std")},
+    **{f"newborn.{name}": ("", dimensions.LENGTH) for name in ("low", "high")},
+}
+_KELVIN = ("temperature", "thermal.temperature")
+# What a suffix of a column adds to its name, and whether it has the unit of the column; the longer of two first.
+_SUFFIXES = {
+    "_reference_error": ("bound of the error of the reference", True),
+    "_reference": ("exact value", True),
+    "_replica_std": ("standard deviation between replicas", True),
+    "_stderr": ("statistical standard error", True),
+    "_error": ("bound of the error of a numerical solution", True),
+    "_dof": ("degrees of freedom of the standard error, none: normal", False),
+    "_reliable": ("whether the standard error can be trusted", False),
+    "_z": ("difference from the reference in standard errors", False),
+}
 _OF_SEGMENT = {
     "velocity": dimensions.VELOCITY, "hold": dimensions.TIME, "time": dimensions.TIME, "distance": dimensions.LENGTH,
 }  # fmt: skip
+
+
+def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
+    """Say what a column of a table of results holds.
+
+    Parameters
+    ----------
+    name : str
+    units : Units
+        Those of the run file.
+    fractions : bool
+        Whether stretches of the newborn are fractions of their thresholds.
+
+    Returns
+    -------
+    words, unit : str
+        Words are "" of a key of a run file, whose name says it. The unit is such as "um/s", or "length/time" where
+        units are not given; "" of a number and of what is not known.
+    """
+    for suffix, (text, same) in _SUFFIXES.items():
+        if name.endswith(suffix):
+            return text, column(name.removesuffix(suffix), units, fractions)[1] if same else ""
+    if name in _KELVIN:
+        return "", "K"
+    dimension: Dimension | None = None
+    words = ""
+    if name in OBSERVABLES:
+        words = " ".join(OBSERVABLES[name].label.split())
+        dimension = _KNOWN[name][2]
+    elif name in _COLUMNS:
+        words, dimension = _COLUMNS[name]
+    elif found := re.fullmatch(r"segment_(\d+)_(\w+)", name):
+        words, dimension = _SEGMENT.get(found[2], ("", None))
+        words = words and f"segment {found[1]}: {words}"
+    elif found := re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name):
+        dimension = _OF_SEGMENT.get(found[2])
+    elif name in _KNOWN:
+        words, _, dimension = _KNOWN[name]
+        words = "" if "." in name or name == "disorder" else words
+    if dimension is None or (fractions and name.startswith("newborn.")):
+        return words, ""
+    if dimension == dimensions.STRESS and units.size(dimension) is not None:
+        return words, "Pa"  # `units.quantities`
+    known = (getattr(units, part) or part for part in ("length", "time", "force"))
+    return words, Units(*known).label(dimension)
 
 
 def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:

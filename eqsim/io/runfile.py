@@ -4,14 +4,10 @@ Structure and types are checked here; what a value may be is known to the law it
 what comes out, and `model.reduced` makes it dimensionless.
 """
 
-import csv
 import functools
-import json
 import math
-import re
-import stat
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
@@ -22,6 +18,7 @@ from pydantic.fields import FieldInfo
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
 from eqsim.estimate import Averages, Estimate
+from eqsim.io import csv
 from eqsim.io.labels import described, of_trajectory
 from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
@@ -43,6 +40,7 @@ def _whole(value: Any) -> Any:
 Result = TypeVar("Result")
 Whole = Annotated[int, BeforeValidator(_whole)]
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
+_FREE_TEXT = ("title", "file", "column")  # keys whose text may be any word, also "Infinity"
 _LONGEST = 10_000_000  # characters of a run file
 
 
@@ -326,7 +324,7 @@ class RunFile(_Section):
             raise InputError('thresholds.file: is required with law = "table"')
         scale = given.get("scale", 1.0)
         require_number("thresholds.scale", scale, **POSITIVE)
-        found = read_thresholds(folder / given["file"], given.get("column"), scale)
+        found = read_thresholds(path_of("thresholds.file", folder, given["file"]), given.get("column"), scale)
         if given.get("quantity") != "force":
             return found
         require_number("contacts.stiffness", self.contacts.stiffness, **POSITIVE)
@@ -372,7 +370,7 @@ class RunFile(_Section):
                 with under("stage"):
                     stage = Stage(**given.stage.model_dump())
             if given.file is not None:
-                segments = read_drive(folder / given.file)
+                segments = read_drive(path_of("file", folder, given.file))
             elif alone:
                 distance = 200.0 * self._threshold_law(folder).mean if given.distance is None else given.distance
                 segments = [Segment(given.velocity or 0.0, distance)]
@@ -571,7 +569,15 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
 
 def stored(settings: dict[str, Any]) -> RunFile:
     """A run file as it was in force, from the provenance of a table, infinite rates included. Raises InputError."""
-    return check(json.loads(json.dumps(settings).replace('"Infinity"', "Infinity")))
+
+    def restored(value: Any, name: str = "") -> Any:
+        if isinstance(value, dict):
+            return {key: restored(content, key) for key, content in value.items()}
+        if isinstance(value, list):
+            return [restored(content, name) for content in value]
+        return math.inf if value == "Infinity" and name not in _FREE_TEXT else value
+
+    return check(restored(settings))
 
 
 def check(data: dict[str, Any]) -> RunFile:
@@ -632,6 +638,13 @@ def _nearest(location: list[str]) -> str:
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
 
 
+def path_of(field: str, folder: Path, name: str) -> Path:
+    """The path of a file that a key names, relative to `folder`. Raises InputError for an empty name."""
+    if not name.strip():
+        raise InputError(f"{field} = {shown(name)}: must be the name of a file")
+    return folder / name
+
+
 def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
     """The empirical law of a CSV file, one positive number a row; lines that begin with # are comments.
 
@@ -669,9 +682,7 @@ def _of_file(read: Callable[[Path, str, tuple[int, int] | None], Result], field:
         found = path.stat()
         stamp = (found.st_mtime_ns, found.st_size)
     except (OSError, ValueError):  # the reader says why
-        return read(path, field, None)
-    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):  # a pipe or a device may never end
-        raise InputError(f"{field}: is not a file")
+        stamp = None
     return read(path, field, stamp)
 
 
@@ -681,8 +692,8 @@ def _thresholds(
 ) -> Table:
     """All points of a sweep share it."""
     values = []
-    for line, (text,) in _columns(path, field, (column or "threshold",), alone=column is None):
-        value = _number(text)
+    for line, text in _column_of_thresholds(csv.read(path, field), column):
+        value = csv.value_of(text)
         if not 0 < value < math.inf:
             raise InputError(f"{field}, line {line}: {text[:40]!r} must be a finite number > 0")
         values.append(value * scale)
@@ -694,12 +705,27 @@ def _thresholds(
         raise InputError(f"{field}: {error}") from None
 
 
+def _column_of_thresholds(sheet: csv.Sheet, column: str | None) -> Iterator[tuple[int, str]]:
+    """Lines and cells of a `column`; by default of `threshold`, or of the only one there is, which needs no name."""
+    index = 0
+    if column is None and len(sheet.columns) == 1:
+        if sheet.headless:
+            yield sheet.first, sheet.columns[0]
+    else:
+        index = sheet.index(column or "threshold", " (thresholds.column names another)")
+    for line, cells in sheet.rows():
+        yield line, cells[index]
+
+
 @functools.lru_cache(maxsize=8)
 def _recorded(path: Path, field: str, stamp: tuple[int, int] | None) -> list[Segment]:
     segments: list[Segment] = []
     before: tuple[float, float] | None = None
-    for line, texts in _columns(path, field, ("t", "X")):
-        here, (t, X) = f"{field}, line {line}", map(_number, texts)
+    sheet = csv.read(path, field)
+    columns = sheet.index("t"), sheet.index("X")
+    for line, cells in sheet.rows():
+        texts = [cells[index] for index in columns]
+        here, (t, X) = f"{field}, line {line}", map(csv.value_of, texts)
         if not (math.isfinite(t) and math.isfinite(X)):
             raise InputError(f"{here}: {', '.join(texts)[:40]!r} must be finite numbers")
         if before is None:
@@ -715,61 +741,3 @@ def _recorded(path: Path, field: str, stamp: tuple[int, int] | None) -> list[Seg
     if not segments:
         raise InputError(f"{field}: needs two instants at least")
     return segments
-
-
-class _Lines:
-    """The lines of a text file but for comments and empty ones, and which `number` the last one has."""
-
-    def __init__(self, file: Iterable[str]) -> None:
-        self.file, self.number = file, 0
-
-    def __iter__(self) -> Iterator[str]:
-        for line in self.file:
-            self.number += 1
-            if line.strip() and not line.lstrip().startswith("#"):
-                yield line
-
-
-def _columns(path: Path, field: str, wanted: tuple[str, ...], alone: bool = False) -> Iterator[tuple[int, list[str]]]:
-    """What stands in the columns `wanted` of a CSV file, and in which lines; `alone`: or in the only column, whatever
-    its name, if it has one."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = _Lines(file)
-            rows = csv.DictReader(lines, skipinitialspace=True, strict=True)
-            rows.fieldnames = names = [name.strip() for name in rows.fieldnames or []]
-            require_commas(field, names)
-            if alone and len(names) == 1 and wanted[0] not in names:
-                if not math.isnan(_number(names[0])):
-                    yield lines.number, names
-                wanted = tuple(names)
-            for name in wanted:
-                if name not in names:
-                    found = ", ".join(names)[:60] or "nothing"
-                    key = " (thresholds.column names another)" if alone and names else ""
-                    raise InputError(f'{field}: needs a column "{name}" in its first line; found {found}{key}')
-                if names.count(name) > 1:
-                    raise InputError(f'{field}: has {names.count(name)} columns "{name}"')
-            for row in rows:
-                if any(rest.strip() for rest in row.get(None, [])):
-                    raise InputError(f"{field}, line {lines.number}: more values than columns (a decimal comma?)")
-                yield lines.number, [row[name] or "" for name in wanted]
-    except OSError as error:
-        raise InputError(f"{field}: cannot be read ({error.strerror})") from None
-    except InputError:
-        raise
-    except (ValueError, csv.Error):  # not UTF-8, or not a path
-        raise InputError(f"{field.partition(' = ')[0]} = {str(path)!r}: is not a CSV text file") from None
-
-
-def require_commas(field: str, names: list[str]) -> None:
-    """Raise InputError if other signs separate the names of the columns of a CSV file."""
-    if len(names) == 1 and re.search("[;\t]", names[0]):
-        raise InputError(f"{field}: cells must be separated by commas")
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text if "_" not in text else "nan")  # Python's 1_000 is not a number elsewhere
-    except ValueError:
-        return math.nan

@@ -13,6 +13,21 @@ from typing import Any
 
 from eqsim.errors import InputError
 
+# What the folder of a sweep holds (`eqsim.sweeps.store`).
+SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are computed
+SWEEP_MANIFEST = "_sweep.json"  # what was asked for
+SWEEP_PARTS = "parts"  # rows that are computed while others are not
+SWEEP_HIDDEN = "_parts"  # the same folder from just before the table gets its name
+
+
+def sweep_files(folder: Path) -> list[Path] | None:
+    """The Parquet files that hold the rows of a sweep, each once, whether it is finished or at work; none if no row is
+    there yet. None of a folder that is no sweep's."""
+    if not (folder / SWEEP_MANIFEST).exists():
+        return None
+    parts = [path for name in (SWEEP_PARTS, SWEEP_HIDDEN) for path in (folder / name).glob("*.parquet")]
+    return [*folder.glob(SWEEP_TABLE)] or sorted(parts)
+
 
 def versions() -> dict[str, str]:
     """Of everything that numbers depend on."""

@@ -16,6 +16,8 @@ from matplotlib.lines import Line2D
 
 from eqsim.errors import InputError, meant
 from eqsim.estimate import Estimate
+from eqsim.io import storage
+from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.labels import axis, plain, symbol
 from eqsim.io.plots import Caption
 from eqsim.io.runfile import RunFile, at, keys, stored
@@ -28,7 +30,10 @@ Column = Any  # a pandas Series
 
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
 _FLAT = 0.01  # of its values, the least height of the y axis
-_PRINTED = {"mu": "friction_coefficient"}  # columns that tables of the terminal call otherwise
+_PRINTED = {
+    "mu": "friction_coefficient",
+    "force": "friction_force",
+}  # columns that tables of the terminal call otherwise
 _MOST_SERIES = len(COLORS)  # that a legend names; more have a colour bar
 _FINE, _COARSE = 120, 40  # points of a reference curve against velocity, which costs one solve, and against other keys
 _MOST_SOLVES = 600
@@ -67,20 +72,25 @@ def read_sweep(folder: Path) -> Sweep:
 
     if not folder.is_dir():
         raise InputError(f"{folder}: is not a folder of Parquet files")
+    planned = None
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        planned = int(json.loads((folder / storage.SWEEP_MANIFEST).read_bytes())["points"])
+    files = storage.sweep_files(folder)
+    if files is not None and not files:
+        raise InputError(f"{folder}: holds no point yet" + (f", of {planned}" if planned else ""))
     try:
-        found = pq.read_table(folder)
+        found = pq.read_table(folder if files is None else files)
     except (OSError, pyarrow.ArrowException) as error:
         if (folder / "summary.json").is_file():
             raise InputError(f"{folder}: is no sweep; the pictures of a run are in its folder already") from None
         raise InputError(f"{folder}: cannot be read as Parquet files ({str(error).splitlines()[0]})") from None
     table = found.to_pandas().reset_index(drop=True)
+    if "friction" in table:  # a sweep of old
+        table = table.rename(columns=RENAMED_COLUMNS)
     for name in table.select_dtypes("category"):  # folders named KEY=VALUE
         table[name] = table[name].astype(str)
         with suppress(ValueError):
             table[name] = table[name].astype(float)
-    planned = None
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        planned = int(json.loads((folder / "_sweep.json").read_bytes())["points"])
     if not len(table):
         raise InputError(f"{folder}: holds no point yet" + (f", of {planned}" if planned else ""))
     file, place = None, Path()

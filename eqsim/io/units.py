@@ -207,6 +207,11 @@ class Quantity(NamedTuple):
         """Its name in words."""
         return self.name.replace("_", " ")
 
+    @property
+    def column(self) -> str:
+        """Its name in tables, where `force` is F/(N k), a length."""
+        return "friction_force" if self.name == "force" else self.name
+
     def of(self, friction: Estimate) -> Estimate:
         """It, from friction, with its standard error."""
         value, stderr = friction.value, friction.stderr

@@ -13,7 +13,7 @@ import numpy as np
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, at, keys, parameters
+from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
 from eqsim.laws.threshold import Table
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
@@ -188,14 +188,15 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
 
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys")
-    if not (folder / name).is_file():
-        raise InputError(f"sweep.file = {folder / name}: is not a file; must be a Parquet file whose columns are keys")
+    path = path_of("sweep.file", folder, name)
+    if not path.is_file():
+        raise InputError(f"sweep.file = {path}: is not a file; must be a Parquet file whose columns are keys")
     try:
-        rows = pq.read_table(folder / name).to_pylist()
+        rows = pq.read_table(path).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise InputError(f"sweep.file = {folder / name}: cannot be read as Parquet ({str(error)[:100]})") from None
+        raise InputError(f"sweep.file = {path}: cannot be read as Parquet ({str(error)[:100]})") from None
     if not rows:
-        raise InputError(f"sweep.file = {folder / name}: has no rows; must have one a point")
+        raise InputError(f"sweep.file = {path}: has no rows; must have one a point")
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
             at(file, {} if key in keys(file) else {key: 0})

@@ -1,6 +1,6 @@
 """The rows of a sweep's dataset, one per point.
 
-Columns (version 1 of the schema, the same for every sweep; null where a column does not apply):
+Columns (version 2 of the schema, the same for every sweep; null where a column does not apply):
 
     id                         SHA-256 of parameters, seed and `results_version()`
     disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
@@ -15,8 +15,8 @@ Columns (version 1 of the schema, the same for every sweep; null where a column 
     of each segment of a programme, with _stderr, _reference, _reference_error and _z:
     segment_0_end, _peak, _at                force at its end, that which differs most from its beginning, and where
     segment_0_direct, _evolution, _memory    of a velocity step
-    force, shear_stress, friction_coefficient    what friction is at the interface, if the run file says so, with
-                               _stderr and _reference; the stress is in Pa where the units are known
+    friction_force, shear_stress, friction_coefficient    what friction is at the interface, if the run file says so,
+                               with _stderr and _reference; the stress is in Pa where the units are known
     size, single               of coupled blocks, with _stderr, _reference and _z: breaks per avalanche and the fraction
                                of single breaks; `friction` is then that over displacement
     slips, period, drop        of a slider that a stage pulls: how many, mean time between them, mean drop of the force
@@ -47,7 +47,7 @@ from eqsim.sweeps.plan import Task, results_version
 if TYPE_CHECKING:
     from eqsim.engine.records import SegmentRecord, SliderTrajectory
 
-SCHEMA = 1
+SCHEMA = 2
 _SHOWN = ("end", "peak", "at", "direct", "evolution", "memory")  # of a segment
 
 
@@ -84,7 +84,7 @@ def schema(file: RunFile) -> Any:
         fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
         fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
     for one in _quantities(file, Ensemble()):
-        fields |= {one.name: number, f"{one.name}_stderr": number, f"{one.name}_reference": number}
+        fields |= {one.column: number, f"{one.column}_stderr": number, f"{one.column}_reference": number}
     for name in ("size", "single") if file.elastic else ():
         fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number, f"{name}_z": number}
     if file.drive.stage:
@@ -111,7 +111,7 @@ def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, floa
         for end in ("", "_stderr", "_reference"):
             value = row.get(f"friction{end}")
             if value is not None:
-                found[one.name + end] = value * one.factor
+                found[one.column + end] = value * one.factor
     return found
 
 

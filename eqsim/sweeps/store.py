@@ -21,10 +21,11 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
+from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
 from eqsim.sweeps.plan import Plan, entries, results_version, seed_of
 from eqsim.sweeps.rows import SCHEMA, Asked, physical, schema
 
-_TABLE, _MANIFEST, _LOCK, _PARTS, _HIDDEN = "sweep.parquet", "_sweep.json", "_lock", "parts", "_parts"
+_LOCK = "_lock"
 _FLUSH_ROWS = 256
 
 
@@ -40,7 +41,7 @@ class Store:
             self.kind = "transient"
         if plan.file.drive.programme is not None or plan.file.drive.stage is not None:
             self.kind = "programme"
-        theirs = () if (out / _MANIFEST).exists() else self._foreign(out)
+        theirs = () if (out / SWEEP_MANIFEST).exists() else self._foreign(out)
         if theirs:  # the folder is read as one table
             name = theirs[0].name
             raise InputError(f"--out {out}: holds files of another origin, {name}; must be a folder of its own")
@@ -48,7 +49,7 @@ class Store:
         self.lock = self._locked()
         try:
             self._agree(asked)
-            (out / _PARTS).mkdir(exist_ok=True)
+            (out / SWEEP_PARTS).mkdir(exist_ok=True)
             for unfinished in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
                 shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
@@ -67,7 +68,7 @@ class Store:
     @staticmethod
     def _foreign(out: Path) -> list[Path]:
         """What a folder holds that is no sweep's, or that of a sweep whose manifest is lost."""
-        return [path for path in out.glob("[!._]*") if path.name != _PARTS] + [*out.glob("*parts/*.parquet")]
+        return [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS] + [*out.glob("*parts/*.parquet")]
 
     def _locked(self) -> int:
         handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)  # modulo umask: the folder may be a group's
@@ -88,7 +89,7 @@ class Store:
 
     def _agree(self, asked: Asked) -> None:
         """Note what is asked for, or compare it with what was."""
-        plan, path = self.plan, self.out / _MANIFEST
+        plan, path = self.plan, self.out / SWEEP_MANIFEST
         names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
         now = {key: repr(value) for key, value in parameters(plan.file).items()}
         for section in ("units", "interface"):
@@ -114,10 +115,10 @@ class Store:
 
     def _load(self) -> None:
         """The rows on disk; what is damaged is noted and removed."""
-        final = self.out / _TABLE
+        final = self.out / SWEEP_TABLE
         self.complete, self.parts = False, []
-        parts = [*(self.out / _PARTS).glob("*.parquet"), *(self.out / _HIDDEN).glob("*.parquet")]
-        for path in [*self.out.glob(_TABLE), *sorted(parts)]:
+        parts = [*(self.out / SWEEP_PARTS).glob("*.parquet"), *(self.out / SWEEP_HIDDEN).glob("*.parquet")]
+        for path in [*self.out.glob(SWEEP_TABLE), *sorted(parts)]:
             content = path.read_bytes()
             whole = path == final or path.stem == f"part-{_digest(content)}"
             table = storage.from_parquet(content, self.schema) if whole else None
@@ -151,7 +152,7 @@ class Store:
 
         table = pa.Table.from_pylist(self.rows, self.schema)
         content = storage.as_parquet(table)
-        path = self.out / _PARTS / f"part-{_digest(content)}.parquet"
+        path = self.out / SWEEP_PARTS / f"part-{_digest(content)}.parquet"
         storage.save(path, content)
         self.parts.append(path)
         self.tables.append(table)
@@ -174,8 +175,8 @@ class Store:
         if self.parts or not self.complete:
             content = storage.as_parquet(table)
             self._hide()
-            storage.save(self.out / _TABLE, content)
-        for folder in (self.out / _PARTS, self.out / _HIDDEN):
+            storage.save(self.out / SWEEP_TABLE, content)
+        for folder in (self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN):
             for path in folder.glob("*.parquet"):
                 path.unlink()
             with suppress(OSError):
@@ -184,7 +185,7 @@ class Store:
 
     def _hide(self) -> None:
         """Take the parts out of the dataset, at once unless some are hidden since an earlier end."""
-        shown, hidden = self.out / _PARTS, self.out / _HIDDEN
+        shown, hidden = self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN
         if hidden.exists():
             for path in shown.glob("*.parquet"):
                 path.replace(hidden / path.name)

@@ -11,6 +11,7 @@ from eqsim.engine.elastic import ElasticTrajectory
 from eqsim.engine.records import SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
+from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.runfile import stored
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
@@ -180,11 +181,18 @@ def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progres
 
     settings = origin["settings"]
     plan = Plan(stored(settings["sweep"]), Path(origin["folder"]), table["id"].tolist())
+    if len(table) != plan.size:
+        raise InputError(
+            f"the table holds {len(table)} of the {plan.size} points of a sweep that was not finished; "
+            "only the table of a finished one, sweep.parquet, can be replayed"
+        )
     asked = Asked(**{field.name: settings[field.name] for field in dataclasses.fields(Asked)})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
         sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)
-        return pq.read_table(out / "sweep.parquet").to_pandas()
+        again = pq.read_table(out / "sweep.parquet").to_pandas()
+    old = {name: other for name, other in RENAMED_COLUMNS.items() if name in table}
+    return again.rename(columns={other: name for name, other in old.items()})
 
 
 def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:

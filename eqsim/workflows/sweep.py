@@ -67,6 +67,8 @@ def sweep(
         For a grid that cannot be used, and a folder that holds something else.
     """
     require_integer("workers", workers, 0, 1024)
+    if out is not None and not str(out).strip():
+        raise InputError(f"out = {shown(out)}: must be the name of a folder")
     base = at(check({}), file) if isinstance(file, dict) else opened(file)
     if grid is not None:
         base = _with_grid(base, grid)
