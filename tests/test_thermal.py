@@ -28,7 +28,7 @@ from eqsim.numerics.streams import TRAJECTORY, key
 look_up, uniforms = compiled(tables.look_up), compiled(streams.uniforms)
 soft_odds, soft_rank = compiled(soft._odds), compiled(soft._rank)
 stretch, pooled_stretch = compiled(base.stretch), compiled(pooled._inverse)
-hazard_between = compiled(base.hazard_between)
+mean_rate = compiled(base.mean_rate)
 
 EPS = np.finfo(float).eps
 # relative error of the tabulated inverse of ln(1 + erfi z): that of a root in a cell of relative width 1/64, three
@@ -187,7 +187,8 @@ def test_hazard_between_two_stretches(barrier):
     missed, of_middle = np.zeros(400), np.zeros(400)
     for i in range(400):
         law = barrier(a[i], log_w[i])
-        found = hazard_between(law, barrier.hazard_table(), xi[i], 1.0, x[i], other[i])
+        way = other[i] - x[i]
+        found = mean_rate(law, barrier.hazard_table(), xi[i], 1.0, x[i], way) * way
         with mpmath.workdps(30):
             c, low, high, end = (mpmath.mpf(v) for v in (a[i] * xi[i] ** 2, x[i], other[i], xi[i]))
 

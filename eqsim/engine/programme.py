@@ -123,7 +123,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
     legs = reduced.legs(ensemble, programme)
     before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
-    pace, sign = (programme.velocity, 1) if before and programme.velocity else (legs[0].pace, 0)
+    pace = programme.velocity if before and programme.velocity else legs[0].pace
     carried = Extent.of(before).stretch if before else 0.0
     elapsed = carried / pace if before else 0.0  # the longest that contacts may have been pinned
     extents: dict[float, Extent] = {}  # by pace: recorded drives have thousands of segments
@@ -148,13 +148,12 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         scales = Scales.within(extent, run, count, replicas, drag, carried)
         if leg.sign and not index:
             carried = max(carried, min(extent.stretch, run.distance) if first else extent.stretch)
-        known = before is not None or index > 0
-        same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
+        goes_on = before is not None and index == 0 and (leg.pace, leg.sign) == (pace, 1)
         last = index + 1 == len(legs)
-        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, last, times)
+        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, goes_on, last, times)
         steps.append(_Step(c, moves, run, scales, drag, row))
         row += run.points + 1  # the last of which is beyond the grid
-        pace, sign = leg.pace, leg.sign
+        pace = leg.pace
     table = stationary(before) if before else Stationary()
     return Steps(tuple(steps), before, table, key(seed, TRAJECTORY))
 
