@@ -163,7 +163,7 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
     found = []
     for leg in reduced.legs(ensemble, programme):
         c = contacts(ensemble, leg.pace)
-        stretch = typical_lives(c).travel if leg.sign else waits_at_rest(c)
+        stretch = typical_lives(c).travel if leg.sign else waits_at_rest(c, leg.length)
         mean = float(np.mean(np.minimum(stretch + c.delay.mean, leg.length)))
         found.append(1.0 + leg.length / mean if mean > 0 else math.inf)
     return found

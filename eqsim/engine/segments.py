@@ -390,37 +390,38 @@ def _hold(
 # ---------------------------------------------------------------------------------------------- how long lives last
 
 
-def waits_at_rest(c: Contacts) -> Array:
-    """How long lives last at rest, at 64 x 64 mid-points of equal shares of thresholds and of clocks; where thresholds
+def waits_at_rest(c: Contacts, most: float) -> Array:
+    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares of thresholds and of clocks; where thresholds
     fluctuate roughly, and at 16 x 16."""
     shares = 16 if c.aging.fluctuates else 64
     share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     found = np.empty(u.size)
-    fill_waits(c, u, v, spread(u.size), found)
-    return found
+    fill_waits(c, u, v, spread(u.size), most, found)
+    return np.minimum(found, most)
 
 
 @kernel
-def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, found: Array) -> None:
-    """The kernel of `waits_at_rest`."""
+def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, most: float, found: Array) -> None:
+    """The kernel of `waits_at_rest`; longer lives may be infinite."""
     for i in range(u.size):
         born = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
-        found[i] = wait_at_rest(c.aging, c, born, -math.log(v[i]), i)
+        found[i] = wait_at_rest(c.aging, c, born, -math.log(v[i]), most, i)
 
 
 @by_law
-def wait_at_rest(law: Any, c: Contacts, born: tuple[float, float], clock: float, i: int) -> float:
-    """How long a life lasts at rest of a contact `born` with threshold and stretch; path i where those fluctuate."""
-    return spend(law, c, (born[0], kappa(c.springs, born[0]), born[1], 0.0), 0, math.inf, clock)[0]
+def wait_at_rest(law: Any, c: Contacts, born: tuple[float, float], clock: float, most: float, i: int) -> float:
+    """How long a life lasts at rest of a contact `born` with threshold and stretch; path i where those fluctuate.
+    Infinite, or anything longer, if it is more than `most`."""
+    return spend(law, c, (born[0], kappa(c.springs, born[0]), born[1], 0.0), 0, most, clock)[0]
 
 
 @wait_at_rest.register(Langevin)
-def _path_at_rest(law: Langevin, c: Contacts, born: tuple[float, float], clock: float, i: int) -> float:
+def _path_at_rest(law: Langevin, c: Contacts, born: tuple[float, float], clock: float, most: float, i: int) -> float:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
     key = (np.uint64(0), np.uint64(0))
     path = langevin.Path(key, i, np.int64(0), np.int64(0), born[0], 0.0, clock)
-    broke, path, elapsed = langevin.follow(laws, path, _SEEN / law.alpha, langevin.STEP)
+    broke, path, elapsed = langevin.follow(laws, path, min(_SEEN / law.alpha, most), langevin.STEP)
     return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion

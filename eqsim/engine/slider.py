@@ -386,7 +386,7 @@ def _simulate(slider: Slider, instants: Array, replica: int, before: int, progre
                 now = slider.step(until, speed)
                 course.append(now[:3])
                 lives += now.sums[BREAKS] * slider.count
-                if progress and len(course) % 64 == 0:
+                if progress and (len(course) % 64 == 0 or now.sums[BREAKS] > 1000.0):
                     progress(before + int(lives))
             rows.append(_row(slider, slider.state, stored))
             at += 1
