@@ -124,7 +124,8 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
     legs = reduced.legs(ensemble, programme)
     before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
     pace = programme.velocity if before and programme.velocity else legs[0].pace
-    carried = Extent.of(before).stretch if before else 0.0
+    known = Extent.of(before) if before else None
+    carried, usual = (known.stretch, known.typical_force) if known else (0.0, 0.0)
     elapsed = carried / pace if before else 0.0  # the longest that contacts may have been pinned
     extents: dict[float, Extent] = {}  # by pace: recorded drives have thousands of segments
     steps: list[_Step] = []
@@ -145,7 +146,8 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         extent = extents[leg.pace]
         if leg.sign and index:
             carried = max(carried, extent.stretch * max(grown, 1.0))
-        scales = Scales.within(extent, run, count, replicas, drag, carried)
+        usual = max(usual, extent.typical_force)  # in a slow segment newborn contacts may carry next to nothing
+        scales = Scales.within(extent, run, count, replicas, drag, carried, usual)
         if leg.sign and not index:
             carried = max(carried, min(extent.stretch, run.distance) if first else extent.stretch)
         goes_on = before is not None and index == 0 and (leg.pace, leg.sign) == (pace, 1)

@@ -60,6 +60,11 @@ class Extent(NamedTuple):
     typical_stretch: float
     alike: bool
 
+    @property
+    def typical_force(self) -> float:
+        """Over k."""
+        return self.typical_work / self.typical_stretch
+
     @classmethod
     def of(cls, c: Contacts) -> "Extent":
         xi, x = extremes(c)
@@ -87,10 +92,17 @@ class Scales(NamedTuple):
 
     @classmethod
     def within(
-        cls, lives: Extent, run: Run, contacts: int, replicas: int, drag: float, carried: float = 0.0
+        cls,
+        lives: Extent,
+        run: Run,
+        contacts: int,
+        replicas: int,
+        drag: float,
+        carried: float = 0.0,
+        usual: float = 0.0,
     ) -> "Scales":
         """The finest that no sum over all contacts can overflow, from the longest life there can be, or the longest
-        stretch that contacts are `carried` to the beginning with.
+        stretch that contacts are `carried` to the beginning with; `usual` is a typical force of these.
 
         Raises InputError if these are too coarse for the typical contact.
         """
@@ -104,9 +116,10 @@ class Scales(NamedTuple):
         def power(bounds: list[float], terms: int) -> Array:
             return 2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))
 
-        typical = lives.typical_work / lives.typical_stretch
+        typical = max(lives.typical_force, usual)
         by_column, by_batch = power(deposits, contacts), power(batches, contacts)
-        if not (typical * by_column[FORCE] > _LEAST_UNITS and lives.typical_work * by_batch[AREA] > _LEAST_WORK):
+        rough = lives.typical_work * by_batch[AREA] <= _LEAST_WORK and usual == 0.0  # no areas along a programme
+        if rough or not typical * by_column[FORCE] > _LEAST_UNITS:
             raise InputError(
                 f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
                 "force, too much to add up in 64 bits; take fewer contacts or a narrower law"

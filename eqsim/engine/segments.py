@@ -391,8 +391,8 @@ def _hold(
 
 
 def waits_at_rest(c: Contacts, most: float) -> Array:
-    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares of thresholds and of clocks; where thresholds
-    fluctuate roughly, and at 16 x 16."""
+    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares of thresholds and of clocks;
+    where thresholds fluctuate roughly, and at 16 x 16."""
     shares = 16 if c.aging.fluctuates else 64
     share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))

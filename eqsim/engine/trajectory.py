@@ -45,7 +45,6 @@ from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
-
 _FEW = 1000  # lives, which are over before anybody counts them
 
 
