@@ -96,7 +96,7 @@ class Steps(NamedTuple):
         return Totals(rows, rows - 2 * len(self.steps) + 1, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
-        for begin in range(first, last, _TOGETHER):
+        for begin in range(first, max(last, first + 1), _TOGETHER):  # none at all compile kernels
             population = Population.fresh(min(_TOGETHER, last - begin))
             if self.before is not None:
                 begin_stationary(self.before, self.stationary, self.stream, begin, population)
@@ -182,7 +182,7 @@ def along(
     points, seed, replicas = recorded
     grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
     job = steps_of(ensemble, programme, grid, replicas, seed)
-    job.simulate(job.totals(1), 0, 1)  # compiles, so that seconds are those of the work
+    job.simulate(job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
     found = job.moments(total.deposits, count)
