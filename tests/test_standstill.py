@@ -141,6 +141,17 @@ def test_slow_motion_meets_the_hold():
                     assert soon == pytest.approx(at, rel=1e-8, abs=0)
 
 
+def test_slow_falls_cross_when_they_do():
+    """A falling threshold meets a stretch that hardly moves, in a segment of 1e-16 of a threshold at a pace of 1e-18:
+    at the instant xi(t) = x, closed form, to 1e-12."""
+    c = contacts(Ensemble(aging=Aging("flow", 0.05, 0.3), **UNIFORM), 1e-18)
+    x, final2 = 0.7, 0.3**2
+    exact = math.log((1.0 - final2) / (x * x - final2)) * final2 / (4.0 * 0.05)
+    for moves in (1.0, 0.0):
+        broke, _ = follow(c.aging, c, (1.0, 1.0, x, 0.0), moves, 1e-16, 1.0)
+        assert broke * 1e18 == pytest.approx(exact, rel=1e-12, abs=0)
+
+
 @pytest.mark.parametrize("name", ["soft", "stiff sqrt", "annealed", "annealed table"])
 def test_travel_inverts_the_mean_rate(name):
     """Of contacts carried on and back, to 1e-7 of the travel and 4 units in the last place of the hazard, down to

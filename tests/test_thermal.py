@@ -173,7 +173,7 @@ def test_inverse_is_the_inverse_of_the_hazard(barrier):
 
 
 @pytest.mark.parametrize("barrier", BARRIERS.values())
-def test_hazard_between_two_stretches(barrier):
+def test_mean_rate_between_two_stretches(barrier):
     """Against quadrature of the rate in 30 digits on intervals that shrink towards the end: to the documented 1e-8 and
     a few eps of each term of the exponent, over pieces from all of a threshold down to 1e-12 of it, those that a series
     only just holds for, too, from 0 and up to xi. The rate in the middle times the length fails."""
