@@ -350,7 +350,7 @@ MISTAKES = [
     M("programme: a hold breaks nothing", "laws/aging/base.py", "max(y, -end), way) * length",
       "max(y, -end), way) * way", "test_programme.py::test_agrees_with_the_renewal_equation"),
     M("standstill: from the difference of two stretches", "laws/aging/base.py",
-      "end = y + way\n    if y < 0.0 < end", "end = y + way\n    length = (end - y) / moves if moves else length\n    if y < 0.0 < end",
+      "    if y < 0.0 < end:", "    length = (end - y) / moves if moves else length\n    if y < 0.0 < end:",
       "test_standstill.py::test_slow_motion_meets_the_hold"),
     M("standstill: pooled rates of one node", "laws/barrier/pooled.py", "if length < _POINT * x or length == 0.0:",
       "if length < 1e-3 * x:", "test_standstill.py::test_pieces_add_up[annealed]"),
