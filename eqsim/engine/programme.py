@@ -96,7 +96,7 @@ class Steps(NamedTuple):
         return Totals(rows, rows - 2 * len(self.steps) + 1, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
-        for begin in range(first, last, _TOGETHER):
+        for begin in range(first, max(last, first + 1), _TOGETHER):  # none at all compile kernels
             population = Population.fresh(min(_TOGETHER, last - begin))
             if self.before is not None:
                 begin_stationary(self.before, self.stationary, self.stream, begin, population)
@@ -123,8 +123,9 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
     legs = reduced.legs(ensemble, programme)
     before = contacts(ensemble, programme.velocity) if programme.start == "stationary" and programme.velocity else None
-    pace, sign = (programme.velocity, 1) if before and programme.velocity else (legs[0].pace, 0)
-    carried = Extent.of(before).stretch if before else 0.0
+    pace = programme.velocity if before and programme.velocity else legs[0].pace
+    known = Extent.of(before) if before else None
+    carried, usual = (known.stretch, known.typical_force) if known else (0.0, 0.0)
     elapsed = carried / pace if before else 0.0  # the longest that contacts may have been pinned
     extents: dict[float, Extent] = {}  # by pace: recorded drives have thousands of segments
     steps: list[_Step] = []
@@ -145,16 +146,16 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         extent = extents[leg.pace]
         if leg.sign and index:
             carried = max(carried, extent.stretch * max(grown, 1.0))
-        scales = Scales.within(extent, run, count, replicas, drag, carried)
+        usual = max(usual, extent.typical_force)  # in a slow segment newborn contacts may carry next to nothing
+        scales = Scales.within(extent, run, count, replicas, drag, carried, usual)
         if leg.sign and not index:
             carried = max(carried, min(extent.stretch, run.distance) if first else extent.stretch)
-        known = before is not None or index > 0
-        same = known and leg.sign != 0 and (leg.pace, leg.sign) == (pace, sign)
+        goes_on = before is not None and index == 0 and (leg.pace, leg.sign) == (pace, 1)
         last = index + 1 == len(legs)
-        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, same, last, times)
+        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, goes_on, last, times)
         steps.append(_Step(c, moves, run, scales, drag, row))
         row += run.points + 1  # the last of which is beyond the grid
-        pace, sign = leg.pace, leg.sign
+        pace = leg.pace
     table = stationary(before) if before else Stationary()
     return Steps(tuple(steps), before, table, key(seed, TRAJECTORY))
 
@@ -164,7 +165,7 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
     found = []
     for leg in reduced.legs(ensemble, programme):
         c = contacts(ensemble, leg.pace)
-        stretch = typical_lives(c).travel if leg.sign else waits_at_rest(c)
+        stretch = typical_lives(c).travel if leg.sign else waits_at_rest(c, leg.length)
         mean = float(np.mean(np.minimum(stretch + c.delay.mean, leg.length)))
         found.append(1.0 + leg.length / mean if mean > 0 else math.inf)
     return found
@@ -181,7 +182,7 @@ def along(
     points, seed, replicas = recorded
     grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
     job = steps_of(ensemble, programme, grid, replicas, seed)
-    job.simulate(job.totals(1), 0, 1)  # compiles, so that seconds are those of the work
+    job.simulate(job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
     found = job.moments(total.deposits, count)

@@ -60,6 +60,11 @@ class Extent(NamedTuple):
     typical_stretch: float
     alike: bool
 
+    @property
+    def typical_force(self) -> float:
+        """Over k."""
+        return self.typical_work / self.typical_stretch
+
     @classmethod
     def of(cls, c: Contacts) -> "Extent":
         xi, x = extremes(c)
@@ -87,10 +92,17 @@ class Scales(NamedTuple):
 
     @classmethod
     def within(
-        cls, lives: Extent, run: Run, contacts: int, replicas: int, drag: float, carried: float = 0.0
+        cls,
+        lives: Extent,
+        run: Run,
+        contacts: int,
+        replicas: int,
+        drag: float,
+        carried: float = 0.0,
+        usual: float = 0.0,
     ) -> "Scales":
         """The finest that no sum over all contacts can overflow, from the longest life there can be, or the longest
-        stretch that contacts are `carried` to the beginning with.
+        stretch that contacts are `carried` to the beginning with; `usual` is a typical force of these.
 
         Raises InputError if these are too coarse for the typical contact.
         """
@@ -104,9 +116,10 @@ class Scales(NamedTuple):
         def power(bounds: list[float], terms: int) -> Array:
             return 2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))
 
-        typical = lives.typical_work / lives.typical_stretch
+        typical = max(lives.typical_force, usual)
         by_column, by_batch = power(deposits, contacts), power(batches, contacts)
-        if not (typical * by_column[FORCE] > _LEAST_UNITS and lives.typical_work * by_batch[AREA] > _LEAST_WORK):
+        rough = lives.typical_work * by_batch[AREA] <= _LEAST_WORK and usual == 0.0  # no areas along a programme
+        if rough or not typical * by_column[FORCE] > _LEAST_UNITS:
             raise InputError(
                 f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
                 "force, too much to add up in 64 bits; take fewer contacts or a narrower law"
@@ -369,41 +382,42 @@ def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float,
 
 @shared
 def follow_path(
-    c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, born: float
+    c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, begin: float
 ) -> tuple[float, langevin.Path]:
-    """Stretch at breaking of a contact whose threshold fluctuates, `path` at its birth, and what it leaves. Where its
-    stiffness follows its threshold, its steps end at grid points, and it is not followed beyond the last one, where
-    its path is returned; it may be on its way, unstretched at `born`."""
+    """Travel of a contact whose threshold fluctuates from `begin`, where its path is `path`, to breaking, and what it
+    leaves there. Where its stiffness follows its threshold, its steps end at grid points, and it is not followed beyond
+    the last one, where its path is returned; it may be on its way, stretched at the beginning."""
     run = recorder.run
     if c.springs.slope == 0.0:
         stretch, _ = langevin.life(c, path, langevin.STEP)
-        deposit(recorder, 1.0, born, born, born + stretch)
+        deposit(recorder, 1.0, begin, begin, begin + stretch)
         return stretch, path
     step, per_step = run.distance / (run.points - 1), (run.points - 1) / run.distance
-    quarters, begin = 0.25 * run.distance, born + path.x
-    x, broke, j = path.x, False, max(0, math.ceil(begin * per_step))
+    quarters, y = 0.25 * run.distance, path.x
+    s, broke, j = 0.0, False, max(0, math.ceil(begin * per_step))  # travel so far, which the stretch may not resolve
     window = max(2, math.floor(begin / quarters) + 1)  # the next edge of a window is at window * quarters
     while not broke:
-        if j < run.points and j * step - born <= x:
-            leave_force(recorder, j, kappa(c.springs, path.xi) * x)
+        if j < run.points and j * step - begin <= s:
+            leave_force(recorder, j, kappa(c.springs, path.xi) * path.x)
             j += 1
             continue
-        if window * quarters - born <= x:
+        if window * quarters - begin <= s:
             window += 1
             continue
         if window > 4 and j >= run.points:
-            x = 2.0 * run.distance - born
+            s = 2.0 * run.distance - begin
             break
-        stop = window * quarters - born
+        stop = window * quarters - begin
         if j < run.points:
-            stop = min(stop, j * step - born)
-        broke, path, _, work = langevin.stride(c, path, stop - x, langevin.STEP)
+            stop = min(stop, j * step - begin)
+        broke, path, h, work = langevin.stride(c, path, stop - s, langevin.STEP)
         if 2 < window < 5:
             recorder.batches[batch, window - 3, AREA] += fixed(work, recorder.batch_scales[AREA])
-        x = path.x if broke or path.x < stop * (1.0 - math.copysign(1e-15, stop)) else stop
-        path = langevin.moved(path, path.draw, path.xi, x, path.left)
-    leave_pinned(recorder, begin, born + x)
-    return x, path
+        reached = not broke and s + h >= stop * (1.0 - 1e-15)
+        s = stop if reached else s + h
+        path = langevin.moved(path, path.draw, path.xi, y + s if reached else path.x, path.left)
+    leave_pinned(recorder, begin, begin + s)
+    return s, path
 
 
 @inlined

@@ -333,8 +333,8 @@ def velocity_step(x: Array, force: Array, stderr: Array, peak: Estimate, ratio: 
     left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
     below = int(np.argmax(left <= 0.0))
     memory = Estimate(None, None, n, reliable=False)
-    if below > 0:
-        j = first + below
+    j = first + below
+    if below > 0 and x[j] > x[j - 1]:  # a motion that X resolves
         slope = (left[below - 1] - left[below]) / (x[j] - x[j - 1])
         place = x[j] + left[below] / slope
         wide = max(first, j - max(1, below // 4))  # noise between neighbours makes any slope

@@ -48,17 +48,18 @@ class Population(NamedTuple):
     """Contacts between two segments, arrays (contacts,). Times are displacements at the pace of the segment before.
 
     `rest` is the time until a contact is pinned, -1 of those that are. Of these: threshold `xi` and `stiffness` k_i/k
-    at birth, signed `stretch`, what the exponential `clock` has left, the stretch at breaking `ends` if the motion goes
-    on as before, for how long they have been pinned (`age`) and the `delay` after the break. `lives` is ROUNDS times
-    how often lives were drawn. Where thresholds fluctuate `xi` is the one now, `life` says which life this is and
-    `draw` which of its random numbers comes next; stiffness, `ends` and `age` do not count."""
+    at birth, signed `stretch`, what the exponential `clock` has left, for how long they have been pinned (`age`) and
+    the `delay` after the break; and how long a contact of a stationary start is still pinned if the motion goes on
+    (`pinned`). `lives` is ROUNDS times how often lives were drawn. Where thresholds fluctuate `xi` is the one now,
+    `life` says which life this is and `draw` which of its random numbers comes next; stiffness, `pinned` and `age` do
+    not count."""
 
     rest: Array
     xi: Array
     stiffness: Array
     stretch: Array
     clock: Array
-    ends: Array
+    pinned: Array
     age: Array
     delay: Array
     lives: Array
@@ -68,20 +69,20 @@ class Population(NamedTuple):
     @classmethod
     def fresh(cls, contacts: int) -> "Population":
         """All of them about to be pinned for the first time."""
-        rest, xi, stiffness, stretch, clock, ends, age, delay = np.zeros((8, contacts))
-        return cls(rest, xi, stiffness, stretch, clock, ends, age, delay, *np.zeros((3, contacts), np.int64))
+        rest, xi, stiffness, stretch, clock, pinned, age, delay = np.zeros((8, contacts))
+        return cls(rest, xi, stiffness, stretch, clock, pinned, age, delay, *np.zeros((3, contacts), np.int64))
 
 
 class Leg(NamedTuple):
     """What a kernel needs to know of a segment: 1 if the slider moves and 0 in a hold; the direction of X in which
-    stretches are positive; length (time at its pace) and pace over that of the segment before; whether the contacts
-    move as before; whether it is the last one; and instants of a hold (points + 1,) from its beginning on."""
+    stretches are positive; length (time at its pace) and pace over that of the segment before; whether a stationary
+    start goes on in it; whether it is the last one; and instants of a hold (points + 1,) from its beginning on."""
 
     moves: int
     sign: float
     length: float
     ratio: float
-    same: bool
+    goes_on: bool
     last: bool
     times: Array
 
@@ -92,14 +93,14 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, 
     for i in range(p.rest.size):
         contact = first + i
         p.lives[i] = ROUNDS
-        rest, xi, x, y, ends, clock = snapshot(c.newborn, c, stationary, key, contact, uniforms(key, contact, 0, 0))
+        rest, xi, y, age, length, clock = snapshot(c.newborn, c, stationary, key, contact, uniforms(key, contact, 0, 0))
         if rest >= 0.0:
             p.rest[i] = rest
             continue
         stiffness = kappa(c.springs, xi)
-        left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), 1, x - y), 0.0)
-        p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i], p.ends[i], p.age[i] = -1.0, xi, stiffness, x, ends, x - y
-        p.clock[i] = left
+        left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), 1, age), 0.0)
+        p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i] = -1.0, xi, stiffness, y + age
+        p.clock[i], p.age[i], p.pinned[i] = left, age, length - age
         p.delay[i] = delay_of_the_first(c, key, contact)
 
 
@@ -225,8 +226,8 @@ def go_on(law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.
         return _wait(leg, p, i)
     y, age, delay = leg.sign * p.stretch[i], p.age[i] * leg.ratio, p.delay[i] * leg.ratio
     contact = p.xi[i], p.stiffness[i], y, age
-    if leg.same:
-        broke, left = p.ends[i] - y, 0.0
+    if leg.goes_on:
+        broke, left = p.pinned[i], 0.0
         if broke > leg.length:
             left = max(p.clock[i] - spent(c.aging, c, contact, leg.moves, leg.length), 0.0)
     else:
@@ -296,7 +297,7 @@ def hand_on(
     stiffness, age = kappa(c.springs, xi), leg.length - born
     left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), leg.moves, age), 0.0)
     p.rest[i], p.xi[i], p.stiffness[i], p.clock[i], p.age[i], p.delay[i] = -1.0, xi, stiffness, left, age, delay
-    p.stretch[i], p.ends[i] = leg.sign * (y + leg.moves * age), y + broke - born
+    p.stretch[i] = leg.sign * (y + leg.moves * age)
 
 
 # ------------------------------------------------------------------------------------- thresholds that fluctuate
@@ -359,8 +360,8 @@ def _along(
     elif leg.moves == 0:
         broke, path = _hold(laws, leg, recorder, path, begin)
     else:
-        x, path = follow_path(laws, recorder, 0, path, begin - y)
-        broke = begin - y + x if begin - y + x <= leg.length else math.inf
+        elapsed, path = follow_path(laws, recorder, 0, path, begin)
+        broke = begin + elapsed if begin + elapsed <= leg.length else math.inf
     if broke == math.inf:
         p.rest[i], p.xi[i], p.stretch[i], p.clock[i] = -1.0, path.xi, leg.sign * path.x, path.left
         p.life[i], p.draw[i] = path.life, path.draw
@@ -389,37 +390,38 @@ def _hold(
 # ---------------------------------------------------------------------------------------------- how long lives last
 
 
-def waits_at_rest(c: Contacts) -> Array:
-    """How long lives last at rest, at 64 x 64 mid-points of equal shares of thresholds and of clocks; where thresholds
-    fluctuate roughly, and at 16 x 16."""
+def waits_at_rest(c: Contacts, most: float) -> Array:
+    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares of thresholds and of clocks;
+    where thresholds fluctuate roughly, and at 16 x 16."""
     shares = 16 if c.aging.fluctuates else 64
     share = (np.arange(shares) + 0.5) / shares
     u, v = (grid.ravel() for grid in np.meshgrid(share, share))
     found = np.empty(u.size)
-    fill_waits(c, u, v, spread(u.size), found)
-    return found
+    fill_waits(c, u, v, spread(u.size), most, found)
+    return np.minimum(found, most)
 
 
 @kernel
-def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, found: Array) -> None:
-    """The kernel of `waits_at_rest`."""
+def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, most: float, found: Array) -> None:
+    """The kernel of `waits_at_rest`; longer lives may be infinite."""
     for i in range(u.size):
         born = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
-        found[i] = wait_at_rest(c.aging, c, born, -math.log(v[i]), i)
+        found[i] = wait_at_rest(c.aging, c, born, -math.log(v[i]), most, i)
 
 
 @by_law
-def wait_at_rest(law: Any, c: Contacts, born: tuple[float, float], clock: float, i: int) -> float:
-    """How long a life lasts at rest of a contact `born` with threshold and stretch; path i where those fluctuate."""
-    return spend(law, c, (born[0], kappa(c.springs, born[0]), born[1], 0.0), 0, math.inf, clock)[0]
+def wait_at_rest(law: Any, c: Contacts, born: tuple[float, float], clock: float, most: float, i: int) -> float:
+    """How long a life lasts at rest of a contact `born` with threshold and stretch; path i where those fluctuate.
+    Infinite, or anything longer, if it is more than `most`."""
+    return spend(law, c, (born[0], kappa(c.springs, born[0]), born[1], 0.0), 0, most, clock)[0]
 
 
 @wait_at_rest.register(Langevin)
-def _path_at_rest(law: Langevin, c: Contacts, born: tuple[float, float], clock: float, i: int) -> float:
+def _path_at_rest(law: Langevin, c: Contacts, born: tuple[float, float], clock: float, most: float, i: int) -> float:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
     key = (np.uint64(0), np.uint64(0))
     path = langevin.Path(key, i, np.int64(0), np.int64(0), born[0], 0.0, clock)
-    broke, path, elapsed = langevin.follow(laws, path, _SEEN / law.alpha, langevin.STEP)
+    broke, path, elapsed = langevin.follow(laws, path, min(_SEEN / law.alpha, most), langevin.STEP)
     return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion

@@ -323,14 +323,14 @@ def found(
     """What a snapshot of the stationary state finds at X = 0, and where that contact is pinned again. `which`: the
     contact and its batch; `draws`: uniforms for its state and its remaining delay, and its next delay."""
     (contact, batch), (u_state, u_residual, delay) = which, draws
-    rest, xi, x, y, ends, _ = snapshot(c.newborn, c, stationary, key, contact, (u_state, u_residual))
+    rest, xi, y, age, length, _ = snapshot(c.newborn, c, stationary, key, contact, (u_state, u_residual))
     if rest >= 0.0:
         record(recorder, batch, 0.0, 0.0, 0.0, 0.0, rest)
         return rest
-    broke = ends - x
-    life = langevin.Path(key, contact, np.int64(0), np.int64(0), ends - y, y, 0.0)
-    _, stiffness = leave_life(law, c, recorder, batch, life, kappa(c.springs, xi), y - x)
-    record(recorder, batch, stiffness, -x, y - x, broke, broke + delay)
+    broke = length - age
+    life = langevin.Path(key, contact, np.int64(0), np.int64(0), length, y, 0.0)
+    _, stiffness = leave_life(law, c, recorder, batch, life, kappa(c.springs, xi), -age)
+    record(recorder, batch, stiffness, -age - y, -age, broke, broke + delay)
     return broke + delay
 
 

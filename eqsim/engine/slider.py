@@ -46,8 +46,9 @@ _SHARE = 20  # blocks that a thread must have: to wake it takes as long as they 
 _TOGETHER = 1 << 16  # contacts that a stationary start draws at once
 _BREAKS = 30.0  # that say at what rate contacts break
 _FIRST = 1e-6  # first step, of the first segment
-_SHORTEST = 1e-9  # step over displacement below which a slip takes place at an instant
-_INSTANT = 1e-12  # time of a piece that takes none, over its displacement
+_HALVINGS = 30  # of a step, after which what nothing holds back slips at an instant
+_SHORTEST = 1e-200  # the shortest step of what damping or mass hold back
+_INSTANT = 1e-40  # time of a piece that takes none, over its displacement: heat and age do nothing in it at any pace
 _FEW_REPLICAS = 8  # whose scatter tells the error of their mean
 _NOISE = 2.0  # standard errors of what breaks in a step that no shorter step would make better
 
@@ -303,7 +304,8 @@ class Slider:
         now, left = self.state, until - self.state.s
         dt = left if 1.2 * self.dt >= left else self.dt
         dX, V = self._estimate(dt, speed)
-        while abs(dX) > 1.5 * self.longest and dt > _SHORTEST * self.longest:
+        least = _SHORTEST if self.pull.damping or self.pull.mass else 0.5**_HALVINGS * dt
+        while abs(dX) > 1.5 * self.longest and dt > least:
             dt *= 0.5
             dX, V = self._estimate(dt, speed)
         if abs(dX) > 1.5 * self.longest:
@@ -386,7 +388,7 @@ def _simulate(slider: Slider, instants: Array, replica: int, before: int, progre
                 now = slider.step(until, speed)
                 course.append(now[:3])
                 lives += now.sums[BREAKS] * slider.count
-                if progress and len(course) % 64 == 0:
+                if progress and (len(course) % 64 == 0 or now.sums[BREAKS] > 1000.0):
                     progress(before + int(lives))
             rows.append(_row(slider, slider.state, stored))
             at += 1

@@ -181,11 +181,12 @@ def snapshot(
     law: Any, c: Contacts, s: Stationary, key: Key, contact: int, u: tuple[float, float]
 ) -> tuple[float, float, float, float, float, float]:
     """A contact of the stationary state, from uniforms `u` for its state and its remaining delay: that delay, -1 if it
-    is pinned; and then its threshold at birth, stretch now, at birth and at breaking, and exponential clock."""
+    is pinned; and then its threshold and stretch at birth, travel until now and until it breaks, and exponential
+    clock. Travel may be less than the resolution of a stretch."""
     if u[0] >= s.pinned:
         return residual_delay_draw(c.delay, u[1]), 0.0, 0.0, 0.0, 0.0, 0.0
     xi, x, ends, clock = found_pinned(c, s, key, contact, u[1])
-    return -1.0, xi, x, 0.0, ends, clock
+    return -1.0, xi, 0.0, x, ends, clock
 
 
 @snapshot.register(Stretched)
@@ -201,7 +202,7 @@ def _try_cycles(
         xi, y = newborn_draw(law, c.thresholds, rank, birth)
         length = travel(c, xi, kappa(c.springs, xi), y, clock)
         if length > age:
-            return -1.0, xi, y + age, y, y + length, clock
+            return -1.0, xi, y, age, length, clock
         if length + c.delay.mean > age:
             rest = residual_delay_draw(c.delay, u[1]) if c.delay.random > 0.0 else length + c.delay.mean - age
             return rest, 0.0, 0.0, 0.0, 0.0, 0.0

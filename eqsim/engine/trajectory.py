@@ -45,6 +45,8 @@ from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 
+_FEW = 1000  # lives, which are over before anybody counts them
+
 
 def predicted_lives(ensemble: Ensemble, drive: Drive | Programme, replicas: int = 1) -> float:
     """How many lives a run will take, within a few per cent or somewhat too many: by Wald's identity a contact that
@@ -74,6 +76,22 @@ def check_run(
     if not expected <= max_lives:
         raise InputError(f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}")
     return expected
+
+
+def guarded(progress: Progress | None, expected: float, max_lives: float) -> Progress:
+    """`progress` of a run of which so many lives are `expected`, which stops it with InputError where it takes more
+    than twice `max_lives`: a prediction from typical lives may miss what a slider does behind a spring."""
+
+    def count(lives: int) -> None:
+        if lives > 2.0 * max_lives + _FEW:
+            raise InputError(
+                f"this run has taken {lives:.3g} lives, more than max_lives = {max_lives:.3g}; {expected:.3g} were "
+                "expected"
+            )
+        if progress:
+            progress(lives)
+
+    return count
 
 
 @overload
@@ -114,7 +132,7 @@ def trajectory(
         Threads of this process; or an executor (a ProcessPoolExecutor, the `get_executor()` of a dask client), which
         the caller shuts down, and about how many workers it has. The same bits.
     max_lives : float
-        Work that needs more lives of contacts is refused.
+        Work that needs more lives of contacts is refused, and stopped where it takes twice as many.
     progress : callable, optional
         `progress(lives)` is told now and then how many lives have been simulated.
 
@@ -126,9 +144,10 @@ def trajectory(
     ------
     InputError
         For arguments out of range, for contacts that follow no programme, and if more than `max_lives` lives are
-        predicted. What a lost worker makes an executor raise is passed on.
+        predicted, or twice as many are taken. What a lost worker makes an executor raise is passed on.
     """
-    check_run(ensemble, drive, points, seed, replicas, max_lives)
+    expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
+    progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.stage:
         return pulled(ensemble, drive, (points, seed, replicas), threads, progress)
     if isinstance(drive, Programme):

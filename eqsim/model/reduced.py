@@ -14,6 +14,7 @@ from typing import NamedTuple
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
 from eqsim.laws.aging import AgingLaw, PooledThresholds, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
+from eqsim.laws.barrier.base import require_whole
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
 from eqsim.laws.delay import Delay, Exponential, Fixed
 from eqsim.laws.newborn import Newborn
@@ -223,7 +224,9 @@ def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
         raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: must be <= {_LARGEST_POOLED_B:g} for annealed contacts")
     log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
     require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
-    return law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]  # the NamedTuple that every law is
+    barrier: Barrier = law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]  # the NamedTuple that every law is
+    require_whole(thermal.barrier, barrier)
+    return barrier
 
 
 class Group(NamedTuple):

@@ -13,6 +13,7 @@ from eqsim.numerics.tables import Array
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
+_ROUNDING = 2e-15  # of E over a xi^2, 9 units in the last place: of threshold, stretch and their difference
 
 
 class _Path(NamedTuple):
@@ -58,7 +59,11 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
         return top, 0.0
     floor = math.log(min(clock, 100.0)) - _NEGLIGIBLE
     born, left = _at(c, 0.0)
-    coarse = _RELAXING if c.stretch < 0.0 and _at(c, top)[0] < born else 0
+    final = _at(c, top)[0]
+    greatest = max(born, final)
+    noise = _ROUNDING * c.barrier.b * kappa_at(law, c.springs, c.xi, greatest) * greatest * greatest
+    most = _RANGE + noise  # by which E may differ within a cell
+    coarse = _RELAXING if c.stretch < 0.0 and final < born else 0
     spent, level, index = 0.0, 0, 0
     while True:
         width = 0.5**level
@@ -66,11 +71,9 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
         x0, x1 = top * z * (2.0 - z), top * (z + width) * (2.0 - z - width)
         now, right = _at(c, x1)
         seen = log_w + math.log(2.0 * top * width) - min(left, right) > floor or level < coarse
-        last = level >= _DEEPEST or x1 - x0 <= 4e-16 * (
-            x1 + abs(c.stretch)
-        )  # rounding is all that still varies, times b perhaps a lot
+        last = level >= _DEEPEST
         fine = last or (
-            abs(right - left) <= _RANGE
+            abs(right - left) <= most
             and level >= coarse
             and smooth(law, c.age + x0, c.age + x1)
             and now <= _GROWN * c.xi * growth(law, c.age + x0)  # thresholds vanish at some x < 0, perhaps nearby
@@ -80,7 +83,7 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
                 part = z + 0.25 * quarter * width
                 inner = top * part * (2.0 - part)
                 _, middle = _at(c, inner)
-                fine = fine and max(abs(middle - left), abs(middle - right)) <= _RANGE
+                fine = fine and max(abs(middle - left), abs(middle - right)) <= most
         if seen and not fine:
             level, index = level + 1, 2 * index
             continue
@@ -173,7 +176,7 @@ def _root(law: Any, contact: tuple[float, float, float], moves: float, low: floa
     xi, y, age = contact
     for _ in range(200):
         middle = 0.5 * (low + high)
-        if high - low <= 2e-16 * (abs(y) + high):
+        if high - low <= 2e-16 * high:
             break
         if _excess(law, xi, y, age, moves, middle) > 0.0:
             low = middle

@@ -23,12 +23,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import hazard, hazard_between, rate, stretch, stretches, travel
+from eqsim.laws.barrier.base import hazard, mean_rate, rate, stretch, stretches, travel
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
 
+_STANDSTILL = 1e-250  # displacement over threshold in which no rate varies, so that travel over velocity is time
 _MOST_N = 1000.0  # of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the newborn law
 
 
@@ -226,13 +227,12 @@ def _lives(
 @spent.register(Unaged)
 def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
     xi, stiffness, y, _ = contact
-    if moves == 0:
-        return rate(c.barrier, xi, stiffness, abs(y)) * length
-    end = y + moves * length
+    way = moves * length
+    end = y + way
     if y < 0.0 < end:
         before = hazard(c.barrier, c.hazard_table, xi, stiffness, -y)
         return (before + hazard(c.barrier, c.hazard_table, xi, stiffness, end)) / moves
-    return abs(hazard_between(c.barrier, c.hazard_table, xi, stiffness, abs(y), abs(end))) / moves
+    return mean_rate(c.barrier, c.hazard_table, xi, stiffness, max(y, -end), way) * length
 
 
 @spend.register(Unaged)
@@ -240,11 +240,10 @@ def _spend(
     law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
 ) -> tuple[float, float]:
     xi, stiffness, y, _ = contact
-    if moves == 0:
-        per_time = rate(c.barrier, xi, stiffness, abs(y))
-        return (clock / per_time if per_time * length >= clock else math.inf), clock - per_time * length
-    if abs(y + moves * length) < xi:
+    if y + moves * length < xi:
         left = clock - spent(law, c, contact, moves, length)
         if left > 0.0:
             return math.inf, left
+    if moves * clock < _STANDSTILL:
+        return min(clock / rate(c.barrier, xi, stiffness, abs(y)), length), 0.0
     return min(max(travel(c, xi, stiffness, y, moves * clock), 0.0) / moves, length), 0.0

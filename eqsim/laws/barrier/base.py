@@ -8,8 +8,10 @@ E the height of the barrier over kT and p a prefactor of each law. At velocity v
 (omega/v) r and its integral (omega/v) H, H(x) = int_0^x r dy; a contact whose exponential clock shows c breaks where
 (omega/v) H(x) = c, or at xi if that comes first. Exponents reach 1e9, so everything is done in logarithms.
 
-A law is a NamedTuple of the numbers that kernels need, with NumPy's formulas as methods and a body of each kernel
-routine below; `eqsim.laws.barrier` lists the laws.
+A law is a NamedTuple of the numbers that kernels need, with NumPy's formulas as methods and bodies of the kernel
+routines below; `eqsim.laws.barrier` lists the laws. Every law has `exponent`, `log_hazard` and a body of `height`, and
+`log_prefactor` with a body of `prefactor` if p is not 1. From these the other routines follow numerically; bodies of
+their own, where there are closed forms, are faster.
 """
 
 import math
@@ -17,8 +19,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from eqsim.errors import InputError
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.tables import NO_TABLE, Array
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_RANGE = 2.0  # of E in a cell, over which 8 nodes integrate exp(-E) to 1e-12
+_NEGLIGIBLE = 40.0  # cells whose rate is e^40 times less than the largest at an end do not count
+_COARSEST = 3  # halvings before a cell may be left out: E may have its minimum inside
+_DEEPEST = 60  # halvings of a piece; there rounding is all that varies
 
 
 class Numbers(NamedTuple):
@@ -132,7 +141,8 @@ def height(law: Any, xi: float, x: float, a: float) -> float:
 @by_law
 def height_slope(law: Any, xi: float, x: float, a: float) -> float:
     """dE/dxi at fixed a."""
-    return 0.0
+    step = 1e-6 * xi
+    return (height(law, xi + step, x, a) - height(law, xi, x, a)) / step
 
 
 @by_law
@@ -150,19 +160,20 @@ def path_step(law: Any) -> float:
 @by_law
 def stretch(law: Any, table: Array, xi: float, stiffness: float, clock: float) -> float:
     """Where a contact of threshold `xi` and relative stiffness `stiffness` breaks whose clock shows `clock`."""
-    return xi
+    return _carried(law, xi, stiffness, 0.0, xi, clock, 1.0)
 
 
 @by_law
 def hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> float:
     """(omega/v) H at stretch 0 <= x <= xi; the inverse of `stretch`."""
-    raise TypeError("this barrier has no hazard")
+    return mean_rate(law, table, xi, stiffness, 0.0, x) * x
 
 
 @by_law
-def hazard_between(law: Any, table: Array, xi: float, stiffness: float, x: float, other: float) -> float:
-    """(omega/v) (H(other) - H(x)), 0 <= x, other <= xi; soft and stiff: to 1e-8 of itself however short."""
-    return hazard(law, table, xi, stiffness, other) - hazard(law, table, xi, stiffness, x)
+def mean_rate(law: Any, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
+    """Mean of `rate` from stretch x to x + length, both from 0 to xi, to 1e-8 of itself. `length` may be less than the
+    resolution of x; where it is 0 this is the rate at x."""
+    return _averaged(law, xi, stiffness, x, length)
 
 
 @by_law
@@ -175,14 +186,75 @@ def rate(law: Any, xi: float, stiffness: float, x: float) -> float:
 def onward(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
     """How far a contact of threshold `xi` and relative stiffness `stiffness` is carried from stretch 0 < y < xi before
     it breaks, whose clock has `clock` left; to 1e-8 of itself, however short. `c` holds the tables."""
-    return xi - y
+    return _carried(law, xi, stiffness, y, xi - y, clock, 1.0)
 
 
 @by_law
 def back(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
     """How far it is carried from stretch -y < 0 before it breaks, up to stretch 0, and what the clock has left there,
     less than 0 if it breaks before."""
-    return y, clock
+    left = clock - hazard(law, c.hazard_table, xi, stiffness, y)
+    return (y, left) if left >= 0.0 else (_carried(law, xi, stiffness, y, y, clock, -1.0), -1.0)
+
+
+@routine
+def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) -> float:
+    """`mean_rate` of any law, by Gauss-Legendre nodes in cells that are halved until E varies little in them. In
+    u = sqrt(xi - x) the rate of a barrier that vanishes at the threshold is smooth; dx = -2 u du."""
+    a = law.b * stiffness
+    far, near = math.sqrt(max(xi - x, 0.0)), math.sqrt(max(xi - x - length, 0.0))
+    if far + near == 0.0:
+        return rate(law, xi, stiffness, xi)
+    way = min(length / (far + near), far)  # far - near without cancellation
+    left, right = height(law, xi, xi - far * far, a), height(law, xi, xi - near * near, a)
+    least = min(left, right)
+    total, level, index = 0.0, 0, 0
+    while True:
+        width = 0.5**level
+        t = index * width
+        u = far - (t + width) * way
+        right = height(law, xi, xi - u * u, a)
+        u = far - (t + 0.5 * width) * way
+        middle = height(law, xi, xi - u * u, a)
+        seen = level < _COARSEST or min(left, right) < least + _NEGLIGIBLE
+        varies = max(abs(right - left), abs(middle - left), abs(middle - right)) > _RANGE
+        if seen and varies and level < _DEEPEST:
+            level, index = level + 1, 2 * index
+            continue
+        if seen:
+            for i in range(_NODES.size):
+                u = far - (t + 0.5 * width * (1.0 + _NODES[i])) * way
+                total += 0.5 * width * _WEIGHTS[i] * rate(law, xi, stiffness, xi - u * u) * u
+        left, index = right, index + 1
+        while index % 2 == 0 and level > 0:
+            level, index = level - 1, index // 2
+        if level == 0:
+            return 2.0 * total / (far + near)
+
+
+@routine
+def _carried(law: Any, xi: float, stiffness: float, y: float, most: float, clock: float, sign: float) -> float:
+    """How far a contact is carried from stretch y, on (`sign` 1) or back (-1), before its hazard is `clock`; `most` if
+    it is less until there. Newton's method for its logarithm, in a bracket."""
+    if _averaged(law, xi, stiffness, min(y, y + sign * most), most) * most <= clock:
+        return most
+    low, high = 0.0, most
+    now = rate(law, xi, stiffness, y)
+    s = min(clock / now, most) if now > 0.0 else 0.5 * most
+    for _ in range(200):
+        spent = _averaged(law, xi, stiffness, min(y, y + sign * s), s) * s
+        if spent < clock:
+            low = s
+        else:
+            high = s
+        slope = s * rate(law, xi, stiffness, y + sign * s)
+        step = s * math.exp(spent / slope * math.log(clock / spent)) if slope > 0.0 and spent > 0.0 else -1.0
+        if not low <= step <= high:
+            step = 0.5 * (low + high)
+        if abs(step - s) <= 1e-14 * s:
+            break
+        s = step
+    return s
 
 
 @routine
@@ -204,3 +276,23 @@ def stretches(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Arr
     x, stiffness, clock = lives.stretch, lives.stiffness, lives.clock
     for i in range(count):
         x[r, i] = stretch(law, table, x[r, i], stiffness[r, i], clock[r, i])
+
+
+def require_whole(name: str, law: Any) -> None:
+    """Raise InputError unless a barrier, listed as `name`, has all that every law needs: NumPy's formulas, and kernel
+    routines that say the same."""
+    xi, x, a = 2.0, 1.0, 0.7  # any contact
+    missing = [
+        method
+        for method in ("exponent", "log_hazard")
+        if getattr(type(law), method).__func__ is getattr(Barrier, method).__func__
+    ]
+    if height(law, xi, x, a) == math.inf:
+        missing.append("height")
+    if prefactor(law, xi, x) == 1.0 != math.exp(law.log_prefactor(xi - x, xi)):
+        missing.append("prefactor")
+    if missing:
+        raise InputError(
+            f'thermal.barrier = "{name}": the law {type(law).__name__} lacks {", ".join(missing)}; what every barrier '
+            "has is listed in eqsim/laws/barrier/base.py"
+        )

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, hazard, rate, stretches, thermal
+from eqsim.laws.barrier.base import Barrier, back, mean_rate, onward, rate, stretch, stretches, thermal
 from eqsim.numerics.tables import Array
 
 
@@ -39,8 +39,23 @@ def _at_thresholds(law: Any, table: Array, springs: Any, r: int, lives: Any, row
     pass
 
 
-@hazard.register(Mechanical)
-def _no_hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> float:
+@stretch.register(Mechanical)
+def _at_threshold(law: Any, table: Array, xi: float, stiffness: float, clock: float) -> float:
+    return xi
+
+
+@onward.register(Mechanical)
+def _up_to_threshold(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+    return xi - y
+
+
+@back.register(Mechanical)
+def _back(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+    return y, clock
+
+
+@mean_rate.register(Mechanical)
+def _no_mean_rate(law: Any, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
     return 0.0
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, back, hazard, onward, rate, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch, stretches
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
 from eqsim.numerics.compiled import inlined, routine
@@ -220,6 +220,69 @@ def _rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
     return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[1]
 
 
+@mean_rate.register(Pooled)
+def _mean_rate(law: Pooled, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
+    if length < _POINT * x or length == 0.0:
+        return rate(law, xi, stiffness, x)
+    return math.exp(law.log_w) * (_rise(law.x, law.G, law.slopes, x, length) / length)
+
+
+_POINT = 1e-250  # length over stretch in which the rate does not vary
+
+
+class _Cubic(NamedTuple):
+    """ln x as a function of t = ln G between two nodes, over `width`, about some t: ln x changes by
+    d (slope + d (curve + d third)) in a step d."""
+
+    width: float
+    slope: float
+    curve: float
+    third: float
+
+
+@inlined
+def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
+    """The cell that begins at a node, about its beginning, t = 0; it ends at t = 1."""
+    width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
+    left, right = slopes[low, 0] * width, slopes[low, 1] * width
+    return _Cubic(width, left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise)
+
+
+@inlined
+def _about(cell: _Cubic, t: float) -> _Cubic:
+    """A cell about another t."""
+    slope = cell.slope + t * (2.0 * cell.curve + 3.0 * t * cell.third)
+    return _Cubic(cell.width, slope, cell.curve + 3.0 * t * cell.third, cell.third)
+
+
+@inlined
+def _change(cell: _Cubic, step: float) -> float:
+    """Of ln x in a step of t."""
+    return step * (cell.slope + step * (cell.curve + step * cell.third))
+
+
+@routine
+def _step(cell: _Cubic, change: float, most: float) -> float:
+    """The step of t, at most `most`, in which ln x grows by `change` > 0, to rounding however short: Newton in a
+    bracket."""
+    below, above = 0.0, most
+    step = min(change / cell.slope, most) if cell.slope > 0.0 else 0.5 * most
+    for _ in range(60):
+        excess = _change(cell, step) - change
+        if excess > 0.0:
+            above = step
+        else:
+            below = step
+        slope = cell.slope + step * (2.0 * cell.curve + 3.0 * step * cell.third)
+        better = step - excess / slope if slope > 0.0 else 0.5 * (below + above)
+        if not below <= better <= above:
+            better = 0.5 * (below + above)
+        if abs(better - step) <= 1e-15 * step:
+            break
+        step = better
+    return step
+
+
 @routine
 def _hermite(x: Array, G: Array, slopes: Array, stretch: float) -> tuple[float, float]:
     """G and dG/dx at a stretch: the function of which `_inverse` is the inverse."""
@@ -229,27 +292,39 @@ def _hermite(x: Array, G: Array, slopes: Array, stretch: float) -> tuple[float, 
     if stretch >= x[last]:
         return G[last], 0.0
     low = np.searchsorted(x, stretch, side="right") - 1
-    width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
-    left, right = slopes[low, 0] * width, slopes[low, 1] * width
-    second, third = 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
-    target = math.log(stretch / x[low])
-    below, above, t = 0.0, 1.0, target / rise
-    for _ in range(60):  # Newton in a bracket
-        excess = t * (left + t * (second + t * third)) - target
-        if excess > 0.0:
-            above = t
-        else:
-            below = t
-        slope = left + t * (2.0 * second + 3.0 * t * third)
-        step = t - excess / slope if slope > 0.0 else 0.5 * (below + above)
-        if not below <= step <= above:
-            step = 0.5 * (below + above)
-        if abs(step - t) <= 1e-15:
-            break
-        t = step
-    value = G[low] * math.exp(t * width)
-    slope = left + t * (2.0 * second + 3.0 * t * third)
-    return value, value * width / max(slope, 1e-300) / stretch
+    cell = _cell(x, G, slopes, low)
+    t = _step(cell, math.log(stretch / x[low]), 1.0)
+    value = G[low] * math.exp(t * cell.width)
+    return value, value * cell.width / max(_about(cell, t).slope, 1e-300) / stretch
+
+
+@routine
+def _rise(x: Array, G: Array, slopes: Array, stretch: float, length: float) -> float:
+    """By how much G grows from a stretch on, to rounding however short the length is."""
+    last, end = G.size - 1, stretch + length
+    if last < 0 or stretch >= x[last]:
+        return 0.0
+    if end <= x[0]:
+        return length * (G[0] / x[0])
+    total = 0.0
+    if stretch < x[0]:
+        total, length, stretch = (x[0] - stretch) * (G[0] / x[0]), end - x[0], x[0]
+    low = np.searchsorted(x, stretch, side="right") - 1
+    if end <= x[low + 1]:
+        return total + _rise_in(x, G, slopes, low, stretch, length)
+    total += _rise_in(x, G, slopes, low, stretch, x[low + 1] - stretch)
+    high = np.searchsorted(x, end, side="right") - 1
+    total += G[high] - G[low + 1]
+    return total + _rise_in(x, G, slopes, high, x[high], end - x[high]) if high < last else total
+
+
+@routine
+def _rise_in(x: Array, G: Array, slopes: Array, low: int, stretch: float, length: float) -> float:
+    """`_rise` within a cell."""
+    cell = _cell(x, G, slopes, low)
+    t = _step(cell, math.log(stretch / x[low]), 1.0) if stretch > x[low] else 0.0
+    step = _step(_about(cell, t), math.log1p(length / stretch), max(1.0 - t, 0.0)) if length > 0.0 else 0.0
+    return G[low] * math.exp(t * cell.width) * math.expm1(step * cell.width)
 
 
 @inlined
@@ -273,33 +348,54 @@ def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
     return x[low] * math.exp(t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise))))
 
 
-_SHORT = 1e-3  # travel over stretch below which their difference would be lost in the table
-
-
 @onward.register(Pooled)
 def _onward(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
-    ticks = clock * math.exp(-law.log_w)
-    G, h = _hermite(law.x, law.G, law.slopes, y)
-    s = _inverse(law.x, law.G, law.slopes, G + ticks) - y
-    return min(_corrected(law, y, h, ticks, 1.0) if s < _SHORT * y and h > 0.0 else s, xi - y)
+    return min(_ahead(law.x, law.G, law.slopes, y, clock * math.exp(-law.log_w)), xi - y)
+
+
+@routine
+def _ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
+    """The travel from y in which G grows by `ticks`, to rounding however short; infinite if it never does."""
+    last, passed = G.size - 1, 0.0
+    if last < 0 or y >= x[last]:
+        return math.inf
+    if y < x[0]:
+        ahead = (x[0] - y) * (G[0] / x[0])
+        if ticks <= ahead:
+            return ticks * (x[0] / G[0])
+        y, ticks, passed = x[0], ticks - ahead, x[0] - y
+    low = np.searchsorted(x, y, side="right") - 1
+    cell = _cell(x, G, slopes, low)
+    t = _step(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
+    now = G[low] * math.exp(t * cell.width)
+    step = math.log1p(ticks / now) / cell.width
+    if step <= 1.0 - t:
+        return passed + y * math.expm1(_change(_about(cell, t), step))
+    return passed + max(_inverse(x, G, slopes, now + ticks) - y, x[low + 1] - y)
 
 
 @back.register(Pooled)
 def _back(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
     ticks = clock * math.exp(-law.log_w)
-    G, h = _hermite(law.x, law.G, law.slopes, y)
+    G = _hermite(law.x, law.G, law.slopes, y)[0]
     if ticks >= G:
         return y, clock * (1.0 - G / ticks)
-    s = y - min(_inverse(law.x, law.G, law.slopes, G - ticks), law.x[law.x.size - 1])  # no attempt succeeds beyond
-    return (_corrected(law, y, h, ticks, -1.0) if s < _SHORT * y and h > 0.0 else min(s, y)), -1.0
+    return min(_behind(law.x, law.G, law.slopes, y, ticks), y), -1.0
 
 
 @routine
-def _corrected(law: Pooled, y: float, h: float, ticks: float, sign: float) -> float:
-    """The short travel from y in which the rate, h at y, adds up to `ticks`."""
-    if ticks <= 0.0:
-        return 0.0
-    s = ticks / h
-    for _ in range(3):
-        s = 2.0 * ticks / (h + _hermite(law.x, law.G, law.slopes, y + sign * min(s, 2.0 * _SHORT * y))[1])
-    return s
+def _behind(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
+    """The travel back from y in which G falls by `ticks`, less than it is there, to rounding however short."""
+    last, passed = G.size - 1, 0.0
+    if y <= x[0]:
+        return ticks * (x[0] / G[0])
+    if y >= x[last]:  # no attempt succeeds beyond
+        y, passed = x[last], y - x[last]
+    low = np.searchsorted(x, y, side="right") - 1 if y < x[last] else last - 1
+    cell = _cell(x, G, slopes, low)
+    t = _step(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
+    now = G[low] * math.exp(t * cell.width)
+    step = -math.log1p(-min(ticks / now, 1.0)) / cell.width
+    if step <= t:
+        return passed - y * math.expm1(_change(_about(cell, t), -step))
+    return passed + max(y - _inverse(x, G, slopes, max(now - ticks, 0.0)), y - x[low])

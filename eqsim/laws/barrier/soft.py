@@ -17,9 +17,9 @@ from eqsim.laws.barrier.base import (
     Numbers,
     back,
     hazard,
-    hazard_between,
     height,
     height_slope,
+    mean_rate,
     onward,
     rate,
     stretch,
@@ -185,17 +185,18 @@ def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> f
     return math.exp(law.log_w - a * max(xi - x, 0.0) * (xi + x)) * x / per_dawson
 
 
-@hazard_between.register(Soft)
-def _hazard_between(law: Soft, table: Array, xi: float, stiffness: float, x: float, other: float) -> float:
+@mean_rate.register(Soft)
+def _mean_rate(law: Soft, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
     """Where it is short by its series about the middle: of the mean of exp(p t + q t^2) over -1 < t < 1 (derived)."""
-    length, middle = other - x, 0.5 * (x + other)
+    middle = x + 0.5 * length
     p, q = law.b * stiffness * middle * length, 0.25 * law.b * stiffness * length * length
-    if abs(p) > 0.25 or q > 0.004:
-        return hazard(law, table, xi, stiffness, other) - hazard(law, table, xi, stiffness, x)
+    if p > 0.25 or q > 0.004:
+        end = hazard(law, table, xi, stiffness, x + length)
+        return (end - hazard(law, table, xi, stiffness, x)) / length
     p2 = p * p
     mean = 1.0 + p2 * (1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 / 5040.0))
     mean += q * (1.0 / 3.0 + p2 * (0.1 + p2 / 168.0) + q * (0.1 + p2 / 28.0 + q / 42.0))
-    return rate(law, xi, stiffness, middle) * length * mean
+    return rate(law, xi, stiffness, middle) * mean
 
 
 # Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock sqrt(a) exp(a (xi^2 - y^2)):

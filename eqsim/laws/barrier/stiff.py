@@ -16,9 +16,9 @@ from eqsim.laws.barrier.base import (
     Numbers,
     back,
     hazard,
-    hazard_between,
     height,
     height_slope,
+    mean_rate,
     onward,
     path_step,
     prefactor,
@@ -104,7 +104,7 @@ def _height_slope(law: Stiff, xi: float, x: float, a: float) -> float:
 
 @prefactor.register(Stiff)
 def _prefactor(law: Stiff, xi: float, x: float) -> float:
-    return math.sqrt((xi - x) / xi)
+    return math.sqrt(max(xi - x, 0.0) / xi)  # a stretch may round to more
 
 
 @path_step.register(Stiff)
@@ -137,14 +137,16 @@ def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> 
     return -math.exp(law.log_w - barrier * (1.0 - spent)) * math.expm1(-barrier * spent) / (1.5 * a * xi)
 
 
-@hazard_between.register(Stiff)
-def _hazard_between(law: Stiff, table: Array, xi: float, stiffness: float, x: float, other: float) -> float:
-    a, near, far = law.b * stiffness, (xi - other) / xi, (xi - x) / xi
-    whole, left, before = a * xi * xi, near * math.sqrt(near), far * math.sqrt(far)
+@mean_rate.register(Stiff)
+def _mean_rate(law: Stiff, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
+    near, far = max(xi - x - length, 0.0) / xi, max(xi - x, 0.0) / xi
+    whole, left, before = law.b * stiffness * xi * xi, near * math.sqrt(near), far * math.sqrt(far)
     if left + before == 0.0:
         return 0.0
-    fall = whole * (other - x) / xi * (near * near + near * far + far * far) / (left + before)  # of E
-    return -math.exp(law.log_w - whole * left) * math.expm1(-fall) / (1.5 * a * xi)
+    per_length = (near * near + near * far + far * far) / (left + before)
+    fall = whole * (length / xi) * per_length  # of E
+    mean = -math.expm1(-fall) / fall if fall > 0.0 else 1.0  # of exp(-E), over its greatest value
+    return math.exp(law.log_w - whole * left) * mean * per_length / 1.5
 
 
 @onward.register(Stiff)
