@@ -363,7 +363,7 @@ class Slider:
             return self._slip()
         sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
         change = float(now.sums[STIFFNESS] + self.breaks.rho) * dX + self.breaks.r * dt
-        missed = float(sums[FORCE] - now.sums[FORCE]) - change
+        missed = float(sums[FORCE] - now.sums[FORCE] - change)
         made_up, behind = self.behind.within(dt), self._fall_behind(dt, missed)
         given = (self._damping(now.sums) * made_up.distance + self.pull.mass * made_up.velocity) / dt
         self._account(dt, dX, speed * dt, V, sums, float(now.sums[FORCE]) + 0.5 * change - given)

@@ -14,6 +14,7 @@ _MEANINGS = {
     "X": "displacement of the slider (length)",
     "t": "time",
     "D": "displacement of the plate (length)",
+    "X_stderr": "standard error of X (length)",
     "stage": "displacement of the stage (length)",
     "spring": "force of the stage's spring over N k (length)",
     "force": "<F>/(N k) (length)",
