@@ -38,9 +38,10 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import draw_life
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
-from eqsim.master.avalanche_sizes import size_law
+from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.materials import OCTAMETHYLCYCLOTETRASILOXANE, STEEL
 from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.workflows.run import run as run_file
 
 UNIFORM = {"stiffness_law": "uniform"}
 
@@ -285,6 +286,36 @@ def test_sizes_are_busy_periods(coupling):
     sizes = found["breaks"][found["D"] > 12.0]
     assert sizes_against(size_law(Gamma(), elastic.load, 100), sizes) > 1e-4
     assert sizes_against(size_law(Gamma(), 0.95 * elastic.load, 100), sizes) < 1e-6
+
+
+@pytest.mark.parametrize("n", [50, 200])
+def test_few_contacts_of_uncoupled_blocks(n):
+    """Mean size 1/(1 - rho + rho/n) and single breaks of n contacts, to the first order in 1/n: |z| < 4.5 beyond the
+    second order, the square of the relative change. Negative control for n = 50: infinitely many contacts."""
+    elastic = Elastic(64, 0.0, 0.25)
+    found, few = interface(64 * n, 60.0, elastic, points=2, replicas=2), missed_by_few(Gamma(), elastic.load, n)
+    single = size_law(Gamma(), elastic.load, 1)[0]
+    laws = (found.size, elastic.mean_size, few.mean), (found.single, single, few.single)
+    for seen, infinite, missed in laws:
+        second = missed**2 / infinite
+        assert abs(seen.value - infinite - missed) < 4.5 * seen.stderr + second
+        if n == 50:
+            assert abs(seen.value - infinite) > 4.5 * seen.stderr
+
+
+def test_discrete_laws_have_no_expected_sizes(tmp_path):
+    """Equal thresholds break together: sizes are seen, and compared with nothing."""
+    text = '[contacts]\ncount = 800\nstiffness_law = "uniform"\n[thresholds]\nlaw = "delta"\n'
+    text += "[drive]\nvelocity = 1.0\ndistance = 20.0\n"
+    text += "[elastic]\nblocks = 8\ncoupling = 1.0\ndrive_stiffness = 0.25\n[output]\npoints = 11\n"
+    path = tmp_path / "delta.toml"
+    path.write_text(text)
+    result = run_file(path)
+    averages = result.averages()
+    assert averages["size"][0].value > 100.0
+    assert averages["size"][1].value is averages["single"][1].value is None
+    assert result.summary()["z"]["size"] is None
+    assert result.files()["avalanches.png"]
 
 
 def test_coupling_spreads_avalanches():

@@ -20,6 +20,7 @@ from eqsim import (
     Segment,
     Stage,
     Thermal,
+    Uniform,
     steady,
     trajectory,
     transient,
@@ -28,6 +29,7 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import ROUNDS, draw_life, draw_lives, empty_lanes, empty_lives
 from eqsim.laws.aging.base import spend
 from eqsim.master import slider
+from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
 from eqsim.master.programme import course_of, numerics_of
 from eqsim.numerics.streams import TRAJECTORY, key
 
@@ -385,6 +387,48 @@ def test_avalanches_are_busy_periods(stiffness):
     load = n / (n + stiffness)
     assert p_value(load) > 1e-4
     assert p_value(0.9 * load) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Gamma(),
+        *(pytest.param(law, marks=pytest.mark.verification) for law in (Gamma(0.0), Gamma(4.0), Uniform(0.2, 1.8))),
+    ],
+    ids=["n=1", "n=0", "n=4", "uniform"],
+)
+def test_avalanches_of_sqrt_contacts(law):
+    """Mean size 1 + k_t N/K and the share of single breaks under the sqrt law, k_t = k xi_rms/<xi>; 16 ensembles of 500
+    contacts, |z| < 4.5 of Student's law with 15 degrees of freedom (false alarm 4e-4 each) beyond what 500 contacts
+    miss. Negative control: k in place of k_t, travel in place of the force lost."""
+    kappa, runs, n = 0.25, 16, 500
+    ensemble, distance = Ensemble(law, count=n), 60.0 * law.mean
+    found = pulled(ensemble, distance, Stage(kappa), 11, velocity=1.0, replicas=runs).avalanches
+    late = found["X"] > 20.0 * law.mean
+    sizes = [found["breaks"][late & (found["replica"] == i)] for i in range(runs)]
+    load = load_of(law, kappa, "sqrt")
+    few = missed_by_few(law, load, n, "sqrt")
+
+    def score(seen, exact, missed):
+        return (max(abs(np.mean(seen) - exact) - abs(missed), 0.0)) / (np.std(seen, ddof=1) / math.sqrt(runs))
+
+    means, single = [np.mean(size) for size in sizes], [np.mean(size == 1) for size in sizes]
+    assert score(means, 1.0 / (1.0 - load), few.mean) < 4.5
+    assert score(single, size_law(law, load, 1, "sqrt")[0], few.single) < 4.5
+    assert score(single, size_law(law, 1.0 / (1.0 + kappa), 1)[0], few.single) > 4.5
+
+
+def test_sqrt_avalanches_in_closed_form():
+    """n = 1, where (xi/x_*)^2 is gamma distributed: mean size 5.2554 and single breaks (1 + rho/2)^-2 = .50668 at
+    kappa = .25; P(2) = rho (1 + rho/2)^-5 from the sum of two drops, gamma distributed with shape 4."""
+    load = load_of(Gamma(), 0.25, "sqrt")
+    assert 1.0 / (1.0 - load) == pytest.approx(5.2554, rel=0, abs=5e-5)
+    found = size_law(Gamma(), load, 2, "sqrt")
+    assert found[0] == pytest.approx((1.0 + 0.5 * load) ** -2, rel=1e-9, abs=0)
+    assert found[0] == pytest.approx(0.50668, rel=0, abs=5e-6)
+    # E[e^-t t]/2 with t = rho g/2, g of shape 4: (1/2) (rho/2) 4 (1 + rho/2)^-5
+    assert found[1] == pytest.approx(load * (1.0 + 0.5 * load) ** -5, rel=1e-9, abs=0)
+    assert load_of(Gamma(), 0.25) == pytest.approx(0.8, rel=1e-15, abs=0)
 
 
 def test_friction_over_displacement_is_steady():

@@ -8,8 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
+from eqsim import Delay, Ensemble, Programme, Segment, Stage, trajectory
 from eqsim.cli.app import app
-from eqsim.engine.records import slips_of
+from eqsim.engine.records import _mean_over, slips_of
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
 
@@ -143,3 +144,61 @@ def test_slips_of_a_saw():
     assert [slip.X for slip in found] == pytest.approx([4.0, 11.0, 20.0], rel=1e-12, abs=0)
     assert [slip.distance for slip in found] == pytest.approx([6.0, 6.0, 10.0], rel=1e-12, abs=0)
     assert slips_of(t, X, spring, 2.0, 0.1) == []
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_slips_that_a_record_cuts(sign):
+    """A record that begins in a slip, and ends in another: by hand, forwards and backwards."""
+    t = np.array([0.0, 0.5, 10.0, 10.1, 10.2])
+    X, spring = sign * np.array([0.0, 5.0, 6.0, 10.0, 593.0]), sign * np.array([1.0, 0.4, 1.0, 0.5, 0.2])
+    first, last = slips_of(t, X, spring, 0.3, 0.1)
+    assert (first.begun, first.ended, last.begun, last.ended) == (False, True, True, False)
+    assert [first.drop, last.drop] == pytest.approx([0.6, 0.8], rel=1e-12, abs=0)
+    assert [first.distance, last.distance] == pytest.approx([sign * 5.0, sign * 587.0], rel=1e-12, abs=0)
+    assert slips_of(t, X, spring, 0.3, 1e4) == []  # the stage is as fast
+
+
+def test_whole_slips_make_the_means():
+    """Drop and period without the first slip and without one that is not over."""
+    t = np.arange(9.0)
+    X, spring = np.cumsum([0.0, 0, 9, 0, 9, 0, 9, 0, 9]), np.array([0.0, 1, 0.2, 1, 0.3, 1, 0.5, 1, 0.1])
+    found = slips_of(t, X, spring, 0.3, 0.1)
+    assert [slip.ended for slip in found] == [True, True, True, False]
+    mean = _mean_over(found, lambda slips: [slip.drop for slip in slips])
+    assert (mean.value, mean.n) == (pytest.approx(0.6, rel=1e-12, abs=0), 2)
+
+
+def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
+    """The spring is stretched so far at first that the record begins in a slip, and ends in the second: both are listed
+    and marked, in the table and in JSON, and the drop of the second is less than that of the same slip in a longer
+    record."""
+    ensemble = Ensemble(count=500, delay=Delay(1.0), stiffness_law="uniform")
+    stage = Stage(0.1, damping=0.1, preload=20.0)
+    whole = trajectory(ensemble, Programme([Segment(0.1, time=60.0)], stage=stage), points=61).slips[1]
+    time = whole.t + 0.1
+    arguments = ("--set", "drive.stage.preload=20.0", "--set", f"drive.distance={0.1 * time}")
+    done = eqsim("run", path, "--out", tmp_path / "out", *arguments)
+    assert done.exit_code == 0, done.output
+    first, last = json.loads((tmp_path / "out" / "summary.json").read_text())["slips"]
+    assert (first["begun"], first["ended"], last["begun"], last["ended"]) == (False, True, True, False)
+    assert whole.begun
+    assert whole.ended
+    assert 0.3 * whole.drop < last["drop"] < 0.9 * whole.drop
+    shown = " ".join(done.output.split())
+    assert "the record begins in the midst of slip 0: drop" in shown
+    assert "the record ends in the midst of slip 1: drop" in shown
+    assert "> 0." in shown
+
+
+def test_the_exact_peak_is_where_the_slider_is(path, tmp_path):
+    """`exact.at` is the slider's displacement as `at` is, and not that of the stage: |z| < 4.5 of the error of `at`, 8
+    replicas. Negative control: where the stage is at that instant."""
+    sets = ("output.replicas=8", "drive.distance=4.0", "drive.stage.stiffness=0.5", "output.points=81")
+    done = eqsim("run", path, "--out", tmp_path / "out", "--json", *(a for s in sets for a in ("--set", s)))
+    assert done.exit_code == 0, done.output
+    segment = json.loads(done.stdout)["segments"][0]
+    table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
+    off = abs(segment["at"]["value"] - segment["exact"]["at"])
+    assert off < 4.5 * segment["at"]["stderr"]
+    stage = float(np.interp(segment["at"]["value"], table["X"], table["stage"]))
+    assert abs(segment["at"]["value"] - stage) > 4.5 * segment["at"]["stderr"]

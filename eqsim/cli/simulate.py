@@ -115,8 +115,10 @@ def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, A
 _AVERAGES = ("", "this run", "expected", "z")
 _SEGMENTS = ("", "velocity", "until t", "force then", "z", "peak", "after X or t")
 _SLIPS = ("slip", "at t", "at X", "drop of the force", "takes", "over")
+_CUT = "the record {} in the midst of {}: drop, time and distance (>) are those of what it shows"
 _COUPLED = ("", "this run", "expected", "z")
 _MOST_ROWS = 40
+_FEW_CUT = 8  # slips that are named in a remark
 _SHOWN = 10  # parts of a curve at whose ends it is shown
 
 
@@ -143,8 +145,10 @@ def _slips(result: "SliderResult") -> Iterator[tuple[str, ...]]:
     """Each slip, and means of all but the first."""
     found = result.trajectory
     for index, slip in enumerate(found.slips[:_MOST_ROWS]):
-        numbers = slip.t, slip.X, slip.drop, slip.duration, slip.distance
-        yield str(index), *(f"{number:.6g}" for number in numbers)
+        least = "" if slip.begun and slip.ended else "> "
+        sizes = (slip.drop, slip.duration, abs(slip.distance) if least else slip.distance)
+        places = (f"{number:.6g}" for number in (slip.t, slip.X))
+        yield str(index), *places, *(f"{least}{number:.6g}" for number in sizes)
     if len(found.slips) > _MOST_ROWS:
         yield "...", *[""] * (len(_SLIPS) - 1)
     if found.period.value is not None:
@@ -164,8 +168,9 @@ def _coupled(result: "ElasticResult") -> Iterator[tuple[str, ...]]:
 
     names = {"friction": "friction over X", "size": "breaks per avalanche", "single": "fraction of single breaks"}
     for name, (found, exact) in result.averages().items():
-        z = terminal.score(difference(found, exact))
-        yield names[name], terminal.value_and_error(found), f"{exact.value:.8g}", z
+        known = "none" if exact.value is None else terminal.value_and_error(exact)
+        z = "none" if exact.value is None else terminal.score(difference(found, exact))
+        yield names[name], terminal.value_and_error(found), known, z
 
 
 def _unit(rows: "list[tuple[str, Row]]") -> tuple[str, ...]:
@@ -216,6 +221,11 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) ->
     slips = getattr(found, "slips", None)
     if slips is not None:
         yield f"{len(slips)} slips" if slips else "no slip in this run"
+        for verb, whole in (("begins", "begun"), ("ends", "ended")):
+            cut = [str(index) for index, slip in enumerate(slips) if not getattr(slip, whole)]
+            if cut:
+                named = ", ".join(cut[:_FEW_CUT]) + ", ..." * (len(cut) > _FEW_CUT)
+                yield _CUT.format(verb, f"slip{'s' * (len(cut) > 1)} {named}")
         if not found.force_reliable:
             yield "force_stderr: that of contacts at this X; how far X differs between ensembles takes 8 replicas"
     elif not found.force_reliable:
@@ -235,7 +245,7 @@ def _remarks_on_blocks(result: "ElasticResult") -> Iterator[str]:
             f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "
             f"{blocks.mean():.3g} of {elastic.count} blocks take part in the mean, {blocks.max()} at most"
         )
-    yield "exact: friction of any contacts, avalanches of infinitely many; n contacts to a block miss them by some 1/n"
+    yield "exact: friction of any contacts, avalanches of infinitely many; errors: what n contacts a block may change"
     contacts = f" of {terminal.count(result.ensemble.count * result.file.output.replicas)} contacts"
     lives = terminal.lives(found.lives, found.engine_seconds, contacts)
     yield f"{lives}, {found.threads} threads, seed {found.seed}"

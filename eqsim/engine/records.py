@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -157,18 +157,23 @@ class ProgrammeTrajectory(Record):
 
 @dataclass(frozen=True)
 class Slip:
-    """A slip of a slider that a stage pulls: its spring relaxes faster than the stage loads it.
+    """A slip of a slider that a stage pulls: its spring relaxes faster than the stage loads it, by `model.slip` or
+    more.
 
     Attributes
     ----------
     t, X : float
         Time when half of the drop is done, and displacement of the slider then (length).
     drop : float
-        By how much the force of the spring, over N k, falls from its largest to its least value (length).
+        By how much the force of the spring, over N k, falls from its largest to its least value, or, of a slip
+        backwards, rises from its least to its largest (length).
     duration, distance : float
-        For how long it falls (time), and how far the slider moves meanwhile (length).
+        For how long it does (time), and how far the slider moves meanwhile (length; negative backwards).
     replica : int
         Which of the independent ensembles slips.
+    begun, ended : bool
+        Whether the record shows how it begins, and how it ends. If not, it was or is under way at an end of the record,
+        and `drop`, `duration` and `distance` are less than the whole, `t` and `X` those of the half that was seen.
     """
 
     t: float
@@ -177,6 +182,8 @@ class Slip:
     duration: float
     distance: float
     replica: int = 0
+    begun: bool = True
+    ended: bool = True
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,10 +192,14 @@ class SliderTrajectory(ProgrammeTrajectory):
 
     Forces and displacements are means over replicas, errors are from their scatter. Of a single ensemble
     `force_stderr` is what independent contacts at the same X would have, and `force_reliable` is False: it does not
-    know how far this X(t) is from that of other ensembles.
+    know how far this X(t) is from that of other ensembles. The errors of force, pinned share and X, and those of
+    `period` and `drop`, include how far the finite step may be wrong: a third of what changes in steps four times as
+    long.
 
     Attributes
     ----------
+    X_stderr : ndarray, shape (points,)
+        Standard error of X; of a single ensemble only what the finite step makes of it (length).
     stage, spring : ndarray, shape (points,)
         Displacement of the stage's end of the spring, and the force of the spring, kappa_s (stage - X) (length).
     X_replica_std : ndarray, shape (points,), or None
@@ -200,6 +211,8 @@ class SliderTrajectory(ProgrammeTrajectory):
         store, less that at the beginning; what broken contacts, damping and viscosity have taken; and what is missing
         because steps are finite.
     slips : tuple of Slip
+    coarser_slips : tuple of Slip, or None
+        Those of the same contacts in steps four times as long; None if nothing is approximate.
     avalanches : dict of ndarray, or None
         Of a stage that pulls quasi-statically (no heat, delay, damping or mass), by column: time `t` and displacement
         `X` (length) of the first break, how many `breaks` follow from it, `drop` of the force and `distance` that the
@@ -208,28 +221,32 @@ class SliderTrajectory(ProgrammeTrajectory):
 
     stage: Array
     spring: Array
+    X_stderr: Array
     X_replica_std: Array | None
     X_replicas: Array | None
     energy: Array
     slips: tuple[Slip, ...]
+    coarser_slips: tuple[Slip, ...] | None
     avalanches: dict[str, Array] | None
 
     def columns(self) -> dict[str, Array]:
         """The arrays by name."""
-        found = {**super().columns(), "stage": self.stage, "spring": self.spring}
+        found = {**super().columns(), "X_stderr": self.X_stderr, "stage": self.stage, "spring": self.spring}
         if self.X_replica_std is not None:
             found["X_replica_std"] = self.X_replica_std
         return found | dict(zip(("work", "stored", "dissipated", "missing"), self.energy.T, strict=True))
 
     def _over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
-        """The mean of what each replica's slips, but for the first, which depends on the start, are worth."""
-        values: list[float] = []
-        for replica in sorted({slip.replica for slip in self.slips}):
-            values += of([slip for slip in self.slips if slip.replica == replica][1:])
-        n = len(values)
-        if n < 2:
-            return Estimate(values[0] if values else None, None, n, reliable=False)
-        return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(n)), n, n - 1, n >= _FEW)
+        """The mean of what each replica's whole slips, but for the first, which depends on the start, are worth."""
+        found = _mean_over(self.slips, of)
+        if self.coarser_slips is None or found.value is None:
+            return found
+        coarse = _mean_over(self.coarser_slips, of).value
+        if coarse is None:
+            return replace(found, reliable=False)
+        return replace(
+            found, stderr=None if found.stderr is None else math.hypot(found.stderr, (coarse - found.value) / 3.0)
+        )
 
     @property
     def period(self) -> Estimate:
@@ -242,12 +259,31 @@ class SliderTrajectory(ProgrammeTrajectory):
         return self._over_slips(lambda slips: [slip.drop for slip in slips])
 
 
+def _mean_over(slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]) -> Estimate:
+    """The mean of what the slips of each replica are worth, without its first one and what the record ends in."""
+    values: list[float] = []
+    for replica in sorted({slip.replica for slip in slips}):
+        values += of([slip for slip in slips if slip.replica == replica and slip.ended][1:])
+    n = len(values)
+    if n < 2:
+        return Estimate(values[0] if values else None, None, n, reliable=False)
+    return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(n)), n, n - 1, n >= _FEW)
+
+
 _FEW = 5  # slips, from which on the scatter of a sample says something about its mean
 
 
 def slips_of(t: Array, X: Array, spring: Array, least: float, fastest: float, replica: int = 0) -> list[Slip]:
-    """The slips in a record, arrays (points,): the force of the spring falls by `least` or more before it rises by as
-    much, and the slider goes more than twice as fast as the stage at its `fastest` meanwhile."""
+    """The slips in a record, arrays (points,), forwards and backwards: the force of the spring falls by `least` or more
+    before it rises by as much, or the mirror image of that, and the slider goes more than twice as fast as the stage at
+    its `fastest` meanwhile. One that the record begins or ends in is marked."""
+    forwards = _falls(t, X, spring, least, fastest)
+    backwards = [replace(slip, X=-slip.X, distance=-slip.distance) for slip in _falls(t, -X, -spring, least, fastest)]
+    return [replace(slip, replica=replica) for slip in sorted(forwards + backwards, key=lambda slip: slip.t)]
+
+
+def _falls(t: Array, X: Array, spring: Array, least: float, fastest: float) -> list[Slip]:
+    """`slips_of` forwards."""
     found, high, low = [], 0, -1  # where the force is largest, and, once it has fallen, least
     for i in range(t.size + 1):
         done = i == t.size
@@ -260,20 +296,23 @@ def slips_of(t: Array, X: Array, spring: Array, least: float, fastest: float, re
             low = i
         elif done or spring[i] - spring[low] > least:
             time, distance = float(t[low] - t[high]), float(X[low] - X[high])
-            if abs(distance) > 2.0 * fastest * time and not (done and low == t.size - 1):
+            if distance > 2.0 * fastest * time:
                 half = 0.5 * (spring[high] + spring[low])
                 j = high + 1 + int(np.argmax(spring[high + 1 : low + 1] <= half))
-                part = (spring[j - 1] - half) / (spring[j - 1] - spring[j])
-                middle, place = (float(y[j - 1] + part * (y[j] - y[j - 1])) for y in (t, X))
-                found.append(Slip(middle, place, float(spring[high] - spring[low]), time, distance, replica))
+                share = (spring[j - 1] - half) / (spring[j - 1] - spring[j])
+                middle, place = (float(y[j - 1] + share * (y[j] - y[j - 1])) for y in (t, X))
+                drop, ended = float(spring[high] - spring[low]), low < t.size - 1
+                found.append(Slip(middle, place, drop, time, distance, begun=high > 0, ended=ended))
             high, low = min(i, t.size - 1), -1
     return found
 
 
 def shown_by(
-    programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True
-) -> tuple[SegmentRecord, ...]:
-    """What the segments of a programme show in a force with errors, arrays (points,) at the instants of `grid`."""
+    programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True,
+    X_stderr: Array | None = None,
+) -> tuple[SegmentRecord, ...]:  # fmt: skip
+    """What the segments of a programme show in a force with errors, arrays (points,) at the instants of `grid`, whose
+    displacements are those of the slider, with errors `X_stderr` if they are found behind a spring."""
     found, before = [], programme.velocity if programme.start == "stationary" else None
     for index, segment in enumerate(programme.segments):
         here = np.flatnonzero(grid.segment == index)
@@ -283,6 +322,9 @@ def shown_by(
         ratio = segment.velocity / before if before else 0.0
         stepped = ratio > 0 and ratio != 1
         peak, at = extreme(along, forces, errors, math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0)
+        if X_stderr is not None and segment.velocity and at.value is not None:
+            near = here[int(np.argmin(np.abs(along - at.value)))]
+            at = replace(at, stderr=math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]]))
         end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
         step = velocity_step(along, forces, errors, peak, ratio) if stepped else None
         end, peak, at = (replace(estimate, reliable=reliable) for estimate in (end, peak, at))

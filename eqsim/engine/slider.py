@@ -7,20 +7,28 @@ add to it by motion, per dX, and by heat, per time, as in the last breaks (deriv
 
 has a closed form then; with one forces are balanced in the middle of the step, or, where the slider's own vibration is
 faster than a step, at its end. Then every contact is followed along the piece, so F is exact for the X(t) that was
-found, and what the estimate missed is made good in the next step. Steps are so short that the estimate misses F by less
-than the tolerance, beyond the scatter of the breaks themselves, and none is longer than the root of it; a slip takes as
-many steps as it needs. Where neither damping nor mass holds the slider back it takes place at an instant.
+found. What the estimate missed of F has left the slider where it would not be otherwise, and at another velocity; the
+next step makes up for both (`Behind`). Without that the slider would be of first order in the step, as rho and r lag
+behind by as many breaks as they are means of.
+
+Steps are so short that the estimate misses F by less than the tolerance, beyond the scatter of the breaks themselves,
+and none is longer than the root of it; a slip takes as many steps as it needs. Where neither damping nor mass holds the
+slider back it takes place at an instant. Every ensemble is followed a second time, in steps four times as long, and
+what that changes tells how much the finite step may be wrong (`_missed_by_steps`).
 
 Lengths are in units of the threshold law's scale, time is displacement at the pace of `model.reduced.Pull`.
 """
 
+import functools
 import itertools
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from eqsim.engine import avalanches
 from eqsim.engine.blocks import Progress, Threads, workers_of
@@ -37,6 +45,7 @@ from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
+from eqsim.model.slip import least_slip, width_of
 from eqsim.numerics.compiled import apart, inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
@@ -51,6 +60,7 @@ _SHORTEST = 1e-200  # the shortest step of what damping or mass hold back
 _INSTANT = 1e-40  # time of a piece that takes none, over its displacement: heat and age do nothing in it at any pace
 _FEW_REPLICAS = 8  # whose scatter tells the error of their mean
 _NOISE = 2.0  # standard errors of what breaks in a step that no shorter step would make better
+_COARSER = 4  # how many times as long the steps of the second run are, and how many of its instants it records one of
 
 # sums over contacts at the end of a piece: pinned, stiffness, force, its square, stored energy; and of the breaks in
 # it: force by motion and by heat, its square, energy, and how many
@@ -176,6 +186,21 @@ class State(NamedTuple):
     missed: float = 0.0
 
 
+class Behind(NamedTuple):
+    """How much farther and faster the slider would be had estimates not missed F so far; to be made up for within the
+    time `over` (derived, to the first order in what was missed)."""
+
+    distance: float = 0.0
+    velocity: float = 0.0
+    over: float = 0.0
+
+    def within(self, dt: float) -> "Behind":
+        """What a step of dt makes up for. What was missed in a longer step takes as long as that, so that the
+        displacement of a step vanishes with dt."""
+        share = min(1.0, dt / self.over) if self.over > 0.0 else 0.0
+        return Behind(share * self.distance, share * self.velocity, self.over)
+
+
 class _Breaks:
     """How fast breaks change F, by motion (rho) and by heat (r), as the last `_BREAKS` of them say, or those of the
     last step where there are more."""
@@ -216,7 +241,10 @@ def _relaxed(forces: tuple[float, float, float], damping: float, dt: float) -> f
 class Slider:
     """The contacts of an ensemble from `first` on and the slider they hold, pulled by the stage of `programme`."""
 
-    def __init__(self, ensemble: Ensemble, programme: Programme, seed: int, first: int, threads: int) -> None:
+    def __init__(
+        self, ensemble: Ensemble, programme: Programme, seed: int, first: int, threads: int, longer: int = 1
+    ) -> None:
+        """`longer` is how many times as long as usual steps are."""
         assert programme.stage is not None
         self.pull, unit, law = pull_of(ensemble, programme), ensemble.thresholds.scale, ensemble.thresholds
         self.c, self.drag = contacts(ensemble, self.pull.pace), drag_of(ensemble, self.pull.pace)
@@ -227,12 +255,11 @@ class Slider:
         self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
         self.pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self.found = np.zeros((blocks, 10))
-        low, high = np.asarray(law.inverse_survival(np.array([0.17, 1.8]))) / unit  # two standard deviations
-        typical = law.mean / unit
-        self.width = min(max(high - low, 0.02 * typical), typical)
-        self.longest = math.sqrt(programme.stage.tolerance) * self.width
-        self.tolerance = programme.stage.tolerance * typical
-        self.acceleration = 0.0
+        self.least_slip = least_slip(law) / unit
+        self.longest = longer * math.sqrt(programme.stage.tolerance) * width_of(law) / unit
+        self.tolerance = longer**2 * programme.stage.tolerance * law.mean / unit
+        self.waits = not (isinstance(self.c.barrier, Mechanical) and isinstance(self.c.aging, Unaged))
+        self.acceleration, self.behind = 0.0, Behind()
         self.breaks, self.dt = _Breaks(0.1 * self.longest), _FIRST * self.pull.ends[0]
         stretch, speed = (programme.stage.preload or 0.0) / unit, 0.0
         if programme.start == "stationary" and programme.velocity:
@@ -284,20 +311,46 @@ class Slider:
             other.result()
         return np.asarray(self.found.sum(axis=0) / self.count)
 
+    def _held(self, dt: float) -> tuple[float, float, float]:
+        """Stiffness of spring, contacts and breaks against a displacement in a step of dt; with a mass what holds the
+        slider, force per displacement, and the share of the step after which forces are balanced."""
+        pull, sums = self.pull, self.state.sums
+        elastic = pull.stiffness + float(sums[STIFFNESS])
+        if pull.mass == 0.0:
+            return elastic + self.breaks.rho, math.nan, math.nan
+        theta = 0.5 if dt * dt * elastic < pull.mass else 1.0
+        elastic += self.breaks.rho
+        return elastic, pull.mass / (theta * dt * dt) + self._damping(sums) / dt + 0.5 * elastic, theta
+
     def _estimate(self, dt: float, speed: float) -> tuple[float, float]:
         """Displacement in a step, infinite where the slider is unstable and nothing holds it, and velocity then."""
-        now, pull, damping = self.state, self.pull, self._damping(self.state.sums)
-        elastic = pull.stiffness + float(now.sums[STIFFNESS])
-        net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE])
+        now, pull, damping, behind = self.state, self.pull, self._damping(self.state.sums), self.behind.within(dt)
+        elastic, held, theta = self._held(dt)
+        net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE]) - elastic * behind.distance
         gain = pull.stiffness * speed - self.breaks.r
         if pull.mass == 0.0:
-            dX = _relaxed((net, gain, elastic + self.breaks.rho), damping, dt)
+            dX = behind.distance + _relaxed((net, gain, elastic), damping, dt)
             return dX, dX / dt
-        theta = 0.5 if dt * dt * elastic < pull.mass else 1.0
-        inertia = pull.mass / (theta * dt * dt)
-        held = inertia + damping / dt + 0.5 * (elastic + self.breaks.rho)
-        dX = (net + 0.5 * gain * dt + inertia * now.V * dt) / held if held > 0.0 else math.inf
-        return dX, now.V + (dX / dt - now.V) / theta
+        V = now.V + behind.velocity
+        moved = (net + 0.5 * gain * dt + pull.mass / (theta * dt) * V) / held if held > 0.0 else math.inf
+        return behind.distance + moved, V + (moved / dt - V) / theta
+
+    def _fall_behind(self, dt: float, missed: float) -> Behind:
+        """What is to be made up for after a step of dt whose estimate missed F by `missed` at the end and, in the mean,
+        in proportion to the time before."""
+        elastic, held, theta = self._held(dt)
+        if self.pull.mass == 0.0:
+            distance, velocity = _relaxed((0.0, -missed / dt, elastic), self._damping(self.state.sums), dt), 0.0
+        else:
+            distance = -0.5 * missed / held
+            velocity = distance / (theta * dt)
+        if not math.isfinite(distance):
+            return Behind()
+        before, made_up = self.behind, self.behind.within(dt)
+        return Behind(
+            before.distance - made_up.distance + distance, before.velocity - made_up.velocity + velocity,
+            max(dt, before.over - dt),
+        )  # fmt: skip
 
     def step(self, until: float, speed: float) -> State:
         """One step, not beyond a time, while the stage moves at `speed`."""
@@ -312,9 +365,12 @@ class Slider:
             return self._slip()
         sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
         change = float(now.sums[STIFFNESS] + self.breaks.rho) * dX + self.breaks.r * dt
-        self._account(dt, dX, speed * dt, V, sums, float(now.sums[FORCE]) + 0.5 * change)
-        off = abs(float(sums[FORCE] - now.sums[FORCE]) - change)
-        off = max(off - _NOISE * math.sqrt(sums[SCATTER] / self.count), 0.0)
+        missed = float(sums[FORCE] - now.sums[FORCE] - change)
+        made_up, behind = self.behind.within(dt), self._fall_behind(dt, missed)
+        given = (self._damping(now.sums) * made_up.distance + self.pull.mass * made_up.velocity) / dt
+        self._account(dt, dX, speed * dt, V, sums, float(now.sums[FORCE]) + 0.5 * change - given)
+        self.behind = behind
+        off = max(abs(missed) - _NOISE * math.sqrt(sums[SCATTER] / self.count), 0.0)
         if self.pull.mass:  # what forces miss as the acceleration changes
             acceleration, elastic = (V - now.V) / dt, self.pull.stiffness + float(sums[STIFFNESS])
             off = max(off, 4.0 * dt * dt * abs(acceleration - self.acceleration) * elastic)
@@ -322,9 +378,20 @@ class Slider:
         grown = dt * min(max(0.9 * math.sqrt(self.tolerance / off), 0.3), 2.0) if off > 0.0 else 2.0 * dt
         self.dt = max(grown, self.dt) if dt == left and off < self.tolerance else grown
         self.breaks.add(dX, dt, sums, self.count)
+        self.dt = min(self.dt, self._until_a_break())
         if dt == left:
             self.state = self.state._replace(s=until)
         return self.state
+
+    def _until_a_break(self) -> float:
+        """The longest step that heat allows. A time without a break says no more than that the rate of breaks is about
+        one in that time; as many may move the slider by as much as a step may."""
+        sums = self.state.sums
+        if not self.waits or sums[SQUARE] <= 0.0:
+            return math.inf
+        force = math.sqrt(sums[SQUARE] / sums[PINNED]) / self.count  # of a contact, as a share of F
+        elastic = self.pull.stiffness + float(sums[STIFFNESS])
+        return 1.5 * self.longest * elastic * self.breaks.waited / force
 
     def _slip(self) -> State:
         """A piece that takes no time, towards balance."""
@@ -336,6 +403,7 @@ class Slider:
         sums = self._follow(Piece(dt, 1.0 / _INSTANT, math.copysign(1.0, net)))
         work = float(sums[STORED] - now.sums[STORED] + sums[LOST])
         self._account(dt, dX, 0.0, 0.0, sums, work / dX)
+        self.behind = Behind()
         self.breaks.add(dX, dt, sums, self.count)
         return self.state
 
@@ -362,8 +430,8 @@ class _Replica(NamedTuple):
     avalanches: Array | None
 
 
-# columns of `_Replica.values`
-_X, _STAGE, _FRICTION, _BOUND, _VARIANCE, _WORK, _KEPT, _TAKEN, _MISSING = range(9)
+# columns of `_Replica.values`; `_BEHIND` is by how much X is wrong at an instant as the last steps missed F
+_X, _STAGE, _FRICTION, _BOUND, _VARIANCE, _WORK, _KEPT, _TAKEN, _MISSING, _BEHIND = range(10)
 
 
 def _row(slider: Slider, now: State, before: float) -> tuple[float, ...]:
@@ -373,7 +441,8 @@ def _row(slider: Slider, now: State, before: float) -> tuple[float, ...]:
     force, pinned = float(sums[FORCE]), float(sums[PINNED])
     friction = force + slider.drag * (1.0 - pinned) * now.V
     variance = max(float(sums[SQUARE]) - force**2, 0.0) / slider.count
-    return now.X, now.Y, friction, pinned, variance, now.stage, stored - before, now.lost + now.damped, now.missed
+    taken, behind = now.lost + now.damped, slider.behind.distance
+    return now.X, now.Y, friction, pinned, variance, now.stage, stored - before, taken, now.missed, behind
 
 
 def _simulate(slider: Slider, instants: Array, replica: int, before: int, progress: Progress | None) -> _Replica:
@@ -400,7 +469,7 @@ def _slips(slider: Slider, values: Array, course: Array, replica: int) -> list[S
     """Of a course, shape (steps, 3) of time, X and Y: larger ones than contacts make at any X by chance."""
     (s, X, Y), pull = course.T, slider.pull
     noise = 6.0 * math.sqrt(values[:, _VARIANCE].max())
-    least = max(0.25 * slider.width * pull.stiffness, noise)
+    least = max(slider.least_slip * pull.stiffness, noise)
     return slips_of(s, X, pull.stiffness * (Y - X), least, max(map(abs, pull.speeds)), replica)
 
 
@@ -422,7 +491,7 @@ def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, pr
         kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
         work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
         stored = kept if j == 0 else stored
-        rows.append((x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken))
+        rows.append((x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken, 0.0))
         if progress:
             progress(before + int(now[avalanches.BREAKS]))
     values, found = np.array(rows), np.concatenate(events)
@@ -432,6 +501,35 @@ def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, pr
     found[:, 0] = ends
     lives = slider.count + round(now[avalanches.BREAKS])
     return _Replica(values, _slips(slider, values, steps, replica) if len(steps) else [], lives, found)
+
+
+def _seldom(segment: Array) -> Array:
+    """Which instants of a grid, whose segments are `segment` (points,), the second run records: one in `_COARSER`,
+    counted from the end of each segment."""
+    ends = np.flatnonzero(np.append(np.diff(segment) != 0, True))
+    from_end = ends[segment] - np.arange(segment.size)
+    recorded = from_end % _COARSER == 0
+    recorded[0] = True
+    return np.flatnonzero(recorded)
+
+
+def _missed_by_steps(fine: Array, coarse: Array, recorded: Array) -> Array:
+    """By how much finite steps may be wrong in the mean over replicas: (points, values) from what they left, shape
+    (replicas, points, values), and left in steps four times as long at the instants `recorded`.
+
+    An error of the first order in the step is four times as large there, and a third of the difference; one of a higher
+    order is less than that. The difference has a scatter, and may vanish by chance, at an instant too: its standard
+    error is added, and of neighbouring instants the largest counts.
+    """
+    changed = coarse - fine[:, recorded]
+    missed, replicas = np.mean(changed, axis=0), len(changed)
+    if replicas > 1:
+        missed = np.hypot(missed, np.std(changed, axis=0, ddof=1) / math.sqrt(replicas))
+    missed = ndimage.maximum_filter1d(np.abs(missed) / (_COARSER - 1), 3, axis=0)
+    after = np.searchsorted(recorded, np.arange(fine.shape[1]))
+    found = np.maximum(missed[np.maximum(after - 1, 0)], missed[after])
+    found[0] = 0.0
+    return np.asarray(found)
 
 
 def _joined(found: list[Array | None], per_time: float, unit: float) -> dict[str, Array] | None:
@@ -446,6 +544,11 @@ def _joined(found: list[Array | None], per_time: float, unit: float) -> dict[str
     }  # fmt: skip
 
 
+def _still(progress: Progress, lives: int, _: int) -> None:
+    """Progress of a second run, whose lives do not count."""
+    progress(lives)
+
+
 def pulled(
     ensemble: Ensemble,
     programme: Programme,
@@ -457,25 +560,50 @@ def pulled(
     points, seed, replicas = recorded
     grid, unit, pull = programme.grid(points), ensemble.thresholds.scale, pull_of(ensemble, programme)
     instants, per_time = grid.t * (pull.pace / unit), pull.pace / unit
-    begin, found, lives = 0.0, [], 0
-    workers = 1 if isinstance(threads, tuple) else workers_of(threads)
+    begin, found, coarse, lives = 0.0, [], [], 0
+    workers, recorded_again = 1 if isinstance(threads, tuple) else workers_of(threads), _seldom(grid.segment)
     for replica in range(replicas):
-        with Slider(ensemble, programme, seed, replica * ensemble.count, workers) as slider:
+        first = replica * ensemble.count
+        with Slider(ensemble, programme, seed, first, workers) as slider:
             begin = begin or time.perf_counter()  # when kernels are compiled
             follow = _quasi_static if slider.quasi_static else _simulate
             found.append(follow(slider, instants, replica, lives, progress))
         lives += found[-1].lives
-    values = np.mean([one.values for one in found], axis=0)
-    spread = np.std([one.values for one in found], axis=0, ddof=1) if replicas > 1 else None
+        if follow is _simulate:
+            still = None if progress is None else functools.partial(_still, progress, lives)
+            with Slider(ensemble, programme, seed, first, workers, _COARSER) as slider:
+                coarse.append(_simulate(slider, instants[recorded_again], replica, 0, still))
+    every = np.array([one.values for one in found])
+    values = np.mean(every, axis=0)
+    spread = np.std(every, axis=0, ddof=1) if replicas > 1 else None
+    missed = np.zeros((grid.t.size, 3))
+    if coarse:
+        shown = [_X, _FRICTION, _BOUND]
+        missed = _missed_by_steps(
+            every[:, :, shown], np.array([one.values[:, shown] for one in coarse]), recorded_again
+        )
+        missed[:, 0] += np.abs(values[:, _BEHIND])
+        missed[:, 1] += np.abs(values[:, _BEHIND])  # contacts are no stiffer than 1 each in the mean
     stderr = np.sqrt(values[:, _VARIANCE] if spread is None else spread[:, _FRICTION] ** 2 / replicas)
+    stderr_X = np.zeros(grid.t.size) if spread is None else spread[:, _X] / math.sqrt(replicas)
     of_pinned = pinned_variance(values[:, _BOUND], ensemble.count, ensemble.delay.time > 0)
+    stderr_pinned = np.sqrt(of_pinned) if spread is None else spread[:, _BOUND] / math.sqrt(replicas)
+    stderr_X, stderr, stderr_pinned = np.hypot(np.stack((stderr_X, stderr, stderr_pinned)), missed.T)
     X, force = values[:, _X] * unit, values[:, _FRICTION] * unit
-    slips = [
-        Slip(s.t / per_time, s.X * unit, s.drop * unit, s.duration / per_time, s.distance * unit, s.replica)
-        for s in itertools.chain.from_iterable(one.slips for one in found)
-    ]
+
+    def in_units(replicas: list[_Replica]) -> tuple[Slip, ...]:
+        return tuple(
+            replace(
+                s, t=s.t / per_time, X=s.X * unit, drop=s.drop * unit, duration=s.duration / per_time,
+                distance=s.distance * unit,
+            )
+            for s in itertools.chain.from_iterable(one.slips for one in replicas)
+        )  # fmt: skip
+
     reliable = replicas >= _FEW_REPLICAS
-    shown = shown_by(programme, Grid(grid.t, X, grid.segment), force, stderr * unit, reliable)
+    segments = shown_by(
+        programme, Grid(grid.t, X, grid.segment), force, stderr * unit, reliable, X_stderr=stderr_X * unit
+    )
     return SliderTrajectory(
         X=X,
         t=grid.t,
@@ -483,20 +611,22 @@ def pulled(
         force_stderr=stderr * unit,
         force_reliable=reliable,
         pinned=values[:, _BOUND],
-        pinned_stderr=np.sqrt(of_pinned) if spread is None else spread[:, _BOUND] / math.sqrt(replicas),
+        pinned_stderr=stderr_pinned,
         force_replica_std=None if spread is None else spread[:, _FRICTION] * unit,
-        force_replicas=None if spread is None else np.array([one.values[:, _FRICTION] for one in found]) * unit,
+        force_replicas=None if spread is None else every[:, :, _FRICTION] * unit,
         lives=lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
         threads=workers,
         segment=grid.segment,
-        segments=shown,
+        segments=segments,
         stage=values[:, _STAGE] * unit,
         spring=pull.stiffness * (values[:, _STAGE] - values[:, _X]) * unit,
+        X_stderr=stderr_X * unit,
         X_replica_std=None if spread is None else spread[:, _X] * unit,
-        X_replicas=None if spread is None else np.array([one.values[:, _X] for one in found]) * unit,
+        X_replicas=None if spread is None else every[:, :, _X] * unit,
         energy=values[:, [_WORK, _KEPT, _TAKEN, _MISSING]] * unit**2,
-        slips=tuple(slips),
+        slips=in_units(found),
+        coarser_slips=in_units(coarse) if coarse else None,
         avalanches=_joined([one.avalanches for one in found], per_time, unit),
     )

@@ -401,7 +401,8 @@ def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) ->
         centre[shown], (seen * share)[shown], 2 * (np.sqrt(seen) * share)[shown], fmt="o", markersize=4, color="C0",
         label=f"{breaks.size} simulated avalanches ± 2 roots of their number",
     )  # fmt: skip
-    left.plot(np.arange(1, law.size + 1), law, color="k", linewidth=1, label="infinitely many contacts (M/G/1)")
+    if law.size:
+        left.plot(np.arange(1, law.size + 1), law, color="k", linewidth=1, label="infinitely many contacts (M/G/1)")
     lowest = max(0.2 * (seen * share)[shown].min(initial=1.0), 1e-300)
     left.set(xscale="log", yscale="log", xlabel="breaks of an avalanche  $s$", ylabel="probability  $P(s)$")
     left.set(xlim=(0.8, 1.3 * most), ylim=(lowest, 2.0))

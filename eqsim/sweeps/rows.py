@@ -178,7 +178,7 @@ def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str
 
 def _elastic(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
     from eqsim.engine.elastic import elastic_trajectory
-    from eqsim.master.avalanche_sizes import size_law
+    from eqsim.master.avalanche_sizes import missed_by_few, size_law
     from eqsim.master.steady import reference
 
     points, replicas = task.output
@@ -197,10 +197,16 @@ def _elastic(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, 
     }  # fmt: skip
     elastic = drive.elastic
     assert elastic
+    for name, estimate in (("size", found.size), ("single", found.single)):
+        row |= {name: estimate.value, f"{name}_stderr": estimate.stderr}
+    if task.ensemble.thresholds.steps.size:  # equal thresholds break together: no law is known
+        return row
     single = float(size_law(task.ensemble.thresholds, elastic.load, 1)[0])
-    for name, estimate, law in (("size", found.size, elastic.mean_size), ("single", found.single, single)):
-        row |= {name: estimate.value, f"{name}_stderr": estimate.stderr, f"{name}_reference": law}
-        row[f"{name}_z"] = z_score(estimate, law)
+    contacts = elastic.contacts_per_block(task.ensemble.count)
+    few = missed_by_few(task.ensemble.thresholds, elastic.load, contacts)
+    laws = (("size", found.size, elastic.mean_size, few.mean), ("single", found.single, single, few.single))
+    for name, estimate, law, missed in laws:
+        row |= {f"{name}_reference": law, f"{name}_z": z_score(estimate, law, abs(missed))}
     return row
 
 

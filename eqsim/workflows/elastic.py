@@ -6,11 +6,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eqsim.engine.elastic import ElasticTrajectory, check_elastic, elastic_trajectory
 from eqsim.estimate import Estimate, difference
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
-from eqsim.master.avalanche_sizes import size_law
+from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
@@ -32,21 +34,27 @@ class ElasticResult(OfTrajectory):
 
     @cached_property
     def sizes(self) -> Array:
-        """P(1), P(2), ... of infinitely many contacts, shape (1000,)."""
+        """P(1), P(2), ... of infinitely many contacts, shape (1000,); empty for thresholds of a discrete law."""
         assert self.drive.elastic
+        if self.ensemble.thresholds.steps.size:
+            return np.empty(0)
         return size_law(self.ensemble.thresholds, self.drive.elastic.load, _SHOWN)
 
     def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
         """By name what was found, over the second half of the plate's way, and what is exact: friction over
-        displacement of any contacts (length), breaks per avalanche and fraction of single breaks of infinitely many."""
+        displacement of any contacts (length), breaks per avalanche and fraction of single breaks of infinitely many,
+        whose errors are what the contacts of a block alone on its spring would change. Equal thresholds break together
+        from a fresh start on, so that these two have no value for a discrete law."""
         found, elastic = self.trajectory, self.drive.elastic
         assert elastic
         friction = reference(self.ensemble, replace(self.drive, elastic=None)).friction
-        return {
-            "friction": (found.friction, friction),
-            "size": (found.size, Estimate(elastic.mean_size, 0.0, 0)),
-            "single": (found.single, Estimate(float(self.sizes[0]), 0.0, 0)),
-        }
+        size = single = Estimate(None, None, 0, reliable=False)
+        if self.sizes.size:
+            contacts = elastic.contacts_per_block(self.ensemble.count)
+            few = missed_by_few(self.ensemble.thresholds, elastic.load, contacts)
+            size = Estimate(elastic.mean_size, abs(few.mean), 0)
+            single = Estimate(float(self.sizes[0]), abs(few.single), 0)
+        return {"friction": (found.friction, friction), "size": (found.size, size), "single": (found.single, single)}
 
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""

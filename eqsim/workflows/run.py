@@ -145,7 +145,8 @@ class ProgrammeResult(OfTrajectory):
         if exact is None:
             return ()
         grid = self.drive.grid(self.file.output.points)
-        return shown_by(self.drive, grid, exact.force, exact.force_error)
+        # behind a spring the grid knows where the stage is, and the solution where the slider is
+        return shown_by(self.drive, grid._replace(X=exact.X), exact.force, exact.force_error, X_stderr=exact.X_error)
 
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
