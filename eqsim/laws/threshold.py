@@ -432,7 +432,7 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     xi = np.asarray(law.inverse_survival(e)) / law.scale
     rank = np.interp(left, xi, e)
     edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
-    inside = [np.broadcast_to(law.breakpoints / law.scale, (left.size, law.breakpoints.size))]
+    inside = [np.broadcast_to(law.kinks / law.scale, (left.size, law.kinks.size))]
     inside += [] if layer is None else [layer]
     edges = np.sort(np.concatenate((edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1))
     return np.concatenate((left, edges), axis=1)

@@ -125,7 +125,7 @@ def _births_at(s: Reduced, travel: Array) -> Array:
 def _born_at(s: Reduced, birth: Array, travel: Array) -> Array:
     """`survivors` given the births, fractions or lengths, shape (n,)."""
     if in_one_sweep(s):
-        return _published(s, birth, travel)
+        return published(s, birth, travel)
     of_threshold, law = s.newborn.of == "threshold", s.law
     if of_threshold:
         least, share = travel / (1.0 - birth), np.ones_like(birth)
@@ -201,7 +201,7 @@ def _ranks(law: ThresholdLaw) -> tuple[Array, Array]:
     return e[which], xi
 
 
-def _published(s: Reduced, y: Array, travel: Array) -> Array:
+def published(s: Reduced, y: Array, travel: Array) -> Array:
     """J_c(x)/J_c(y) exp(-(Delta U(x) - Delta U(y))), thresholds counting for x > 0 only (Q11a)."""
     law, x = s.law, y + travel
     up, born = np.maximum(x, 0.0), np.maximum(y, 0.0)

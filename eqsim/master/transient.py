@@ -119,11 +119,11 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     cells = cells_of(s, distance, points)
     solved = [means_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
     X, edges = np.linspace(0.0, distance, points), cells.x[::2]
-    # what the mean may be while all are in step
-    strongest = float(np.abs(cells.profile.at(cells.profile.x, 1)[1]).max())
+    # up to which the mean may rise while all are in step
+    strongest = np.maximum.accumulate(np.abs(_from_birth(cells.profile, s, edges, 1)))
     delayed = s.delay.mean > 0
     found = []
-    for name, loudest in (("force", max(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
+    for name, loudest in (("force", np.maximum(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
         coarse, better = (getattr(means, name) for means in solved)
         best, error = _with_error(coarse, better[::2], cells, loudest)
         if points > edges.size:
@@ -305,14 +305,17 @@ def _extrapolated(coarse: Array, better: Array) -> tuple[Array, Array]:
     return (4 * better - coarse) / 3, missed
 
 
-def _with_error(coarse: Array, better: Array, cells: Cells, loudest: float) -> tuple[Array, Array]:
-    """A mean that may be as great as `loudest` while all contacts are in step, and its error."""
+def _with_error(coarse: Array, better: Array, cells: Cells, loudest: Array | float) -> tuple[Array, Array]:
+    """A mean that may be as great as `loudest` while all contacts are in step, and its error.
+
+    Errors of a life are passed on by its births, so that they scale with the largest mean so far.
+    """
     best, missed = _extrapolated(coarse, better)
-    error = missed + cells.profile.error * np.abs(best)
+    error = missed + cells.profile.error * np.maximum.accumulate(np.abs(best))
     if cells.profile.jumps:
         # jumps that cells blur, in twice as many steps of half the length, differ by 0.083 of their height
         error += np.maximum(_near(coarse), 8 * ndimage.maximum_filter1d(np.abs(better - coarse), cells.around))
-    return best, error + max(float(np.ptp(best)), loudest) * cells.in_step
+    return best, error + np.maximum(np.ptp(best), loudest) * cells.in_step
 
 
 def _near(values: Array) -> Array:
