@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -79,7 +79,7 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
     if s.law.steps.size and not s.newborn.active:
         profile = _Steps(s, np.empty(0) if x is None else x)
     else:
-        profile = _Panels(s)
+        profile = SmoothLife(s)
     # C and work by another quadrature: what this one misses is part of the error
     exact = solver(s).stationary(s)
     stretch, work = (float(profile.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
@@ -127,7 +127,16 @@ def _unstretched(s: Reduced) -> _Means:
     return lambda x: x**_POWERS * survivors(s, x)
 
 
-class _Panels:
+class Slope(NamedTuple):
+    """Derivatives of S, k1 and k2 (or of their products with powers of z) and what panels may miss of them, shape
+    (3, n), and the widths of the panels in ln x, shape (n,)."""
+
+    value: Array
+    missed: Array
+    width: Array
+
+
+class SmoothLife:
     """The life of contacts whose survival is smooth between kinks: Chebyshev polynomials in ln x on panels that end at
     the kinks, and are split until they resolve it."""
 
@@ -193,6 +202,18 @@ class _Panels:
             rows = slice(ends[i], ends[i + 1])
             found[order[rows]] = powers[rows] @ coefficients[:, :, i]
         return found.T, panel
+
+    def slope(self, x: Array, power: int = 0) -> Slope:
+        """Derivatives of `at` with respect to x > 0, at a kink that of the panel to its right."""
+        values = self._values[:, 3 * power : 3 * power + 3]
+        highest = np.where(np.arange(values.shape[0])[:, None, None] >= values.shape[0] - 2, values, 0.0)
+        derivatives = []
+        for part in (values, highest):
+            coefficients = np.zeros_like(values)
+            coefficients[:-1] = chebyshev.chebder(part, axis=0) / self._half
+            found, panel = self._evaluated(coefficients, x)
+            derivatives.append(np.where(x < math.exp(self._edges[-1]), found / x, 0.0))
+        return Slope(derivatives[0], np.abs(derivatives[1]), 2.0 * self._half[panel])
 
     def at(self, x: Array, power: int = 0) -> Array:
         found, _ = self._evaluated(self._values[:, 3 * power : 3 * power + 3], x)
