@@ -181,8 +181,8 @@ def test_memory_of_an_exponential():
     """A peak that relaxes with length 0.7: read off to a grid's step, and its effects."""
     x = np.linspace(0.0, 8.0, 801)
     force = 1.0 - 0.1 * np.log(10) + 0.2 * np.log(10) * np.where(x > 0, np.exp(-x / 0.7), 0.0)
-    peak, _ = extreme(x, force, np.full(x.size, 1e-9), 1.0)
-    step = velocity_step(x, force, np.full(x.size, 1e-9), peak, 10.0)
+    extremum = extreme(x, force, np.full(x.size, 1e-9), 1.0)
+    step = velocity_step(x, force, np.full(x.size, 1e-9), extremum, 10.0)
     assert step.memory.value == pytest.approx(0.7, rel=0, abs=0.01)
 
 

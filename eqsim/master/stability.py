@@ -43,6 +43,8 @@ _PER_SLIP = 100.0
 _CHORDS = 60
 # Points between three candidates for an extremum: it is then missed by 1e-5 of what these differ by.
 _NEAR = 401
+# Error of the place of a steepest fall, in cells, where slopes are all but even.
+_FLAT = 0.1
 # Panels of a life narrower than this in ln x surround an infinite density of thresholds.
 _SINGULAR = 1e-6
 # Errors by which a rate, or a stiffness, must differ from a border.
@@ -349,7 +351,7 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     if math.isfinite(fall):
         error_of_fall = abs(fall - other) + unknown + profile.error * max(highest, fall)
         critical = Estimate(max(fall, 0.0), error_of_fall, 0)
-    place = Estimate(fall_X * unit, (abs(fall_X - other_X) + fine.x[1] * 1e-3) * unit, 0)
+    place = Estimate(fall_X * unit, (abs(fall_X - other_X) + _FLAT * fine.x[1]) * unit, 0)
     ratio = max(highest, level) / level
     missed = abs(highest - _highest(rough)) / level + ratio * (profile.error + error / friction)
     slip, _ = _chord([(way.x, way.force) for way in (rough, fine)], least, profile.error * highest)
