@@ -185,9 +185,11 @@ def _solved(c: Contacts, h: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def means(c: Contacts, h: float, cells: int) -> Means:
-    """Means at 0, h, 2 h, ... of a lattice of spacing h/2. Three times what that of h differs by is quoted as their error:
-    nine times the error where the lattice is of second order, three times that where it is of first, at jumps and
-    kinks, and 1.2 times that of order 1/2, where densities are infinite.
+    """Means at 0, h, 2 h, ... of a lattice of spacing h/2.
+
+    Three times what that of spacing h differs by is quoted as their error: nine times the error where the lattice is of
+    second order, three times that where it is of first, at jumps and kinks, and 1.2 times that of order 1/2, where
+    densities are infinite.
 
     Where forces jump on the lattice it is the mean of both sides.
     """

@@ -97,7 +97,8 @@ def _rows(found: "Stability") -> Iterator[tuple[str, str, str]]:
     yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of this run"
     fresh = found.fresh
     yield "fresh start, critical", _text(fresh.critical_stiffness), "kappa_s below which the slider jumps"
-    yield "first slip", _text(fresh.slip_stiffness), f"kappa_s below which it jumps far enough; {_FRESH[found.fresh_verdict]}"
+    verdict = _FRESH[found.fresh_verdict]
+    yield "first slip", _text(fresh.slip_stiffness), f"kappa_s below which the jump is a slip; {verdict}"
     if fresh.X.value is not None:
         yield "after X", _text(fresh.X), "where friction falls most steeply"
     yield "peak / steady", _text(fresh.peak_ratio), "largest friction over steady friction"

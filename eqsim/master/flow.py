@@ -216,8 +216,8 @@ def _survivals(s: Reduced, xi0: Array, x: Array) -> Iterator[Array]:
 
 
 def survivors_at(s: Reduced, x: Array) -> Array:
-    """`survivors` of a smooth law at any x, over births xi0 > x/s(x), by panels that end at fixed shares of the stronger contacts
-    and where the hazard passes fixed levels."""
+    """`survivors` of a smooth law at any x > 0, over births xi0 > x/s(x), by panels that end at fixed shares of the
+    stronger contacts and where the hazard passes fixed levels."""
     law, grown = s.law, s.aging.growth_at(x)
     least = x / grown
     layer = weakest(law) + np.zeros((x.size, 1))

@@ -75,11 +75,8 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
     InputError
         Where a solver refuses the contacts.
     """
-    profile: Profile
-    if s.law.steps.size and not s.newborn.active:
-        profile = _Steps(s, np.empty(0) if x is None else x)
-    else:
-        profile = SmoothLife(s)
+    stepped = s.law.steps.size > 0 and not s.newborn.active
+    profile: Profile = _Steps(s, np.empty(0) if x is None else x) if stepped else SmoothLife(s)
     # C and work by another quadrature: what this one misses is part of the error
     exact = solver(s).stationary(s)
     stretch, work = (float(profile.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
@@ -117,14 +114,29 @@ class _Steps:
         return np.where(x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0)
 
 
-def _unstretched(s: Reduced) -> _Means:
-    """Means of contacts born unstretched with a law that has a density."""
+def _means_of(s: Reduced) -> _Means:
+    if s.newborn.active:
+        return lambda x: newborn_lives.survivors(s, x)
     if s.annealed:
         return lambda x: newborn_lives.published(s, np.zeros(x.size), x)
     if isinstance(s.aging, Langevin):
         return lambda x: x**_POWERS * fokker_planck.survivors(s, x)
     survivors = quenched.survivors_at if isinstance(s.aging, Unaged) else flow.survivors_at
     return lambda x: x**_POWERS * survivors(s, x)
+
+
+def _first_edges(s: Reduced) -> Array:
+    """Ascending ln x, at the kinks of survival besides: from where hardly a contact has broken, as no rate exceeds
+    omega, to where hardly a contact is left."""
+    if s.newborn.active:
+        top, kinks = newborn_lives.longest(s), newborn_lives.kinks(s)
+    else:
+        rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
+        top, kinks = s.aging.bracket(rarest / s.law.scale)[1], quenched.ends(s, s.law.kinks / s.law.scale)
+    last, inner = math.log(top), np.log(kinks)
+    first = -max(math.log(1e15), (s.barrier.log_w if s.barrier.thermal else 0.0) + math.log(1e7))
+    edges = np.arange(last, min(first, last - _LONGEST_PANEL), -_LONGEST_PANEL)[::-1]
+    return np.unique(np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)])))
 
 
 class Slope(NamedTuple):
@@ -141,23 +153,10 @@ class SmoothLife:
     the kinks, and are split until they resolve it."""
 
     def __init__(self, s: Reduced) -> None:
-        stretched = s.newborn.active
-        self.jumps = stretched and s.law.steps.size > 0 and isinstance(newborn.births_of(s), DeltaBirths)
-        if stretched:
-            means: _Means = lambda x: newborn_lives.survivors(s, x)
-            top, kinks = newborn_lives.longest(s), newborn_lives.kinks(s)
-        else:
-            means, kinks = _unstretched(s), quenched.ends(s, s.law.kinks / s.law.scale)
-            rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
-            top = s.aging.bracket(rarest / s.law.scale)[1]
-        last = math.log(top)
-        # up to here hardly a contact has broken: no rate exceeds omega
-        first = -max(math.log(1e15), (s.barrier.log_w if s.barrier.thermal else 0.0) + math.log(1e7))
-        inner = np.log(kinks)
-        edges = np.arange(last, min(first, last - _LONGEST_PANEL), -_LONGEST_PANEL)[::-1]
-        edges = np.unique(np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)])))
+        self.jumps = s.newborn.active and s.law.steps.size > 0 and isinstance(newborn.births_of(s), DeltaBirths)
         fluctuating = isinstance(s.aging, Langevin)
         smooth = _COARSE_SPLINE if fluctuating else _SMOOTH
+        means = _means_of(s)
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
             nodes = ClenshawCurtis.nodes[:, None] * _WITHIN
@@ -170,7 +169,7 @@ class SmoothLife:
             rough = np.abs(np.tensordot(ClenshawCurtis.tail.T, p.values, (1, 1))).sum(axis=0)
             return (rough > smooth * most).any(axis=0) & (p.right - p.left > _NARROWEST), None
 
-        p, _ = refined(evaluate, judge, edges, most=_MOST_PANELS)
+        p, _ = refined(evaluate, judge, _first_edges(s), most=_MOST_PANELS)
         self._edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         values, moments = np.split(np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1)), 2, axis=1)

@@ -22,7 +22,7 @@ from eqsim.master import characteristic, kicks
 from eqsim.master.profile import SmoothLife, profile_of
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
-from eqsim.master.transient import convolved, from_birth, means_of, transient
+from eqsim.master.transient import convolved, from_birth, means_of
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, pull_of, reduced
@@ -117,7 +117,7 @@ class Stability(Result):
 
     @property
     def fresh_verdict(self) -> str:
-        """The way from a fresh start: "slips", "jumps" by less than a slip, "slides", or "undecided" where the errors of
+        """The way from a fresh start: "slips", "jumps" by less than a slip, "slides", or "undecided" where errors of
         the borders do not tell."""
         if _beyond(self.stiffness, self.fresh.slip_stiffness) is None:
             return "undecided"
@@ -339,10 +339,9 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _LIVES * known(steady.travel) / unit
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit
-    if s.law.steps.size:
-        return _of_steps(s, distance, least, level, unit)
     profile = profile_of(s)
-    assert isinstance(profile, SmoothLife)
+    if profile.jumps or not isinstance(profile, SmoothLife):
+        return _of_steps(s, distance, least, level, unit)
     ways = _on_three_grids(profile, s, distance)
     rough, fine = _between_grids(*ways[:2]), _between_grids(*ways[1:])
     fall, fall_X, unknown = _steepest(fine, s)
@@ -360,7 +359,7 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
 
 
 def _of_steps(s: Reduced, distance: float, least: float, level: float, unit: float) -> FreshSlip:
-    """`fresh_slip` of discrete thresholds, which break together; lengths in units of `unit`."""
+    """`fresh_slip` of contacts that break together; lengths in units of `unit`, which force and X are told in."""
     x = distance * np.linspace(0.0, 1.0, 4 * int(min(max(0.25 * _PER_SLIP * distance / least, _LEAST), _MOST)) + 1)
     profile = profile_of(s, x)
     courses = [(x[::step], means_of(profile, x[::step], s).force) for step in (2, 1)]
