@@ -20,6 +20,8 @@ WINDOW = 4.0  # the peak is sought over so many rms thresholds
 # Points of the mean within the window, and up to a peak next to a kink of the law of thresholds.
 _POINTS = 401
 _CLOSER = 4001
+# Points by which a fall of discrete thresholds is uncertain to its left, in `Transient.force_error`.
+_BEFORE_FALL = 4
 # Peaks whose relative difference is smaller are alike.
 _ALIKE = 1e-3
 # Curvature of a flank over that of the peak.
@@ -97,7 +99,8 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     else:
         place, height = vertex(found.X, found.force, top)
         beside, missed = tip(ensemble, found.X, found.force, top)
-    error = float(found.force_error[top]) + missed
+    # next to a fall the mean is uncertain by all of it; before it the peak is as certain as `missed` says
+    error = float(found.force_error[max(top - _BEFORE_FALL, 0) : top + 1].min()) + missed
     return Peak(Estimate(place, max(beside, 0.1 * cell), 0), Estimate(height, error, 0))
 
 
@@ -105,6 +108,6 @@ def _sure_top(found: Transient, period: float) -> int:
     """The index of the first maximum. Raises InputError if the force does not fall after it."""
     error = np.minimum(found.force_error, _ALIKE * found.force.max())
     top = top_of(found.X, found.force, error, period)
-    if not 0 < top < found.X.size - 1 or found.force[top] - found.force[top:].min() <= found.force_error[top]:
+    if not 0 < top < found.X.size - 1 or found.force[top] - found.force[top:].min() <= error[top]:
         raise InputError("the force rises without a first peak")
     return top

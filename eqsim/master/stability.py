@@ -43,6 +43,8 @@ _PER_SLIP = 100.0
 _CHORDS = 60
 # Points between three candidates for an extremum: it is then missed by 1e-5 of what these differ by.
 _NEAR = 401
+# Cells of the coarser grid around an extremum within which two grids are compared.
+_AROUND = 4.0
 # Error of the place of a steepest fall, in cells, where slopes are all but even.
 _FLAT = 0.1
 # Panels of a life narrower than this in ln x surround an infinite density of thresholds.
@@ -344,15 +346,19 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
         return _of_steps(s, distance, least, level, unit)
     ways = _on_three_grids(profile, s, distance)
     rough, fine = _between_grids(*ways[:2]), _between_grids(*ways[1:])
+    grids = rough.x, fine.x
     fall, fall_X, unknown = _steepest(fine, s)
     other, other_X, _ = _steepest(rough, s)
-    critical, highest = Estimate(math.inf, 0.0, 0), _highest(fine)
+    highest, highest_X = _highest(fine)
+    critical = Estimate(math.inf, 0.0, 0)
     if math.isfinite(fall):
-        error_of_fall = abs(fall - other) + unknown + profile.error * max(highest, fall)
+        beside = _apart(grids, (rough.later_slope, fine.later_slope), fall_X)
+        error_of_fall = max(abs(fall - other), beside) + unknown + profile.error * max(highest, fall)
         critical = Estimate(max(fall, 0.0), error_of_fall, 0)
     place = Estimate(fall_X * unit, (abs(fall_X - other_X) + _FLAT * fine.x[1]) * unit, 0)
     ratio = max(highest, level) / level
-    missed = abs(highest - _highest(rough)) / level + ratio * (profile.error + error / friction)
+    beside = _apart(grids, (rough.later, fine.later), highest_X)
+    missed = max(abs(highest - _highest(rough)[0]), beside) / level + ratio * (profile.error + error / friction)
     slip, _ = _chord([(way.x, way.force) for way in (rough, fine)], least, profile.error * highest)
     nowhere = Estimate(None, None, 0)
     return FreshSlip(critical, place if fall > 0.0 else nowhere, Estimate(ratio, missed, 0), slip)
@@ -368,7 +374,7 @@ def _of_steps(s: Reduced, distance: float, least: float, level: float, unit: flo
     # between two points a force rises by no more than the contacts are stiff
     missed = abs(highest - rough) + float(x[1] * np.abs(profile.at(x[1:2])[1]).max()) + profile.error * highest
     place = Estimate(X * unit, 2.0 * float(x[1]) * unit, 0) if known(slip) > 0.0 else Estimate(None, None, 0)
-    return FreshSlip(slip, place, Estimate(highest / level, missed / level, 0), slip)
+    return FreshSlip(slip, place, Estimate(max(highest, level) / level, missed / level, 0), slip)
 
 
 def _chord(courses: list[tuple[Array, Array]], least: float, missed: float) -> tuple[Estimate, float]:
@@ -465,12 +471,26 @@ def _steepest(way: _Way, s: Reduced) -> tuple[float, float, float]:
     return float(steepest), float(X), float(here.missed[1, 0])
 
 
-def _highest(way: _Way) -> float:
-    """The largest force, also at kinks between edges."""
+def _highest(way: _Way) -> tuple[float, float]:
+    """The largest force, also at kinks between edges, and where it is."""
     profile, x = way.profile, way.x
     later = CubicSpline(x, way.later)
+
+    def force(at: Array) -> Array:
+        return np.asarray(profile.at(at, 1)[1] + later(at))
+
     at = np.union1d(profile.x[(profile.x > 1e-6 * x[-1]) & (profile.x < x[-1])], x[1:])
-    force = profile.at(at, 1)[1] + later(at)
-    i = int(np.argmax(force))
+    first = force(at)
+    i = int(np.argmax(first))
     near = np.linspace(at[max(i - 1, 0)], at[min(i + 1, at.size - 1)], _NEAR)
-    return max(float(force[i]), float((profile.at(near, 1)[1] + later(near)).max()))
+    closer = force(near)
+    j = int(np.argmax(closer))
+    return (float(closer[j]), float(near[j])) if closer[j] > first[i] else (float(first[i]), float(at[i]))
+
+
+def _apart(x: tuple[Array, Array], values: tuple[Array, Array], X: float) -> float:
+    """How far splines through the values on two grids, the finer one last, differ around X: next to a kink by several
+    times what the finer one misses, though not at every place."""
+    at = np.clip(X + _AROUND * x[0][1] * np.linspace(-1.0, 1.0, 33), 0.0, x[0][-1])
+    rough, fine = (CubicSpline(*pair)(at) for pair in zip(x, values, strict=True))
+    return float(np.abs(fine - rough).max())
