@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,12 +26,15 @@ from eqsim import (
     fresh_slip,
     reference,
     stability,
+    trajectory,
     transient,
 )
 from eqsim.cli.app import app
+from eqsim.laws.named import Lognormal, Pareto, Uniform
 from eqsim.master import characteristic, kicks
 from eqsim.master.stability import border, critical_stiffness, pulled_by
 from eqsim.model.reduced import pull_of, reduced
+from eqsim.model.slip import least_slip
 
 
 def contacts(n=1.0, tau=0.0, **more):
@@ -111,7 +115,83 @@ def test_fresh_slip_is_that_of_any_unit():
     found, other = fresh_slip(contacts(), 0.1), fresh_slip(Ensemble(Gamma(1.0, 1e-6), stiffness_law="uniform"), 1e-3)
     assert other.critical_stiffness.value == pytest.approx(found.critical_stiffness.value, abs=1e-9)
     assert other.X.value == pytest.approx(1e-6 * found.X.value, abs=1e-14)
-    assert math.isinf(fresh_slip(Ensemble(Delta()), 0.1).critical_stiffness.value)
+
+
+# -F' on the left of the greatest threshold of uniform laws, where contacts born since have stiffnesses of 1 and .625,
+# and on the right of the least one of a Pareto law, X p - S
+EDGED = [(Uniform(0.9, 1.1), 4.5, 0.9), (Uniform(0.5, 1.5), 0.875, 0.625), (Pareto(3.5), 2.5, 1.0)]
+
+
+@pytest.mark.parametrize(("law", "fall", "peak"), EDGED)
+def test_fresh_slip_at_the_edge_of_a_law(law, fall, peak):
+    found = fresh_slip(Ensemble(law, stiffness_law="uniform"), 0.1)
+    assert found.critical_stiffness.value == pytest.approx(fall, abs=found.critical_stiffness.stderr)
+    assert found.critical_stiffness.stderr < 2e-3 * max(fall, 1.0)
+    steady = law.rms**2 / (2.0 * law.mean)
+    assert found.peak_ratio.value == pytest.approx(peak / steady, abs=found.peak_ratio.stderr)
+    assert found.peak_ratio.stderr < 1e-5
+    assert found.slip_stiffness.value < found.critical_stiffness.value
+
+
+def test_fresh_slip_at_an_infinite_density():
+    """No spring follows, but the jump is no slip behind a stiff one."""
+    found = fresh_slip(Ensemble(Distribution(stats.beta(0.5, 0.5)), stiffness_law="uniform"), 0.1)
+    assert math.isinf(found.critical_stiffness.value)
+    assert found.X.value == pytest.approx(1.0, abs=found.X.stderr)
+    assert 1.0 < found.slip_stiffness.value < 2.0
+
+
+@pytest.mark.parametrize(
+    ("law", "exact"),
+    # F falls from 1 to the smallest slip; from .65 to .15 over it, at 1.1
+    [(Delta(), (1.0 - 0.005) / 0.005), (Table([0.9, 1.1]), (0.65 - 0.15) / 0.05)],
+)
+def test_steps_that_are_slips(law, exact):
+    found = fresh_slip(Ensemble(law, stiffness_law="uniform"), 0.1)
+    assert found.slip_stiffness.value == pytest.approx(exact, abs=found.slip_stiffness.stderr)
+    assert found.slip_stiffness.stderr < 0.03 * exact
+    assert found.critical_stiffness == found.slip_stiffness
+
+
+@pytest.mark.parametrize("count", [12, 500])
+@pytest.mark.parametrize("law", [Gamma(20.0), Lognormal(0.9)])
+def test_a_table_slips_as_the_law_that_it_samples(law, count):
+    """Quantiles: the break of one changes the force by at most the greatest over their number, and a slope over the
+    smallest slip by that over its length, half of which is allowed besides for what follows from it."""
+    steps = law.inverse_survival(-np.log((np.arange(count) + 0.5) / count))
+    table, smooth = (fresh_slip(Ensemble(one, stiffness_law="uniform"), 0.1) for one in (Table(steps), law))
+    allowed = 1.5 * steps.max() / count / least_slip(law)
+    assert table.critical_stiffness == table.slip_stiffness
+    assert table.slip_stiffness.value == pytest.approx(smooth.slip_stiffness.value, abs=allowed)
+
+
+SLIPPING = [
+    (Table([0.9, 1.1]), 2.0, "slips"), (Table([0.9, 1.1]), 40.0, "slides"), (Uniform(0.9, 1.1), 1.0, "slips"),
+    (Uniform(0.9, 1.1), 12.0, "slides"), (Table(np.random.default_rng(5).lognormal(0.0, 0.9, 500)), 0.3, "slides"),
+    (Lognormal(0.9), 0.3, "slides"), (Uniform(0.9, 1.1), 4.45, "jumps"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("law", "stiffness", "verdict"), SLIPPING)
+def test_simulated_contacts_slip_as_the_mean_field_says(law, stiffness, verdict):
+    """20 000 of them, behind a stage that moves by two thresholds."""
+    ensemble = Ensemble(law, stiffness_law="uniform", count=20_000)
+    stage = Stage(stiffness)
+    found = stability(ensemble, Programme((Segment(0.1, time=1.0),), stage=stage))
+    assert (found.fresh_verdict, found.fresh_slips) == (verdict, verdict == "slips")
+    way = law.mean * (2.0 + 1.2 / stiffness)
+    run = trajectory(ensemble, Programme((Segment(0.1, distance=way),), stage=stage), points=400)
+    if verdict != "jumps":
+        assert bool(run.slips) == (verdict == "slips")
+
+
+def test_a_verdict_that_errors_do_not_decide():
+    """Negative control of `fresh_verdict`: within two errors of a border it says so."""
+    found = stability(contacts(), pulled(0.1))
+    slip = found.fresh.slip_stiffness
+    near = replace(found, stiffness=slip.value + 0.5 * slip.stderr)
+    assert near.fresh_verdict == "undecided"
+    assert replace(found, stiffness=slip.value - 3.0 * slip.stderr).fresh_verdict == "slips"
 
 
 def test_no_fresh_slip():

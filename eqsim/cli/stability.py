@@ -19,6 +19,12 @@ _OUT = "Folder for the borders over velocity: a table, a picture and summary.jso
 _CRITICAL = "Look for the critical stiffness of steady sliding also where it takes minutes, with heat or aging."
 _DECADES, _POINTS, _FEW = 1.5, 25, 7  # of the borders, to either side of the run's velocity
 _COLUMNS = ("", "value", "meaning")
+_FRESH = {
+    "slips": "this run slips",
+    "jumps": "this run jumps, by less than a slip",
+    "slides": "this run does not",
+    "undecided": "this run: undecided",
+}
 
 
 def stability(
@@ -82,14 +88,17 @@ def _publish(
 
 
 def _summary(found: "Stability") -> dict[str, Any]:
-    return {**asdict(found), "fresh_slips": found.fresh_slips, "verdict": found.verdict}
+    said = {"fresh_slips": found.fresh_slips, "fresh_verdict": found.fresh_verdict, "verdict": found.verdict}
+    return {**asdict(found), **said}
 
 
 def _rows(found: "Stability") -> Iterator[tuple[str, str, str]]:
     """What is known of the first slip, of steady sliding, and of the run."""
     yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of this run"
-    fresh, slips = found.fresh, "this run slips" if found.fresh_slips else "this run does not"
-    yield "fresh start, critical", _text(fresh.critical_stiffness), f"kappa_s of a first slip; {slips}"
+    fresh = found.fresh
+    yield "fresh start, critical", _text(fresh.critical_stiffness), "kappa_s below which the slider jumps"
+    verdict = _FRESH[found.fresh_verdict]
+    yield "first slip", _text(fresh.slip_stiffness), f"kappa_s below which the jump is a slip; {verdict}"
     if fresh.X.value is not None:
         yield "after X", _text(fresh.X), "where friction falls most steeply"
     yield "peak / steady", _text(fresh.peak_ratio), "largest friction over steady friction"

@@ -326,7 +326,7 @@ def shown_by(
             near = here[int(np.argmin(np.abs(along - at.value)))]
             at = replace(at, stderr=math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]]))
         end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
-        step = velocity_step(along, forces, errors, peak, ratio) if stepped else None
+        step = velocity_step(along, forces, errors, (peak, at), ratio) if stepped else None
         end, peak, at = (replace(estimate, reliable=reliable) for estimate in (end, peak, at))
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
         found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
@@ -339,7 +339,8 @@ def extreme(x: Array, force: Array, stderr: Array, direction: float = 0) -> tupl
     it is; arrays (points,).
 
     The largest of many values with errors is too large. The vertex of a parabola through all values that cannot be told
-    from it is not, and how far the two differ is part of the error.
+    from it is not, and how far the two differ is part of the error. A vertex beyond these values is none of the record:
+    the largest value and its place are told then.
     """
     change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
@@ -350,28 +351,33 @@ def extreme(x: Array, force: Array, stderr: Array, direction: float = 0) -> tupl
     while right + 1 < force.size and near[right + 1]:
         right += 1
     n = force.size
-    best, place, spread = float(force[top]), float(x[top]), 0.5 * float(x[right] - x[left])
-    spread = max(spread, 0.5 * float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)]))
+    best, place = float(force[top]), float(x[top])
+    # on a plateau the place may be anywhere
+    spread = max(0.5 * float(np.ptp(x[near])), 0.5 * float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)]))
     if right - left >= 4 and 0 < top < n - 1:
         half = 0.5 * (x[right] - x[left])
         a, b, c = np.polyfit((x[left : right + 1] - place) / half, force[left : right + 1], 2)
         vertex = -0.5 * b / a if a else np.inf
-        if a * (force[top] - force[0]) < 0 and abs(vertex) <= 2.0:
+        within = x[left] <= place + vertex * half <= x[right]
+        if a * (force[top] - force[0]) < 0 and within:
             best, place = float(c - 0.25 * b * b / a), place + float(vertex * half)
     error = float(np.hypot(stderr[top], force[top] - best))
     return Estimate(best, error, n), Estimate(place, spread, n)
 
 
-def velocity_step(x: Array, force: Array, stderr: Array, peak: Estimate, ratio: float) -> VelocityStep:
+def velocity_step(
+    x: Array, force: Array, stderr: Array, extremum: tuple[Estimate, Estimate], ratio: float
+) -> VelocityStep:
     """What a step of velocity by a factor `ratio` shows: force with errors against displacement since, arrays
-    (points,)."""
+    (points,), and its `extreme`."""
+    peak, at = extremum
     n, log_ratio, top = force.size, np.log(ratio), known(peak)
 
     def effect(level: int) -> Estimate:
         error = np.hypot(peak.stderr or 0.0, stderr[level])
         return Estimate(float((top - force[level]) / log_ratio), float(error / abs(log_ratio)), n)
 
-    first = int(np.argmin(np.abs(force - top)))
+    first = int(np.argmin(np.abs(x - known(at))))
     left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
     below = int(np.argmax(left <= 0.0))
     memory = Estimate(None, None, n, reliable=False)

@@ -16,9 +16,11 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
+from eqsim.estimate import known
 from eqsim.fitting.data import Row, Table
 from eqsim.fitting.section import Fit, Parameter, variable
 from eqsim.io.runfile import RunFile, at
+from eqsim.master.peak import first_peak
 from eqsim.master.transient import transient
 from eqsim.master.velocities import curve
 from eqsim.model.drive import Drive
@@ -29,7 +31,6 @@ STEP = 1e-4  # of derivatives, in the variables of parameters
 STUDENT = 4.0  # degrees of freedom of the robust loss
 REFUSED = 1e4  # residual where the reference refuses
 AVERAGES = ("friction", "pinned", "break_stretch")  # of `Curve`
-_PEAK_POINTS, _PEAK_DISTANCE = 401, 4.0  # of the transient in which the first peak is sought, in rms thresholds
 
 
 class Forward(Protocol):
@@ -94,25 +95,19 @@ class SteadyForward:
 
 
 def _other(ensemble: Ensemble, velocity: float, name: str) -> tuple[float, float]:
-    """An observable that is no average: the standard deviation of a contact's force over k, or the first peak from a
-    fresh start, where it is and how far above the steady force."""
+    """An observable that is no average: the standard deviation of a contact's force over k, or the static peak of
+    `master.peak`, where it is and how far above the steady force. Raises InputError where there is none."""
     if name == "force_std":
         still = transient(ensemble, Drive(velocity, start="stationary"), 2, variance=True)
         if still.force_variance is None or still.force_variance_error is None:
             raise InputError("force_std: contacts stay in step, so that the force has no steady variance")
         sd = math.sqrt(still.force_variance[0])
         return sd, float(still.force_variance_error[0]) / (2.0 * sd)
-    found = transient(ensemble, Drive(velocity, _PEAK_DISTANCE * ensemble.thresholds.rms), _PEAK_POINTS)
-    top = min(max(int(np.argmax(found.force)), 1), _PEAK_POINTS - 2)
-    low, middle, high = found.force[top - 1 : top + 2]
-    bend = min(low - 2.0 * middle + high, -1e-300)
-    shift = min(max(0.5 * (low - high) / bend, -1.0), 1.0)
+    peak = first_peak(ensemble, velocity)
     if name == "peak_X":
-        cell = found.X[1]
-        return float(found.X[top] + shift * cell), float(0.1 * cell)
-    steady = curve(ensemble, np.array([velocity]))
-    height = middle - 0.25 * (low - high) * shift
-    relative = found.force_error[top] / height + steady.friction_error[0] / steady.friction[0]
+        return known(peak.X), peak.X.stderr or 0.0
+    steady, height = curve(ensemble, np.array([velocity])), known(peak.force)
+    relative = (peak.force.stderr or 0.0) / height + steady.friction_error[0] / steady.friction[0]
     return float(height / steady.friction[0]), float(height / steady.friction[0] * relative)
 
 

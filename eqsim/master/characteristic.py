@@ -69,8 +69,8 @@ def births_of(s: Reduced, nodes: tuple[int, float]) -> Births:
 
 
 def _kinks(law: ThresholdLaw) -> Array:
-    """Deviates at which the density of a law jumps."""
-    return np.asarray(special.ndtri(np.asarray(law.cdf(law.breakpoints), float)))
+    """Deviates at which the density of a law has jumps and kinks."""
+    return np.asarray(special.ndtri(np.asarray(law.cdf(law.kinks), float)))
 
 
 class Loop(NamedTuple):

@@ -188,7 +188,7 @@ def survivors(s: Reduced, x: Array) -> Array:
     Of a smooth law to about 1e-8 of the greatest value of each, and of each times x and x^2, by interpolation in ln x.
     """
     if not s.law.steps.size:
-        return interpolated(lambda at: _surviving(s, at), x, _SMOOTH)
+        return interpolated(lambda at: survivors_at(s, at), x, _SMOOTH)
     total, grown = np.zeros((3, x.size)), s.aging.growth_at(x)
     xi0, shares, _ = different_steps(s)
     for xi, share, alive in zip(xi0, shares, _survivals(s, xi0, x), strict=True):
@@ -215,9 +215,9 @@ def _survivals(s: Reduced, xi0: Array, x: Array) -> Iterator[Array]:
         yield alive
 
 
-def _surviving(s: Reduced, x: Array) -> Array:
-    """`survivors` of a smooth law over births xi0 > x/s(x), by panels that end at fixed shares of the stronger contacts
-    and where the hazard passes fixed levels."""
+def survivors_at(s: Reduced, x: Array) -> Array:
+    """`survivors` of a smooth law at any x > 0, over births xi0 > x/s(x), by panels that end at fixed shares of the
+    stronger contacts and where the hazard passes fixed levels."""
     law, grown = s.law, s.aging.growth_at(x)
     least = x / grown
     layer = weakest(law) + np.zeros((x.size, 1))

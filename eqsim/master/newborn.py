@@ -218,7 +218,7 @@ class PooledRate:
         else:
             top = np.asarray(s.law.inverse_survival(_LAW[:-1])) / s.law.scale
             least, greatest = (edge / s.law.scale for edge in s.law.support)
-            edges = np.unique(np.concatenate(([0.0, least], top, s.law.breakpoints / s.law.scale)))
+            edges = np.unique(np.concatenate(([0.0, least], top, s.law.kinks / s.law.scale)))
             edges = edges[edges <= min(greatest, top[-1])]
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:

@@ -1,4 +1,9 @@
-"""The static peak: the first maximum of the force after a fresh start, while contacts are still in step."""
+"""The static peak: the first maximum of the force after a fresh start, while contacts are still in step.
+
+Runs, fits and the exact mean use this definition: of the maxima within four rms thresholds that cannot be told from the
+highest one, the first; within half an rms threshold of it the highest point. It is not the largest force of a run,
+which later teeth of contacts in step may exceed by rounding, or by chance.
+"""
 
 from typing import NamedTuple
 
@@ -6,14 +11,21 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
-from eqsim.master.transient import transient
+from eqsim.master.transient import Transient, transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
 WINDOW = 4.0  # the peak is sought over so many rms thresholds
-_POINTS, _ALIKE = 401, 1e-3  # of the mean; peaks that differ by less, relative, are alike
-_STRAIGHT = 1e-2  # curvature of a flank over that of the peak
+# Points of the mean within the window, and up to a peak next to a kink of the law of thresholds.
+_POINTS = 401
+_CLOSER = 4001
+# Points by which a fall of discrete thresholds is uncertain to its left, in `Transient.force_error`.
+_BEFORE_FALL = 4
+# Peaks whose relative difference is smaller are alike.
+_ALIKE = 1e-3
+# Curvature of a flank over that of the peak.
+_STRAIGHT = 1e-2
 
 
 class Peak(NamedTuple):
@@ -75,11 +87,27 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     """
     period = ensemble.thresholds.rms
     found = transient(ensemble, Drive(velocity, WINDOW * period), _POINTS)
+    top = _sure_top(found, period)
+    cell = float(found.X[1])
+    kinks = ensemble.thresholds.kinks
+    if not ensemble.thresholds.steps.size and np.any(np.abs(kinks - found.X[top]) < 2.0 * cell):
+        # a force that turns at a kink has no vertex: look closer
+        found = transient(ensemble, Drive(velocity, float(found.X[top]) + 2.0 * cell), _CLOSER)
+        top, cell = int(np.argmax(found.force)), float(found.X[1])
+        place, height = float(found.X[top]), float(found.force[top])
+        beside, missed = cell, float(max(np.abs(np.diff(found.force[top - 1 : top + 2])).max(), 0.0))
+    else:
+        place, height = vertex(found.X, found.force, top)
+        beside, missed = tip(ensemble, found.X, found.force, top)
+    # next to a fall the mean is uncertain by all of it; before it the peak is as certain as `missed` says
+    error = float(found.force_error[max(top - _BEFORE_FALL, 0) : top + 1].min()) + missed
+    return Peak(Estimate(place, max(beside, 0.1 * cell), 0), Estimate(height, error, 0))
+
+
+def _sure_top(found: Transient, period: float) -> int:
+    """The index of the first maximum. Raises InputError if the force does not fall after it."""
     error = np.minimum(found.force_error, _ALIKE * found.force.max())
     top = top_of(found.X, found.force, error, period)
-    if not 0 < top < _POINTS - 1 or found.force[top] - found.force[top:].min() <= found.force_error[top]:
+    if not 0 < top < found.X.size - 1 or found.force[top] - found.force[top:].min() <= error[top]:
         raise InputError("the force rises without a first peak")
-    place, height = vertex(found.X, found.force, top)
-    beside, missed = tip(ensemble, found.X, found.force, top)
-    error = float(found.force_error[top]) + missed
-    return Peak(Estimate(place, max(beside, 0.1 * float(found.X[1])), 0), Estimate(height, error, 0))
+    return top

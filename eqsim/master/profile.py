@@ -1,27 +1,40 @@
 """A life in the mean: who survives to a stretch, how stiff these contacts are, and integrals over both."""
 
 import math
-from typing import Protocol
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy.interpolate import CubicSpline
 
-from eqsim.laws.aging import Langevin, PooledThresholds
+from eqsim.laws.aging import Langevin, Unaged
 from eqsim.laws.newborn import DeltaBirths
-from eqsim.laws.threshold import Gamma
-from eqsim.master import fokker_planck, newborn, newborn_lives, quenched
+from eqsim.master import flow, fokker_planck, newborn, newborn_lives, quenched
 from eqsim.master.solvers import solver
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
 
-_STEP = 0.015  # in ln x, of the profile, whose splines are then good to 2e-8
-_BROKEN, _MOST_ROUNDS = 0.02, 8  # most that may break in such a step, reached by so many rounds of splits in four
-_SPLINE, _KINKED_SPLINE = 3e-8, 1e-6  # what splines miss, of laws whose density may have kinks
-_COARSE_SPLINE = 3e-6  # at the steps that the Fokker-Planck equation takes
-_LONGEST_PANEL, _NARROWEST, _SMOOTH, _MOST_PANELS = 2.0, 1e-3, 1e-8, 250  # of contacts born stretched
-_WITHIN = 1.0 - 1e-9  # of a panel: not across a jump
+# Relative error of the panels that Gauss-Legendre nodes integrate between the jumps of a discrete law.
+_BETWEEN_JUMPS = 1e-6
+# Coefficients of the highest two Chebyshev polynomials, over the largest value, at which panels are not split further.
+_SMOOTH = 1e-8
+# The same for thresholds that fluctuate: splines between the steps that the Fokker-Planck equation takes are no better.
+_COARSE_SPLINE = 3e-6
+# Largest error of a life at a travel over that of its mean, as it is seen for infinite densities (1.2), with a margin.
+_WORST = 2.0
+# Longest and narrowest panels in ln x; infinite densities and unknown kinks, which need ever narrower ones, count for
+# less than the narrowest.
+_LONGEST_PANEL = 2.0
+_NARROWEST = 1e-9
+# Panels beyond which none is split any more, where a solver's noise keeps coefficients from falling.
+_MOST_PANELS = 600
+# Nodes of a panel lie within it, not across a jump.
+_WITHIN = 1.0 - 1e-9
+_POWERS = np.arange(3)[:, None, None]
+
+# Travels x > 0, shape (n,), to E[z^i kappa^j; l > x], i and j from 0 to 2, shape (3, 3, n).
+_Means = Callable[[Array], Array]
 
 
 class Profile(Protocol):
@@ -64,11 +77,8 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
     InputError
         Where a solver refuses the contacts.
     """
-    profile: Profile
-    if s.newborn.active:
-        profile = _Stretched(s)
-    else:
-        profile = _Steps(s, np.empty(0) if x is None else x) if s.law.steps.size else _Smooth(s)
+    stepped = s.law.steps.size > 0 and not s.newborn.active
+    profile: Profile = _Steps(s, np.empty(0) if x is None else x) if stepped else SmoothLife(s)
     # C and work by another quadrature: what this one misses is part of the error
     exact = solver(s).stationary(s)
     stretch, work = (float(profile.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
@@ -79,14 +89,15 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
         square = float(profile.integral(np.array([1e90]), 2)[2, 0])
         square_error = (abs(square - exact.square) + exact.square_error) / exact.square
     work_error = (abs(work - exact.work) + exact.work_error) / size
-    profile.error = max(profile.error, stretch_error, work_error, square_error)
+    # at some travels it may miss more than in the mean over them
+    profile.error = max(profile.error, _WORST * max(stretch_error, work_error, square_error))
     return profile
 
 
 class _Steps:
     """Of a discrete law: Gauss-Legendre panels between jumps."""
 
-    jumps, error = True, _KINKED_SPLINE
+    jumps, error = True, _BETWEEN_JUMPS
 
     def __init__(self, s: Reduced, x: Array) -> None:
         self._reduced, self.x = s, np.unique(np.append(quenched.panels_between_steps(s), x[x > 0]))
@@ -106,74 +117,68 @@ class _Steps:
         return np.where(x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0)
 
 
-class _Smooth:
-    """Of a smooth law: splines in ln x."""
-
-    jumps = False
-
-    def __init__(self, s: Reduced) -> None:
-        means = solver(s).survivors
-        self.error = _SPLINE if isinstance(s.law, (Gamma, PooledThresholds)) else _KINKED_SPLINE
-        if isinstance(s.aging, Langevin):
-            self.error = float(fokker_planck.survival(s).errors[0].max()) + _COARSE_SPLINE
-        rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
-        top = math.log(s.aging.bracket(rarest / s.law.scale)[1])
-        # from where hardly a contact has broken: no rate exceeds omega
-        first = -max(math.log(1e15), s.barrier.log_w + math.log(1e7))
-        log_x = np.arange(top, first, -_STEP)[::-1]
-        values = means(s, np.exp(log_x))
-        for _ in range(_MOST_ROUNDS):
-            sudden = np.abs(np.diff(values[0])) > _BROKEN
-            if not sudden.any():
-                break
-            inner = log_x[:-1][sudden, None] + np.diff(log_x)[sudden, None] * np.array([0.25, 0.5, 0.75])
-            log_x = np.sort(np.append(log_x, inner))
-            values = means(s, np.exp(log_x))
-        self.x, self.survive = np.exp(log_x), values[0]
-        self._values = CubicSpline(log_x, values, axis=1)
-        self._totals = [CubicSpline(log_x, values * self.x**power, axis=1).antiderivative() for power in (1, 2, 3)]
-
-    def at(self, x: Array, power: int = 0) -> Array:
-        values = self._values(np.log(np.clip(x, self.x[0], self.x[-1])))
-        return np.asarray(np.where(x < self.x[-1], values, 0.0) * x**power)
-
-    def integral(self, x: Array, power: int) -> Array:
-        total, first = self._totals[power], np.log(self.x[:1])
-        before = self._values(first) * np.minimum(x, self.x[0]) ** (power + 1) / (power + 1)  # S and k hardly change
-        return np.asarray(total(np.log(np.clip(x, self.x[0], self.x[-1]))) - total(first) + before)
+def _means_of(s: Reduced) -> _Means:
+    if s.newborn.active:
+        return lambda x: newborn_lives.survivors(s, x)
+    if s.annealed:
+        return lambda x: newborn_lives.published(s, np.zeros(x.size), x)
+    if isinstance(s.aging, Langevin):
+        return lambda x: x**_POWERS * fokker_planck.survivors(s, x)
+    survivors = quenched.survivors_at if isinstance(s.aging, Unaged) else flow.survivors_at
+    return lambda x: x**_POWERS * survivors(s, x)
 
 
-class _Stretched:
-    """Of contacts born stretched: Chebyshev panels in ln x that end where S has jumps and kinks."""
-
-    def __init__(self, s: Reduced) -> None:
-        self.jumps = s.law.steps.size > 0 and isinstance(newborn.births_of(s), DeltaBirths)
+def _first_edges(s: Reduced) -> Array:
+    """Ascending ln x, at the kinks of survival besides: from where hardly a contact has broken, as no rate exceeds
+    omega, to where hardly a contact is left."""
+    if s.newborn.active:
         top, kinks = newborn_lives.longest(s), newborn_lives.kinks(s)
-        first = -max(math.log(1e15), (s.barrier.log_w if s.barrier.thermal else 0.0) + math.log(1e7))
-        last = math.log(top)
-        inner = np.log(kinks)
-        edges = np.arange(last, first + last, -_LONGEST_PANEL)[::-1]
-        edges = np.unique(np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)])))
+    else:
+        rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
+        top, kinks = s.aging.bracket(rarest / s.law.scale)[1], quenched.ends(s, s.law.kinks / s.law.scale)
+    last, inner = math.log(top), np.log(kinks)
+    first = -max(math.log(1e15), (s.barrier.log_w if s.barrier.thermal else 0.0) + math.log(1e7))
+    edges = np.arange(last, min(first, last - _LONGEST_PANEL), -_LONGEST_PANEL)[::-1]
+    return np.unique(np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)])))
+
+
+class Slope(NamedTuple):
+    """Derivatives of S, k1 and k2 (or of their products with powers of z) and what panels may miss of them, shape
+    (3, n), and the widths of the panels in ln x, shape (n,)."""
+
+    value: Array
+    missed: Array
+    width: Array
+
+
+class SmoothLife:
+    """The life of contacts whose survival is smooth between kinks: Chebyshev polynomials in ln x on panels that end at
+    the kinks, and are split until they resolve it."""
+
+    def __init__(self, s: Reduced) -> None:
+        self.jumps = s.newborn.active and s.law.steps.size > 0 and isinstance(newborn.births_of(s), DeltaBirths)
+        fluctuating = isinstance(s.aging, Langevin)
+        smooth = _COARSE_SPLINE if fluctuating else _SMOOTH
+        means = _means_of(s)
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
             nodes = ClenshawCurtis.nodes[:, None] * _WITHIN
-            t = np.exp(0.5 * (left + right) + 0.5 * (right - left) * nodes)
-            values = newborn_lives.survivors(s, t.ravel()).reshape(9, *t.shape)
-            return np.concatenate((values, values * t))
+            x = np.exp(0.5 * (left + right) + 0.5 * (right - left) * nodes)
+            values = means(x.ravel()).reshape(9, *x.shape)
+            return np.concatenate((values, values * x))
 
         def judge(p: Panels) -> tuple[Array, None]:
             most = np.abs(p.values).max(axis=(1, 2))[:, None]
             rough = np.abs(np.tensordot(ClenshawCurtis.tail.T, p.values, (1, 1))).sum(axis=0)
-            return (rough > _SMOOTH * most).any(axis=0) & (p.right - p.left > _NARROWEST), None
+            return (rough > smooth * most).any(axis=0) & (p.right - p.left > _NARROWEST), None
 
-        p, _ = refined(evaluate, judge, edges, most=_MOST_PANELS)
+        p, _ = refined(evaluate, judge, _first_edges(s), most=_MOST_PANELS)
         self._edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         values, moments = np.split(np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1)), 2, axis=1)
         self._values = values
         self._integrals = chebyshev.chebint(moments, lbnd=-1, axis=0) * self._half
-        panel = self._integrals.sum(axis=0)
-        self._sums = np.concatenate((np.zeros((9, 1)), panel.cumsum(axis=1)), axis=1)
+        self._sums = np.concatenate((np.zeros((9, 1)), self._integrals.sum(axis=0).cumsum(axis=1)), axis=1)
         self._first = math.exp(self._edges[0])
         self._start = p.values[:9, 0, 0]
         nodes = 0.5 * (p.left + p.right) + self._half * ClenshawCurtis.nodes[:, None] * _WITHIN
@@ -181,23 +186,43 @@ class _Stretched:
         self.survive = np.minimum.accumulate(np.clip(p.values[0].T.ravel(), 0.0, 1.0))
         missed = np.abs(np.tensordot(ClenshawCurtis.tail.T, p.values[9:], (1, 1))).sum(axis=0) * self._half
         total = np.abs(self._sums[:, -1])
-        of = np.array([0, 4, 8])  # S, mean force, its square
-        self.error = float((missed.sum(axis=1)[of] / np.maximum(total[of], 1e-3 * total[0])).max())
-        self.error += _SMOOTH if isinstance(s.law, Gamma) or self.jumps else _KINKED_SPLINE
+        squares = np.array([0, 4, 8])  # of S, of the mean force, of the mean square of the force
+        self.error = float((missed.sum(axis=1)[squares] / np.maximum(total[squares], 1e-3 * total[0])).max()) + smooth
+        if fluctuating:
+            self.error += float(fokker_planck.survival(s).errors[0].max())
 
-    def _at(self, x: Array) -> tuple[Array, Array]:
+    def _evaluated(self, coefficients: Array, x: Array) -> tuple[Array, Array]:
+        """Polynomials with `coefficients` (17, 3, panels) at x, shape (3, n), and the panels that x are in."""
         log_x = np.log(np.clip(x, self._first, math.exp(self._edges[-1])))
         panel = np.clip(np.searchsorted(self._edges, log_x, side="right") - 1, 0, self._half.size - 1)
-        return panel, np.clip((log_x - self._edges[panel]) / self._half[panel] - 1.0, -1.0, 1.0)
+        t = np.clip((log_x - self._edges[panel]) / self._half[panel] - 1.0, -1.0, 1.0)
+        order = np.argsort(panel, kind="stable")
+        powers = chebyshev.chebvander(t[order], coefficients.shape[0] - 1)
+        ends = np.searchsorted(panel[order], np.arange(self._half.size + 1))
+        found = np.empty((x.size, 3))
+        for i in np.flatnonzero(np.diff(ends)):
+            rows = slice(ends[i], ends[i + 1])
+            found[order[rows]] = powers[rows] @ coefficients[:, :, i]
+        return found.T, panel
+
+    def slope(self, x: Array, power: int = 0) -> Slope:
+        """Derivatives of `at` with respect to x > 0, at a kink that of the panel to its right."""
+        values = self._values[:, 3 * power : 3 * power + 3]
+        highest = np.where(np.arange(values.shape[0])[:, None, None] >= values.shape[0] - 2, values, 0.0)
+        derivatives = []
+        for part in (values, highest):
+            coefficients = np.zeros_like(values)
+            coefficients[:-1] = chebyshev.chebder(part, axis=0) / self._half
+            found, panel = self._evaluated(coefficients, x)
+            derivatives.append(np.where(x < math.exp(self._edges[-1]), found / x, 0.0))
+        return Slope(derivatives[0], np.abs(derivatives[1]), 2.0 * self._half[panel])
 
     def at(self, x: Array, power: int = 0) -> Array:
-        panel, t = self._at(x)
-        found = chebyshev.chebval(t, self._values[:, 3 * power : 3 * power + 3, panel], tensor=False)
+        found, _ = self._evaluated(self._values[:, 3 * power : 3 * power + 3], x)
         return np.asarray(np.where(x < math.exp(self._edges[-1]), found, 0.0))
 
     def integral(self, x: Array, power: int) -> Array:
-        panel, t = self._at(x)
-        part = slice(3 * power, 3 * power + 3)
-        inside = chebyshev.chebval(t, self._integrals[:, part, panel], tensor=False)
-        before = self._start[part, None] * np.minimum(x, self._first)
-        return np.asarray(self._sums[part, panel] + inside + before)
+        rows = slice(3 * power, 3 * power + 3)
+        inside, panel = self._evaluated(self._integrals[:, rows], x)
+        before = self._start[rows, None] * np.minimum(x, self._first)
+        return np.asarray(self._sums[rows, panel] + inside + before)

@@ -152,7 +152,7 @@ def over_births(
         return rough, (mean, (errors + unresolved).sum(axis=1))
 
     with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
-        kinks = np.log(-np.log(law.sf(law.breakpoints)))
+        kinks = np.log(-np.log(law.sf(law.kinks)))
     edges = np.union1d(_BIRTHS, kinks[(kinks > _BIRTHS[0]) & (kinks < _BIRTHS[-1])])
     _, found = refined(evaluate, judge, edges, most=edges.size + _MORE_PANELS)
     return found
@@ -197,7 +197,10 @@ def survivors_at(s: Reduced, x: Array) -> Array:
         terms = half * _FEW_WEIGHTS * law.pdf(xi * law.scale) * law.scale
         terms *= survival(s.barrier, x[:, None, None], xi, kappa)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
-    return np.array([(terms * kappa**power).sum(axis=(1, 2)) for power in range(3)])
+    found = np.array([(terms * kappa**power).sum(axis=(1, 2)) for power in range(3)])
+    if not s.barrier.thermal:  # the law knows its share of stronger contacts better than the panels
+        found *= np.where(found[0] > 0.0, law.sf(x * law.scale) / np.maximum(found[0], 1e-300), 0.0)
+    return found
 
 
 def rarest_that_counts(barrier: Barrier) -> float:

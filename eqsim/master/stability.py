@@ -10,7 +10,7 @@ delay neither, as friction is then the same whatever X(t) does; with a delay by 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,21 +19,38 @@ from eqsim.errors import InputError, require_number, under
 from eqsim.estimate import Estimate, known
 from eqsim.laws.aging import Unaged
 from eqsim.master import characteristic, kicks
-from eqsim.master.profile import Profile, profile_of
+from eqsim.master.profile import SmoothLife, profile_of
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
-from eqsim.master.transient import means_of, transient
+from eqsim.master.transient import convolved, from_birth, means_of
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import pull_of, reduced
+from eqsim.model.reduced import Reduced, pull_of, reduced
+from eqsim.model.slip import least_slip
 from eqsim.numerics.tables import Array
 from eqsim.results import Result
 
 NEUTRAL = "no perturbation grows or decays: without heat, aging and delay friction is the same at any X(t)"
 
-_LIVES, _PER_WIDTH, _LEAST, _MOST = 8.0, 40.0, 1000, 40_000  # of the fresh transient: length, cells
-_PROFILE_STEP = 0.015  # in ln x, over which a profile may be wrong by its error
-_CERTAIN = 2.0  # errors by which a rate must differ from 0
+# Length of the fresh transient in mean lives; cells of its coarsest grid in the middle half of the ends of lives.
+_LIVES = 8.0
+_PER_WIDTH = 40.0
+# Fewest and most cells.
+_LEAST = 1000
+_MOST = 40_000
+# Points in the smallest slip of discrete thresholds, and chords from it to twice its length.
+_PER_SLIP = 100.0
+_CHORDS = 60
+# Points between three candidates for an extremum: it is then missed by 1e-5 of what these differ by.
+_NEAR = 401
+# Cells of the coarser grid around an extremum within which two grids are compared.
+_AROUND = 4.0
+# Error of the place of a steepest fall, in cells, where slopes are all but even.
+_FLAT = 0.1
+# Panels of a life narrower than this in ln x surround an infinite density of thresholds.
+_SINGULAR = 1e-6
+# Errors by which a rate, or a stiffness, must differ from a border.
+_CERTAIN = 2.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,18 +60,23 @@ class FreshSlip(Result):
     Attributes
     ----------
     critical_stiffness : Estimate
-        Largest -dF/dX of the fresh transient at constant velocity; a spring with a smaller kappa_s slips. Exact where F
-        depends on X only (T = 0, no delay, no aging) and the slider has neither damping nor mass. `stderr` is the error
-        of the solver. 0 where friction never falls, infinite for discrete thresholds, which break together.
+        Largest -dF/dX of the fresh transient at constant velocity: behind a spring with a smaller kappa_s the slider
+        jumps. Exact where F depends on X only (T = 0, no delay, no aging) and the slider has neither damping nor mass.
+        `stderr` is the error of the solver. 0 where friction never falls, infinite where the density of thresholds is.
+        Of discrete thresholds each step is a jump at any stiffness: `slip_stiffness`.
     X : Estimate
-        Where that is (length); without a value where it is 0 or infinite.
+        Where that is (length); without a value where it is 0.
     peak_ratio : Estimate
         Largest force on the way over steady friction.
+    slip_stiffness : Estimate
+        Largest (F(X) - F(X + l))/l with l at least `model.slip.least_slip`: behind a spring with a smaller kappa_s the
+        slider jumps as far as a slip.
     """
 
     critical_stiffness: Estimate
     X: Estimate
     peak_ratio: Estimate
+    slip_stiffness: Estimate
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,8 +114,23 @@ class Stability(Result):
 
     @property
     def fresh_slips(self) -> bool:
-        """Whether the slider slips on the way from a fresh start."""
-        return self.stiffness < known(self.fresh.critical_stiffness)
+        """Whether the slider slips on the way from a fresh start, as `model.slip` defines it."""
+        return self.stiffness < known(self.fresh.slip_stiffness)
+
+    @property
+    def fresh_verdict(self) -> str:
+        """The way from a fresh start: "slips", "jumps" by less than a slip, "slides", or "undecided" where errors of
+        the borders do not tell."""
+        if _beyond(self.stiffness, self.fresh.slip_stiffness) is None:
+            return "undecided"
+        if self.fresh_slips:
+            return "slips"
+        border = self.fresh.critical_stiffness
+        if self.fresh.slip_stiffness == border:  # of discrete thresholds, which make steps of any size
+            return "slides"
+        if _beyond(self.stiffness, border) is None:
+            return "undecided"
+        return "jumps" if self.stiffness < known(border) else "slides"
 
     @property
     def verdict(self) -> str:
@@ -106,6 +143,12 @@ class Stability(Result):
         if not self.growth.reliable or abs(self.growth.value) <= _CERTAIN * (self.growth.stderr or 0.0):
             return "undecided"
         return "unstable" if self.growth.value > 0.0 else "stable"
+
+
+def _beyond(stiffness: float, border: Estimate) -> bool | None:
+    """Whether a stiffness is beyond a border; None where the error of that does not tell."""
+    apart = stiffness - known(border)
+    return None if abs(apart) <= _CERTAIN * (border.stderr or 0.0) else apart > 0.0
 
 
 class Pulled(NamedTuple):
@@ -274,9 +317,9 @@ def _mode(pulled: Pulled) -> kicks.Mode:
 def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     """The steepest fall of the fresh transient (derived).
 
-    The renewal equation of `master.transient` on three grids, each with half the cells of the next: differentiated
-    splines through values that are extrapolated as of second order, from the finer two, and their difference from those
-    of the coarser two as the error.
+    The renewal equation of `master.transient` on three grids, each with half the cells of the next, extrapolated as of
+    second order from the finer two; the difference from the coarser two is the error. What survives of the contacts
+    that started together is exact on both sides of every kink; the rest has a continuous slope between them.
 
     Parameters
     ----------
@@ -297,41 +340,157 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     steady = reference(ensemble, Drive(velocity))
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _LIVES * known(steady.travel) / unit
-    if s.law.steps.size:
-        way = transient(ensemble, Drive(velocity, distance * unit))
-        at = int(np.argmax(way.force))
-        ratio = way.force[at] / friction
-        missed = way.force_error[at] / friction + ratio * error / friction
-        nowhere = Estimate(None, None, 0)
-        return FreshSlip(Estimate(math.inf, 0.0, 0), nowhere, Estimate(float(ratio), float(missed), 0))
+    least, level = least_slip(ensemble.thresholds) / unit, friction / unit
     profile = profile_of(s)
-    forces, x = _on_three_grids(profile, s, distance)
-    rough, fine = (4.0 * forces[1][::2] - forces[0]) / 3.0, (4.0 * forces[2][::2] - forces[1]) / 3.0
-    fall, X, peak = _steepest(x[::4], rough), _steepest(x[::2], fine), max(rough.max(), fine.max())
-    (slope, at_X, highest), level = X, friction / unit
-    uncertain = profile.error * peak / (_PROFILE_STEP * max(at_X, x[1]))
-    critical = Estimate(max(slope, 0.0), abs(slope - fall[0]) + uncertain, 0)
-    place = Estimate(at_X * unit, (abs(at_X - fall[1]) + x[1] * 1e-3) * unit, 0)
-    ratio, missed = max(highest, level) / level, abs(highest - fall[2]) / level
-    ratio_error = missed + ratio * (profile.error + error / friction)
-    return FreshSlip(critical, place if slope > 0.0 else Estimate(None, None, 0), Estimate(ratio, ratio_error, 0))
+    if profile.jumps or not isinstance(profile, SmoothLife):
+        return _of_steps(s, distance, least, level, unit)
+    ways = _on_three_grids(profile, s, distance)
+    rough, fine = _between_grids(*ways[:2]), _between_grids(*ways[1:])
+    grids = rough.x, fine.x
+    fall, fall_X, unknown = _steepest(fine, s)
+    other, other_X, _ = _steepest(rough, s)
+    highest, highest_X = _highest(fine)
+    critical = Estimate(math.inf, 0.0, 0)
+    if math.isfinite(fall):
+        beside = _apart(grids, (rough.later_slope, fine.later_slope), fall_X)
+        error_of_fall = max(abs(fall - other), beside) + unknown + profile.error * max(highest, fall)
+        critical = Estimate(max(fall, 0.0), error_of_fall, 0)
+    place = Estimate(fall_X * unit, (abs(fall_X - other_X) + _FLAT * fine.x[1]) * unit, 0)
+    ratio = max(highest, level) / level
+    beside = _apart(grids, (rough.later, fine.later), highest_X)
+    missed = max(abs(highest - _highest(rough)[0]), beside) / level + ratio * (profile.error + error / friction)
+    slip, _ = _chord([(way.x, way.force) for way in (rough, fine)], least, profile.error * highest)
+    nowhere = Estimate(None, None, 0)
+    return FreshSlip(critical, place if fall > 0.0 else nowhere, Estimate(ratio, missed, 0), slip)
 
 
-def _on_three_grids(profile: Profile, s: Any, distance: float) -> tuple[list[Array], Array]:
-    """Forces at the edges of three grids, and those of the finest; cells resolve how sharply lives end."""
+def _of_steps(s: Reduced, distance: float, least: float, level: float, unit: float) -> FreshSlip:
+    """`fresh_slip` of contacts that break together; lengths in units of `unit`, which force and X are told in."""
+    x = distance * np.linspace(0.0, 1.0, 4 * int(min(max(0.25 * _PER_SLIP * distance / least, _LEAST), _MOST)) + 1)
+    profile = profile_of(s, x)
+    courses = [(x[::step], means_of(profile, x[::step], s).force) for step in (2, 1)]
+    rough, highest = (float(force.max()) for _, force in courses)
+    slip, X = _chord(courses, least, profile.error * highest)
+    # between two points a force rises by no more than the contacts are stiff
+    missed = abs(highest - rough) + float(x[1] * np.abs(profile.at(x[1:2])[1]).max()) + profile.error * highest
+    place = Estimate(X * unit, 2.0 * float(x[1]) * unit, 0) if known(slip) > 0.0 else Estimate(None, None, 0)
+    return FreshSlip(slip, place, Estimate(max(highest, level) / level, missed / level, 0), slip)
+
+
+def _chord(courses: list[tuple[Array, Array]], least: float, missed: float) -> tuple[Estimate, float]:
+    """The steepest fall of a force over a displacement of `least` or more, and where it begins.
+
+    A chord of twice that length or more has a half that is as steep. Where a jump is between points its chord may be
+    longer or shorter by one of them.
+
+    Parameters
+    ----------
+    courses : list of two pairs of ndarray
+        Equidistant displacements and forces, on two grids, the finer one last.
+    missed : float
+        What forces may miss besides the difference of the grids.
+    """
+    falls, places = [], []
+    for x, F in courses:
+        first = math.ceil(least / x[1] * (1.0 - 1e-9))
+        last = min(2 * first, x.size - 1)
+        shifts = np.unique(np.append(first + 1, np.linspace(first, last, _CHORDS)).astype(int))
+        slopes = [(F[:-n] - F[n:]) / (n * x[1]) for n in shifts]
+        steepest = np.array([float(slope.max()) for slope in slopes])
+        longest = int(np.argmax(steepest))
+        falls.append(steepest)
+        # the first of equal ones, as contacts in step have
+        places.append(float(x[np.argmax(slopes[longest] >= (1.0 - 1e-6) * steepest[longest])]))
+    best, rough = float(falls[-1].max()), float(falls[0].max())
+    beside = abs(float(falls[-1][0] - falls[-1][1]))
+    error = abs(best - rough) + 2.0 * beside + 2.0 * missed / least
+    return Estimate(max(best, 0.0), error, 0), places[-1]
+
+
+class _Way(NamedTuple):
+    """A fresh transient on a uniform grid of edges x, arrays (cells + 1,): the force, and the force that contacts born
+    on the way carry, with its slope."""
+
+    profile: SmoothLife
+    x: Array
+    force: Array
+    later: Array
+    later_slope: Array
+
+
+def _on_three_grids(profile: SmoothLife, s: Reduced, distance: float) -> list[_Way]:
+    """Ever finer ones; cells resolve how sharply lives end."""
     quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
     cells = int(min(max(_PER_WIDTH * distance / max(slow - quick, 1e-300), _LEAST), _MOST))
     x = distance / (4 * cells) * np.arange(4 * cells + 1)
-    return [means_of(profile, x[::step], s).force for step in (4, 2, 1)], x
+    return [_way(profile, x[::step], s) for step in (4, 2, 1)]
 
 
-def _steepest(x: Array, force: Array) -> tuple[float, float, float]:
-    """Largest -dF/dx, where it is, and the largest F."""
-    curve = CubicSpline(x, force)
-    slope = curve.derivative()
-    bends, tops = slope.derivative().roots(extrapolate=False), slope.roots(extrapolate=False)
-    bends = bends[np.isfinite(bends)]
-    fall = -slope(np.append(bends, x[[0, -1]]))
-    at = int(np.argmax(fall))
-    highest = max(float(force.max()), float(np.max(curve(tops[np.isfinite(tops)]), initial=0.0)))
-    return float(fall[at]), float(np.append(bends, x[[0, -1]])[at]), highest
+def _way(profile: SmoothLife, x: Array, s: Reduced) -> _Way:
+    means = means_of(profile, x, s)
+    births = means.breaks + np.diff(means.pinned) / x[1]
+    first = from_birth(profile, s, x, 1)
+    carried = first - s.drag * _delayed(s) * np.append(1.0, profile.at(x[1:])[0])
+    at_edges = np.concatenate((births[:1], 0.5 * (births[1:] + births[:-1]), births[-1:]))
+    slope = np.append(0.0, convolved(births, np.diff(carried))[: x.size - 1]) + carried[0] * at_edges
+    return _Way(profile, x, means.force, means.force - first, slope)
+
+
+def _delayed(s: Reduced) -> float:
+    return float(s.delay.mean > 0.0)
+
+
+def _between_grids(coarse: _Way, better: _Way) -> _Way:
+    """At the edges of the coarser grid, extrapolated as of second order."""
+    columns = [(4.0 * b[::2] - a) / 3.0 for a, b in zip(coarse[2:], better[2:], strict=True)]
+    return _Way(coarse.profile, coarse.x, *columns)
+
+
+def _steepest(way: _Way, s: Reduced) -> tuple[float, float, float]:
+    """Largest -dF/dx, infinite where a density of thresholds is, where it is, and what the life's panels may miss."""
+    profile, x = way.profile, way.x
+    later, drag = CubicSpline(x, way.later_slope), s.drag * _delayed(s)
+
+    def falls(at: Array) -> Array:
+        slope = profile.slope(at, 1).value[1]
+        if drag:
+            slope = slope - drag * profile.slope(at).value[0]
+        return np.asarray(-(slope + later(at)))
+
+    lives = profile.x[(profile.x > 1e-6 * x[-1]) & (profile.x < x[-1])]
+    at = np.union1d(lives, x[1:])
+    fall = falls(at)
+    i = int(np.argmax(fall))
+    near = np.linspace(at[max(i - 1, 0)], at[min(i + 1, at.size - 1)], _NEAR)
+    again = falls(near)
+    j = int(np.argmax(again))
+    X, steepest = (near[j], again[j]) if again[j] > fall[i] else (at[i], fall[i])
+    here = profile.slope(at[i : i + 1], 1)
+    if here.width[0] < _SINGULAR:
+        return math.inf, float(X), 0.0
+    return float(steepest), float(X), float(here.missed[1, 0])
+
+
+def _highest(way: _Way) -> tuple[float, float]:
+    """The largest force, also at kinks between edges, and where it is."""
+    profile, x = way.profile, way.x
+    later = CubicSpline(x, way.later)
+
+    def force(at: Array) -> Array:
+        return np.asarray(profile.at(at, 1)[1] + later(at))
+
+    at = np.union1d(profile.x[(profile.x > 1e-6 * x[-1]) & (profile.x < x[-1])], x[1:])
+    first = force(at)
+    i = int(np.argmax(first))
+    near = np.linspace(at[max(i - 1, 0)], at[min(i + 1, at.size - 1)], _NEAR)
+    closer = force(near)
+    j = int(np.argmax(closer))
+    return (float(closer[j]), float(near[j])) if closer[j] > first[i] else (float(first[i]), float(at[i]))
+
+
+def _apart(x: tuple[Array, Array], values: tuple[Array, Array], X: float) -> float:
+    """How far splines through the values on two grids, the finer one last, differ around X: next to a kink by several
+    times what the finer one misses, though not at every place."""
+    at = np.clip(X + _AROUND * x[0][1] * np.linspace(-1.0, 1.0, 33), 0.0, x[0][-1])
+    rough, fine = (CubicSpline(*pair)(at) for pair in zip(x, values, strict=True))
+    return float(np.abs(fine - rough).max())

@@ -119,11 +119,11 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     cells = cells_of(s, distance, points)
     solved = [means_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
     X, edges = np.linspace(0.0, distance, points), cells.x[::2]
-    # what the mean may be while all are in step
-    strongest = float(np.abs(cells.profile.at(cells.profile.x, 1)[1]).max())
+    # up to which the mean may rise while all are in step
+    strongest = np.maximum.accumulate(np.abs(from_birth(cells.profile, s, edges, 1)))
     delayed = s.delay.mean > 0
     found = []
-    for name, loudest in (("force", max(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
+    for name, loudest in (("force", np.maximum(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
         coarse, better = (getattr(means, name) for means in solved)
         best, error = _with_error(coarse, better[::2], cells, loudest)
         if points > edges.size:
@@ -240,7 +240,7 @@ def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
     return share, 2 * around + 1
 
 
-def _from_birth(profile: Profile, s: Reduced, x: Array, power: int) -> Array:
+def from_birth(profile: Profile, s: Reduced, x: Array, power: int) -> Array:
     """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0 without births y."""
     found = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
     found[0] *= s.newborn.active
@@ -263,7 +263,7 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     taken on a circle |z| < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive, first = np.append(1.0, profile.at(x[1:])[0]), _from_birth(profile, s, x, 1)
+    survive, first = np.append(1.0, profile.at(x[1:])[0]), from_birth(profile, s, x, 1)
     size = fft.next_fast_len(_AROUND * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -290,8 +290,8 @@ def _squares(cells: Cells, s: Reduced, solved: list[_Means]) -> tuple[Array, Arr
     for step, means in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
         births = means.breaks + np.diff(means.pinned) / x[1]
-        first = _from_birth(profile, s, x, 2)
-        later = _convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
+        first = from_birth(profile, s, x, 2)
+        later = convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
         found.append((first + np.append(0.0, later) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
     best, missed = _extrapolated(*found)
     error = missed + profile.error * np.abs(best)
@@ -305,19 +305,24 @@ def _extrapolated(coarse: Array, better: Array) -> tuple[Array, Array]:
     return (4 * better - coarse) / 3, missed
 
 
-def _with_error(coarse: Array, better: Array, cells: Cells, loudest: float) -> tuple[Array, Array]:
-    """A mean that may be as great as `loudest` while all contacts are in step, and its error."""
+def _with_error(coarse: Array, better: Array, cells: Cells, loudest: Array | float) -> tuple[Array, Array]:
+    """A mean that may be as great as `loudest` while all contacts are in step, and its error.
+
+    Errors of a life are passed on by its births, so that they scale with the largest mean so far.
+    """
     best, missed = _extrapolated(coarse, better)
-    error = missed + cells.profile.error * np.abs(best)
+    error = missed + cells.profile.error * np.maximum.accumulate(np.abs(best))
     if cells.profile.jumps:
         # jumps that cells blur, in twice as many steps of half the length, differ by 0.083 of their height
         error += np.maximum(_near(coarse), 8 * ndimage.maximum_filter1d(np.abs(better - coarse), cells.around))
-    return best, error + max(float(np.ptp(best)), loudest) * cells.in_step
+    return best, error + np.maximum(np.ptp(best), loudest) * cells.in_step
 
 
 def _near(values: Array) -> Array:
-    """How far neighbours differ: where equal thresholds break together the truth is somewhere between them."""
-    return np.asarray(ndimage.maximum_filter1d(values, 5) - ndimage.minimum_filter1d(values, 5))
+    """By how much a jump nearby changes `values`, where equal thresholds break together: the truth is somewhere between
+    both sides. Of the steady rise between jumps nothing counts, as it is known."""
+    jump = np.pad(np.abs(np.diff(values, 2)), 1, "edge")
+    return np.asarray(ndimage.maximum_filter1d(jump, 5))
 
 
 def _between(values: Array) -> Array:
@@ -389,7 +394,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         carried = rest[1][1] - x * rest[0][1]
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
         after, detached = _reborn(means.force, x, s)
-        back = np.append(0.0, _convolved(breaks, np.diff(after) / x[1])[: x.size - 1])
+        back = np.append(0.0, convolved(breaks, np.diff(after) / x[1])[: x.size - 1])
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best, missed = _extrapolated(*solved)
@@ -401,7 +406,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     return Fluctuations(lag, *(np.interp(lag / unit, cells.x[::2], part) * unit**2 for part in (best, error)))
 
 
-def _convolved(a: Array, b: Array) -> Array:
+def convolved(a: Array, b: Array) -> Array:
     """The convolution of two sequences."""
     length = a.size + b.size - 1
     size = fft.next_fast_len(length, real=True)

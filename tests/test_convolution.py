@@ -1,0 +1,176 @@
+"""Transients against a plain convolution on a lattice: laws with jumps, kinks, atoms and infinite densities."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from convolution import Contacts, means
+from scipy import stats
+
+from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, transient
+from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
+
+VELOCITY = 0.1
+LATTICE = 0.01  # on which thresholds of discrete laws, delays and distances are
+KINDS = [
+    "gamma", "narrow", "lognormal", "weibull", "normal", "exponential", "uniform", "pareto", "histogram", "beta",
+    "triang", "trapezoid", "loguniform", "table", "delta",
+]  # fmt: skip
+
+
+class Case(NamedTuple):
+    """Contacts as eqsim and as the lattice has them, how far they slide and how much finer the lattice is."""
+
+    ensemble: Ensemble
+    contacts: Contacts
+    distance: float
+    finer: int
+
+
+def on_lattice(x):
+    return round(float(x), 2)
+
+
+def law_of(kind, rng):
+    """A law of random parameters."""
+    width = float(10.0 ** rng.uniform(-2.6, -1.2))
+    if kind == "gamma":
+        return Gamma(float(np.exp(rng.uniform(-2.0, 3.0))))
+    if kind == "narrow":
+        return [Gamma(0.25 / width**2), Lognormal(width), Normal(width)][rng.integers(3)]
+    if kind == "lognormal":
+        return Lognormal(float(rng.uniform(0.1, 1.0)))
+    if kind == "weibull":
+        return Weibull(float(np.exp(rng.uniform(np.log(0.5), np.log(10.0)))))
+    if kind == "normal":
+        return Normal(float(rng.uniform(0.05, 2.0)))
+    if kind == "exponential":
+        return Exponential()
+    if kind == "uniform":
+        low = on_lattice(rng.uniform(0.0, 0.95))
+        return Uniform(low, on_lattice(low + rng.uniform(0.05, 1.0)))
+    if kind == "pareto":
+        return Pareto(float(rng.uniform(3.05, 30.0)), on_lattice(rng.uniform(0.3, 1.0)))
+    if kind == "histogram":
+        bins = rng.integers(1, 5)
+        edges = np.sort(rng.choice(np.arange(10, 200), bins + 1, replace=False)) * LATTICE
+        counts = rng.integers(0, 5, bins)
+        counts[[0, -1]] += 1
+        return Distribution(stats.rv_histogram((counts, edges), density=True))
+    if kind == "beta":
+        return Distribution(stats.beta(*rng.uniform(0.4, 1.0, 2).tolist()))
+    if kind == "triang":
+        return Distribution(stats.triang(float(rng.uniform(0.05, 0.95)), loc=float(rng.uniform(0.0, 0.5))))
+    if kind == "trapezoid":
+        return Distribution(stats.trapezoid(0.2, 0.7, loc=0.3))
+    if kind == "loguniform":
+        return Distribution(stats.loguniform(0.3, float(rng.uniform(0.6, 3.0))))
+    if kind == "table":
+        return Table(rng.integers(20, 200, rng.choice([2, 2, 3, 5, 12])) * LATTICE)
+    return Delta(on_lattice(rng.uniform(0.5, 2.0)))
+
+
+def drawn(kind, seed):
+    """A random ensemble; a third of them is warm, and less than half of these annealed."""
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    law = law_of(kind, rng)
+    warm = bool(rng.random() < 0.35) and kind != "narrow"
+    b, attempts = np.exp(rng.uniform(np.log([1.0, 0.05]), np.log([40.0, 20.0]))) * warm
+    annealed = warm and rng.random() < 0.4
+    delays = str(rng.choice(["none", "fixed", "exponential"]))
+    delay = 0.0 if delays == "none" else on_lattice(rng.uniform(0.05, 2.0))
+    contacts = Contacts(
+        law,
+        str(rng.choice(["uniform", "sqrt"])),
+        float(b),
+        float(attempts),
+        str(rng.choice(["soft", "stiff"])),
+        bool(annealed),
+        delay,
+        delays == "exponential",
+        float(rng.uniform(0.0, 1.0)) * bool(rng.random() < 0.3),
+    )
+    distance, finer = on_lattice(rng.uniform(2.0, 8.0)), 2 if warm else 16
+    if kind == "narrow":
+        width = np.sqrt(law.rms**2 - law.mean**2)
+        finer = max(finer, int(2.0 ** np.ceil(np.log2(20.0 * LATTICE / width))))
+    return Case(ensemble_of(contacts), contacts, distance, finer)
+
+
+def ensemble_of(c):
+    """The same contacts for eqsim, k = 1."""
+    heat = Thermal(0.5 / c.b, c.attempts * VELOCITY, c.barrier) if c.attempts else Thermal()
+    delay = Delay(c.delay / VELOCITY, "exponential" if c.random else "fixed")
+    disorder = "annealed" if c.annealed else "quenched"
+    return Ensemble(c.law, heat, delay, stiffness_law=c.stiffness, disorder=disorder, eta=c.drag / VELOCITY)
+
+
+def scores(case):
+    """How much force and pinned share differ from those of the lattice by more than its error, in quoted errors, arrays
+    (points,); at X = 0 nothing is to be told."""
+    points = round(case.distance / LATTICE)
+    exact = means(case.contacts, LATTICE / case.finer, points * case.finer)
+    found = transient(case.ensemble, Drive(VELOCITY, case.distance), points + 1)
+    z = []
+    for name in ("force", "pinned"):
+        known, missed = (getattr(exact, part)[:: case.finer] for part in (name, f"{name}_error"))
+        apart = np.maximum(np.abs(getattr(found, name) - known) - missed, 0.0)
+        z.append((apart / np.maximum(getattr(found, f"{name}_error"), 1e-300))[1:])
+    return z
+
+
+def test_the_lattice_by_closed_forms():
+    """Exponential thresholds break at the rate 1: F = 1 - exp(-X); identical ones are a saw-tooth; with a fixed delay
+    all are detached after the first break. Half of a jump is told where it is."""
+    X = 0.01 * np.arange(401)
+    found = means(Contacts(Exponential()), 0.01, 400)
+    assert np.all(np.abs(found.force - (1.0 - np.exp(-X))) <= found.force_error)
+    assert found.force_error.max() < 1e-4
+    teeth = means(Contacts(Delta(1.0), delay=0.5), 0.01, 400)
+    phase = np.mod(X, 1.5)
+    inside = (np.abs(phase - 1.0) > 1e-9) & (phase > 1e-9) & (phase < 1.5 - 1e-9)
+    np.testing.assert_allclose(teeth.pinned[inside], np.where(phase < 1.0, 1.0, 0.0)[inside], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(teeth.force[inside], np.where(phase < 1.0, phase, 0.0)[inside], rtol=0, atol=1e-9)
+
+
+# one of each kind, and seeds with heat, annealed contacts and delays of both laws among them
+FEW = [(kind, seed) for seed, kind in enumerate(KINDS)]
+
+
+@pytest.mark.parametrize(("kind", "seed"), FEW)
+def test_transients_are_those_of_the_lattice(kind, seed):
+    """Quoted errors are bounds: none of the hundreds of points of either observable is beyond."""
+    assert max(z.max() for z in scores(drawn(kind, seed))) <= 1.0
+
+
+def test_a_wrong_delay_and_a_wrong_edge_are_seen():
+    """Negative control: a delay that is 1 percent longer, and a law whose lower end is 1 percent higher."""
+    contacts = Contacts(Uniform(0.9, 1.1), delay=0.5)
+    for wrong in (Contacts(Uniform(0.9, 1.1), delay=0.51), Contacts(Uniform(0.91, 1.1), delay=0.5)):
+        case = Case(ensemble_of(wrong), contacts, 3.0, 16)
+        assert max(z.max() for z in scores(case)) > 100.0
+    assert max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16))) <= 1.0
+
+
+def test_panels_across_a_kink_are_seen(monkeypatch):
+    """Negative control: without panels that end where a density jumps, and are split where one is missed."""
+    monkeypatch.setattr(Uniform, "kinks", property(lambda _: np.empty(0)))
+    monkeypatch.setattr("eqsim.master.profile._NARROWEST", 0.05)
+    contacts = Contacts(Uniform(0.9, 1.1))
+    assert max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16))) > 3.0
+
+
+def test_errors_are_those_of_the_force_that_is_there():
+    """Thresholds far away are no unit of errors: F = X, known to a millionth of itself."""
+    for ensemble in (Ensemble(Delta(1e6)), Ensemble(Delta(1e6), delay=Delay(1.0, "exponential"), eta=1.0)):
+        found = transient(ensemble, Drive(VELOCITY, 5.0), 6)
+        np.testing.assert_allclose(found.force, found.X, rtol=1e-9, atol=0.0)
+        assert np.all(found.force_error <= 2e-6 * found.X + 1e-15)
+
+
+@pytest.mark.verification
+def test_many_transients_are_those_of_the_lattice():
+    """Of 210 random ensembles: no point in a thousand beyond its quoted error, and none beyond twice that."""
+    z = np.concatenate([np.concatenate(scores(drawn(kind, seed))) for kind in KINDS for seed in range(100, 114)])
+    assert (z > 1.0).mean() < 1e-3
+    assert z.max() < 2.0
