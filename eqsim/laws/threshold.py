@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.errors import POSITIVE, InputError, require_number
+from eqsim.laws.kinks import density_kinks
 from eqsim.numerics.compiled import inlined
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
@@ -58,6 +59,11 @@ class ThresholdLaw(Protocol):
     @property
     def breakpoints(self) -> Array:
         """Where the density of a smooth law jumps inside its support."""
+
+    @property
+    def kinks(self) -> Array:
+        """Ascending thresholds > 0 where the density or its slope jumps or is infinite, with the ends of the support;
+        the different thresholds of a discrete law."""
 
     def pdf(self, x: Any) -> Array:
         """P_c(x) of a smooth law."""
@@ -130,6 +136,10 @@ class Gamma:
     def breakpoints(self) -> Array:
         return NO_STEPS
 
+    @property
+    def kinks(self) -> Array:
+        return NO_STEPS
+
     def pdf(self, x: Any) -> Array:
         """P_c(x) (PxPf2, normalised)."""
         u = np.asarray(x, float) / self.x_star
@@ -185,6 +195,10 @@ class _Discrete:
     @property
     def breakpoints(self) -> Array:
         return self.steps
+
+    @property
+    def kinks(self) -> Array:
+        return np.unique(self.steps)
 
     def pdf(self, x: Any) -> Array:
         raise NotImplementedError("a discrete law of thresholds has no density")
@@ -267,6 +281,12 @@ class Smooth:
     support: tuple[float, float] = (0.0, math.inf)
     scale: float
 
+    @property
+    def kinks(self) -> Array:
+        """Those of a law whose density is smooth between the ends of its support and its breakpoints."""
+        ends = [end for end in self.support if 0.0 < end < math.inf]
+        return np.union1d(self.breakpoints[self.breakpoints > 0.0], ends)
+
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
         raise NotImplementedError
@@ -301,6 +321,9 @@ class Smooth:
         drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.inverse_survival(e) / self.scale
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
         return sum(float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in (1, 3))
+
+
+_SAME = 1e-6  # of the scale, how far a kink may be that is another; nearer to an infinite end a density is rounded
 
 
 class Distribution(Smooth):
@@ -365,6 +388,18 @@ class Distribution(Smooth):
 
     def sf(self, x: Any) -> Array:
         return np.asarray(self.frozen.sf(x))
+
+    @functools.cached_property
+    def kinks(self) -> Array:
+        """As in `ThresholdLaw`: SciPy does not tell those inside, which are sought in the values of the density."""
+        share = np.concatenate((10.0 ** np.arange(-9.0, -2.5, 0.25), np.arange(0.005, 0.5, 0.005)))
+        e = np.concatenate((-np.log1p(-share), [math.log(2.0)], -np.log(share[::-1])))
+        x = np.unique(self.inverse_survival(e))
+        between = x[:-1] + np.multiply.outer(np.arange(3) / 3.0, np.diff(x))
+        inside = density_kinks(self.pdf, np.append(np.sort(between.ravel()), x[-1]))
+        known = np.union1d(super().kinks, self.support)
+        new = np.abs(inside[:, None] - known).min(axis=1) > _SAME * self.scale
+        return np.union1d(super().kinks, inside[new])
 
     def inverse_survival(self, e: Any) -> Array:
         """As in `ThresholdLaw`. Raises InputError where SciPy's isf fails far out in the tail: where it is not finite,

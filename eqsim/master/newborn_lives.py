@@ -111,7 +111,7 @@ def _births_at(s: Reduced, travel: Array) -> Array:
     births, law = births_of(s), s.law
     low, high = births.range
     at = _parts(births)
-    t, fixed = travel[:, None], _edges(law)
+    t, fixed = travel[:, None], law.kinks / law.scale
     if s.newborn.of == "threshold":
         top = np.empty(0) if law.steps.size else np.asarray(law.inverse_survival(_TOP)) / law.scale
         moving = [1.0 - t / np.append(top, fixed[fixed > 0]), np.zeros_like(t)]
@@ -225,16 +225,10 @@ def _both_sides(s: Reduced, y: Array, travel: Array) -> Array:
     return _pooled_up_to(s, np.maximum(-y, 0.0), before) + _pooled_up_to(s, np.maximum(x, 0.0), after)
 
 
-def _edges(law: ThresholdLaw) -> Array:
-    """Thresholds at which their density, or J_c, jumps."""
-    ends = [edge for edge in law.support if 0 < edge < math.inf]
-    return np.unique(np.concatenate((law.breakpoints, law.steps, ends))) / law.scale
-
-
 def kinks(s: Reduced) -> Array:
     """Travels at which survival, or its slope, may jump."""
     births, law = births_of(s), s.law
-    at = _edges(law)
+    at = law.kinks / law.scale
     if s.newborn.of == "threshold":
         y = np.array(births.range)
         found = np.outer(1.0 - y, at).ravel()

@@ -26,7 +26,7 @@ class PooledThresholds:
     def __init__(self, newborn: Gamma, x_star_final: float, decay: float) -> None:
         self.newborn, self.final, self.decay = newborn, x_star_final / newborn.x_star, decay
         self.scale, self.rms, self.steps = newborn.scale, newborn.rms, NO_STEPS
-        self.support, self.breakpoints = (0.0, math.inf), NO_STEPS
+        self.support, self.breakpoints, self.kinks = (0.0, math.inf), NO_STEPS, NO_STEPS
         n, unit = newborn.n, Gamma(newborn.n, 1.0)
         width = 1.0 / math.sqrt(newborn.n + 1.0)
         log_s = np.arange(-39.0, math.log(700.0), min(0.05, 0.2 * width))
