@@ -53,6 +53,8 @@ _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
 _CHANGED = 0.5  # share by which the velocity changes where steps begin anew
 _AGES, _DECADES = 20_000, 16  # of the table of growth
 _CARRIED = 0.1  # least error, in units of the largest in a programme
+_RARE = 0.01  # share of contacts that may break below which their thresholds do not set steps
+_RANKS = 64  # contacts of which a typical threshold is the mean
 _RESOLVED = 2e-6  # of the largest value, what tables and rounding miss
 
 
@@ -218,10 +220,11 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
 
 
 class Numerics(NamedTuple):
-    """How finely an ensemble is resolved: the longest displacement in a step of the coarsest grid, the longest life in
-    a stationary state at velocity `before`, and how thresholds grow."""
+    """How finely an ensemble is resolved: a typical threshold, the longest displacement in a step of the coarsest grid,
+    the longest life in a stationary state at velocity `before`, and how thresholds grow."""
 
     s: Reduced
+    typical: float
     width: float
     life: float
     before: float
@@ -240,10 +243,25 @@ class Numerics(NamedTuple):
         return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices)
 
 
-def numerics_of(s: Reduced, course: Course) -> Numerics:
-    """Raises InputError for contacts whose lives are too different for a stationary start."""
+def _typical(s: Reduced, reach: float) -> float:
+    """A threshold that sets steps after a fresh start if no contact is stretched by more than `reach`: thresholds
+    beyond, such as stand for contacts that never break, do not count, nor does their mean if most are far less."""
+    law = s.law
+    typical = min(law.mean, 2.0 * float(law.inverse_survival(math.log(2.0)))) / law.scale
+    if typical <= reach:
+        return typical
+    share = float(law.cdf(reach * law.scale))
+    if share < _RARE:
+        return reach
+    ranks = -np.log1p(-share * (np.arange(_RANKS) + 0.5) / _RANKS)
+    return float(np.mean(law.inverse_survival(ranks))) / law.scale
+
+
+def numerics_of(s: Reduced, course: Course, reach: float) -> Numerics:
+    """How to resolve contacts that are stretched by no more than `reach`. Raises InputError for contacts whose lives
+    are too different for a stationary start."""
     low, high = np.asarray(s.law.inverse_survival(np.array([0.17, 1.8]))) / s.law.scale  # two standard deviations
-    typical = s.law.mean / s.law.scale
+    typical = s.law.mean / s.law.scale if course.before else _typical(s, reach)
     width = _PATH * (min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical)
     strongest = life = float(s.law.inverse_survival(36.0)) / s.law.scale
     for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
@@ -254,13 +272,14 @@ def numerics_of(s: Reduced, course: Course) -> Numerics:
             'no reference with start = "stationary"; start "fresh"'
         )
     growth = _growth_of(s, 1.0 + (life / course.before if course.before else 0.0))
-    return Numerics(s, width, life, course.before, growth)
+    return Numerics(s, typical, width, life, course.before, growth)
 
 
 def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]:
     """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
     before."""
-    numerics, ages = numerics_of(s, course), np.geomspace(1e-15, 1.0, 1000)
+    reach = float(np.ptp(course.at(np.append(0.0, course.ends))))
+    numerics, ages = numerics_of(s, course, reach or math.inf), np.geomspace(1e-15, 1.0, 1000)
     grown = np.abs(s.aging.growth_at(ages) / s.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
     quickest = [1.0, s.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
     quickest.append(math.exp(-s.barrier.log_w) if s.barrier.thermal else 1.0)
@@ -322,7 +341,7 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     kinks, solved = solve(s, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
     smooth = np.searchsorted(edges, kinks) if s.law.steps.size else None
-    best, errors = _extrapolated([found[:3] for _, found in solved], smooth)
+    best, errors = _extrapolated(edges, [found[:3] for _, found in solved], smooth)
     best[2] -= best[0] ** 2  # a variance, which between edges is nearer to a straight line
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
@@ -355,7 +374,7 @@ def _between(t: Array, values: Array) -> Array:
     return np.asarray(ndimage.maximum_filter1d(np.abs(rough - values), 5, axis=1))
 
 
-def _extrapolated(found: list[Array], jumps: Array | None) -> tuple[Array, Array]:
+def _extrapolated(edges: Array, found: list[Array], jumps: Array | None) -> tuple[Array, Array]:
     """The values of no step at all at the edges of the finest of three grids, and their errors, shape (means, edges).
     A discrete law `jumps`, at most at these edges.
 
@@ -368,11 +387,13 @@ def _extrapolated(found: list[Array], jumps: Array | None) -> tuple[Array, Array
     missed = 2.0 * ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)
     missed = np.maximum(missed, _CARRIED * missed.max(axis=1, keepdims=True))
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
+    share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
     for j in range(fine.shape[0]):
         best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
         errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j]).max()
         if jumps is not None:  # equal thresholds that break together within a step, other than at known instants
-            bent = np.pad(np.abs(np.diff(best[j], 2)), 1)
+            straight = best[j, :-2] + (best[j, 2:] - best[j, :-2]) * share
+            bent = np.pad(2.0 * np.abs(best[j, 1:-1] - straight), 1)
             bent[jumps] = 0.0
             errors[j] += ndimage.maximum_filter1d(bent, 9)
     return best, errors
