@@ -52,9 +52,9 @@ KEPT, DROPPED, JOINED = range(3)  # what becomes of a cohort at the end of a ste
 
 class Choices(NamedTuple):
     """What a solve decided: where in `fates` those of the cohorts of a step begin, array (edges + 1,), the fates, and
-    in how many trials the force was balanced, -1 where the slider moved in no time, array (edges,). If they are
-    `given`, another solve repeats them, which makes it a smooth function of parameters. Without arrays nothing is
-    noted."""
+    in how many trials the force was balanced, array (edges,): -1 - n where the slider moved in no time, by the longest
+    displacement halved n times at most. If they are `given`, another solve repeats them, which makes it a smooth
+    function of parameters. Without arrays nothing is noted."""
 
     first: Array
     fates: Array

@@ -33,6 +33,7 @@ from eqsim.master.annealed import hazard_rate
 from eqsim.master.cohorts import NO_CHOICES, Choices, Contacts, Growth, Path, Pool, march
 from eqsim.master.fronts import Fronts, Strata, table_of_w
 from eqsim.master.quenched import different_steps, kappa_of
+from eqsim.master.sharp import Corners, Sharp, levels_of, sharp_instants
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, legs, reduced
@@ -43,27 +44,43 @@ from eqsim.numerics.tables import Array
 _PATH, _GROWTH, _FIRST, _STRATA, _CELLS = 0.05, 0.15, 0.1, 96, 1000
 MOST_STEPS, _MOST_COHORTS = 200_000, 5000
 _SIGMA, _CROWD = 8.2, 2.0  # the range of thresholds, in normal deviates; strata in the middle are 1.8 times narrower
+_INSTANT = 1e-7  # of the longest step, the time in which contacts that break or are born at an instant do so
+_LEAST_INSTANT = 1e-11  # of the whole time: more than rounding
+_LONGEST_INSTANT = 1e-9
+_GRADED = 2.0 ** -np.arange(1.0, 11.0)  # of the longest step, where steps end before and after an infinite rate
 _KINKS = 6  # delays after a change of velocity that steps end at
 _GROWN = 0.02  # share of a threshold that it has to grow by before it counts
 _CHANGED = 0.5  # share by which the velocity changes where steps begin anew
 _AGES, _DECADES = 20_000, 16  # of the table of growth
 _CARRIED = 0.1  # least error, in units of the largest in a programme
+_RARE = 0.01  # share of contacts that may break below which their thresholds do not set steps
+_RANKS = 64  # contacts of which a typical threshold is the mean
 _RESOLVED = 2e-6  # of the largest value, what tables and rounding miss
 
 
 def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
-    """Edges of cells of a law, shape (cells + 1,), nodes in them, shape (cells, nodes), and their shares of births."""
+    """Edges of cells of a law, shape (edges,), nodes in them, shape (edges - 1, nodes), and their shares of births.
+    Kinks of the law are edges, both ends of a gap too: the cell between them has no share."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    edge = _SIGMA / math.sinh(_CROWD) * np.sinh(np.linspace(-_CROWD, _CROWD, cells + 1))
-    half = 0.5 * np.diff(edge)[:, None]
-    inner = edge[:-1, None] + half * (1.0 + nodes)
-    share = half * weights * np.exp(-0.5 * inner**2)
+    even = _SIGMA / math.sinh(_CROWD) * np.sinh(np.linspace(-_CROWD, _CROWD, cells + 1))
 
     def threshold(z: Array) -> Array:
         low, high = -special.log_ndtr(-z), -np.log1p(-special.ndtr(np.minimum(z, 0.0)))
         return np.asarray(law.inverse_survival(np.where(z < 0, high, low))) / law.scale
 
-    return threshold(edge), threshold(inner), share / share.sum()
+    kinks = law.kinks if law.kinks.size <= cells else NO_STEPS
+    with np.errstate(divide="ignore"):
+        low, high = (special.ndtri(np.asarray(share(kinks), float)) for share in (law.cdf, law.sf))
+    place = np.where(low < 0.0, low, -high)
+    inside = np.abs(place) < _SIGMA
+    z = np.append(even, place[inside])
+    edge = np.append(threshold(even), kinks[inside] / law.scale)
+    order = np.lexsort((edge, z))
+    z, edge = z[order], np.maximum.accumulate(edge[order])
+    half = 0.5 * np.diff(z)[:, None]
+    inner = z[:-1, None] + half * (1.0 + nodes)
+    share = half * weights * np.exp(-0.5 * inner**2)
+    return edge, threshold(inner), share / share.sum()
 
 
 def _strata(s: Reduced, strata: int) -> Strata:
@@ -78,6 +95,7 @@ def _strata(s: Reduced, strata: int) -> Strata:
         left, right = xi[first], xi[np.append(first[1:], xi.size) - 1]
     else:
         nodes, inner, share = _cells(s.law, strata)
+        index = np.arange(share.shape[0])
         parts = (share * kappa_of(s, inner) ** powers[:, None]).sum(axis=2)
         low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
     return Strata(left, right, parts, parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy(), nodes, low, high)
@@ -136,8 +154,21 @@ class Course(NamedTuple):
         return np.interp(t, np.append(0.0, self.ends), np.append(0.0, X))
 
 
-def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[Array, Array]:
-    """Times of edges of steps of the coarsest grid, and of kinks: ends of segments, and whole delays after them."""
+class Edges(NamedTuple):
+    """Times of edges of steps of the coarsest grid, array (edges,), and of those between which means are smooth."""
+
+    t: Array
+    smooth: Array
+
+
+def _edges(course: Course, width: float, quickest: float, tau: float, sharp: list[Sharp]) -> Edges:
+    """Steps that end at ends of segments, whole delays after these, and sharp instants; many contacts that are born or
+    break at one instant do so in a step of next to no time before it."""
+    fastest = np.abs(course.velocity).max()
+    instant = min(max(_INSTANT * width / fastest, _LEAST_INSTANT), _LONGEST_INSTANT) if fastest else _LEAST_INSTANT
+    atoms = np.array([s.t for s in sharp if s.order < 0.0])
+    smooth = np.concatenate((course.ends, [s.t for s in sharp], atoms - instant))
+    steep = np.array([s.t for s in sharp if s.order == -0.5])
     marks: list[float] = []
     t, last, since, kinks = [0.0], course.before, 0.0, np.empty(0)
     for end, velocity in zip(course.ends, course.velocity, strict=True):
@@ -146,9 +177,15 @@ def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[A
             kinks = np.unique(np.round(np.append(kinks[kinks > t[-1]], after), 11))  # rounding makes no step
         last = velocity
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
-        for mark in np.append(kinks[(kinks > t[-1] + 1e-11) & (kinks < end - 1e-11)], end):
+        begins = np.append(kinks, atoms)
+        graded = np.add.outer(steep, longest * np.append(_GRADED, -_GRADED)).ravel()
+        smooth = np.append(smooth, kinks)
+        inner = np.sort(np.append(graded, smooth))
+        inner = inner[(inner > t[-1] + _LEAST_INSTANT / 2) & (inner < end - _LEAST_INSTANT / 2)]
+        inner = inner[np.diff(inner, prepend=-1.0) > _LEAST_INSTANT / 2]
+        for mark in np.append(inner, end):
             begin, elapsed = t[-1], [0.0]
-            since = 0.0 if begin in kinks else since
+            since = 0.0 if begins.size and np.abs(begins - begin).min() < _LEAST_INSTANT / 2 else since
             while elapsed[-1] < (mark - begin) * (1.0 - 1e-9):
                 step = min(max(_FIRST * quickest, _GROWTH * (since + elapsed[-1])), longest)
                 elapsed.append(elapsed[-1] + step)
@@ -157,8 +194,9 @@ def _edges(course: Course, width: float, quickest: float, tau: float) -> tuple[A
             since += mark - begin
             t += (begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])).tolist()
             t[-1] = float(mark)
-            marks.append(t[-1])
-    return np.array(t), np.array(marks)
+            if np.abs(smooth - mark).min() < _LEAST_INSTANT / 2:
+                marks.append(t[-1])
+    return Edges(np.array(t), np.array(marks))
 
 
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
@@ -182,10 +220,11 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
 
 
 class Numerics(NamedTuple):
-    """How finely an ensemble is resolved: the longest displacement in a step of the coarsest grid, the longest life in
-    a stationary state at velocity `before`, and how thresholds grow."""
+    """How finely an ensemble is resolved: a typical threshold, the longest displacement in a step of the coarsest grid,
+    the longest life in a stationary state at velocity `before`, and how thresholds grow."""
 
     s: Reduced
+    typical: float
     width: float
     life: float
     before: float
@@ -204,10 +243,25 @@ class Numerics(NamedTuple):
         return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices)
 
 
-def numerics_of(s: Reduced, course: Course) -> Numerics:
-    """Raises InputError for contacts whose lives are too different for a stationary start."""
+def _typical(s: Reduced, reach: float) -> float:
+    """A threshold that sets steps after a fresh start if no contact is stretched by more than `reach`: thresholds
+    beyond, such as stand for contacts that never break, do not count, nor does their mean if most are far less."""
+    law = s.law
+    typical = min(law.mean, 2.0 * float(law.inverse_survival(math.log(2.0)))) / law.scale
+    if typical <= reach:
+        return typical
+    share = float(law.cdf(reach * law.scale))
+    if share < _RARE:
+        return reach
+    ranks = -np.log1p(-share * (np.arange(_RANKS) + 0.5) / _RANKS)
+    return float(np.mean(law.inverse_survival(ranks))) / law.scale
+
+
+def numerics_of(s: Reduced, course: Course, reach: float) -> Numerics:
+    """How to resolve contacts that are stretched by no more than `reach`. Raises InputError for contacts whose lives
+    are too different for a stationary start."""
     low, high = np.asarray(s.law.inverse_survival(np.array([0.17, 1.8]))) / s.law.scale  # two standard deviations
-    typical = s.law.mean / s.law.scale
+    typical = s.law.mean / s.law.scale if course.before else _typical(s, reach)
     width = _PATH * (min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical)
     strongest = life = float(s.law.inverse_survival(36.0)) / s.law.scale
     for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
@@ -218,17 +272,28 @@ def numerics_of(s: Reduced, course: Course) -> Numerics:
             'no reference with start = "stationary"; start "fresh"'
         )
     growth = _growth_of(s, 1.0 + (life / course.before if course.before else 0.0))
-    return Numerics(s, width, life, course.before, growth)
+    return Numerics(s, typical, width, life, course.before, growth)
 
 
 def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]:
     """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
     before."""
-    numerics, ages = numerics_of(s, course), np.geomspace(1e-15, 1.0, 1000)
+    reach = float(np.ptp(course.at(np.append(0.0, course.ends))))
+    numerics, ages = numerics_of(s, course, reach or math.inf), np.geomspace(1e-15, 1.0, 1000)
     grown = np.abs(s.aging.growth_at(ages) / s.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
     quickest = [1.0, s.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
     quickest.append(math.exp(-s.barrier.log_w) if s.barrier.thermal else 1.0)
-    t, kinks = _edges(course, numerics.width, min(quickest), s.delay.mean if isinstance(s.delay, Fixed) else 0.0)
+    fixed = isinstance(s.delay, Fixed)
+    sharp = sharp_instants(
+        Corners(np.append(0.0, course.ends), course.at(np.append(0.0, course.ends))),
+        levels_of(s.law),
+        None if isinstance(s.aging, Unaged) else s.aging.growth_at,
+        s.delay.mean,
+        not fixed,
+        course.before == 0.0,
+        bool(s.barrier.thermal or s.delay.mean) or not isinstance(s.aging, Unaged),
+    )
+    t, kinks = _edges(course, numerics.width, min(quickest), s.delay.mean if fixed else 0.0, sharp)
 
     def on_grid(fine: int) -> tuple[Array, Array]:
         edges = np.interp(np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t)
@@ -275,7 +340,8 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     unit, time = ensemble.thresholds.scale, grid.t[-1]
     kinks, solved = solve(s, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
-    best, errors = _extrapolated([found[:3] for _, found in solved], s.law.steps.size > 0)
+    smooth = np.searchsorted(edges, kinks) if s.law.steps.size else None
+    best, errors = _extrapolated(edges, [found[:3] for _, found in solved], smooth)
     best[2] -= best[0] ** 2  # a variance, which between edges is nearer to a straight line
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
@@ -284,6 +350,7 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
         if there > here:
             piece, inside = slice(first, last + 1), np.clip(at[here:there], edges[first], edges[last])
             values[:, here:there] = Akima1DInterpolator(edges[piece], best[:, piece], axis=1)(inside)
+            errors[:, piece] += _between(edges[piece], best[:, piece])
             rate = np.diff(found[3, piece]) / np.diff(edges[piece])
             breaks[here:there] = np.interp(inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate)
         first, here = last, there
@@ -300,8 +367,16 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     return Means(total * unit, pinned, breaks / time, error * unit, missed[1], *squares)
 
 
-def _extrapolated(found: list[Array], jumps: bool) -> tuple[Array, Array]:
+def _between(t: Array, values: Array) -> Array:
+    """A bound on what interpolation between times misses, at these, shape (means, times): what one between every other
+    of them misses at the rest, nearby too."""
+    rough = Akima1DInterpolator(t[::2], values[:, ::2], axis=1)(t)
+    return np.asarray(ndimage.maximum_filter1d(np.abs(rough - values), 5, axis=1))
+
+
+def _extrapolated(edges: Array, found: list[Array], jumps: Array | None) -> tuple[Array, Array]:
     """The values of no step at all at the edges of the finest of three grids, and their errors, shape (means, edges).
+    A discrete law `jumps`, at most at these edges.
 
     The error is twice by how much an extrapolation from the two coarser grids is different, nearby too, as it may
     vanish by chance: were the scheme of first order, the finer one would miss half as much (derived).
@@ -312,9 +387,13 @@ def _extrapolated(found: list[Array], jumps: bool) -> tuple[Array, Array]:
     missed = 2.0 * ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)
     missed = np.maximum(missed, _CARRIED * missed.max(axis=1, keepdims=True))
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
+    share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
     for j in range(fine.shape[0]):
         best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
         errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j]).max()
-        if jumps:  # equal thresholds that break together within a step
-            errors[j] += ndimage.maximum_filter1d(np.pad(np.abs(np.diff(best[j], 2)), 1, "edge"), 9)
+        if jumps is not None:  # equal thresholds that break together within a step, other than at known instants
+            straight = best[j, :-2] + (best[j, 2:] - best[j, :-2]) * share
+            bent = np.pad(2.0 * np.abs(best[j, 1:-1] - straight), 1)
+            bent[jumps] = 0.0
+            errors[j] += ndimage.maximum_filter1d(bent, 9)
     return best, errors

@@ -27,11 +27,13 @@ from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.tables import Array
 
 _FEW_STEPS = 6000  # of the second accuracy, a few slips
-_MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of the mean threshold
+_MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold
 _UNBALANCED, _TRIES = 0.05, 8  # share of it by which r may be missed, and in how many trials
+_LANDED = 1e-4  # of the longest step without heat, in which many contacts may break at once
 _BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its middle
 _FARTHER, _WORSE = 10.0, 30.0  # than other steps, those given may go, and miss F
 _FATES = 128  # of cohorts, in the mean over steps
+_RESOLVED = 1e-13  # of the whole time, the shortest step: more than rounding
 _FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
 
 
@@ -112,12 +114,15 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
         damping = spring.damping + spring.drag * (1.0 - found[1, 0])
         found[4, 0] = (found[0, 0] + damping * spring.velocity) / spring.stiffness
     longest, rho, r, q, a, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 0.0, 1, 0
+    halvings = 0  # of the longest displacement in no time
+    shortest = max(_SHORTEST * spring.longest, _RESOLVED * marks[marks.size - 1])
     while k < marks.size and m < t.size:
         left = marks[k] - t[m - 1]
         b = Balance(
             found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1], rho
         )
         last, guess, tries, guess_before, missed_before = 1.2 * longest >= left, r, 0, 0.0, 0.0
+        halvings = -1 - trials[m] if given and trials[m] < 0 else max(halvings - 2, 0)
         dt = left if last else longest
         if given:
             dt, last = t[m] - t[m - 1], t[m] == marks[k]
@@ -128,12 +133,12 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
                 instant = trials[m] < 0
                 if not instant and not abs(dX) <= _FARTHER * spring.longest:
                     return found, -1
-            elif instant and dt > _SHORTEST * spring.longest:
+            elif instant and dt > shortest:
                 dt, last, guess, tries = 0.5 * dt, False, r, 0
                 continue
             if instant:  # nothing holds the slider: a piece that takes no time, towards balance
                 net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
-                size = spring.longest
+                size = spring.longest * 0.5**halvings
                 if held > 0.0:
                     size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * spring.longest))
                 dX, V = math.copysign(size, net), 0.0
@@ -144,7 +149,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
             X[m] = X[m - 1] + dX
             found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
             after, full = p, count == p.order.size
-            if spring.heat or full:  # a copy, as the step may be tried again
+            if not given or spring.heat or full:  # a copy, as the step may be tried again
                 after = with_room(p, 2 * count if full else p.order.size)
             found[:3, m] = 0.0
             kept = advance_all(c, path, after, found, m, (count, rate))
@@ -154,6 +159,12 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
             if spring.heat:
                 off *= _BENT
             missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
+            if not (spring.heat or given) and off > 4.0 * spring.missed and abs(dX) > _LANDED * spring.longest:
+                # many contacts break at once, or begin to: when and where has to be known
+                halvings = math.ceil(math.log2(2.0 * spring.longest / abs(dX)))
+                at_once = instant or dt <= shortest
+                dt, last, guess, tries = 0.5 * dt, False, r, _TRIES if at_once else 0
+                continue
             if not spring.heat or instant or (given and (tries == trials[m] or missed == missed_before)):
                 break
             if not given and abs(missed) * dt < _UNBALANCED * spring.missed:
@@ -168,7 +179,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
             return found, -1
         p, count = after, kept
         if not given and trials.size:
-            trials[m] = -1 if instant else tries
+            trials[m] = -1 - halvings if instant else tries
         q = (found[1, m] - found[1, m - 1]) / dt
         if spring.mass > 0.0:
             bent = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
@@ -179,7 +190,9 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
         if spring.heat:
             rho, r = 0.0, 0.0 if instant else change / dt
         else:
-            rho = change / dX if dX != 0.0 else 0.0
+            softer = change / dX if dX != 0.0 else 0.0
+            if off < 4.0 * spring.missed or abs(softer) < abs(rho):  # else an atom breaks, which tells nothing
+                rho = softer
         k += last
         m += 1
     return found, m if k == marks.size else -1
@@ -207,11 +220,14 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     task = _task(ensemble, programme, grid)
     spring = task.spring
-    coarse, _ = _solved(task, 1)
+    rare, kept = _every_other(task)
+    fewer, _ = _solved(rare, 1)
     fine, steps = _solved(task, 2)
-    off = np.abs(fine - coarse)
+    coarse = fine
+    off = np.zeros_like(fine)
+    off[:, kept] = np.abs(fine[:, kept] - fewer)
     if steps <= _FEW_STEPS:
-        coarse, (fine, _) = fine, _solved(task, 4)
+        coarse, (fine, _) = fine, _solved(_with_middles(task), 4)
         off = np.abs(fine - coarse) + 0.5 * off
     missed = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
     missed += 1e-6 * np.abs(fine).max(axis=1, keepdims=True)
@@ -279,11 +295,10 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, 
 
 
 class _Task(NamedTuple):
-    """What is solved at any accuracy: typical threshold, marks, speeds up to them, and the marks asked for."""
+    """What is solved at any accuracy: marks, speeds up to them, and the marks asked for."""
 
     numerics: Numerics
     spring: Spring
-    typical: float
     marks: Array
     speeds: Array
     at: Array
@@ -300,7 +315,9 @@ def _task(ensemble: Ensemble, programme: Programme, grid: Grid) -> _Task:
         stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
         math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
     )  # fmt: skip
-    return _Task(numerics_of(s, course), spring, s.law.mean / s.law.scale, marks, speeds, at)
+    stretch = 0.0 if math.isnan(spring.stretch) else abs(spring.stretch)
+    reach = 2.0 * (float(np.ptp(course.at(np.append(0.0, course.ends)))) + stretch)  # a mass may overshoot
+    return _Task(numerics_of(s, course, reach or math.inf), spring, marks, speeds, at)
 
 
 def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]:
@@ -310,6 +327,23 @@ def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]
     marks = marks[marks > 0.0]
     segment = np.minimum(np.searchsorted(ends, marks * (1.0 - 1e-12)), ends.size - 1)
     return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
+
+
+def _every_other(task: _Task) -> tuple[_Task, Array]:
+    """A task without every other instant, and which are left. Steps end at instants, so that solves of different
+    accuracy, if they all had the same instants, might take the same steps and not differ, whatever they miss."""
+    kept = np.unique(np.append(np.arange(0, task.at.size, 2), task.at.size - 1))
+    wanted = np.append(True, np.append(np.diff(task.speeds) != 0.0, True))
+    wanted[task.at[kept]] = True
+    at = (np.cumsum(wanted) - 1)[task.at[kept]]
+    return task._replace(marks=task.marks[wanted[1:]], speeds=task.speeds[wanted[1:]], at=at), kept
+
+
+def _with_middles(task: _Task) -> _Task:
+    """A task whose steps end in the middle between marks, too."""
+    middles = task.marks - 0.5 * np.diff(task.marks, prepend=0.0)
+    marks = np.column_stack((middles, task.marks)).ravel()
+    return task._replace(marks=marks, speeds=np.repeat(task.speeds, 2), at=2 * task.at)
 
 
 def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps | None = None) -> tuple[Array, int]:
@@ -323,7 +357,7 @@ def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps
     if choices.given and path.cohorts:
         path = path._replace(cohorts=int(choices.first[2] - choices.first[1]) - 1)
     path.t[0] = 0.0
-    spring = task.spring._replace(longest=path.width, missed=_MISSED * task.typical / fine**2)
+    spring = task.spring._replace(longest=path.width, missed=_MISSED * numerics.typical / fine**2)
     found, edges = pull(c, path, spring, task.marks, task.speeds)
     if edges < 0:
         raise TooManySteps(f"drive.stage: takes more than {most_steps} steps of the mean field")
