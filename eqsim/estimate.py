@@ -34,16 +34,20 @@ class Estimate:
     dof: int | None = None
     reliable: bool = True
 
+    @property
+    def diverges(self) -> bool:
+        """Whether the mean is known to be infinite."""
+        return self.value is not None and math.isinf(self.value)
+
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        value = self.value if self.value is None or math.isfinite(self.value) else None
-        return {**asdict(self), "value": value}
+        """For JSON, where nothing is infinite: such a value is None."""
+        return {**asdict(self), "value": None if self.diverges else self.value}
 
     def __str__(self) -> str:
         """Value(error in the last two digits), as physicists write it."""
         if self.value is None:
             return "none seen"
-        if math.isinf(self.value):
+        if self.diverges:
             return "infinite"
         mark = "" if self.reliable else "  unreliable"
         if not self.stderr or not math.isfinite(self.stderr):
@@ -122,7 +126,7 @@ class Averages(Result):
         matplotlib Axes
         """
         every = {name: getattr(self, name) for name in self.shown}
-        found = {name: one for name, one in every.items() if one.value is not None and math.isfinite(one.value)}
+        found = {name: one for name, one in every.items() if one.value is not None and not one.diverges}
         marks = {name: f"{name.replace('_', ' ')}\n{one}" for name, one in found.items()}
         sizes = {name: (one.value, 2.0 * (one.stderr or 0.0)) for name, one in found.items()}
         if reference is not None:
