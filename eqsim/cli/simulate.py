@@ -181,7 +181,8 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     averages = result.trajectory.averages
     for name, row in result.file.rows(result.ensemble, averages):
         estimate = getattr(averages, name)
-        z = "none" if estimate.value is None or estimate.diverges else terminal.score(difference(estimate, steady[name]))
+        without = estimate.value is None or estimate.diverges
+        z = "none" if without else terminal.score(difference(estimate, steady[name]))
         both = (terminal.value_and_error(row.of(one)) for one in (estimate, steady[name]))
         yield row.label, *both, *row.unit, z
     if result.peak is None:

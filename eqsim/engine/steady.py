@@ -370,14 +370,14 @@ class Squares(NamedTuple):
     @property
     def beyond(self) -> float:
         """What lives beyond the last e would add to the mean square, relative to it: contributions go on falling as
-        they do over the last twentieth of the e."""
-        e = np.exp(self.log_e)
-        before, last = np.interp(np.array([0.95, 1.0]) * e[-1], e, self.contribution / e)
+        they do over the last cell of the grid."""
+        e = np.exp(self.log_e[-2:])
+        before, last = self.contribution[-2:] / e
         if last == 0.0:
             return 0.0
         if not before > last:
             return math.inf
-        rest = 0.05 * e[-1] * last / math.log(before / last)
+        rest = (e[1] - e[0]) * last / math.log(before / last)
         return float(rest / integrate.trapezoid(self.contribution, self.log_e))
 
 

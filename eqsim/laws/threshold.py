@@ -357,14 +357,23 @@ class Distribution(Smooth):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a divergent integral is refused in our words
             third = float(frozen.moment(3))
-        require_number("threshold distribution: <xi^3>", third, above=0)
-        self.mean, self.rms = float(frozen.mean()), math.sqrt(float(frozen.moment(2)))
-        self.scale = self.mean
+            second, self.mean = float(frozen.moment(2)), float(frozen.mean())
         low, high = frozen.support()
-        self.support = float(low), float(high)
+        self.support, self.scale = (float(low), float(high)), 1.0
+        if self._third_diverges():  # formulas and quadratures of SciPy may give a finite number then
+            third = math.inf
+        require_number("threshold distribution: <xi^3>", third, above=0)
+        self.scale, self.rms = self.mean, math.sqrt(second)
         self.breakpoints = np.asarray(
             getattr(frozen, "_hbins", NO_STEPS) if breakpoints is None else breakpoints, float
         )
+
+    def _third_diverges(self) -> bool:
+        """Whether <xi^3> does, as far as SciPy knows the tail: an isf that fails is refused where it is needed."""
+        try:
+            return diverges(self, 3)
+        except InputError:
+            return False
 
     def __repr__(self) -> str:
         return f"Distribution({self._name}, mean {self.mean:g}, rms {self.rms:g})"
@@ -441,8 +450,8 @@ def means_above(law: ThresholdLaw, x: float, log_values: Callable[[Array], Array
     scale; `log_values` gives logarithms of shape (values, n) of thresholds (n,). Infinite if one diverges.
 
     In e = -ln J_c(xi) they are integrals of value exp(-e). Panels reach e = 500, and beyond the integrands fall as
-    exp(-e decay), decay = 1 - power/exponent if the value is a power of xi and the tail one of x. A decay that changes
-    from e = 450 to 500 says how far this continuation may be off.
+    exp(-e decay), decay = 1 - power/exponent if the value is a power of xi and the tail one of x. How the decay
+    changes from e = 450 to 500 says how far this continuation may be off.
     """
     first = rank_above(law, x)
     with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
@@ -466,8 +475,8 @@ def means_above(law: ThresholdLaw, x: float, log_values: Callable[[Array], Array
         steps = log_terms(end - _TAIL_STEP * np.array([2.0, 1.0, 0.0]))
         before, decay = -np.diff(steps).T / _TAIL_STEP
         rest = np.exp(steps[:, 2]) / decay
-        # logarithms of about 500 are rounded by 1e-13, and so is the decay
-        error += rest * (np.abs(1.0 - decay / np.maximum(before, _LEAST_DECAY)) + _ROUNDED / decay)
+        # a decay d(e) changes the rest by its derivative over d^2; logarithms of about 500 are rounded by 1e-13
+        error += rest * (np.abs(decay - before) / _TAIL_STEP / decay**2 + _ROUNDED / decay)
     negligible, lost = steps[:, 2] == -math.inf, ~(decay > _LEAST_DECAY)
     total = np.where(negligible, total, np.where(lost, math.inf, total + rest))
     return total, np.where(negligible, _ROUNDED * total, np.where(lost, math.inf, error))

@@ -217,8 +217,8 @@ def survivors(s: Reduced, x: Array) -> Array:
     if s.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
         for p in (1, 2):
             cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
-            above = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(law, float(x[-1]), p)
-            means[p] = (x**p * J + above) / s.rms**p
+            beyond_x = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(law, float(x[-1]), p)
+            means[p] = (x**p * J + beyond_x) / s.rms**p
     return np.exp(-dU) * np.array(means)
 
 

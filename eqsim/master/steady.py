@@ -80,7 +80,7 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         s = settled(ensemble, v)
         found, method = _moments(bare(ensemble), v), _method(ensemble, s)
     divergence = ensemble.divergence if variance or found.square is not None else ""
-    if variance and found.square is None and not divergence:
+    if variance and found.square is None and not (divergence or ensemble.newborn.active):
         found = _with_square(settled(ensemble, v), found)
     unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
     travel, work = found.stretch, found.work

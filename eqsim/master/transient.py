@@ -172,8 +172,8 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
     spread: tuple[Array | None, Array | None] = None, None
     if variance:
         squared = exact.force_variance
-        if math.isfinite(known(squared)):
-            spread = known(squared) * level, (squared.stderr or 0.0) * level
+        if squared.value is not None and not squared.diverges:
+            spread = squared.value * level, (squared.stderr or 0.0) * level
     X = np.linspace(0.0, drive.over(ensemble), points)
     return Transient(
         X,
@@ -379,6 +379,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     if ensemble.divergence:
         raise InputError(f"fluctuations: {ensemble.divergence}")
     exact = reference(ensemble, drive, variance=True)
+    if exact.force_variance.value is None:
+        raise InputError("fluctuations: the variance is not known of contacts born stretched whose law is this broad")
     cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
