@@ -491,13 +491,14 @@ def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:
 
 
 def _unmet(c: Contacts, proposal: Proposal | None, count: int) -> float:
-    """The share of the mean square of forces that lives make of which `count` may have met none: those beyond the last
-    threshold, and all that are too rare among plain births."""
+    """What lives of which `count` may have met none add to the mean square of forces, relative to that of all others:
+    those beyond the last threshold, and all that are too rare among plain births."""
     if proposal is not None:
         return proposal.squares.beyond
     squares = Proposal.of(c).squares
     births = np.exp(squares.log_e - np.exp(squares.log_e))
-    return squares.beyond + squares._replace(density=births).unmet(count)
+    share = squares._replace(density=births).unmet(count)
+    return math.inf if share >= 1.0 else (squares.beyond + share) / (1.0 - share)
 
 
 def _uneven(c: Contacts, count: int) -> float:

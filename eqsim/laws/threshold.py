@@ -436,7 +436,7 @@ def rank_above(law: ThresholdLaw, x: float) -> float:
     if share > _KNOWN_SHARE:
         return -math.log(share)
     low, high = -math.log(_KNOWN_SHARE), RAREST
-    while high - low > 1e-12 * high:
+    while high - low > 1e-15 * high:
         middle = 0.5 * (low + high)
         if float(law.inverse_survival(middle)) < x * law.scale:
             low = middle
