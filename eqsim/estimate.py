@@ -18,7 +18,7 @@ class Estimate:
     Attributes
     ----------
     value, stderr : float or None
-        None where the sample says nothing about it.
+        None where the sample says nothing about it; a value is infinite where the law of the contacts has no such mean.
     n : int
         Lives (or other samples) behind it.
     dof : int or None
@@ -34,14 +34,21 @@ class Estimate:
     dof: int | None = None
     reliable: bool = True
 
+    @property
+    def diverges(self) -> bool:
+        """Whether the mean is known to be infinite."""
+        return self.value is not None and math.isinf(self.value)
+
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
+        """For JSON, where nothing is infinite: such a value is None."""
+        return {**asdict(self), "value": None if self.diverges else self.value}
 
     def __str__(self) -> str:
         """Value(error in the last two digits), as physicists write it."""
         if self.value is None:
             return "none seen"
+        if self.diverges:
+            return "infinite"
         mark = "" if self.reliable else "  unreliable"
         if not self.stderr or not math.isfinite(self.stderr):
             return f"{self.value:.8g}{mark}"
@@ -66,6 +73,11 @@ class Observable(NamedTuple):
     def size(self, unit: float) -> float:
         """One of it where lengths are in units of `unit`."""
         return {"length": unit, "length^2": unit * unit}.get(self.unit, 1.0)
+
+
+def infinite(n: int = 0) -> Estimate:
+    """The estimate of a mean that diverges."""
+    return Estimate(math.inf, None, n, None, False)
 
 
 def known(estimate: Estimate) -> float:
@@ -113,7 +125,8 @@ class Averages(Result):
         -------
         matplotlib Axes
         """
-        found = {name: getattr(self, name) for name in self.shown if getattr(self, name).value is not None}
+        every = {name: getattr(self, name) for name in self.shown}
+        found = {name: one for name, one in every.items() if one.value is not None and not one.diverges}
         marks = {name: f"{name.replace('_', ' ')}\n{one}" for name, one in found.items()}
         sizes = {name: (one.value, 2.0 * (one.stderr or 0.0)) for name, one in found.items()}
         if reference is not None:
@@ -175,7 +188,7 @@ def drifts(numerator: Array, denominator: Array, sigmas: float) -> bool:
 def difference(first: Estimate, second: Estimate) -> float | None:
     """first - second in units of their joint standard error; None if that is 0 or unknown."""
     if first.value is None or second.value is None or first.stderr is None or second.stderr is None:
-        return None
+        return None  # of infinite values no error is known
     sigma = math.hypot(first.stderr, second.stderr)
     return (first.value - second.value) / sigma if sigma else None
 
@@ -194,7 +207,7 @@ def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) 
     -------
     float or None
     """
-    if estimate.value is None or estimate.stderr is None:
+    if estimate.value is None or estimate.stderr is None or math.isinf(reference):
         return None
     sigma = math.hypot(estimate.stderr, reference_error)
     if sigma == 0.0:

@@ -157,7 +157,7 @@ def test_heavy_tails_need_the_proposal(monkeypatch):
     """Plain averages over births see too few of the strong contacts that dominate, and must say so."""
     honest = module.Proposal.of
 
-    def births(contacts):
+    def births(contacts, *_):
         log_e = np.linspace(-36, math.log(500), 1000)
         plain = module.Density.of(log_e, np.exp(log_e - np.exp(log_e)))
         return honest(contacts)._replace(threshold=plain, clock=plain)

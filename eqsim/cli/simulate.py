@@ -186,7 +186,8 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
     averages = result.trajectory.averages
     for name, row in result.file.rows(result.ensemble, averages):
         estimate = getattr(averages, name)
-        z = "none" if estimate.value is None else terminal.score(difference(estimate, steady[name]))
+        without = estimate.value is None or estimate.diverges
+        z = "none" if without else terminal.score(difference(estimate, steady[name]))
         both = (terminal.value_and_error(row.of(one)) for one in (estimate, steady[name]))
         yield row.label, *both, *row.unit, z
     if result.peak is None:
@@ -209,7 +210,9 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) ->
         return
     found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
     averages = getattr(found, "averages", None)
-    if averages and not all(estimate.reliable for estimate in averages.averages().values()):
+    if averages and result.ensemble.divergence:
+        yield result.ensemble.divergence
+    if averages and not all(estimate.reliable for estimate in averages.averages().values() if not estimate.diverges):
         yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
     for index, segment in enumerate(getattr(found, "segments", ())[:_MOST_ROWS]):
         if segment.step:
@@ -283,6 +286,7 @@ def steady(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
             **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
+            **({"divergence": ensemble.divergence} if ensemble.divergence else {}),
             **{"reference": values, "z": {name: z.get(name) for name in found}},
             **file.physical(ensemble, result.friction, values["friction"]),
         },
@@ -291,11 +295,12 @@ def steady(
         rows=[
             (row.label, terminal.value_and_error(row.of(found[name])), *row.unit,
              terminal.relative_error(found[name]), row.exact(levels.get(name), ".9g"),
-             "none" if values[name] is None else terminal.score(z.get(name)))
+             "none" if values[name] is None or found[name].diverges else terminal.score(z.get(name)))
             for name, row in rows
         ],
         notes=[
             *([f"no reference: {reason}"] if reason else []),
+            *filter(None, [ensemble.divergence]),
             f"{terminal.lives(result.lives, result.engine_seconds)}, seed {result.seed}",
         ],
     )  # fmt: skip
@@ -349,15 +354,20 @@ def reference(
         {
             **{name: estimate.value for name, estimate in found.items()},
             **{"error": errors, "method": result.method},
+            **({"divergence": ensemble.divergence} if ensemble.divergence else {}),
             **file.physical(ensemble, result.friction),
         },
         title=file.headline(ensemble, path.stem),
         columns=("", "value", *_unit(rows), "error"),
         rows=[
-            (row.label, row.exact(found[name], ".10g"), *row.unit, f"{row.of(found[name]).stderr:.1e}")
+            (row.label, row.exact(found[name], ".10g"), *row.unit, f"{row.of(found[name]).stderr or 0.0:.1e}")
             for name, row in [*rows, ("f_k", rows[0][1]._replace(label="f_k"))]
         ],
-        notes=[f"method: {result.method}", "error: bound of the solver's; f_k: F/(N_c k), friction per pinned contact"],
+        notes=[
+            f"method: {result.method}",
+            "error: bound of the solver's; f_k: F/(N_c k), friction per pinned contact",
+            *filter(None, [ensemble.divergence]),
+        ],
     )
 
 

@@ -39,7 +39,7 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import LANES, ROUNDS, Sample, lives, plain_sums, rough_stretch, squared
 from eqsim.engine.langevin import STEP, step_error
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import Averages, Estimate, known
+from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.pooled import Pooled
 from eqsim.laws.newborn import DeltaBirths, Stretched
@@ -64,6 +64,9 @@ _SETTLED = 3e-5  # relative error of the C that a trajectory's births are given
 _POOLED_SMOOTH, _POOLED_STEPS = 2e-7, 3e-5  # relative error of averages over the tabulated inverse
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
 _BROAD = 0.05  # a variance with a greater relative error has them, too: squares have heavier tails than the force
+_UNMET = 4.0  # expected lives among all that are drawn, below which a sample may have met none
+_UNSEEN_SQUARES = 5e-4  # share of the mean square that such lives make, from which on lives are drawn for it, too;
+# gamma laws at T = 0 have up to 4e-4, which 32 randomisations show in their scatter
 
 Progress = Callable[[int, int], None]
 
@@ -75,7 +78,8 @@ class Steady(Averages):
     Attributes
     ----------
     friction, pinned, break_stretch, travel, birth_stretch, force_variance : Estimate
-        As in `Averages`; no `force_variance` where the stiffness of a contact follows its aging threshold.
+        As in `Averages`; no `force_variance` where the stiffness of a contact follows its aging threshold, and an
+        infinite one where there is none (`Ensemble.divergence`).
     lives, seed, engine_seconds
         Lives of contacts that were simulated, and how.
     reached : bool
@@ -139,6 +143,7 @@ def steady(
     rough = rough_stretch(ensemble, velocity)
     c = contacts(ensemble, velocity, rough)
     proposal = None if plain else _proposal(bare(ensemble), velocity, rough)
+    divergence = ensemble.divergence
     # parameters enter the streams, so that the errors of many parameter sets at one seed are independent; as they were
     # declared, because a table's last bits are the processor's
     identity = name_of(*ensemble.declared(velocity))
@@ -153,8 +158,11 @@ def steady(
         tables = _POOLED_STEPS if c.thresholds.steps.size else _POOLED_SMOOTH
     if c.aging.fluctuates:
         tables = step_error(c.aging, step)
+    tables_of_squares = tables
     if isinstance(ensemble.thresholds, Smooth):
         tables = max(tables, ensemble.thresholds.drawn_to)
+        if not divergence:
+            tables_of_squares = max(tables, ensemble.thresholds.squares_drawn_to[ensemble.stiffness_law == "sqrt"])
     response: Array | None = None
     # where half as many do, errors are a hundredth of what is asked; plain lives and random paths have larger ones
     size, done = _FIRST // 2 if proposal and rel_error >= _COARSE and not c.aging.fluctuates else _FIRST, 0
@@ -167,8 +175,15 @@ def steady(
             sums, rough, response, lives_used = _self_consistent(job, rough, response, size)
         done += lives_used
         count = RANDOMISATIONS * size
-        hidden = math.hypot(tables, _unseen(c, proposal, count), _uneven(c, count))
-        result = _averages(c, sums, (drag, unit), size, proposal is None or proposal.covered, hidden)
+        others = math.hypot(_unseen(c, proposal, count), _uneven(c, count))
+        hidden = math.hypot(tables, others)
+        # both lower the mean square, so that they add up
+        lowered = tables_of_squares + (0.0 if divergence else _unmet(c, proposal, count))
+        of_squares = math.hypot(lowered, others)
+        covered = proposal is None or proposal.covered
+        result = _averages(c, sums, (drag, unit), size, covered, (hidden, of_squares))
+        if divergence:
+            result = (*result[:-1], infinite(count))
         error = _relative(result)
         excess = error / max(rel_error, 1.5 * tables)  # more lives do not improve a table
         # the next attempt aims at less than what was asked for, so that stopping hardly selects lucky error bars
@@ -273,18 +288,23 @@ def invert(p: Array, log_e: Array, slope: Array, guide: Array, at: Array, u: Arr
 class Proposal(NamedTuple):
     """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn.
 
-    `covered` is False if thresholds rarer than e = 500 would still contribute.
+    `covered` is False if thresholds rarer than e = 500 would still contribute to means. `squares` says where mean
+    squares come from.
     """
 
     threshold: Density
     clock: Density
     covered: bool
+    squares: "Squares"
 
     @classmethod
-    def of(cls, c: Contacts) -> "Proposal":
+    def of(cls, c: Contacts, variance: bool = True) -> "Proposal":
         """Births times the root mean square of what a life contributes to friction and to break_stretch, plus a tenth
         of plain births so that no weight can grow large; all on a fixed grid. This tenth, of clocks, is the root of
         births: the few clocks so early that they change a whole life contribute little, but errors have to show them.
+
+        Where lives that would hardly be met make up too much of the mean square of forces, and there is a `variance`,
+        the third contribution is that to the square.
         """
         fine = (1000, 100) if c.aging.closed else (200, 40)  # lives that age take long
         log_e = np.linspace(-53 * math.log(2), math.log(500), fine[0])
@@ -292,9 +312,7 @@ class Proposal(NamedTuple):
         births, clock_births = np.exp(log_e - np.exp(log_e)), np.exp(log_clock - np.exp(log_clock))
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
         found, squares, sizes = _typical(c, u, v), [], []
-        parts = [found.travel, np.abs(found.work)]
-        if isinstance(c.newborn, Stretched):  # forces may nearly cancel in the work
-            parts.append(found.square)
+        parts = [found.travel, np.abs(found.work), *([found.square] if variance else [])]
         for part in parts:
             part = part.reshape(log_e.size, log_clock.size)
             size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
@@ -308,7 +326,17 @@ class Proposal(NamedTuple):
             return shares / integrate.trapezoid(parts, log_x) @ np.array(parts)
 
         roots = [size * np.sqrt(square @ clock_births) for square, size in zip(squares, sizes, strict=True)]
-        density = mixed(log_e, births, *roots)
+        density = mixed(log_e, births, *roots[:2])
+        covered = bool(density[-1] < _NEGLIGIBLE * density.max())
+        with np.errstate(all="ignore"):  # squares of extreme thresholds overflow
+            square = Squares(log_e, births * (found.square.reshape(log_e.size, -1) @ clock_births), density)
+        # forces of contacts born stretched may nearly cancel in the work
+        needed = isinstance(c.newborn, Stretched) or square.unmet(RANDOMISATIONS * _FIRST) > _UNSEEN_SQUARES
+        if variance and needed:
+            density = mixed(log_e, births, *roots)
+            square = square._replace(density=density)
+        else:
+            squares, sizes = squares[:2], sizes[:2]
         clock_density = clock_births
         if c.barrier.thermal:
             over = np.maximum(density, 1e-300)
@@ -317,19 +345,51 @@ class Proposal(NamedTuple):
         low = np.linspace(-53 * math.log(2), log_clock[0], 100)[:-1]  # below the grid nothing happens but short lives
         falls = math.log(clock_density[1] / clock_density[0]) / (log_clock[1] - log_clock[0])
         clock_density = np.append(clock_density[0] * np.exp(falls * (low - log_clock[0])), clock_density)
-        covered = bool(density[-1] < _NEGLIGIBLE * density.max())
-        return cls(Density.of(log_e, density), Density.of(np.append(low, log_clock), clock_density), covered)
+        clocks = Density.of(np.append(low, log_clock), clock_density)
+        return cls(Density.of(log_e, density), clocks, covered, square)
+
+
+class Squares(NamedTuple):
+    """Where the mean square of forces comes from: what lives contribute per ln e at `log_e`, up to a factor, and the
+    `density` of ln e of which they are drawn; arrays (n,)."""
+
+    log_e: Array
+    contribution: Array
+    density: Array
+
+    def unmet(self, lives: float) -> float:
+        """The share of the mean square by lives so rare that of so many `lives` fewer than _UNMET are expected."""
+        drawn, made = (
+            integrate.cumulative_trapezoid(part[::-1], -self.log_e[::-1], initial=0.0)
+            for part in (self.density, self.contribution)
+        )  # from the rarest on
+        if not math.isfinite(made[-1]):
+            return math.inf
+        return float(made[np.searchsorted(drawn, drawn[-1] * _UNMET / lives, side="right") - 1] / made[-1])
+
+    @property
+    def beyond(self) -> float:
+        """What lives beyond the last e would add to the mean square, relative to it: contributions go on falling as
+        they do over the last cell of the grid."""
+        e = np.exp(self.log_e[-2:])
+        before, last = self.contribution[-2:] / e
+        if last == 0.0:
+            return 0.0
+        if not before > last:
+            return math.inf
+        rest = (e[1] - e[0]) * last / math.log(before / last)
+        return float(rest / integrate.trapezoid(self.contribution, self.log_e))
 
 
 @functools.lru_cache(maxsize=16)
 def _proposal(ensemble: Ensemble, velocity: float, stretch: float | None) -> Proposal:
     """The densities for contacts of any delay, which has no part in lives."""
-    return Proposal.of(contacts(ensemble, velocity, stretch))
+    return Proposal.of(contacts(ensemble, velocity, stretch), not ensemble.divergence)
 
 
 def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, travel, square of the force added up over the travel and stretch at
-    birth; and the largest single share of the first two, shape (RANDOMISATIONS, 5)."""
+    birth; the largest single share of the first two, and of the third, shape (RANDOMISATIONS, 6)."""
     stream: Key = key(job.seed, STEADY + job.identity)
     together = min(max(1, _BLOCK // size), -(-RANDOMISATIONS // job.threads)) if job.proposal else 1
     groups = [range(first, min(first + together, RANDOMISATIONS)) for first in range(0, RANDOMISATIONS, together)]
@@ -359,7 +419,7 @@ def _plainly(c: Contacts, stream: Key, index: int, size: int) -> Array:
     """`_randomise` by `size` independent lives of contacts of their own."""
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
     plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
-    return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]])]])
+    return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]]), 0.0]])  # that of squares: see `_unmet`
 
 
 def _sequences(job: _Job, dimensions: int, size: int, groups: list[range]) -> Iterator[Sobol]:
@@ -381,33 +441,36 @@ def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range)
     assert job.proposal
     size, third = len(numbers), _births_vary(c)
     block = min(size, _BLOCK)
-    sums = np.zeros((len(sobol.shift), 7))
+    sums = np.zeros((len(sobol.shift), 8))
     for first in range(0, size, block):
         points = sobol.points(first, block).reshape(2 + third, -1)
         u, weight = job.proposal.threshold.draw(points[0])
         v, clock_weight = job.proposal.clock.draw(points[1])
         found = lives(c, stream, numbers[first], u, v, job.step, points[2] if third else None)
         add_weighted(found, weight, clock_weight, sums)
-    shares = sums[:, 5:] / sums[:, [4, 1]]
-    return np.column_stack((sums[:, :4] / size, shares.max(axis=1)))
+    with np.errstate(invalid="ignore"):  # squares of broad laws overflow
+        shares = sums[:, 5:] / sums[:, [4, 1, 2]]
+    return np.column_stack((sums[:, :4] / size, shares[:, :2].max(axis=1), shares[:, 2]))
 
 
 @kernel
 def add_weighted(found: Sample, weight: Array, clock_weight: Array, sums: Array) -> None:
     """Add to each row of `sums` those of its share of lives, one row after the other: work, travel, square, birth and
-    |work|; the last two columns are the largest |work| and |travel| of a life."""
+    |work|; the last three columns are the largest |work|, |travel| and square of a life."""
     count = weight.size // sums.shape[0]
     for row in range(sums.shape[0]):
         work, travel, square, birth = sums[row, 0], sums[row, 1], sums[row, 2], sums[row, 3]
-        size, most_work, most_travel = sums[row, 4], sums[row, 5], sums[row, 6]
+        size, most_work, most_travel, most_square = sums[row, 4], sums[row, 5], sums[row, 6], sums[row, 7]
         for i in range(row * count, (row + 1) * count):
             w, s, y = weight[i] * clock_weight[i], found.travel[i], found.birth[i]
             one, way = w * found.work[i], w * s
             work, travel, birth, size = work + one, travel + way, birth + w * y, size + abs(one)
-            square += w * squared(found.stiffness[i], s, y)
+            two = w * squared(found.stiffness[i], s, y)
+            square += two
             most_work, most_travel = max(most_work, abs(one)), max(most_travel, abs(way))
+            most_square = max(most_square, two)
         sums[row, 0], sums[row, 1], sums[row, 2], sums[row, 3] = work, travel, square, birth
-        sums[row, 4], sums[row, 5], sums[row, 6] = size, most_work, most_travel
+        sums[row, 4], sums[row, 5], sums[row, 6], sums[row, 7] = size, most_work, most_travel, most_square
 
 
 def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:
@@ -425,6 +488,17 @@ def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:
         change = np.abs(part - part[:, :, :1]).mean(axis=0) * weight.reshape(2, rare.size)  # grows with rarity
         errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / np.abs(part[:, :, 0]).mean()))
     return max(errors)
+
+
+def _unmet(c: Contacts, proposal: Proposal | None, count: int) -> float:
+    """What lives of which `count` may have met none add to the mean square of forces, relative to that of all others:
+    those beyond the last threshold, and all that are too rare among plain births."""
+    if proposal is not None:
+        return proposal.squares.beyond
+    squares = Proposal.of(c).squares
+    births = np.exp(squares.log_e - np.exp(squares.log_e))
+    share = squares._replace(density=births).unmet(count)
+    return math.inf if share >= 1.0 else (squares.beyond + share) / (1.0 - share)
 
 
 def _uneven(c: Contacts, count: int) -> float:
@@ -456,7 +530,7 @@ def _relative(found: tuple[Estimate, ...]) -> float:
     """The largest relative error; of friction and stretch, where births along the motion and against it cancel, over a
     thousandth and a tenth of the root of the variance of forces at least."""
     friction, pinned, stretch, travel, birth, variance = found
-    typical = math.sqrt(abs(variance.value or 0.0))
+    typical = math.sqrt(abs(variance.value or 0.0)) if variance.stderr is not None else 0.0
     relative = [(e.stderr or 0.0) / (e.value or 1.0) for e in (pinned, travel)]
     relative.append((friction.stderr or 0.0) / (max(abs(known(friction)), 1e-3 * typical) or 1.0))
     if birth.stderr or birth.value:  # else it is the travel
@@ -465,12 +539,13 @@ def _relative(found: tuple[Estimate, ...]) -> float:
 
 
 def _averages(
-    c: Contacts, sums: Array, units: tuple[float, float], size: int, covered: bool, hidden: float
+    c: Contacts, sums: Array, units: tuple[float, float], size: int, covered: bool, unseen: tuple[float, float]
 ) -> tuple[Estimate, ...]:
     """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`; `units` are eta v/k and the unit
-    of length, `hidden` a relative error of the means over lives that does not show in their scatter."""
+    of length, `unseen` relative errors of the means over lives, and of that of squares, that do not show in their
+    scatter."""
     reliable = covered and float(sums[:, 4].max()) < _DOMINANT
-    (drag, unit), delay = units, c.delay.mean
+    (drag, unit), delay, (hidden, of_squares) = units, c.delay.mean, unseen
     work, travel, square, birth = sums[:, :4].T
     cycle = travel + delay
     friction = float((work.mean() + drag * delay) / cycle.mean())
@@ -489,11 +564,11 @@ def _averages(
     scale = float(np.mean(np.abs(travel)) + np.mean(np.abs(birth)))
     with np.errstate(over="ignore", invalid="ignore"):  # of laws so broad that there is no variance
         residual = (square + drag**2 * delay - second * cycle) / cycle.mean() - 2.0 * friction * of_friction
-        variance = estimate(second - friction**2, residual, hidden * second, unit * unit)
+        variance = estimate(second - friction**2, residual, of_squares * second, unit * unit)
     known_too = math.isfinite(known(variance)) and math.isfinite(variance.stderr or 0.0)
     if stiffness_varies(c.aging, c.springs) or not known_too:
         variance = Estimate(None, None, n)
-    elif (variance.stderr or 0.0) > _BROAD * abs(known(variance)):
+    elif (variance.stderr or 0.0) > _BROAD * abs(known(variance)) or float(sums[:, 5].max()) >= _DOMINANT:
         variance = dataclasses.replace(variance, reliable=False)
     return (
         estimate(friction, of_friction, hidden * size_of_force, unit),

@@ -38,7 +38,7 @@ from eqsim.engine.slider import pulled
 from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import OBSERVABLES, Averages, Estimate, drifts, known, ratio
+from eqsim.estimate import OBSERVABLES, Averages, Estimate, drifts, infinite, known, ratio
 from eqsim.model.drive import Drive, Programme, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
@@ -183,7 +183,7 @@ def trajectory(
     std, every = total.replica_std(job, replicas), total.replica_forces()
     second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    second_half += (_force_variance(variance, level, run, count, noise),)
+    second_half += (infinite(count) if ensemble.divergence else _force_variance(variance, level, run, count, noise),)
     friction, pinned_fraction = second_half[:2]
     gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
     settled_too = _is_over(second_half[-1], late.variance, level.variance[0])

@@ -87,6 +87,8 @@ def value_and_error(estimate: "Estimate") -> str:
 
 def relative_error(estimate: "Estimate") -> str:
     """Standard error over value."""
+    if estimate.diverges:
+        return "none"
     return "exact" if not estimate.stderr or not estimate.value else f"{abs(estimate.stderr / estimate.value):.1e}"
 
 

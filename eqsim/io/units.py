@@ -298,7 +298,9 @@ class Row(NamedTuple):
 
     def exact(self, estimate: Estimate | None, form: str) -> str:
         """A value without error bar, in that unit."""
-        return "none" if estimate is None or estimate.value is None else f"{self.of(estimate).value:{form}}"
+        if estimate is None or estimate.value is None:
+            return "none"
+        return "infinite" if estimate.diverges else f"{self.of(estimate).value:{form}}"
 
 
 def rows_of(averages: Averages, units: Units, found: Iterable[Quantity]) -> list[tuple[str, Row]]:

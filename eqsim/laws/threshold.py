@@ -8,6 +8,7 @@ births and weak ones to 1e-16, and one table serves every law. A law of finitely
 import functools
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -23,6 +24,16 @@ from eqsim.numerics.vector_math import log
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
 FIRST_OCTAVE, LAST_OCTAVE = -54, 9
 NO_STEPS: Array = np.empty(0)
+
+# moments over strong contacts, in e = -ln J_c(xi)
+RAREST = 500.0  # up to here a tail is integrated; beyond, it is continued as a power law
+_TAIL_STEP = 25.0  # between the three thresholds that tell its power
+_PANEL = 4.0  # the longest panel of Gauss and Legendre: e^(p e/exponent - e) is smooth on this scale
+_FINEST_PANEL = 2.0**-40  # the shortest, next to the lower end of the integral, where integrands may have a kink
+_LEAST_DECAY = 1e-9  # of a moment's tail per e, below which rounding cannot tell it from a divergent one
+_KNOWN_SHARE = 1e-6  # a J_c that is good to 1e-10 even if it is 1 less the distribution
+_ROUNDED = 1e-13  # relative, of sums and of logarithms of about 500
+_TAIL_NODES, _TAIL_WEIGHTS = special.roots_legendre(12)
 
 
 class ThresholdLaw(Protocol):
@@ -315,12 +326,25 @@ class Smooth:
     def drawn_to(self) -> float:
         """A bound on the relative error of averages over thresholds drawn from `table`, up to the work xi^3 of the sqrt
         law: where the density jumps, a cell of the table is smooth and the law is not."""
+        first, third = self._drawn_to((1, 3), 40.0)
+        return first + third
+
+    @functools.cached_property
+    def squares_drawn_to(self) -> tuple[float, float]:
+        """The same of mean squares of forces, that is of xi^3 (uniform stiffness) and of xi^5 (the sqrt law), to which
+        thresholds contribute that are far rarer."""
+        third, fifth = self._drawn_to((3, 5), RAREST)
+        return third, fifth
+
+    def _drawn_to(self, powers: tuple[int, int], rarest: float) -> list[float]:
+        """Mean absolute errors of powers of drawn thresholds, over the means of these powers."""
         edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
-        matter = (edges[:-1] > 1e-6) & (edges[:-1] < 40.0)
+        matter = (edges[:-1] > 1e-6) & (edges[:-1] < rarest)
         e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
         drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.inverse_survival(e) / self.scale
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
-        return sum(float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in (1, 3))
+        with np.errstate(all="ignore"):  # powers of extreme thresholds may overflow, of laws without such a mean
+            return [float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in powers]
 
 
 _SAME = 1e-6  # of the scale, how far a kink may be that is another; nearer to an infinite end a density is rounded
@@ -356,14 +380,23 @@ class Distribution(Smooth):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a divergent integral is refused in our words
             third = float(frozen.moment(3))
-        require_number("threshold distribution: <xi^3>", third, above=0)
-        self.mean, self.rms = float(frozen.mean()), math.sqrt(float(frozen.moment(2)))
-        self.scale = self.mean
+            second, self.mean = float(frozen.moment(2)), float(frozen.mean())
         low, high = frozen.support()
-        self.support = float(low), float(high)
+        self.support, self.scale = (float(low), float(high)), 1.0
+        if self._third_diverges():  # formulas and quadratures of SciPy may give a finite number then
+            third = math.inf
+        require_number("threshold distribution: <xi^3>", third, above=0)
+        self.scale, self.rms = self.mean, math.sqrt(second)
         self.breakpoints = np.asarray(
             getattr(frozen, "_hbins", NO_STEPS) if breakpoints is None else breakpoints, float
         )
+
+    def _third_diverges(self) -> bool:
+        """Whether <xi^3> does, as far as SciPy knows the tail: an isf that fails is refused where it is needed."""
+        try:
+            return diverges(self, 3)
+        except InputError:
+            return False
 
     def __repr__(self) -> str:
         return f"Distribution({self._name}, mean {self.mean:g}, rms {self.rms:g})"
@@ -415,6 +448,73 @@ class Distribution(Smooth):
                 "1e-222; give another law, or a sample of this one as a Table"
             )
         return xi
+
+
+def tail_exponent(law: ThresholdLaw) -> float:
+    """Exponent a of the power law J_c ~ x^-a that a law follows where it is 1e-206 to 1e-217: E[xi^p] is finite for
+    p < a only. Infinite for thresholds that are bounded, large (above 15) for named laws but `Pareto`."""
+    if law.steps.size or law.support[1] < math.inf:
+        return math.inf
+    nearer, further = np.log(law.inverse_survival(np.array([RAREST - _TAIL_STEP, RAREST])) / law.scale)
+    return float(_TAIL_STEP / (further - nearer)) if further > nearer else math.inf
+
+
+def diverges(law: ThresholdLaw, power: int) -> bool:
+    """Whether E[xi^power] is infinite, or so nearly that double precision cannot tell."""
+    return power / tail_exponent(law) >= 1.0 - _LEAST_DECAY
+
+
+def rank_above(law: ThresholdLaw, x: float) -> float:
+    """-ln J_c(x) of a smooth law, x in units of the scale; from the quantiles where SciPy's survival functions, which
+    may be 1 less the distribution, are rounded to 0."""
+    share = float(law.sf(x * law.scale))
+    if share > _KNOWN_SHARE:
+        return -math.log(share)
+    low, high = -math.log(_KNOWN_SHARE), RAREST
+    while high - low > 1e-15 * high:
+        middle = 0.5 * (low + high)
+        if float(law.inverse_survival(middle)) < x * law.scale:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def means_above(law: ThresholdLaw, x: float, log_values: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Means E[value(xi); xi > x] of a smooth law and bounds of their errors, shape (values,), x and xi in units of the
+    scale; `log_values` gives logarithms of shape (values, n) of thresholds (n,). Infinite if one diverges.
+
+    In e = -ln J_c(xi) they are integrals of value exp(-e). Panels reach e = 500, and beyond the integrands fall as
+    exp(-e decay), decay = 1 - power/exponent if the value is a power of xi and the tail one of x. How the decay
+    changes from e = 450 to 500 says how far this continuation may be off.
+    """
+    first = rank_above(law, x)
+    with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
+        kinks = -np.log(law.sf(law.breakpoints))
+
+    def log_terms(e: Array) -> Array:
+        return np.asarray(log_values(np.asarray(law.inverse_survival(e)) / law.scale) - e)
+
+    end = max(RAREST, first + _PANEL)
+    growing = np.exp2(np.arange(math.log2(_FINEST_PANEL), math.log2(_PANEL) + 1.0))
+    edges = np.concatenate((first + growing, np.arange(first + 2.0 * _PANEL, end, _PANEL), kinks))
+    edges = np.unique(np.concatenate(([first, end], edges[(edges > first) & (edges < end)])))
+    half = 0.5 * np.diff(edges)
+    nodes = edges[:-1, None] + half[:, None] * (1.0 + _TAIL_NODES)
+    with np.errstate(all="ignore"):  # a value may vanish at x, or overflow where its mean diverges
+        terms = np.exp(log_terms(nodes.ravel())).reshape(-1, *nodes.shape)
+        total = np.asarray(terms @ _TAIL_WEIGHTS @ half)
+        error = _ROUNDED * total
+        if law.support[1] < math.inf:
+            return total, error
+        steps = log_terms(end - _TAIL_STEP * np.array([2.0, 1.0, 0.0]))
+        before, decay = -np.diff(steps).T / _TAIL_STEP
+        rest = np.exp(steps[:, 2]) / decay
+        # a decay d(e) changes the rest by its derivative over d^2; logarithms of about 500 are rounded by 1e-13
+        error += rest * (np.abs(decay - before) / _TAIL_STEP / decay**2 + _ROUNDED / decay)
+    negligible, lost = steps[:, 2] == -math.inf, ~(decay > _LEAST_DECAY)
+    total = np.where(negligible, total, np.where(lost, math.inf, total + rest))
+    return total, np.where(negligible, _ROUNDED * total, np.where(lost, math.inf, error))
 
 
 _SHARES = np.array(

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.threshold import panels_above
+from eqsim.laws.aging import PooledThresholds
+from eqsim.laws.threshold import Gamma, ThresholdLaw, means_above, panels_above
 from eqsim.master.quenched import Moments, beyond, different_steps, kappa_of, panels_between_steps, weakest
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
@@ -216,8 +217,21 @@ def survivors(s: Reduced, x: Array) -> Array:
     if s.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
         for p in (1, 2):
             cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
-            means[p] = (x**p * J + np.append(np.cumsum(cells[::-1])[::-1], 0.0)) / s.rms**p
+            beyond_x = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(law, float(x[-1]), p)
+            means[p] = (x**p * J + beyond_x) / s.rms**p
     return np.exp(-dU) * np.array(means)
+
+
+def _above(law: ThresholdLaw, x: float, power: int) -> float:
+    """E[xi^power - x^power; xi > x] of a smooth law, x and xi in units of the scale."""
+    if isinstance(law, (Gamma, PooledThresholds)):
+        return 0.0  # x is where less than exp(-45) of the contacts are left
+
+    def log_values(xi: Array) -> Array:
+        with np.errstate(divide="ignore"):
+            return power * math.log(x) + np.log(np.expm1(power * np.log(np.maximum(xi / x, 1.0))))[None]
+
+    return float(means_above(law, x, log_values)[0][0])
 
 
 def _few_steps(s: Reduced) -> tuple[Array, Array, Array]:

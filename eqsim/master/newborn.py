@@ -124,7 +124,8 @@ def stationary(s: Reduced) -> Moments:
     """Moments of the lives of contacts born stretched. Raises InputError for annealed contacts of more than 1000
     different thresholds."""
     mean, error = _swept(s) if in_one_sweep(s) else _over_thresholds(s)
-    return Moments(mean[0], mean[1], error[0], error[1], mean_birth(s), mean[2], error[2])
+    square = (mean[2], error[2]) if error[2] < mean[2] else (None, 0.0)  # of broad laws nothing may be known
+    return Moments(mean[0], mean[1], error[0], error[1], mean_birth(s), *square)
 
 
 def _scales(mean: Array) -> Array:
@@ -431,7 +432,26 @@ def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
     coarse = (terms(p.left, p.right, False) @ ClenshawCurtis.weights).sum(axis=1)
     error = p.values[1].sum(axis=1) + np.abs(mean - coarse) + _ROUNDING * _scales(mean)
     rarest = beyond(s) * math.exp(min(origin, 460.0))
-    return mean, error + np.array([rarest[0], rarest[1], 0.0])
+    rest, missed = _squares_beyond(s, hazard, origin, gap_of)
+    mean[2] += rest
+    return mean, error + np.array([rarest[0], rarest[1], missed])
+
+
+def _squares_beyond(s: Reduced, hazard: Hazard, origin: float, gap_of: Callable[[Array], Array]) -> tuple[float, float]:
+    """What lives add to the mean square beyond the last panel, and a bound on its error: as they fall with e before it.
+    Nothing where there is no such mean."""
+    law, last = s.law, min(math.exp(_FIRST[-1]), _RAREST - origin)
+    if law.support[1] < math.inf:
+        return 0.0, 0.0
+    e = last - np.array([50.0, 25.0, 0.0])
+    xi = np.asarray(law.inverse_survival(origin + e)) / law.scale
+    with np.errstate(divide="ignore"):
+        log_terms = np.log(lives(s, hazard, xi, gap_of(xi))[2]) - e
+    before, decay = -np.diff(log_terms) / 25.0
+    if log_terms[-1] == -math.inf or not min(before, decay) > 1e-9:
+        return 0.0, 0.0
+    rest = math.exp(log_terms[-1]) / decay
+    return rest, rest * (abs(decay - before) / 25.0 / decay**2 + 1e-12 / decay)  # as in `threshold.means_above`
 
 
 def rank(law: ThresholdLaw, x: float) -> float:

@@ -20,9 +20,10 @@ import numpy as np
 from scipy import special
 from scipy.optimize import elementwise
 
+from eqsim.laws.aging import PooledThresholds
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.threshold import ThresholdLaw, panels_above
+from eqsim.laws.threshold import Gamma, ThresholdLaw, means_above, panels_above, rank_above
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
 from eqsim.numerics.tables import Array
@@ -86,10 +87,10 @@ def survival(barrier: Barrier, x: Array, xi: Array, kappa: Array) -> Array:
     return np.where(x < xi, np.exp(-np.exp(np.minimum(log_lambda, 7.0))), 0.0)
 
 
-def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> tuple[Array, Array]:
-    """int_0^xi S dx and int_0^xi x S dx, all of shape (n,)."""
+def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> Array:
+    """int_0^xi x^p S dx, p from 0 to 2, shape (3, n)."""
     if not barrier.thermal:
-        return xi, 0.5 * xi**2
+        return np.array([xi, xi**2 / 2.0, xi**3 / 3.0])
     levels = barrier.stretch_at(_LEVELS, xi, barrier.b * kappa) / xi[:, None]
     phi = np.arcsin(np.sqrt(np.clip(levels, 0.0, 1.0)))
     edges = np.concatenate((np.zeros((xi.size, 1)), phi, np.full((xi.size, 1), 0.5 * math.pi)), axis=1)
@@ -99,9 +100,11 @@ def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> tuple[Array, Arra
     phi = edges[contact, panel][:, None] + h * (1.0 + _NODES)
     x = np.maximum(own * np.sin(phi) ** 2, 1e-200)
     found = h * _WEIGHTS * own * np.sin(2 * phi) * survival(barrier, x, own, kappa[contact, None])
-    terms = np.zeros((2, *half.shape, _NODES.size))
-    terms[:, contact, panel] = found, found * x
-    return terms[0].sum(axis=(1, 2)), terms[1].sum(axis=(1, 2))
+    terms = np.zeros((3, *half.shape))
+    for power in range(3):
+        terms[power, contact, panel] = found.sum(axis=1)
+        found *= x
+    return np.asarray(terms.sum(axis=2))
 
 
 def stationary(s: Reduced) -> Moments:
@@ -109,7 +112,7 @@ def stationary(s: Reduced) -> Moments:
 
     def moments(xi: Array) -> Array:
         kappa = kappa_of(s, xi)
-        zeroth, first = life_moments(s.barrier, xi, kappa)
+        zeroth, first, _ = life_moments(s.barrier, xi, kappa)
         return np.array([zeroth, kappa * first])
 
     if s.law.steps.size:
@@ -121,6 +124,25 @@ def stationary(s: Reduced) -> Moments:
     return Moments(*(total + rarest).tolist(), *(error + _PANELS * total + rarest).tolist())
 
 
+def squares(s: Reduced) -> tuple[float, float]:
+    """E[int_0^{x_b} kappa^2 x^2 dx] of quenched contacts that do not age, and a bound of its error."""
+
+    def moments(xi: Array) -> Array:
+        kappa = kappa_of(s, xi)
+        return (kappa**2 * life_moments(s.barrier, xi, kappa)[2])[None]
+
+    if s.law.steps.size:
+        xi, share, _ = different_steps(s)
+        mean = float((moments(xi) @ share)[0])
+        return mean, 1e-11 * mean
+    total, error = over_births(s.law, lambda xi: (moments(xi), np.zeros((1, xi.size))), _CONVERGED, _NARROWEST)
+    last = np.asarray(s.law.inverse_survival(np.array([math.exp(_BIRTHS[-1])]))) / s.law.scale
+    rest, missed = means_above(s.law, float(last[0]), lambda xi: np.log(kappa_of(s, xi) ** 2 * xi**3 / 3.0)[None])
+    shortened = 1.0 - float(moments(last)[0, 0] / (kappa_of(s, last) ** 2 * last**3 / 3.0)[0])  # by heat, at most
+    total, error = total + rest, error + missed + shortened * rest
+    return float(total[0]), float(error[0] + _PANELS * total[0])
+
+
 def over_births(
     law: ThresholdLaw, moments: Callable[[Array], tuple[Array, Array]], converged: float, narrowest: float
 ) -> tuple[Array, Array]:
@@ -129,19 +151,19 @@ def over_births(
     Parameters
     ----------
     moments : callable
-        From thresholds, shape (n,), to two moments and their errors, each of shape (2, n).
+        From thresholds, shape (n,), to moments and their errors, each of shape (moments, n).
     converged, narrowest : float
         The relative error and the width, in ln(-ln J_c), at which panels are not split any more.
 
     Returns
     -------
-    mean, error : ndarray, shape (2,)
+    mean, error : ndarray, shape (moments,)
     """
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:
         half = 0.5 * (right - left)[:, None]
         e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
-        found = np.array(moments(np.asarray(law.inverse_survival(e.ravel())) / law.scale)).reshape(2, 2, *e.shape)
+        found = np.array(moments(np.asarray(law.inverse_survival(e.ravel())) / law.scale)).reshape(2, -1, *e.shape)
         terms = found * (half * e * np.exp(-e))
         return np.concatenate((terms @ ClenshawCurtis.weights, np.abs(terms[:1] @ ClenshawCurtis.tail).sum(axis=3)))
 
@@ -168,6 +190,30 @@ def beyond(s: Reduced) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = late * np.diff(e) / np.log(early / late)
     return np.where(late > 0, np.where(early > late, rest, np.inf), 0.0)
+
+
+def integrals_beyond(s: Reduced, x: float, alive: float) -> tuple[Array, Array]:
+    """int_x^inf y^p E[kappa^j; x_b > y] dy of contacts born unstretched, and bounds of the errors, p and j from 0 to 2,
+    each of shape (3, 3). Of a power law this is not negligible, however large x.
+
+    No heat breaks contacts that far: what reaches x, the fraction `alive`, survives to its threshold. Pooled attempts
+    are over before (derived: their number beyond x is less than (omega/v) E[xi - x; xi > x]); those on a contact's
+    barrier may still shorten lives, at most by the fraction by which they have done so at x.
+    """
+    if s.law.steps.size or isinstance(s.law, (Gamma, PooledThresholds)):
+        return np.zeros((3, 3)), np.zeros((3, 3))  # rarer than exp(-45), and no power law
+    least = x / float(s.aging.growth_at(np.array([x]))[0])
+    left = math.exp(-rank_above(s.law, least))
+
+    def log_values(xi: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_end, log_kappa = np.log(np.maximum(ends(s, xi) / x, 1.0)), np.log(kappa_of(s, xi))
+            powers = [np.log(np.expm1((p + 1) * log_end) / (p + 1)) + (p + 1) * math.log(x) for p in range(3)]
+        return np.array([power + j * log_kappa for power in powers for j in range(3)])
+
+    share = min(max(alive / left, 0.0), 1.0)
+    found, error = (share * part.reshape(3, 3) for part in means_above(s.law, least, log_values))
+    return found, error if s.annealed or not s.barrier.thermal else error + (1.0 - share) * found
 
 
 def survivors(s: Reduced, x: Array) -> Array:

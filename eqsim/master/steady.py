@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eqsim.estimate import Averages, Estimate
-from eqsim.master import annealed, newborn
+from eqsim.estimate import Averages, Estimate, infinite
+from eqsim.master import annealed, newborn, quenched
 from eqsim.master.quenched import Moments
 from eqsim.master.solvers import solver
 from eqsim.master.velocities import delay_of, lives_of
@@ -61,7 +61,7 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         Only its velocity counts.
     variance : bool
         Whether to find the force variance of contacts born unstretched, too, which takes longer; it is known anyway of
-        those born stretched.
+        those born stretched. Where it is infinite (`Ensemble.divergence`) its value is, and `reliable` is False.
 
     Returns
     -------
@@ -79,7 +79,8 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     else:
         s = settled(ensemble, v)
         found, method = _moments(bare(ensemble), v), _method(ensemble, s)
-    if variance and found.square is None:
+    divergence = ensemble.divergence if variance or found.square is not None else ""
+    if variance and found.square is None and not (divergence or ensemble.newborn.active):
         found = _with_square(settled(ensemble, v), found)
     unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
     travel, work = found.stretch, found.work
@@ -92,7 +93,9 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     error = (work_error + abs(work) * pinned * relative) / cycle + drag * pinned_error
     f_k, f_k_error = work / travel, work_error / travel + abs(work) / travel * relative
     spread = Estimate(None, None, 0, None, False)
-    if found.square is not None:
+    if divergence:
+        spread = infinite()
+    elif found.square is not None:
         square = found.square / cycle + drag**2 * (1.0 - pinned)
         missed = (found.square_error + found.square * pinned * relative) / cycle + drag**2 * pinned_error
         missed += 2.0 * abs(friction) * error
@@ -124,9 +127,16 @@ def _method(ensemble: Ensemble, s: Reduced) -> str:
 
 
 def _with_square(s: Reduced, found: Moments) -> Moments:
-    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], from the profile of a life."""
+    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx]: where lives are known in closed form from these,
+    else from the profile of a life."""
+    if solver(s) is quenched:
+        square, error = quenched.squares(s)
+        return found._replace(square=square, square_error=error)
     from eqsim.master.profile import profile_of  # which needs the solvers
 
     profile = profile_of(s)
     square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
-    return found._replace(square=square, square_error=profile.error * square)
+    rest, missed = quenched.integrals_beyond(s, float(profile.x[-1]), float(profile.survive[-1]))
+    square += float(rest[2, 2])
+    # of the end of a life the square knows more than the work does, by which the profile's error was judged: twice it
+    return found._replace(square=square, square_error=2.0 * profile.error * square + float(missed[2, 2]))

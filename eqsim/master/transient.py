@@ -32,6 +32,7 @@ from eqsim.estimate import known
 from eqsim.laws.delay import Exponential, Fixed
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
+from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
@@ -62,8 +63,8 @@ class Transient(Result):
         Gamma, breaks per contact and unit displacement (1/length); along a programme, which may hold, per unit time
         (1/time), and in the mean over a step of the solver.
     force_variance, force_variance_error : ndarray or None
-        Variance over contacts of the force of one over k (length^2), and its error estimate; None if not asked for, or
-        where contacts stay in step for longer than the grids can tell.
+        Variance over contacts of the force of one over k (length^2), and its error estimate; None if not asked for,
+        where contacts stay in step for longer than the grids can tell, or where a stationary one is infinite.
     stage, X_error : ndarray or None
         Of a slider that a stage pulls, in mean field: displacement of the stage's end of the spring, and the error
         estimate of X, which is found with it (length).
@@ -171,7 +172,8 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
     spread: tuple[Array | None, Array | None] = None, None
     if variance:
         squared = exact.force_variance
-        spread = known(squared) * level, (squared.stderr or 0.0) * level
+        if squared.value is not None and not squared.diverges:
+            spread = squared.value * level, (squared.stderr or 0.0) * level
     X = np.linspace(0.0, drive.over(ensemble), points)
     return Transient(
         X,
@@ -371,23 +373,30 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     Raises
     ------
     InputError
-        For arguments out of range, and for quenched contacts of the sqrt law whose stiffness follows aging thresholds.
+        For arguments out of range, for quenched contacts of the sqrt law whose stiffness follows aging thresholds, and
+        where the variance is infinite, as the autocovariance is then at any lag.
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
     s, unit, distance = settled(ensemble, drive.velocity), ensemble.thresholds.scale, drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
-    exact = reference(ensemble, drive)
+    if ensemble.divergence:
+        raise InputError(f"fluctuations: {ensemble.divergence}")
+    exact = reference(ensemble, drive, variance=True)
+    if exact.force_variance.value is None:
+        raise InputError("fluctuations: the variance is not known of contacts born stretched whose law is this broad")
     cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
     profile, solved = cells.profile, []
+    beyond, missed_beyond = _beyond(profile, s)
     for step in (2, 1):
         x = cells.x[::step]
         means = means_of(profile, x, s)
         # int_x^inf y^power (S, k1, k2) dy
-        rest = [profile.integral(_EVERYTHING, power) - profile.integral(x, power) for power in range(3)]
+        totals = [profile.integral(_EVERYTHING, power) + beyond[power][:, None] for power in range(3)]
+        rest = [total - profile.integral(x, power) for power, total in enumerate(totals)]
         # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy, whose decrease weighs breaks by
         # the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
@@ -399,11 +408,22 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best, missed = _extrapolated(*solved)
     # kinks, which jumps of a discrete law make, are of lower order
-    error = missed * (3 if profile.jumps else 1) + (profile.error + cells.in_step) * np.abs(best).max()
+    error = missed * (3 if profile.jumps else 1)
+    # of a variance little is left where contacts hardly differ, but errors of a profile are those of mean squares
+    error += (profile.error + cells.in_step) * (np.abs(best).max() + mean**2) + missed_beyond[2, 2] / cycle
+    error += abs(best[0] - known(exact.force_variance) / unit**2)  # by another quadrature, as far as there is one
     if points > best.size:
         error += _between(best)
     lag = np.linspace(0.0, distance, points)
     return Fluctuations(lag, *(np.interp(lag / unit, cells.x[::2], part) * unit**2 for part in (best, error)))
+
+
+def _beyond(profile: Profile, s: Reduced) -> tuple[Array, Array]:
+    """`integrals_beyond` the end of a profile; nothing of contacts born stretched, whose profile has the difference
+    from moments of whole lives in its error."""
+    if s.newborn.active:
+        return np.zeros((3, 3)), np.zeros((3, 3))
+    return integrals_beyond(s, float(profile.x[-1]), float(profile.survive[-1]))
 
 
 def convolved(a: Array, b: Array) -> Array:

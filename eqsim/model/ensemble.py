@@ -21,7 +21,7 @@ from eqsim.laws.delay import Delay
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import Gamma, ThresholdLaw
+from eqsim.laws.threshold import Gamma, ThresholdLaw, diverges, tail_exponent
 
 Disorder = Literal["quenched", "annealed"]
 
@@ -114,6 +114,20 @@ class Ensemble:
     def fluctuates(self) -> bool:
         """Whether thresholds fluctuate while pinned: quenched contacts that age by `langevin`."""
         return self.disorder == "quenched" and self.aging.active and RULES[self.aging.rule].fluctuates
+
+    @property
+    def divergence(self) -> str:
+        """Why the steady variance of forces is infinite, in a line; empty where it is finite.
+
+        At T = 0 a life contributes k_i^2 xi^3/3. Neither heat nor age shortens the strongest lives by more than a
+        factor: barriers outgrow temperature, pooled attempts are a finite number.
+        """
+        power = 5 if self.stiffness_law == "sqrt" else 3
+        if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
+            return ""
+        exponent = tail_exponent(self.thresholds)
+        mean = "<k_i^2 xi^3> ~ <xi^5>" if power == 5 else "<xi^3>"
+        return f"the variance of forces is infinite: {mean} diverges, as P(xi > x) falls like x^-{exponent:.4g}"
 
     @property
     def b(self) -> float:

@@ -269,6 +269,7 @@ def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, A
     row: dict[str, Any] = {"lives": lives}
     for name, e in averages.averages().items():
         row |= {name: e.value, f"{name}_stderr": e.stderr, f"{name}_dof": e.dof, f"{name}_reliable": e.reliable}
-    doubtful = ", ".join(name for name, estimate in averages.averages().items() if not estimate.reliable)
+    every = averages.averages().items()
+    doubtful = ", ".join(name for name, estimate in every if not (estimate.reliable or estimate.diverges))
     problems = [f"error bars of {doubtful} cannot be trusted"] * bool(doubtful) + problems
     return row | {"status": "unreliable" if problems else "ok", "message": "; ".join(problems) or None}

@@ -8,15 +8,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from eqsim.engine.contacts import contacts
+from eqsim.engine.scatter import births
 from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, known, z_score
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
-from eqsim.master.steady import reference
+from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, fluctuations
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of
 from eqsim.numerics.tables import Array
 
 Progress = Callable[[int, float], None]
@@ -24,6 +27,7 @@ _CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by defa
 _TOGETHER = 20  # contacts of a simulated ensemble: the fewer, the more ensembles there are of the same lives
 _MOST_ENSEMBLES, _FEWEST = 20_000, 100
 _DOMINANT = 0.1  # an ensemble that makes more of the scatter has siblings that were not seen
+_UNMET = 4.0  # contacts expected, below which a sample may have met none
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,8 @@ def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, how: tu
     Raises InputError where an ensemble cannot be simulated so.
     """
     seed, threads = how
-    level = known(reference(ensemble, drive).friction)
+    exact = reference(ensemble, drive, variance=True)
+    level = known(exact.friction)
     small = replace(ensemble, count=_TOGETHER)
     long = replace(drive, distance=2.0 * drive.over(ensemble), start="stationary")
     each = predicted_lives(small, long)
@@ -175,11 +180,31 @@ def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, how: tu
     )  # (points, ensembles)
     found = _TOGETHER * products
     about = (products[0] - products[0].mean()) ** 2
+    stderr = found.std(axis=1, ddof=1) / math.sqrt(ensembles)
+    unmet = _unmet(ensemble, drive.velocity, exact, (_TOGETHER * ensembles, run.lives))
     return Sample(
         covariance=found.mean(axis=1),
-        stderr=found.std(axis=1, ddof=1) / math.sqrt(ensembles),
-        reliable=bool(about.max() < _DOMINANT * about.sum()),
+        stderr=np.hypot(stderr, unmet),
+        reliable=bool(about.max() < _DOMINANT * about.sum() and unmet < _DOMINANT * known(exact.force_variance)),
         contacts=_TOGETHER,
         ensembles=ensembles,
         lives=run.lives,
     )
+
+
+def _unmet(ensemble: Ensemble, velocity: float, exact: Reference, seen: tuple[int, int]) -> float:
+    """How much of the mean square force (length^2) is due to contacts so strong that few are expected among those
+    `seen`, contacts found in the stationary state and lives that begin later: what a sample cannot know of."""
+    if ensemble.fluctuates:
+        return 0.0  # thresholds of gamma laws, whose lives take paths
+    c = contacts(ensemble, velocity, known(exact.break_stretch) if ensemble.self_consistent else None)
+    born, unit = births(c), ensemble.thresholds.scale
+    square = born.stiffness**2 * born.travel * (born.birth**2 + born.travel * (born.birth + born.travel / 3.0))
+    cycle = known(exact.travel) / unit / known(exact.pinned)
+    expected = born.share * (seen[0] * born.travel / cycle + seen[1])
+    order = np.argsort(-square)
+    met = np.cumsum(expected[order]) >= _UNMET
+    drag = drag_of(ensemble, velocity)
+    second = (known(exact.force_variance) + known(exact.friction) ** 2) / unit**2
+    pinned = second - drag**2 * (1.0 - known(exact.pinned))
+    return max(pinned - float(np.sum((born.share * square)[order][met])) / cycle, 0.0) * unit**2

@@ -99,6 +99,7 @@ class RunResult(OfTrajectory):
             "title": self.file.title,
             **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
             **self._peaks(),
+            **({"divergence": self.ensemble.divergence} if self.ensemble.divergence else {}),
             "force_reliable": found.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
             **self.file.physical(self.ensemble, found.averages.friction, self.steady.friction.value),
