@@ -1,8 +1,10 @@
 """Kernels of a run that another process compiles while this one compiles others: numba compiles one at a time. Where
 that process has to solve something to compile it, it solves what the run will ask for."""
 
+import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -134,10 +136,17 @@ class _Compiling(event.Listener):  # type: ignore[misc]
         pass
 
 
+def _end_with_parent() -> None:
+    """End this process when the pipe from the one that started it is closed."""
+    os.read(sys.stdin.fileno(), 1)
+    os._exit(1)
+
+
 def main() -> None:
     """The second process: the exact mean along a programme, which takes long enough; else what several kernels call,
     from the other end on, and kernels of steady estimates."""
-    ensemble, drive, points = pickle.loads(sys.stdin.buffer.read())
+    ensemble, drive, points = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(InputError):  # which the first one shows
         if isinstance(drive, Programme):
             pickle.dump(transient(ensemble, drive, points), sys.stdout.buffer)
