@@ -31,7 +31,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import ThreadPool
+from eqsim.numerics.threads import ThreadPool, interruptibly
 from eqsim.results import Drawn, Result
 
 _SEGMENT = 32  # blocks whose least threshold is kept
@@ -445,7 +445,7 @@ def elastic_trajectory(
     response = _response_of(elastic, distance / unit)
     interface = _Interface(c, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses)
     nothing = interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0])
-    _simulate(nothing, 0, lambda _: None)  # compiles, so that seconds are those of the work
+    interruptibly(_simulate, nothing, 0, lambda _: None)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     found = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin

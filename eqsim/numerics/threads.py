@@ -10,9 +10,11 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
 from queue import Empty, SimpleQueue
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
+
+Result = TypeVar("Result")
 
 NEVER = np.zeros(1, np.int64)  # a flag that nobody sets
 _PATIENCE = 0.3  # seconds; kernels look at their flag every few milliseconds, compilers never do
@@ -101,3 +103,10 @@ class ThreadPool(Executor):
         else:
             self.abandon()
         return False
+
+
+def interruptibly(function: Callable[..., Result], *arguments: Any) -> Result:
+    """Call a function that may take seconds to compile in a thread, so that Ctrl-C is answered meanwhile."""
+    with ThreadPool(1) as thread:
+        result: Result = thread.submit(function, *arguments).result()
+    return result

@@ -47,6 +47,7 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import compile_unless_taken
 from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.numerics.threads import interruptibly
 from eqsim.workflows.second import Second, several_processors, take
 
 _SCALES = Scales(np.ones(6), np.ones(6), 1.0, 1.0, True, False)  # of nothing
@@ -78,7 +79,7 @@ def _simulator(ensemble: Ensemble, drive: Drive) -> None:
     c = contacts(ensemble, drive.velocity, ensemble.thresholds.mean if ensemble.self_consistent else None)
     run = Run(1.0, 2, drive.start == "stationary", False)
     job = ConstantDrive(c, _start_of(drive), run, _SCALES, key(0, TRAJECTORY), 0.0)
-    job.simulate(job.totals(1), 0, 0)
+    interruptibly(job.simulate, job.totals(1), 0, 0)
 
 
 def _start_of(drive: Drive) -> Fresh | Stationary:
