@@ -51,7 +51,7 @@ from eqsim.numerics.compiled import kernel
 from eqsim.numerics.sobol import Sobol
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import NEVER, ThreadPool
+from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.numerics.vector_math import exp
 
 RANDOMISATIONS = 32
@@ -344,9 +344,10 @@ def _randomise(job: _Job, c: Contacts, size: int) -> Array:
     sequences = _sequences(job, 2 + _births_vary(c), size, groups) if job.proposal else repeat(None)
     report = job.progress or (lambda *_: None)
     report(0, RANDOMISATIONS * size)
-    alone = job.threads == 1 and job.proposal is not None  # blocks so short that Ctrl-C can wait for them
+    # blocks of weighted lives are so short that Ctrl-C can wait for them, unless lives are paths of many steps
+    alone = job.threads == 1 and job.proposal is not None and not c.aging.fluctuates
     with nullcontext() if alone else ThreadPool(job.threads) as pool:
-        stop = pool.stop if pool else NEVER
+        stop = pool.stop if pool else current_stop()
         for found in (pool.map if pool else map)(some, groups, sequences):
             rows.extend(found)
             report(len(rows) * size, RANDOMISATIONS * size)

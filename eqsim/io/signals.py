@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 MESSAGE = "interrupted; nothing is half-written"
 _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-_ANSWER = 0.8  # seconds that a process has to acknowledge a signal: ending it takes a tenth of a second
+_ANSWER = 0.6  # seconds that a process has to acknowledge a signal: ending it takes a tenth of a second
 _LEAVE = 5.0  # seconds that it has after that, to write what is finished
 _SHOW_CURSOR = b"\x1b[?25h"  # which progress bars hide
 

@@ -14,6 +14,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from eqsim.numerics.tables import Array
+
 Result = TypeVar("Result")
 
 NEVER = np.zeros(1, np.int64)  # a flag that nobody sets
@@ -103,6 +105,12 @@ class ThreadPool(Executor):
         else:
             self.abandon()
         return False
+
+
+def current_stop() -> Array:
+    """The flag of the pool that the current thread belongs to; `NEVER` in other threads."""
+    pool: ThreadPool | None = getattr(_above, "pool", None)
+    return NEVER if pool is None else pool.stop
 
 
 def interruptibly(function: Callable[..., Result], *arguments: Any) -> Result:
