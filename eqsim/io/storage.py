@@ -109,25 +109,25 @@ def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:
         if (folder / name).is_dir():
             raise InputError(f"{place}: {name} is a folder there")
     made = not folder.exists()
-    staging: list[Path] = []
+    staging: Path | None = None
 
     def clear() -> None:
-        for unfinished in staging:
-            shutil.rmtree(unfinished, ignore_errors=True)
+        if staging:
+            shutil.rmtree(staging, ignore_errors=True)
         if made and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
 
     try:
         with undone(clear):
             folder.mkdir(parents=True, exist_ok=True)
-            staging.append(Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder)))
+            staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
             for name, content in files.items():
-                with open(staging[0] / name, "wb") as file:
+                with open(staging / name, "wb") as file:
                     file.write(content)
                     file.flush()
                     os.fsync(file.fileno())
             for name in files:
-                os.replace(staging[0] / name, folder / name)
+                os.replace(staging / name, folder / name)
             if os.name == "posix":  # the names themselves must reach the disk too
                 handle = os.open(folder, os.O_RDONLY)
                 try:
