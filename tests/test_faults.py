@@ -23,7 +23,7 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
-from waiting import once
+from waiting import ALLOWED, once
 
 import eqsim
 from eqsim.cli.app import app
@@ -38,6 +38,16 @@ RUN = (
     '[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n'
 )
 SWEEP = RUN + '[sweep]\n"thermal.kT" = { log = [0.03, 1.0, 20] }\n"delay.time" = { linear = [0.0, 1.0, 50] }\n'
+WARM = "[thermal]\nkT = 0.05\n[delay]\ntime = 1.0\n[drive]\n"
+TURNS = "{ velocity = 0.1, distance = 500.0 }, { velocity = -0.1, distance = 500.0 }"
+LONGER = {  # run files of work that takes minutes, in mean field or for other contacts
+    "warm": WARM + "velocity = 0.1\ndistance = 400.0\n[drive.stage]\nstiffness = 0.1\ndamping = 0.1\npreload = 7.5\n",
+    "programme": WARM + f"programme = [{TURNS}]\n",
+    "langevin": '[aging]\nrule = "langevin"\nrate = 0.3\nx_star_final = 2.0\n[drive]\nvelocity = 0.1\n',
+    "elastic": "[drive]\nvelocity = 1.0\ndistance = 1000.0\n[elastic]\nblocks = 50\ncoupling = 20.0\n"
+    "drive_stiffness = 0.25\n[output]\npoints = 11\nreplicas = 190\n",
+}
+RUNS = Path(__file__).parent.parent / "runs"
 LONG = ("--set", "contacts.count=300000000", "--threads", "1")  # minutes
 FILES = ["force.png", "summary.json", "trajectory.parquet"]
 OVER = "eqsim: interrupted; nothing is half-written\n"
@@ -49,6 +59,8 @@ def run_file(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text(RUN)
     (tmp_path / "grid.toml").write_text(SWEEP)
+    for name, text in LONGER.items():
+        (tmp_path / f"{name}.toml").write_text('[contacts]\ncount = 1000\nstiffness_law = "uniform"\n' + text)
     return path
 
 
@@ -111,7 +123,7 @@ def work(*_):
     except BaseException:
         if sys.argv[1] == "reference":
             raise ImportError("initialization failed") from None
-        print("swallowed")
+        print("swallowed", flush=True)
     time.sleep(60)
 
 Changes.load = work
@@ -120,7 +132,7 @@ main()
 
 
 @pytest.mark.parametrize(("command", "output"), [("info", ""), ("steady", "swallowed\n"), ("reference", "")])
-def test_an_interrupt_that_is_lost_is_raised_again(command, output):
+def test_an_interrupt_that_is_lost_ends_the_process_all_the_same(command, output):
     """Lost in a finaliser, lost in a library that catches everything, or turned into another error by one."""
     assert ended(start(command, "a.toml", code=SWALLOWED), timeout=30) == (130, output, OVER)
 
@@ -231,6 +243,16 @@ COMMANDS = {
     "sweep": ("sweep", "grid.toml", "--out", "o", *WORKERS),
     "figures": ("figures", "--out", "o", *WORKERS),
     "replay": ("replay", "made/trajectory.parquet"),
+    "steady, fluctuating": ("steady", "langevin.toml", "--rel-error", "1e-7", "--max-lives", "1e15"),
+    "run with a stage": ("run", "warm.toml", "--out", "o"),
+    "reference with a stage": ("reference", "warm.toml", "--transient"),
+    "reference of a programme": ("reference", "programme.toml", "--transient"),
+    "stability": ("stability", "warm.toml", "--critical"),
+    "borders": ("stability", "warm.toml", "--critical", "--out", "o"),
+    "elastic": ("run", "elastic.toml", "--out", "o"),
+    "fit": ("fit", str(RUNS / "fit-synthetic.toml"), "--out", "o", "--starts", "500", *WORKERS),
+    "fit of a record": ("fit", str(RUNS / "fit-basalt-step.toml"), "--out", "o", "--workers", "1"),
+    "fit, posterior": ("fit", str(RUNS / "fit-synthetic.toml"), "--out", "o", "--starts", "1", "--posterior", *WORKERS),
 }
 
 
@@ -246,15 +268,16 @@ def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, 
         process = start(*COMMANDS[command], cwd=tmp_path)
         time.sleep(moment)
         assert process.poll() is None, process.communicate()
-        begin = time.monotonic()
         (os.kill if turn % 2 else os.killpg)(process.pid, number)
-        code, output, errors = ended(process)
-        assert time.monotonic() - begin < 10
+        code, output, errors = ended(process, ALLOWED)
         assert code == 128 + number
         assert re.fullmatch(r"eqsim: interrupted; .*\n", errors), errors
         assert command == "sweep" or output == "" or (command == "steady" and output.startswith("about "))  # to go
         if command == "sweep":
             assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "parts"}
+        elif command.startswith("fit"):  # goes on with finished fits
+            assert all(".unfinished-" in name for name in names(tmp_path / "o"))
+            assert not any(".eqsim-" in name for name in names(tmp_path / "o"))
         elif command == "figures":  # each is whole as soon as its points are there
             assert {name.partition(".")[2] for name in names(tmp_path / "o")} <= {"pdf", "png", "parquet"}
         else:

@@ -46,7 +46,7 @@ def stability(
     from eqsim.master import stability as solve
 
     pulled = solve.pulled_by(file.ensemble(path.parent), file.driven(path.parent))
-    with shown.bar("looking for the border", "runs") as progress:
+    with shown.bar("kicks and stiffnesses", "runs") as progress:
         found = solve.stability(
             pulled.ensemble, pulled.programme(), critical=True if critical else None, progress=progress
         )

@@ -33,6 +33,14 @@ class Queue(NamedTuple):
     contact: Array
 
 
+class Way(NamedTuple):
+    """Where the stage goes: the stiffness of its spring, how far, and a flag (1,) that ends it early once it is set."""
+
+    stiffness: float
+    until: float
+    stop: Array
+
+
 def queue_of(xi: Array, stretch: Array) -> Queue:
     """Of contacts that are all pinned, of thresholds `xi` and signed stretches, the slider at 0."""
     at = xi - stretch
@@ -108,14 +116,11 @@ def _break(c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Arra
 
 
 @kernel
-def load(
-    c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Array, stiffness: float, until: float
-) -> Array:
-    """Take the stage, at the end of a spring of that stiffness, to `until`, and `now` (11,) with it. Returns the
-    avalanches that have ended on the way, of each Y, X at its first break, breaks, drop of the force and displacement,
-    shape (avalanches, 5)."""
-    rows, events = 0, np.empty((64, 5))
-    while True:
+def load(c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Array, way: Way) -> Array:
+    """Take the stage along its way, and `now` (11,) with it. Returns the avalanches that have ended on the way, of each
+    Y, X at its first break, breaks, drop of the force and displacement, shape (avalanches, 5)."""
+    rows, events, stiffness, until = 0, np.empty((64, 5)), way.stiffness, way.until
+    while way.stop[0] == 0:
         at = queue.at[0]
         needed = at + (now[FORCE] + now[STIFFNESS] * (at - now[X])) / stiffness
         if needed <= now[Y]:
@@ -141,3 +146,4 @@ def load(
             _move(now, at)
             now[_BEGUN], now[_BEFORE] = at, now[FORCE]
         _break(c, stream, first, p, queue, now)
+    return events[:rows]

@@ -1,7 +1,7 @@
 """Blocks of contacts, handed to threads or to the workers of an executor: integer sums that simply add up."""
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import nullcontext
 from typing import NamedTuple, Protocol
 
@@ -10,6 +10,7 @@ import numpy as np
 from eqsim.engine.recorder import BATCHES, Moments
 from eqsim.model.drive import MOST_SERIES
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
 
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
@@ -138,7 +139,7 @@ def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress
     every = range(len(blocks.edges) - 1)
     totals = [job.totals(replicas) for _ in range(1 if executor else threads)]
     running: set[Future[Totals]] = set()
-    pool = None if executor else ThreadPoolExecutor(threads)
+    pool = None if executor else ThreadPool(threads)
     with pool or nullcontext():
         try:
             if pool:
@@ -149,6 +150,8 @@ def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress
                 running = {executor.submit(_follow, job, blocks, every[i::shares]) for i in range(shares)}
             while running:
                 done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
+                if pool and pool.stop[0]:
+                    raise CancelledError
                 for future in done:
                     part = future.result()
                     if executor:

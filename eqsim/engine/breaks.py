@@ -1,7 +1,6 @@
 """Every break of the contacts of a run, one by one: of small ensembles, as their number is that of lives."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,6 +17,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
 from eqsim.results import Drawn, Result
 
 _BLOCK = 4 * LANES  # contacts whose breaks are noted together, whoever does it
@@ -90,7 +90,7 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
             if size <= len(rows):
                 return rows[:size]
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
+    with ThreadPool(max(1, threads)) as pool:
         found = np.concatenate(list(pool.map(block, range(0, count, _BLOCK))))
     contact = found[:, 0].astype(np.int64)
     found = found[order := np.lexsort((contact, found[:, 1]))]

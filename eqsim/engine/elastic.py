@@ -13,9 +13,8 @@ same bits in any order. One run belongs to one thread; threads share replicas.
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
-from threading import Event
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -32,6 +31,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool, interruptibly
 from eqsim.results import Drawn, Result
 
 _SEGMENT = 32  # blocks whose least threshold is kept
@@ -445,7 +445,7 @@ def elastic_trajectory(
     response = _response_of(elastic, distance / unit)
     interface = _Interface(c, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses)
     nothing = interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0])
-    _simulate(nothing, 0, lambda _: None)  # compiles, so that seconds are those of the work
+    interruptibly(_simulate, nothing, 0, lambda _: None)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     found = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin
@@ -480,22 +480,17 @@ def elastic_trajectory(
 
 def _all(interface: _Interface, replicas: int, threads: int, progress: Callable[[int], None] | None) -> list[_Replica]:
     """Hand replicas to threads as they become free."""
-    done, stopped = [interface.contacts * replicas], Event()
+    done = [interface.contacts * replicas]
 
     def told(breaks: int) -> None:
         done[0] += breaks
-        if stopped.is_set():
-            raise InterruptedError
+        if pool.stop[0]:
+            raise CancelledError
         if progress:
             progress(done[0])
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        try:
-            return list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
-        except BaseException:
-            stopped.set()
-            pool.shutdown(cancel_futures=True)
-            raise
+    with ThreadPool(max(1, threads)) as pool:
+        return list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
 
 
 def _estimates(found: list[_Replica], unit: float) -> tuple[Estimate, Estimate, Estimate]:

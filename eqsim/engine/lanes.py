@@ -338,15 +338,17 @@ def _fill_paths(law: Langevin, c: Contacts, source: langevin.Source, u: Array, v
 
 
 @kernel
-def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int) -> tuple[Array, Array]:
+def plain_sums(c: Contacts, key: Key, first: int, begin: int, end: int, stop: Array) -> tuple[Array, Array]:
     """Sums of work over k, travel, square of the force along it, stretch at birth and |work|, and the largest |work|
     and travel, of plainly drawn lives: those of the LANES contacts from `first` on from the age `begin` up to `end`,
-    ROUNDS lives each time."""
+    ROUNDS lives each time; fewer once the flag `stop` (1,) is set."""
     lanes, found = empty_lanes(), empty_lives(c, ROUNDS)
     age, stretch, part, stiffness, birth = lanes.age, found.stretch, found.clock, found.stiffness, found.birth
     lanes.contact[:], age[:] = np.arange(first, first + LANES), begin
     sums, most = np.zeros((5, LANES)), np.zeros((2, LANES))
     for at in range(begin, end):
+        if stop[0] != 0:
+            break
         draw_lives(c.newborn, c, key, lanes, found, LANES)
         complete(c.aging, c, key, lanes, found, LANES)
         for r in range(ROUNDS):

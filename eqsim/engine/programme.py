@@ -25,6 +25,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import interruptibly
 
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
 _MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 100 bytes each
@@ -182,7 +183,7 @@ def along(
     points, seed, replicas = recorded
     grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
     job = steps_of(ensemble, programme, grid, replicas, seed)
-    job.simulate(job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
+    interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
     found = job.moments(total.deposits, count)

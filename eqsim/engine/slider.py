@@ -23,9 +23,8 @@ import functools
 import itertools
 import math
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -49,6 +48,7 @@ from eqsim.model.slip import least_slip, width_of
 from eqsim.numerics.compiled import apart, inlined, kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
 
 _BLOCK = 512  # contacts whose sums are added up before those of others: the same bits whoever adds them
 _SHARE = 20  # blocks that a thread must have: to wake it takes as long as they do
@@ -253,7 +253,7 @@ class Slider:
         blocks = -(-ensemble.count // _BLOCK)
         threads = max(1, min(threads, blocks // _SHARE))
         self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
-        self.pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self.pool = ThreadPool(threads - 1) if threads > 1 else None
         self.found = np.zeros((blocks, 10))
         self.least_slip = least_slip(law) / unit
         self.longest = longer * math.sqrt(programme.stage.tolerance) * width_of(law) / unit
@@ -291,9 +291,9 @@ class Slider:
     def __enter__(self) -> "Slider":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: Any) -> None:
         if self.pool:
-            self.pool.shutdown()
+            self.pool.__exit__(*error)
 
     def _damping(self, sums: Array) -> float:
         """Of the slider and of all detached contacts."""
@@ -480,20 +480,21 @@ def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, pr
     queue, now = avalanches.queue_of(p.xi, p.stretch), np.zeros(11)
     now[[avalanches.FORCE, avalanches.STIFFNESS, avalanches.Y]] = start.sums[FORCE], start.sums[STIFFNESS], start.Y
     rows, events, stored = [], [], 0.0
-    for j, stage in enumerate(stages):
-        events.append(
-            avalanches.load(slider.c, slider.stream, slider.first, p, queue, now, pull.stiffness, float(stage))
-        )
-        x, force = now[avalanches.X], now[avalanches.FORCE]
-        xi = p.xi[queue.contact]
-        stiffness, stretch = kappa(slider.c.springs, xi), x - queue.at + xi
-        variance = max(float(np.mean((stiffness * stretch) ** 2)) - force**2, 0.0) / slider.count
-        kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
-        work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
-        stored = kept if j == 0 else stored
-        rows.append((x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken, 0.0))
-        if progress:
-            progress(before + int(now[avalanches.BREAKS]))
+    with ThreadPool(1) as thread:
+        for j, stage in enumerate(stages):
+            way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
+            of = slider.c, slider.stream, slider.first
+            events.append(thread.submit(avalanches.load, *of, p, queue, now, way).result())
+            x, force = now[avalanches.X], now[avalanches.FORCE]
+            xi = p.xi[queue.contact]
+            stiffness, stretch = kappa(slider.c.springs, xi), x - queue.at + xi
+            variance = max(float(np.mean((stiffness * stretch) ** 2)) - force**2, 0.0) / slider.count
+            kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
+            work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
+            stored = kept if j == 0 else stored
+            rows.append((x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken, 0.0))
+            if progress:
+                progress(before + int(now[avalanches.BREAKS]))
     values, found = np.array(rows), np.concatenate(events)
     ends = np.interp(found[:, 0], stages, instants)  # of avalanches, and the moments before
     course = np.stack((ends, found[:, 1], found[:, 0])), np.stack((ends, found[:, 1] + found[:, 4], found[:, 0]))

@@ -26,7 +26,7 @@ import functools
 import math
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError
 from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import repeat
@@ -51,6 +51,7 @@ from eqsim.numerics.compiled import kernel
 from eqsim.numerics.sobol import Sobol
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.numerics.vector_math import exp
 
 RANDOMISATIONS = 32
@@ -396,29 +397,27 @@ def _randomise(job: _Job, c: Contacts, size: int) -> Array:
 
     def some(group: range, sobol: Sobol | None) -> Array:
         if sobol is None:
-            return _plainly(c, stream, group.start, size)
-        return _weighted(job, c, stream, sobol, range(group.start * size, group.start * size + size))
+            return _plainly(c, stream, group.start, size, stop)
+        return _weighted(job, c, stream, sobol, range(group.start * size, group.start * size + size), stop)
 
     rows: list[Array] = []
     sequences = _sequences(job, 2 + _births_vary(c), size, groups) if job.proposal else repeat(None)
     report = job.progress or (lambda *_: None)
     report(0, RANDOMISATIONS * size)
-    with ThreadPoolExecutor(job.threads) if job.threads > 1 else nullcontext() as pool:
-        try:
-            for found in (pool.map if pool else map)(some, groups, sequences):
-                rows.extend(found)
-                report(len(rows) * size, RANDOMISATIONS * size)
-        except BaseException:
-            if pool:
-                pool.shutdown(cancel_futures=True)
-            raise
+    # blocks of weighted lives are so short that Ctrl-C can wait for them, unless lives are paths of many steps
+    alone = job.threads == 1 and job.proposal is not None and not c.aging.fluctuates
+    with nullcontext() if alone else ThreadPool(job.threads) as pool:
+        stop = pool.stop if pool else current_stop()
+        for found in (pool.map if pool else map)(some, groups, sequences):
+            rows.extend(found)
+            report(len(rows) * size, RANDOMISATIONS * size)
     return np.array(rows)
 
 
-def _plainly(c: Contacts, stream: Key, index: int, size: int) -> Array:
+def _plainly(c: Contacts, stream: Key, index: int, size: int, stop: Array) -> Array:
     """`_randomise` by `size` independent lives of contacts of their own."""
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
-    plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds)
+    plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds, stop)
     return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]]), 0.0]])  # that of squares: see `_unmet`
 
 
@@ -436,13 +435,15 @@ def _sequences(job: _Job, dimensions: int, size: int, groups: list[range]) -> It
             yield sobol.some(slice(group.start - some[0].start, group.stop - some[0].start))
 
 
-def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range) -> Array:
+def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range, stop: Array) -> Array:
     """`_randomise` by weighted Sobol points, of some sequences at once; `numbers` those of the first one's contacts."""
     assert job.proposal
     size, third = len(numbers), _births_vary(c)
     block = min(size, _BLOCK)
     sums = np.zeros((len(sobol.shift), 8))
     for first in range(0, size, block):
+        if stop[0]:
+            raise CancelledError
         points = sobol.points(first, block).reshape(2 + third, -1)
         u, weight = job.proposal.threshold.draw(points[0])
         v, clock_weight = job.proposal.clock.draw(points[1])

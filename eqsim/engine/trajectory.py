@@ -44,6 +44,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import interruptibly
 
 _FEW = 1000  # lives, which are over before anybody counts them
 
@@ -162,7 +163,7 @@ def trajectory(
     drag = drag_of(ensemble, drive.velocity)
     scales = Scales.of(c, run, count, replicas, drag)
     job = ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag)
-    job.simulate(job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
+    interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
 

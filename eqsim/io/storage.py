@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eqsim.errors import InputError
+from eqsim.io.signals import undone
 
 # What the folder of a sweep holds (`eqsim.sweeps.store`).
 SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are computed
@@ -124,26 +125,29 @@ def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:
             raise InputError(f"{place}: {name} is a folder there")
     made = not folder.exists()
     staging: Path | None = None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
-        for name, content in files.items():
-            with open(staging / name, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-        for name in files:
-            os.replace(staging / name, folder / name)
-        if os.name == "posix":  # the names themselves must reach the disk too
-            handle = os.open(folder, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
-    except OSError as error:
-        raise InputError(f"{place}: cannot be written ({error.strerror})") from None
-    finally:
+
+    def clear() -> None:
         if staging:
             shutil.rmtree(staging, ignore_errors=True)
         if made and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
+
+    try:
+        with undone(clear):
+            folder.mkdir(parents=True, exist_ok=True)
+            staging = Path(tempfile.mkdtemp(prefix=".eqsim-", dir=folder))
+            for name, content in files.items():
+                with open(staging / name, "wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+            for name in files:
+                os.replace(staging / name, folder / name)
+            if os.name == "posix":  # the names themselves must reach the disk too
+                handle = os.open(folder, os.O_RDONLY)
+                try:
+                    os.fsync(handle)
+                finally:
+                    os.close(handle)
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written ({error.strerror})") from None

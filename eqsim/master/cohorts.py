@@ -67,7 +67,8 @@ NO_CHOICES = Choices(np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros(0, np
 
 class Path(NamedTuple):
     """Times and displacements of the edges of steps, arrays (edges,); how wide in X, and in time per age, cohorts may
-    become; how many were born before, at a `velocity`, or none of a fresh start; and what is decided on the way."""
+    become; how many were born before, at a `velocity`, or none of a fresh start; what is decided on the way; and a
+    flag (1,) that ends the march early once it is set."""
 
     t: Array
     X: Array
@@ -76,6 +77,7 @@ class Path(NamedTuple):
     cohorts: int
     velocity: float
     choices: Choices
+    stop: Array
 
 
 # ----------------------------------------------------------------------------------------------------------- cohorts
@@ -382,6 +384,8 @@ def march(c: Any, path: Path) -> Array:
     count, rate = begin(c, path, p)
     observe(p, count, path.X[0], found, 0)
     for m in range(1, path.t.size):
+        if path.stop[0] != 0:
+            break
         if count == p.order.size:
             p = with_room(p, 2 * count)
         count = advance_all(c, path, p, found, m, (count, rate))

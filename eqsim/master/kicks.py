@@ -48,19 +48,23 @@ class _Answer(NamedTuple):
     dt: float
 
 
-def mode_of(ensemble: Ensemble, velocity: float, stage: Stage) -> Mode:
+def mode_of(ensemble: Ensemble, velocity: float, stage: Stage, progress: Progress = lambda *_: None) -> Mode:
     """The slowest oscillation after a kick.
 
     Errors are by how much it differs for a kick twice as large, in another window, with half as many oscillations more,
-    and with steps of the solver twice as long. Raises InputError where there is no mean field.
+    and with steps of the solver twice as long. `progress(done, total)` counts kicks, of which there may be fewer.
+    Raises InputError where there is no mean field.
     """
+    most = _TRIES + 2
+    progress(0, most)
     exact = reference(ensemble, Drive(velocity))
     typical = ensemble.thresholds.mean
     cycle = known(exact.break_stretch) / velocity + ensemble.delay.time
     longest = max(cycle, 2.0 * math.pi * math.sqrt(stage.mass / stage.stiffness))
     kick, time = _KICK * typical, _CYCLES * longest
     answer = _answer(ensemble, velocity, stage, kick, time)
-    for _ in range(_TRIES):
+    for done in range(1, _TRIES + 1):
+        progress(done, most)
         last = _end(answer, typical)
         if last * answer.dt >= _ENOUGH * longest:
             break
@@ -74,6 +78,7 @@ def mode_of(ensemble: Ensemble, velocity: float, stage: Stage) -> Mode:
     start = next((part for part in _STARTS if last * answer.dt >= (part + 1.0) * longest), _STARTS[-1])
     first = min(round(start * longest / answer.dt), max(last - 16, 0))
     found = _rate(answer, first, last, 4)
+    progress(most - 1, most)
     twice = _answer(ensemble, velocity, stage, 2.0 * kick, time)
     others = [
         _rate(twice, first, min(last, _end(twice, 2.0 * typical)), 4),

@@ -17,7 +17,6 @@ steps and strata of the one before, give the result, extrapolated as of second o
 """
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +37,7 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, legs, reduced
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import NEVER, ThreadPool
 
 # of the coarsest grid: displacement in a step, in units of the width of the law or of a threshold; a step over the time
 # since the velocity changed, and the first one over the shortest time of the contacts; strata and cells of tables
@@ -240,7 +240,7 @@ class Numerics(NamedTuple):
     def path(self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES) -> Path:
         """Through edges, arrays (edges,)."""
         cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
-        return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices)
+        return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices, NEVER)
 
 
 def _typical(s: Reduced, reach: float) -> float:
@@ -297,9 +297,10 @@ def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]
 
     def on_grid(fine: int) -> tuple[Array, Array]:
         edges = np.interp(np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t)
-        return edges, march(numerics.contacts(fine), numerics.path(edges, course.at(edges), fine))
+        path = numerics.path(edges, course.at(edges), fine)._replace(stop=threads.stop)
+        return edges, march(numerics.contacts(fine), path)
 
-    with ThreadPoolExecutor(2) as threads:  # the finest takes as long as twice the others, or more
+    with ThreadPool(2) as threads:  # the finest takes as long as twice the others, or more
         finest, middle, coarse = threads.map(on_grid, (4, 2, 1))
     return kinks, [coarse, middle, finest]
 

@@ -25,6 +25,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.compiled import inlined, kernel
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
 
 _FEW_STEPS = 6000  # of the second accuracy, a few slips
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold
@@ -116,7 +117,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
     longest, rho, r, q, a, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 0.0, 1, 0
     halvings = 0  # of the longest displacement in no time
     shortest = max(_SHORTEST * spring.longest, _RESOLVED * marks[marks.size - 1])
-    while k < marks.size and m < t.size:
+    while k < marks.size and m < t.size and path.stop[0] == 0:
         left = marks[k] - t[m - 1]
         b = Balance(
             found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1], rho
@@ -358,7 +359,9 @@ def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps
         path = path._replace(cohorts=int(choices.first[2] - choices.first[1]) - 1)
     path.t[0] = 0.0
     spring = task.spring._replace(longest=path.width, missed=_MISSED * numerics.typical / fine**2)
-    found, edges = pull(c, path, spring, task.marks, task.speeds)
+    with ThreadPool(1) as thread:
+        path = path._replace(stop=thread.stop)
+        found, edges = thread.submit(pull, c, path, spring, task.marks, task.speeds).result()
     if edges < 0:
         raise TooManySteps(f"drive.stage: takes more than {most_steps} steps of the mean field")
     index = np.searchsorted(path.t[:edges], np.append(0.0, task.marks))[task.at]

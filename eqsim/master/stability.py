@@ -206,7 +206,7 @@ def stability(
         Whether to look for the critical stiffness of steady sliding, too; by default where the characteristic equation
         gives it. In mean field it takes up to some minutes.
     progress : callable
-        Called with (done, total) meanwhile.
+        Called with (done, total) meanwhile, of kicks or of stiffnesses tried.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def stability(
         for a slider whose damping is too small beside its mass.
     """
     pulled = pulled_by(ensemble, drive)
-    mode = _mode(pulled)  # may refuse
+    mode = _mode(pulled, progress)  # may refuse
     fresh = fresh_slip(ensemble, pulled.velocity)
     border = Estimate(None, None, 0)
     if critical or (critical is None and pulled.quick):
@@ -293,13 +293,13 @@ def _loops(pulled: Pulled) -> list[characteristic.Loop]:
     return [characteristic.loop_of(s, pull, one) for one in nodes]
 
 
-def _mode(pulled: Pulled) -> kicks.Mode:
+def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
     """The slowest perturbation of steady sliding."""
     nothing = Estimate(None, None, 0)
     if pulled.method == NEUTRAL:
         return kicks.Mode(Estimate(0.0, 0.0, 0), nothing)
     if pulled.method == kicks.METHOD:
-        return kicks.mode_of(*pulled)
+        return kicks.mode_of(*pulled, progress)
     fine, coarse, scan = _loops(pulled)
     found = characteristic.root_of(fine, scan, pulled.stage.stiffness)
     if found is None:

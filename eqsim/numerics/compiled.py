@@ -79,7 +79,7 @@ class Files:
                 with os.fdopen(handle, "wb") as file:
                     file.write(hashlib.sha256(content).digest() + content)
                 os.replace(name, path)
-            except OSError:
+            except BaseException:
                 os.unlink(name)
                 raise
         self._release(path)

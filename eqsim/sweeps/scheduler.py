@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eqsim.errors import InputError
+from eqsim.io import signals
 from eqsim.io.terminal import duration
 from eqsim.sweeps.plan import Plan, results_version
 from eqsim.sweeps.rows import Asked, compute
@@ -92,7 +93,9 @@ def sweep(
             seconds = Scheduler(store, pool, asked, progress, note).run(pending) if pending else 0.0
             table = store.compact()
         except BaseException:
-            store.flush()
+            signals.acknowledge()
+            with signals.deferred():
+                store.flush()
             raise
         finally:
             store.close()

@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -19,6 +19,7 @@ from typing import Any
 
 from eqsim.errors import InputError, require_package
 from eqsim.io.signals import deferred
+from eqsim.numerics.threads import ThreadPool
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
@@ -137,7 +138,7 @@ class Here:
     threads = 1
 
     def __init__(self, _: int) -> None:
-        self.executor: Executor = ThreadPoolExecutor(1)
+        self.executor = ThreadPool(1)
 
     def slots(self) -> int:
         """How many can work at once."""
@@ -150,8 +151,11 @@ class Here:
         """It does not die."""
 
     def close(self, hurry: bool) -> None:
-        """Wait for what is under way."""
-        self.executor.shutdown(wait=True, cancel_futures=hurry)
+        """Wait for what is under way, in a hurry for a moment only."""
+        if hurry:
+            self.executor.abandon()
+        else:
+            self.executor.shutdown()
 
 
 def _enlist() -> None:
@@ -219,7 +223,7 @@ class Cluster:
 
     def close(self, hurry: bool) -> None:
         self.executor.shutdown(wait=not hurry)
-        self.client.close(timeout=5)
+        self.client.close(timeout=0.5 if hurry else 5)
 
 
 Pool = Processes | Here | Cluster

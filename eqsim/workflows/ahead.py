@@ -1,8 +1,10 @@
 """Kernels of a run that another process compiles while this one compiles others: numba compiles one at a time. Where
 that process has to solve something to compile it, it solves what the run will ask for."""
 
+import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -45,6 +47,7 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import compile_unless_taken
 from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.numerics.threads import interruptibly
 from eqsim.workflows.second import Second, several_processors, take
 
 _SCALES = Scales(np.ones(6), np.ones(6), 1.0, 1.0, True, False)  # of nothing
@@ -76,7 +79,7 @@ def _simulator(ensemble: Ensemble, drive: Drive) -> None:
     c = contacts(ensemble, drive.velocity, ensemble.thresholds.mean if ensemble.self_consistent else None)
     run = Run(1.0, 2, drive.start == "stationary", False)
     job = ConstantDrive(c, _start_of(drive), run, _SCALES, key(0, TRAJECTORY), 0.0)
-    job.simulate(job.totals(1), 0, 0)
+    interruptibly(job.simulate, job.totals(1), 0, 0)
 
 
 def _start_of(drive: Drive) -> Fresh | Stationary:
@@ -134,10 +137,17 @@ class _Compiling(event.Listener):  # type: ignore[misc]
         pass
 
 
+def _end_with_parent() -> None:
+    """End this process when the pipe from the one that started it is closed."""
+    os.read(sys.stdin.fileno(), 1)
+    os._exit(1)
+
+
 def main() -> None:
     """The second process: the exact mean along a programme, which takes long enough; else what several kernels call,
     from the other end on, and kernels of steady estimates."""
-    ensemble, drive, points = pickle.loads(sys.stdin.buffer.read())
+    ensemble, drive, points = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(InputError):  # which the first one shows
         if isinstance(drive, Programme):
             pickle.dump(transient(ensemble, drive, points), sys.stdout.buffer)

@@ -18,6 +18,7 @@ class Second:
 
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
+        self.sent = False
 
     def start(self) -> None:
         """Start it, unless it has been."""
@@ -29,16 +30,18 @@ class Second:
                 )  # fmt: skip
 
     def send(self, content: bytes) -> None:
-        """What it is to read; once, and nothing after it."""
+        """Give it the pickled work, unless it has some; the pipe stays open for as long as this process lives."""
         self.start()
-        if self.process and self.process.stdin and not self.process.stdin.closed:
-            with suppress(OSError), self.process.stdin as pipe:  # if it was ended by somebody else
-                pipe.write(content)
+        if self.process and self.process.stdin and not self.sent:
+            self.sent = True
+            with suppress(OSError):  # if it was ended by somebody else
+                self.process.stdin.write(content)
+                self.process.stdin.flush()
 
     def found(self) -> Any:
         """What it sends when it is done; None if it was given nothing."""
         process = self.process
-        if process and process.stdout and process.stdin and process.stdin.closed:
+        if process and process.stdout and self.sent:
             with suppress(Exception):  # if it has found nothing, or was ended by somebody else
                 return pickle.load(process.stdout)
         return None
@@ -47,7 +50,8 @@ class Second:
         """It is not needed any more."""
         if self.process is not None:
             self.process.kill()
-            self.process.wait()
+            with suppress(OSError):
+                self.process.communicate()
 
 
 _started: list[Second] = []
