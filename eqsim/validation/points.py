@@ -35,19 +35,21 @@ LAWS = ("gamma", "few", "lognorm", "sample", "weibull_min", "few", "pareto", "hi
 
 class Suite(NamedTuple):
     """How many parameter points, how many of them are also tested for fluctuations, contacts and ensembles of these
-    tests in turn, and the fewest contacts of a transient, for as long as they take fewer than `lives` lives."""
+    tests in turn, the fewest contacts of a transient, for as long as they take fewer than `lives` lives, and how many
+    sliders on a few contacts behind a spring are followed."""
 
     points: int
     wide: int
     sizes: tuple[tuple[int, int], ...] = ((20, 2000), (100, 1000), (10_000, 150))
     contacts: int = 200
     lives: float = 1e6
+    replicas: int = 24
 
 
 SUITES = {
     "quick": Suite(32, 6),
-    "full": Suite(240, 18),
-    "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8),
+    "full": Suite(240, 18, replicas=60),
+    "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200),
 }
 
 

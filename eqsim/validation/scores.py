@@ -33,12 +33,9 @@ squares in the sample: forces of one contact, or of twenty, are far from normal.
 import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from operator import attrgetter
-from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import integrate, stats
+from scipy import integrate
 
 from eqsim.engine.blocks import Job
 from eqsim.engine.contacts import contacts
@@ -49,114 +46,36 @@ from eqsim.engine.stationary import Fresh, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import OBSERVABLES, Estimate, known, z_score
-from eqsim.laws.aging import RULES, Aging, Flow, Logarithmic, Unaged
-from eqsim.laws.newborn import Newborn
+from eqsim.estimate import OBSERVABLES, Estimate, known
+from eqsim.laws.aging import Aging, Flow, Logarithmic, Unaged
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import fluctuations, transient
-from eqsim.model.drive import Drive, Programme, Segment, Start
+from eqsim.model.drive import Drive, Programme, Segment
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
-from eqsim.validation.points import Suite, law_text
+from eqsim.validation.comparison import Found, Point
+from eqsim.validation.points import Suite
 
 _EACH = 8  # displacements, each with an ensemble of its own
 _TRANSIENT = ("transient", "transient variance")
 _PROGRAMME, _SEGMENTS = ("programme", "programme variance"), 4
 _HAZARD, _FLUCTUATIONS = ("hazard", "hazard law"), ("mean", "variance", "covariance")
 KINDS = (*OBSERVABLES, *_TRANSIENT, *_PROGRAMME, *_HAZARD, *_FLUCTUATIONS)
-DECLINED = ("refused", "unreliable", "vague")
-REASONS = (*DECLINED, "few contacts", "too many lives", "no reference")
 _REL_ERROR = 1e-4
 _ENOUGH = 400  # contacts of either state that carry the force, n <f>^2/<f^2>, for a mean over them to be normal
 _ENOUGH_SQUARES = 1600  # and for a mean of squares
 _ONE = 0.2  # of the sum of squares of so many normal numbers, the largest makes more once in fifty times
 _GROUPS = 64  # of contacts, whose scatter is the error of a variance
-_SHARE = 0.2  # of a quoted error that may be a bound: scatter then makes 98 % of it
-_VAGUE = 0.1  # a bound, relative to what it bounds, that leaves nothing to compare
 _CELLS = 120_000  # of the grid of a transient, times thresholds of a table
 _BELOW = 1e-13  # a threshold of a table, relative: contacts that have it still live
 _PILOT = 400_000  # contacts, at most
 _ROUNDING = 1e-12  # of a threshold that was computed in two ways; as many lives end by heat as close to it
 _DEAR = 20  # `langevin` lives take that much longer than others, and stationary ones are found by trying
-
-
-@dataclass(frozen=True)
-class Score:
-    """One comparison: its kind, the ensemble and velocity, what the engine and the master said, and z; `even` if sigma
-    is scatter, so that z is normal; elsewhere bounds add to it, and z is small.
-
-    Of a hazard law these are the distance of Kolmogorov and Smirnov, 0, and n^(-1/2) of n lives."""
-
-    kind: str
-    ensemble: Ensemble
-    velocity: float
-    value: float
-    reference: float
-    sigma: float
-    z: float
-    even: bool = True
-
-
-class Unscored(NamedTuple):
-    """A comparison that was asked for and not made, and why: one of `REASONS`, and what the program said."""
-
-    kind: str
-    ensemble: Ensemble
-    velocity: float
-    reason: str
-    message: str = ""
-
-
-Found = list[Score | Unscored]
-
-
-class Point(NamedTuple):
-    """A point of the parameter space: its number, the ensemble, the one that the engine is shown, and a seed."""
-
-    number: int
-    ensemble: Ensemble
-    shown: Ensemble
-    velocity: float
-    seed: int
-
-    def stream(self, *numbers: int) -> int:
-        """A seed for something drawn here."""
-        return stream(self.seed, *numbers)
-
-    def drive(self, distance: float, start: Start = "fresh") -> Drive:
-        """At the velocity of this point."""
-        return Drive(self.velocity, distance, start)
-
-    def without(self, kinds: tuple[str, ...], reason: str, message: str = "") -> Found:
-        """None of these comparisons made."""
-        return [Unscored(kind, self.ensemble, self.velocity, reason, message) for kind in kinds]
-
-    def score(self, kind: str, ours: Estimate, exact: Estimate, bound: float) -> Score | Unscored:
-        """An estimate against an exact value with its error; of both quoted errors, so much is a `bound`."""
-        value, error = known(exact), exact.stderr or 0.0
-        sigma, z = math.hypot(ours.stderr or 0.0, error), z_score(ours, value, error)
-        even = bound <= _SHARE * sigma
-        if not even and bound > _VAGUE * abs(value):
-            return Unscored(kind, self.ensemble, self.velocity, "vague")
-        score = math.inf if z is None else z
-        return Score(kind, self.ensemble, self.velocity, known(ours), value, sigma, score, even)
-
-    def uniform(self, share: Array) -> Score:
-        """Whether numbers are uniform, as they should be."""
-        distance, p = stats.kstest(share, "uniform")
-        z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))  # low if it is too even
-        root = 1 / math.sqrt(share.size)
-        return Score("hazard law", self.ensemble, self.velocity, float(distance), 0.0, root, z)
-
-
-def stream(*numbers: int) -> int:
-    """A seed of its own for all that draws."""
-    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0] >> 1)
 
 
 def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
@@ -504,28 +423,3 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
     table = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, ensemble.count, 1, 0.0)
     return ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))
-
-
-_COLUMNS = {
-    "kind": "kind", "disorder": "ensemble.disorder", "barrier": "ensemble.thermal.barrier",
-    "stiffness_law": "ensemble.stiffness_law", "thresholds": "ensemble.thresholds", "kT": "ensemble.thermal.kT",
-    "aging": "ensemble.aging.rule", "aging_rate": "ensemble.aging.rate", "x_star_final": "ensemble.aging.x_star_final",
-    "beta": "ensemble.aging.beta", "cutoff_time": "ensemble.aging.cutoff_time",
-    "delay": "ensemble.delay.time", "delay_law": "ensemble.delay.law", "eta": "ensemble.eta", "velocity": "velocity",
-    "value": "value", "reference": "reference", "sigma": "sigma", "z": "z", "even": "even",
-    **{f"newborn_{field.name}": f"ensemble.newborn.{field.name}" for field in dataclasses.fields(Newborn)},
-}  # fmt: skip
-
-
-def columns(scores: list[Score]) -> dict[str, list[Any]]:
-    """The scores as columns of a table, one row per comparison."""
-    if not scores:
-        return {}
-    table = {name: [attrgetter(path)(score) for score in scores] for name, path in _COLUMNS.items()}
-    table["thresholds"] = [law_text(law) for law in table["thresholds"]]
-    for name in ("x_star_final", "beta", "cutoff_time"):
-        ages = zip(table["aging"], table[name], strict=True)
-        table[name] = [value if rule in RULES and name in RULES[rule].keys else math.nan for rule, value in ages]
-    for name in (name for name in table if name.startswith("newborn_")):
-        table[name] = [math.nan if value is None else value for value in table[name]]
-    return table

@@ -8,8 +8,8 @@ error that leaves nothing to compare; too few contacts, too many lives, no refer
 declines (the first three) more of a kind than is scored does not pass.
 
 Scores of one kind are independent. A kind passes if the sum of squares of even ones has a chi-square probability above
-1e-4 on both sides, and the largest |z| a probability above 1e-4 given their number. With fifteen kinds and two
-probabilities each a correct program fails a suite once in some 330 seeds or less often, whatever the correlations
+1e-4 on both sides, and the largest |z| a probability above 1e-4 given their number. With twenty kinds and two
+probabilities each a correct program fails a suite once in some 250 seeds or less often, whatever the correlations
 between kinds (Bonferroni).
 """
 
@@ -25,8 +25,13 @@ from scipy import stats
 
 from eqsim.errors import InputError
 from eqsim.model.ensemble import Ensemble
+from eqsim.validation import pulled
+from eqsim.validation.comparison import DECLINED, Found, Point, Score, Unscored, columns, stream
 from eqsim.validation.points import SUITES, sample
-from eqsim.validation.scores import DECLINED, KINDS, Found, Point, Score, Unscored, columns, compared, stream
+from eqsim.validation.scores import KINDS as RIGID
+from eqsim.validation.scores import compared
+
+KINDS = (*RIGID, *pulled.KINDS)
 
 ALARM = 1e-4
 
@@ -180,6 +185,7 @@ def validate(
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         point = Point(index, ensemble, wrong(ensemble) if wrong else ensemble, v, stream(seed, index))
         found += compared(point, plan, seed, threads)
+        found += pulled.compared(point, plan)
         if progress:
             progress(done, total)
     scores = [one for one in found if isinstance(one, Score)]

@@ -1,0 +1,313 @@
+"""Comparisons of a slider that a stage pulls through a spring, where contacts are few, or where it moves in avalanches:
+
+    hold             pinned share of one or two contacts after a hold of the stage, against the exact law
+    pieces           force or pinned share of 2 to 100 contacts after the same hold, looked at once, against 50 times
+    steps            displacement of a slider on 10 to 100 contacts with steps as coarse as allowed, against fine ones
+    avalanche        breaks of an avalanche of a quasi-static slider in the mean, 1 + k_t/kappa
+    single break     fraction of avalanches that are a single break, E[exp(-rho f_s/<f_s>)]
+
+The mean field is exact for infinitely many contacts only: a break of one of a few moves the slider and stretches all
+others. Without mass and damping the slider is in balance at any time, N kappa (Y - X) = sum of k_i x_i; in a hold
+stretches then change at breaks only, and between them contact i breaks at the constant rate r_i(x_i). With delays much
+longer than the hold none is pinned again, and the law of one or two contacts is an integral over their thresholds
+(`survivors`, derived). In an avalanche (T = 0, no delay) a break takes the force f_s = k_i xi_i from the slider, which
+moves by f_s/(N (kappa + k_t)), k_t = <f_s>/<xi>, so that rho f_s/<f_s> more contacts break in the mean,
+rho = k_t/(k_t + kappa) (derived): kappa is per contact and in units of k.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from eqsim.engine.records import SliderTrajectory
+from eqsim.engine.trajectory import trajectory
+from eqsim.errors import InputError
+from eqsim.estimate import Estimate
+from eqsim.laws.aging import Aging
+from eqsim.laws.delay import Delay
+from eqsim.laws.newborn import Newborn
+from eqsim.laws.stiffness import relative_stiffness
+from eqsim.laws.threshold import ThresholdLaw
+from eqsim.model.drive import Programme, Segment, Stage
+from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
+from eqsim.validation.comparison import Found, Point
+from eqsim.validation.points import Suite
+
+HOLD = ("hold",)
+PIECES = ("pieces",)
+STEPS = ("steps",)
+AVALANCHES = ("avalanche", "single break")
+KINDS = (*HOLD, *PIECES, *STEPS, *AVALANCHES)
+
+_OCTAVES = range(-40, 6)  # of e = -ln P(xi > .): less than 1e-12 of all thresholds is weaker, 1e-13 stronger
+_NODES = {1: 48, 2: 9}  # of Gauss-Legendre in each octave, for one and for two contacts
+_CERTAIN = 1e-9  # of a pinned share: rounding of its integral
+_LONGEST = 1e12  # hold, in attempts; beyond, pinned contacts stay
+_DENSE = 50  # looks at a hold, against one
+_SLIDERS = 2000  # contacts of a slider that slips in avalanches: their cut-off at 4/(1 - rho)^2 breaks is far below
+_RUNS = 16  # of such sliders, whose scatter is the error
+_CARRYING = 400  # breaks that make the force, n <f_s>^2/<f_s^2>, for a mean over them to be normal
+_STEPS_REPLICAS = 8  # times as many replicas show the bias of steps, as their runs are in pairs
+
+
+def compared(point: Point, plan: Suite) -> Found:
+    """All comparisons of a pulled slider at a point: each kind at its own share of the points."""
+    index = point.number
+    asked: list[tuple[tuple[str, ...], Callable[[Point, Suite], Found]]] = []
+    if index % 12 == 4:
+        asked.append((HOLD, holds))
+    if index % 24 == 10:
+        asked.append((PIECES, pieces))
+    if index % 24 == 22:
+        asked.append((STEPS, steps))
+    if index % 4 == 3:
+        asked.append((AVALANCHES, avalanches))
+    scores: Found = []
+    for kinds, compare in asked:
+        try:
+            scores += compare(point, plan)
+        except InputError as error:
+            scores += point.without(kinds, "refused", str(error))
+    return scores
+
+
+def _plain(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
+    """So many contacts with the same thresholds, stiffness and heat, without aging and viscosity, born unstretched."""
+    return dataclasses.replace(ensemble, count=count, delay=delay, eta=0.0, aging=Aging(), newborn=Newborn())
+
+
+# ------------------------------------------------------------------------------------------------------------ holds
+
+
+def nodes(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
+    """Thresholds and their weights, arrays (n,), for means over the law; `each` in an octave of -ln P(xi > .)."""
+    if law.steps.size:
+        xi, count = np.unique(law.steps, return_counts=True)
+        return xi, count / law.steps.size
+    x, weight = np.polynomial.legendre.leggauss(each)
+    octave = 2.0 ** np.array(_OCTAVES)[:, None]
+    e = (octave * (1.5 + 0.5 * x)).ravel()
+    share = (0.5 * octave * weight).ravel() * np.exp(-e)
+    return np.asarray(law.inverse_survival(e)), share / share.sum()
+
+
+def rates(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
+    """Thermal breaking rates, per time, of contacts of those thresholds and stretches (any shape), below them."""
+    thermal, law = ensemble.thermal, ensemble.thresholds
+    if ensemble.disorder == "annealed":  # attempts draw thresholds of their own
+        fresh, share = nodes(law, _NODES[1])
+        k = ensemble.stiffness * relative_stiffness(ensemble.stiffness_law, fresh, law.rms)
+        at, back = np.unique(stretch, return_inverse=True)
+        pooled = [float(np.sum(share * _success(thermal.barrier, fresh, k / thermal.kT, x))) for x in at]
+        return thermal.attempt_frequency * np.array(pooled)[back].reshape(np.shape(stretch))
+    k = ensemble.stiffness * relative_stiffness(ensemble.stiffness_law, xi, law.rms)
+    return thermal.attempt_frequency * _success(thermal.barrier, xi, k / thermal.kT, stretch)
+
+
+def _success(barrier: str, xi: Array, k: Array, stretch: Array | float) -> Array:
+    """Probability that an attempt breaks a contact (temper11, temper12); `k` over kT."""
+    gap = np.clip(1.0 - stretch / xi, 0.0, 1.0)
+    height = 0.5 * k * xi**2
+    if barrier == "stiff":
+        return np.sqrt(gap) * np.exp(-height * gap**1.5)
+    return np.where(gap > 0.0, np.exp(-height * gap * (2.0 - gap)), 0.0)
+
+
+def survivors(ensemble: Ensemble, stage: Stage, each: int) -> Callable[[float], float]:
+    """The pinned share of one or two contacts as a function of the time of a hold, from a fresh start."""
+    law, kappa, pull = ensemble.thresholds, stage.stiffness, stage.preload or 0.0
+    xi, share = nodes(law, each)
+    k = relative_stiffness(ensemble.stiffness_law, xi, law.rms)
+    if ensemble.count == 1:
+        x = kappa * pull / (kappa + k)
+        rate = rates(ensemble, xi, x)
+        return lambda time: float(np.sum(share * (x < xi) * np.exp(-rate * time)))
+    # a weaker contact, the first index, and a stronger one
+    weak, strong = np.meshgrid(xi, xi, indexing="ij")
+    both = np.where(weak < strong, 2.0, np.where(weak == strong, 1.0, 0.0)) * share[:, None] * share
+    together = 2.0 * kappa * pull / (2.0 * kappa + k[:, None] + k)
+    alone = 2.0 * kappa * pull / (2.0 * kappa + k)
+    pair = together < weak
+    weak_rate, strong_rate = rates(ensemble, weak, together), rates(ensemble, strong, together)
+    after = rates(ensemble, xi, alone)
+    holds_alone = alone < xi
+
+    def pinned(time: float) -> float:
+        total = np.where(pair, weak_rate + strong_rate, 0.0)
+        left = np.where(pair, 2.0 * np.exp(-total * time), 0.0)
+        for goes, last, holds in (
+            (weak_rate, after[None, :], holds_alone[None, :]),
+            (strong_rate, after[:, None], holds_alone[:, None]),
+        ):
+            survives = np.where(holds, goes * _between(total, last, time), 0.0)
+            left += np.where(pair, survives, 0.0)
+        left += np.where(~pair & holds_alone[None, :], np.exp(-after[None, :] * time), 0.0)
+        return float(np.sum(both * left)) / 2.0
+
+    return pinned
+
+
+def _between(first: Array, last: Array, time: float) -> Array:
+    """int_0^t exp(-first s) exp(-last (t - s)) ds."""
+    apart = (first - last) * time
+    near = np.abs(apart) < 1e-6
+    safe = np.where(near, 1.0, apart)
+    slower, faster = np.minimum(first, last) * time, np.abs(safe)
+    return time * np.exp(-slower) * np.where(near, 1.0 - 0.5 * np.abs(apart), -np.expm1(-faster) / faster)
+
+
+def _hold(point: Point, rng: np.random.Generator) -> tuple[Stage, float]:
+    """A spring that stretches contacts to 0.2 to 0.8 of the mean threshold, and how long a hold takes in which about
+    half of those break that hold at first; 0 if they stay."""
+    kappa = float(10 ** rng.uniform(-1.5, 0.5))
+    stretch = rng.uniform(0.2, 0.8) * point.ensemble.thresholds.mean
+    stage = Stage(kappa, preload=float(f"{stretch * (1.0 + kappa) / kappa:.4g}"))
+    pinned = survivors(_plain(point.ensemble, 1, Delay()), stage, _NODES[1])
+    aim = pinned(0.0) * rng.uniform(0.3, 0.7)
+    low, high = -3.0, math.log10(_LONGEST)
+    if pinned(10**high) > aim:
+        return stage, 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if pinned(10**middle) > aim else (low, middle)
+    return stage, float(f"{10**high:.4g}")
+
+
+def _uniform_if_pooled(ensemble: Ensemble) -> Ensemble:
+    """Contacts whose pooled rates take few quadratures: all have the same stretch."""
+    return dataclasses.replace(ensemble, stiffness_law="uniform") if ensemble.disorder == "annealed" else ensemble
+
+
+def holds(point: Point, plan: Suite) -> Found:
+    """The pinned share of one or two contacts after a hold, all detached ones of which stay so."""
+    ensemble = _uniform_if_pooled(point.ensemble)
+    if not ensemble.thermal.kT:
+        return []
+    point = point._replace(ensemble=ensemble, shown=_uniform_if_pooled(point.shown))
+    rng = np.random.default_rng((point.seed, 6))
+    stage, time = _hold(point, rng)
+    if not time:
+        return point.without(HOLD, "few contacts")
+    count = 1 + int(rng.integers(2))
+    waits = Delay(time * 10 ** rng.uniform(6, 12))
+    ensemble, shown = (_plain(e, count, waits) for e in (ensemble, point.shown))
+    value, coarse = (survivors(ensemble, stage, each)(time) for each in (2 * _NODES[count], _NODES[count]))
+    programme = Programme((Segment(0.0, time=time, points=1),), stage=stage)
+    run = trajectory(shown, programme, points=2, seed=point.stream(6), replicas=plan.replicas)
+    ours = _last(run.pinned, run.pinned_stderr, plan.replicas)
+    if not ours.stderr:
+        return point.without(HOLD, "few contacts")
+    exact = Estimate(value, abs(value - coarse) + _CERTAIN, 0)
+    return [point.score(HOLD[0], ours, exact, exact.stderr or 0.0).behind(stage, count, time)]
+
+
+def pieces(point: Point, plan: Suite) -> Found:
+    """2 to 100 contacts after a hold that is looked at once, and another time often: nothing may depend on that."""
+    ensemble = _uniform_if_pooled(point.ensemble)
+    if not ensemble.thermal.kT:
+        return []
+    point = point._replace(ensemble=ensemble, shown=_uniform_if_pooled(point.shown))
+    rng = np.random.default_rng((point.seed, 7))
+    stage, time = _hold(point, rng)
+    if not time:
+        return point.without(PIECES, "few contacts")
+    count = int(rng.choice([2, 5, 10, 30, 100]))
+    waits = Delay(time * 10 ** float(rng.choice([rng.uniform(-1, 0), rng.uniform(3, 12)])))
+    shown = _plain(point.shown, count, waits)
+    found = []
+    for number, looks in enumerate((1, _DENSE)):
+        programme = Programme((Segment(0.0, time=time, points=looks),), stage=stage)
+        run = trajectory(shown, programme, points=2, seed=point.stream(7, number), replicas=plan.replicas)
+        found.append(_last(run.pinned, run.pinned_stderr, plan.replicas))
+    once, often = found
+    if not (once.stderr and often.stderr):
+        return point.without(PIECES, "few contacts")
+    return [point.score(PIECES[0], once, often, 0.0).behind(stage, count, time)]
+
+
+def _last(values: Array, errors: Array, replicas: int) -> Estimate:
+    """The last of some values with errors from the scatter of replicas."""
+    return Estimate(float(values[-1]), float(errors[-1]), replicas, replicas - 1)
+
+
+# ------------------------------------------------------------------------------------------------------------ steps
+
+
+def steps(point: Point, plan: Suite) -> Found:
+    """A damped slider on 10 to 100 contacts, with the same random numbers and steps of the largest tolerance and one a
+    hundred times smaller. Replicas are compared one by one, so that what steps cost shows beside their scatter; the
+    error is that of the mean difference and what the quoted errors have beyond the scatter of replicas."""
+    rng = np.random.default_rng((point.seed, 8))
+    v, mean = point.velocity, point.ensemble.thresholds.mean
+    count, kappa = int(rng.choice([10, 30, 100])), float(10 ** rng.uniform(-0.3, 0.7))
+    shown = _plain(point.shown, count, Delay())
+    programme = Programme((Segment(v, distance=3.0 * mean, points=1),))
+    replicas = _STEPS_REPLICAS * plan.replicas
+    found, bias = [], []
+    for tolerance in (1e-2, 1e-4):
+        stage = Stage(kappa, damping=0.5 * mean / v, tolerance=tolerance)
+        pulled = dataclasses.replace(programme, stage=stage)
+        run = trajectory(shown, pulled, points=2, seed=point.stream(8), replicas=replicas)
+        assert run.force_replicas is not None
+        assert run.force_replica_std is not None
+        found.append(run.force_replicas[:, -1])
+        scatter = float(run.force_replica_std[-1]) / math.sqrt(replicas)
+        bias.append(math.sqrt(max(float(run.force_stderr[-1]) ** 2 - scatter**2, 0.0)))
+    loose, tight = found
+    off = loose - tight
+    bound = math.hypot(*bias)
+    sigma = math.hypot(float(np.std(off, ddof=1)) / math.sqrt(replicas), bound)
+    if not sigma:
+        return point.without(STEPS, "few contacts")
+    ours = Estimate(float(loose.mean()), sigma, replicas, replicas - 1)
+    value = float(tight.mean())
+    score = point.score(STEPS[0], ours, Estimate(value, 0.0, 0), bound)
+    return [score.behind(stage, count, float(3.0 * mean / v))]
+
+
+# ------------------------------------------------------------------------------------------------------- avalanches
+
+
+def avalanches(point: Point, plan: Suite) -> Found:
+    """Avalanches of sliders that a stage pulls quasi-statically, from a stationary start over three mean thresholds."""
+    rng = np.random.default_rng((point.seed, 9))
+    kappa = float(10 ** rng.uniform(-0.6, 0.6))
+    ensemble, shown = (
+        dataclasses.replace(_plain(e, _SLIDERS, Delay()), thermal=dataclasses.replace(e.thermal, kT=0.0))
+        for e in (point.ensemble, point.shown)
+    )
+    law = ensemble.thresholds
+    xi, share = nodes(law, _NODES[1])
+    strength = relative_stiffness(ensemble.stiffness_law, xi, law.rms) * xi
+    mean = float(np.sum(share * strength))
+    carrying = _SLIDERS * _RUNS * mean**2 / float(np.sum(share * strength**2))
+    tangent = mean / float(np.sum(share * xi))
+    rho = tangent / (tangent + kappa)
+    programme = Programme(
+        (Segment(1.0, distance=3.0 * law.mean, points=1),), "stationary", 1.0, Stage(kappa, preload=None)
+    )
+    if not carrying >= _CARRYING:
+        return point.without(AVALANCHES, "few contacts")
+    run = trajectory(shown, programme, points=2, seed=point.stream(9), replicas=_RUNS)
+    assert isinstance(run, SliderTrajectory)
+    assert run.avalanches is not None
+    replica, breaks = run.avalanches["replica"], run.avalanches["breaks"]
+    events = np.bincount(replica, minlength=_RUNS).astype(float)
+    broke = np.bincount(replica, breaks, _RUNS)
+    single = np.bincount(replica, breaks == 1, _RUNS)
+    stage = programme.stage
+    assert stage is not None
+    scores: Found = []
+    for kind, number, value in (
+        (AVALANCHES[0], broke, 1.0 + tangent / kappa),
+        (AVALANCHES[1], single, float(np.sum(share * np.exp(-rho * strength / mean)))),
+    ):
+        ratio = float(number.sum() / events.sum())
+        residual = (number - ratio * events) / events.mean()
+        ours = Estimate(ratio, float(np.std(residual, ddof=1)) / math.sqrt(_RUNS), _RUNS, _RUNS - 1)
+        exact = Estimate(value, _CERTAIN * value, 0)
+        scores.append(point.score(kind, ours, exact, 0.0).behind(stage, _SLIDERS, 3.0 * law.mean))
+    return scores
