@@ -492,7 +492,9 @@ def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, pr
             kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
             work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
             stored = kept if j == 0 else stored
-            rows.append((x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken, 0.0))
+            rows.append(
+                (x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken, 0.0)
+            )
             if progress:
                 progress(before + int(now[avalanches.BREAKS]))
     values, found = np.array(rows), np.concatenate(events)
