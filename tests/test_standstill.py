@@ -229,8 +229,8 @@ def held(count, replicas, points, segment=None, **how):
     ],
 )
 def test_a_hold_behind_a_spring(count, replicas, points, segment):
-    """However often one looks, and of a stage that all but stands: |z| < 4.5, 7e-6 for each. A hold of a twentieth of the time
-    fails (negative control)."""
+    """However often one looks, and of a stage that all but stands: |z| < 4.5, 7e-6 for each. A hold of a 20th of
+    the time fails (negative control)."""
     found, error = held(count, replicas, points, segment)
     exact, missing = one_by_one(count, 20_000 // max(count, 4))
     assert abs(found - exact) < 4.5 * math.hypot(error, missing)
