@@ -369,7 +369,7 @@ MISTAKES = [
       "    if y < 0.0 < end:", "    length = (end - y) / moves if moves else length\n    if y < 0.0 < end:",
       "test_standstill.py::test_slow_motion_meets_the_hold"),
     M("standstill: pooled rates of one node", "laws/barrier/pooled.py", "if length < _POINT * x or length == 0.0:",
-      "if length < 1e-3 * x:", "test_standstill.py::test_pieces_add_up[annealed]"),
+      "if length < 1e-3 * x:", "test_standstill.py::test_pieces_add_up[annealed table]"),
     M("standstill: paths in cells that their stretch resolves", "laws/aging/along.py", "last = level >= _DEEPEST",
       "last = level >= _DEEPEST or x1 - x0 <= 4e-16 * (x1 + abs(c.stretch))",
       "test_standstill.py::test_slow_segments_are_holds"),
