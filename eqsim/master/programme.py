@@ -179,8 +179,9 @@ def _edges(course: Course, width: float, quickest: float, tau: float, sharp: lis
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
         begins = np.append(kinks, atoms)
         graded = np.add.outer(steep, longest * np.append(_GRADED, -_GRADED)).ravel()
-        smooth = np.append(smooth, kinks)
-        inner = np.sort(np.append(graded, smooth))
+        inexact = np.append(graded, kinks)  # these are moved to what is sharp, never the other way
+        inexact = inexact[np.abs(inexact[:, None] - smooth).min(axis=1) > _LEAST_INSTANT]
+        inner = np.sort(np.append(inexact, smooth))
         inner = inner[(inner > t[-1] + _LEAST_INSTANT / 2) & (inner < end - _LEAST_INSTANT / 2)]
         inner = inner[np.diff(inner, prepend=-1.0) > _LEAST_INSTANT / 2]
         for mark in np.append(inner, end):
@@ -194,7 +195,7 @@ def _edges(course: Course, width: float, quickest: float, tau: float, sharp: lis
             since += mark - begin
             t += (begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])).tolist()
             t[-1] = float(mark)
-            if np.abs(smooth - mark).min() < _LEAST_INSTANT / 2:
+            if min(np.abs(smooth - mark).min(), np.abs(kinks - mark).min(initial=1.0)) < _LEAST_INSTANT / 2:
                 marks.append(t[-1])
     return Edges(np.array(t), np.array(marks))
 

@@ -17,7 +17,7 @@ from eqsim.laws.threshold import ThresholdLaw
 from eqsim.numerics.tables import Array
 
 SMOOTH = 2.0  # order above which steps need not end at a singularity
-LIGHTEST = 1e-3  # share of contacts at a singularity that steps end at
+LIGHTEST = 1e-5  # share of contacts at a singularity that steps end at
 MOST = 256  # instants that are followed
 SAMPLES = 64  # of a segment, where thresholds grow
 BISECTIONS = 45
