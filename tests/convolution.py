@@ -187,9 +187,9 @@ def _solved(c: Contacts, h: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
 def means(c: Contacts, h: float, cells: int) -> Means:
     """Means at 0, h, 2 h, ... of a lattice of spacing h/2.
 
-    Three times what that of spacing h differs by nearby is quoted as their error: nine times the error where the lattice is of
-    second order, three times that where it is of first, at jumps and kinks, and 1.2 times that of order 1/2, where
-    densities are infinite.
+    Four times what that of spacing h differs by nearby is quoted as their error: twelve times the error where the
+    lattice is of second order, four times that where it is of first, at jumps and kinks, and 1.3 times that of order
+    0.4, where densities of the power -0.6 are infinite.
 
     Where forces jump on the lattice it is the mean of both sides.
     """
@@ -197,5 +197,5 @@ def means(c: Contacts, h: float, cells: int) -> Means:
     rough = 1e-12 * cells**0.5
     apart = [np.abs(a - b) for a, b in zip(coarse, fine, strict=True)]
     # the difference may vanish by chance where the error does not
-    errors = [3.0 * ndimage.maximum_filter1d(part, max(cells // 100, 1)) + rough for part in apart]
+    errors = [4.0 * ndimage.maximum_filter1d(part, max(cells // 100, 1)) + rough for part in apart]
     return Means(h * np.arange(cells + 1), *fine, *errors)

@@ -522,6 +522,11 @@ _SHARES = np.array(
 )
 
 
+# Where panels end next to an infinite density at an end of the support: distances from it over that of the median, or
+# of the panels' own beginning.
+_TOWARDS_INFINITE = 0.25 ** np.arange(1.0, 16.0)
+
+
 def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Array:
     """Edges of panels, shape (n, panels + 1), from x (n,) to where no threshold of a smooth law is left: on the scale
     of the law itself, and of a boundary layer above x whose edges `layer`, shape (n, any), are merged in. Lengths in
@@ -534,6 +539,11 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
     inside = [np.broadcast_to(law.kinks / law.scale, (left.size, law.kinks.size))]
     inside += [] if layer is None else [layer]
+    with np.errstate(divide="ignore"):
+        if math.isfinite(high) and np.isinf(law.pdf(law.support[1])):
+            inside.append(high - (high - left) * _TOWARDS_INFINITE)
+        if np.isinf(law.pdf(law.support[0])):
+            inside.append(low + (np.interp(math.log(2.0), e, xi) - low) * _TOWARDS_INFINITE + np.zeros_like(left))
     edges = np.sort(np.concatenate((edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1))
     return np.concatenate((left, edges), axis=1)
 
