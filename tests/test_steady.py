@@ -376,14 +376,16 @@ def test_averages_of_known_sums():
     """Friction and pinned fraction are ratios of means over 32 randomisations: their errors by the gradient and the
     covariance of work and stretch (delta method), beside a relative error of lives that no scatter shows."""
     rng = np.random.default_rng(8)
-    sums = np.column_stack((rng.normal(2.0, 0.1, 32), rng.normal(3.0, 0.1, 32), np.zeros((32, 2)), np.full(32, 1e-3)))
+    sums = np.column_stack(
+        (rng.normal(2.0, 0.1, 32), rng.normal(3.0, 0.1, 32), np.zeros((32, 2)), np.full((32, 2), 1e-3))
+    )
     delay, drag, unit = 1.5, 0.4, 2.0
     c = contacts_of(Ensemble(delay=Delay(delay)), 1.0)
     (work, stretch), covariance = sums[:, :2].mean(axis=0), np.cov(sums[:, :2].T) / 32
     cycle = stretch + delay
     friction, pinned = (work + drag * delay) / cycle, stretch / cycle
     for hidden in (0.0, 0.05):
-        found = module._averages(c, sums, (drag, unit), 100, True, hidden)
+        found = module._averages(c, sums, (drag, unit), 100, True, (hidden, 0.0))
         for estimate, value, gradient, unseen, scale in (
             (found[0], friction, (1 / cycle, -friction / cycle), friction, unit),
             (found[1], pinned, (0.0, delay / cycle**2), pinned * delay / cycle, 1.0),
@@ -394,7 +396,7 @@ def test_averages_of_known_sums():
             assert estimate.stderr == pytest.approx(error * scale, rel=1e-12, abs=0)
             assert (estimate.n, estimate.dof, estimate.reliable) == (3200, 31, True)
     sums[7, 4] = 0.021  # one life that makes up 2 % of a sum
-    assert not any(estimate.reliable for estimate in module._averages(c, sums, (drag, unit), 100, True, 0.0))
+    assert not any(estimate.reliable for estimate in module._averages(c, sums, (drag, unit), 100, True, (0.0, 0.0)))
 
 
 def test_difference_of_estimates():

@@ -1,7 +1,7 @@
 """Variances of forces whose thresholds have heavy tails: against closed forms, over seeds, and where there is none.
 
-At T = 0 a life contributes k_i^2 xi^3/3 to the mean square, so that (derived, kappa = k_i/k, a = 0 for uniform stiffness
-and kappa = xi/xi_rms, a = 1 for the sqrt law)
+At T = 0 a life contributes k_i^2 xi^3/3 to the mean square, so that (derived, kappa = k_i/k; a = 0 for uniform
+stiffness; a = 1 for the sqrt law, kappa = xi/xi_rms)
 
     Var = E[kappa^2 xi^3]/(3 E[xi]) - (E[kappa xi^2]/(2 E[xi]))^2,    kappa^j = xi^(a j)/<xi^2>^(a j/2).
 """
@@ -103,8 +103,8 @@ def forgetful(monkeypatch):
 
 @pytest.mark.parametrize(("name", "stiffness"), FINITE)
 def test_closed_forms(name, stiffness):
-    """Within the quoted error, which is below 1e-8 of the mean square, and rounding of both (1e-12). The closed forms of
-    moments are good to some 1e-15, of differences of powers in the exponent 5.01 to 1e-13."""
+    """Within the quoted error, which is below 1e-8 of the mean square, and rounding of both (1e-12): closed forms of
+    moments are good to some 1e-15, with differences of powers in the exponent 5.01 to 1e-13."""
     law, moment = LAWS[name]
     found = reference(Ensemble(law, stiffness_law=stiffness), Drive(0.1), variance=True)
     exact = closed_form(moment, stiffness)

@@ -312,32 +312,36 @@ class Proposal(NamedTuple):
         log_clock = np.linspace(-12, math.log(40), fine[1])
         births, clock_births = np.exp(log_e - np.exp(log_e)), np.exp(log_clock - np.exp(log_clock))
         u, v = (grid.ravel() for grid in np.meshgrid(*(np.exp(-np.exp(g)) for g in (log_e, log_clock)), indexing="ij"))
-        found, squares, sizes = _typical(c, u, v), [], []
-        parts = [found.travel, np.abs(found.work), *([found.square] if variance else [])]
-        for part in parts:
+        found, squares, sizes, roots = _typical(c, u, v), [], [], []
+
+        def add(part: Array) -> None:
+            """Another contribution of lives, at least 0."""
             part = part.reshape(log_e.size, log_clock.size)
             size = np.maximum(part.max(axis=1), 1e-300)  # squares of extreme thresholds overflow
             square = part / size[:, None]
             square *= square
             squares.append(square)
             sizes.append(births * size / (births @ part @ clock_births))
+            roots.append(sizes[-1] * np.sqrt(square @ clock_births))
 
         def mixed(log_x: Array, *parts: Array) -> Array:
             shares = np.array([0.1] + [0.9 / (len(parts) - 1)] * (len(parts) - 1))
             return shares / integrate.trapezoid(parts, log_x) @ np.array(parts)
 
-        roots = [size * np.sqrt(square @ clock_births) for square, size in zip(squares, sizes, strict=True)]
-        density = mixed(log_e, births, *roots[:2])
+        add(found.travel)
+        add(np.abs(found.work))
+        density = mixed(log_e, births, *roots)
         covered = bool(density[-1] < _NEGLIGIBLE * density.max())
         with np.errstate(all="ignore"):  # squares of extreme thresholds overflow
-            square = Squares(log_e, births * (found.square.reshape(log_e.size, -1) @ clock_births), density)
+            # k_i x from 0 on: int (k_i x)^2 dx = 4 (int k_i x dx)^2/(3 travel), sooner found than `Sample.square`
+            square = found.square if isinstance(c.newborn, Stretched) else found.work * found.work / found.travel
+            source = Squares(log_e, births * (square.reshape(log_e.size, -1) @ clock_births), density)
         # forces of contacts born stretched may nearly cancel in the work
-        needed = isinstance(c.newborn, Stretched) or square.unmet(RANDOMISATIONS * _FIRST) > _UNSEEN_SQUARES
+        needed = isinstance(c.newborn, Stretched) or source.unmet(RANDOMISATIONS * _FIRST) > _UNSEEN_SQUARES
         if variance and needed:
+            add(square)
             density = mixed(log_e, births, *roots)
-            square = square._replace(density=density)
-        else:
-            squares, sizes = squares[:2], sizes[:2]
+            source = source._replace(density=density)
         clock_density = clock_births
         if c.barrier.thermal:
             over = np.maximum(density, 1e-300)
@@ -347,7 +351,7 @@ class Proposal(NamedTuple):
         falls = math.log(clock_density[1] / clock_density[0]) / (log_clock[1] - log_clock[0])
         clock_density = np.append(clock_density[0] * np.exp(falls * (low - log_clock[0])), clock_density)
         clocks = Density.of(np.append(low, log_clock), clock_density)
-        return cls(Density.of(log_e, density), clocks, covered, square)
+        return cls(Density.of(log_e, density), clocks, covered, source)
 
 
 class Squares(NamedTuple):
