@@ -241,14 +241,13 @@ def test_a_signal_while_the_mean_field_is_solved(tmp_path, number):
 
 
 DEAF = """
-import os, signal, sys, time
+import os, signal, time
 from eqsim.__main__ import main
-from eqsim.io import storage
 
 def stuck(_):
-    os.kill(os.getpid(), signal.SIGTERM)
     while True:  # as in a call to the system that does not return
         try:
+            os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(60)
         except KeyboardInterrupt:
             pass
