@@ -548,9 +548,9 @@ MISTAKES = [
     M("validation: too good is passed", "validation/verdict.py",
       "2 * min(stats.chi2.cdf(total, even.size), stats.chi2.sf(total, even.size))",
       "2 * stats.chi2.sf(total, even.size)", "test_validation.py::test_verdict"),
-    M("validation: sign of a score", "validation/scores.py", "score = math.inf if z is None else z",
+    M("validation: sign of a score", "validation/comparison.py", "score = math.inf if z is None else z",
       "score = math.inf if z is None else -z", "test_validation.py::test_signs_of_scores"),
-    M("validation: score for error in the table", "validation/scores.py", '"sigma": "sigma", "z": "z",',
+    M("validation: score for error in the table", "validation/comparison.py", '"sigma": "sigma", "z": "z",',
       '"sigma": "z", "z": "sigma",', "test_validation.py::test_signs_of_scores"),
     # sweep
     M("sweep: sign of a score", "sweeps/rows.py", "z_score(found.averages()[name], known(level), level.stderr or 0.0)",
