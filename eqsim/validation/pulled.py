@@ -62,11 +62,11 @@ def compared(point: Point, plan: Suite) -> Found:
     asked: list[tuple[tuple[str, ...], Callable[[Point, Suite], Found]]] = []
     if index % 24 in (4, 13):
         asked.append((HOLD, holds))
-    if index % 24 == 10:
+    if index % 25 == 10:
         asked.append((PIECES, pieces))
-    if index % 24 == 22:
+    if index % 25 == 22:
         asked.append((STEPS, steps))
-    if index % 4 == 3:
+    if index % 5 == 3:
         asked.append((AVALANCHES, avalanches))
     scores: Found = []
     for kinds, compare in asked:
