@@ -40,6 +40,7 @@ from eqsim.validation.scores import (
     compared,
     fluctuating,
     hazards,
+    programme_of,
     programmes,
     transients,
 )
@@ -441,3 +442,19 @@ def test_programmes_without_breaks_in_holds(monkeypatch):
 
     monkeypatch.setattr("eqsim.validation.scores.trajectory", hurried)
     assert programme_scores(soft).max() > 10
+
+
+def test_programmes_that_all_but_stand():
+    """Programmes hold crawls and jitter, which take the place of holds of the same time, and move by nearly nothing."""
+    slowest = set()
+    for seed in range(40):
+        course = programme_of(at(GROWING, 0.1, seed=seed))
+        assert len(course.same.segments) == len(course.ends)
+        for segment, first, last in zip(course.same.segments, [0, *course.ends], course.ends, strict=False):
+            pieces = course.programme.segments[first:last]
+            time = sum(piece.duration for piece in pieces)
+            assert time == pytest.approx(segment.duration, rel=1e-12, abs=0)
+            if segment.velocity == 0:
+                assert max(piece.path for piece in pieces) <= course.off < 1e-6
+                slowest.add((len(pieces), pieces[0].velocity != 0))
+    assert slowest == {(1, False), (1, True), (8, True)}

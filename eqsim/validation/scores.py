@@ -5,7 +5,7 @@ in units of the quoted errors,
     transient                          F(X) from a fresh start, every X from its own ensemble, over 5 mean thresholds
                                        or 2 lives and delays
     transient variance                 variance over contacts of the force of one, at the same X
-    programme, programme variance      the same at the ends of segments of a programme of steps, holds and reversals
+    programme, programme variance      the same at the ends of steps, holds, crawls, jitter and reversals of a programme
     hazard                             the integrated hazard at breaking is Exp(1): events less hazard, over its root
     hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
     mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at half a mean life
