@@ -55,7 +55,7 @@ class Suite(NamedTuple):
 
 
 SUITES = {
-    "quick": Suite(32, 6),
+    "quick": Suite(32, 6, replicas=12),
     "full": Suite(240, 18, replicas=60),
     "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200),
 }
