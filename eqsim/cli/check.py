@@ -26,7 +26,12 @@ def validate(
     *,
     shown: Shown,
 ) -> None:
-    """Particles against the master equation over the parameter space; exit code 1 if they disagree."""
+    """Particles against the master equation over the parameter space; exit code 1 if they disagree.
+
+    Points differ in thresholds, heat, delay, aging and velocity. Compared are steady averages, transients, programmes
+    (steps, holds, crawls, jitter, reversals), hazards and fluctuations, and sliders behind a spring on a few contacts
+    or in avalanches.
+    """
     require_integer("--seed", seed, 0, 2**63 - 1)
     count = cores(threads)
     from eqsim import validation

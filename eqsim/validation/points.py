@@ -1,11 +1,13 @@
 """Parameter points of a suite, by a seeded sampler.
 
 In a third of the points thresholds drift, from x_*f/x_*i = 0.01 to 100, and have gamma laws with n from 0 to 10. The
-others have tables of 2 to 12 thresholds over up to four decades, samples of up to 500, lognormal, Weibull, Pareto (a
-finite third moment) and uniform laws, histograms with gaps, and gamma laws; a third of the quenched ones among these
-grow as the logarithm of their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities are 1e-4 to 100
-omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3
-mean lives.
+others have, in turn, gamma laws; tables of 2 to 12 thresholds over up to four decades, of two, and of a single one;
+samples of up to 500; lognormal laws (sigma 0.1 to 2), Weibull laws (shape 0.4 to 10: at low ones the density is
+infinite at 0) and Pareto laws (exponent 3.05 to 10: a finite third moment); uniform, triangular and log-Laplace laws,
+whose densities have jumps and kinks; beta laws with infinite densities at both ends; histograms with gaps; and narrow
+laws (standard deviation over mean 1e-3 to 0.02). A third of the quenched ones among these grow as the logarithm of
+their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities are 1e-4 to 100 omega x_*, temperatures 0 or
+0.01 to 3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
 """
 
 import dataclasses
@@ -24,13 +26,19 @@ from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.aging.base import Drift
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import DELAYS, Delay
+from eqsim.laws.named import Lognormal
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import Distribution, Gamma, Table, ThresholdLaw
+from eqsim.laws.threshold import Delta, Distribution, Gamma, Table, ThresholdLaw
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-LAWS = ("gamma", "few", "lognorm", "sample", "weibull_min", "few", "pareto", "histogram", "uniform")  # without aging
+LAWS = (  # without aging
+    "gamma", "few", "lognorm", "sample", "weibull_min", "two", "pareto", "histogram", "uniform", "arcsine", "triang",
+    "loglaplace", "few", "delta", "narrow",
+)  # fmt: skip
+
+_SHAPES = {"lognorm": (0.1, 2.0), "weibull_min": (0.4, 10.0), "pareto": (3.05, 10.0), "loglaplace": (3.1, 20.0)}
 
 
 class Suite(NamedTuple):
@@ -47,7 +55,7 @@ class Suite(NamedTuple):
 
 
 SUITES = {
-    "quick": Suite(32, 6),
+    "quick": Suite(32, 6, replicas=12),
     "full": Suite(240, 18, replicas=60),
     "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200),
 }
@@ -96,6 +104,14 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
     if kind == "gamma":
         n = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)][rng.integers(6)]
         return Gamma(float(n), unit)
+    if kind == "delta":
+        return Delta(float(_brief(np.array(unit))))
+    if kind == "two":
+        low, high = _brief(unit * np.array([1.0, 10 ** rng.uniform(0.01, 2)]))
+        return Table(np.repeat([low, high], rng.integers(1, 6, 2)))
+    if kind == "narrow":
+        width, scale = (float(x) for x in _brief(np.array([10 ** rng.uniform(-3, -1.7), unit])))
+        return Lognormal(width, scale) if rng.random() < 0.5 else Gamma(float(round(0.25 / width**2)), scale)
     if kind == "few":
         low, decades = math.log10(unit), rng.uniform(0.05, 4)
         steps = 10 ** rng.uniform(low - decades / 2, low + decades / 2, rng.integers(2, 13))
@@ -111,7 +127,12 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
     scale, low = (float(x) for x in _brief(np.array([unit, rng.uniform(0.05, 0.95) * unit])))
     if kind == "uniform":
         return Distribution(stats.uniform(low, scale))
-    least, most = {"lognorm": (0.1, 1.2), "weibull_min": (0.7, 10.0), "pareto": (3.1, 10.0)}[kind]
+    if kind == "arcsine":
+        shapes = _brief(rng.uniform(0.4, 0.9, 2)) if rng.random() < 0.5 else np.array([0.5, 0.5])
+        return Distribution(stats.beta(*shapes.tolist(), loc=low, scale=scale))
+    if kind == "triang":
+        return Distribution(stats.triang(float(_brief(np.array(rng.uniform(0.0, 1.0)))), loc=low, scale=scale))
+    least, most = _SHAPES[kind]
     shape = float(_brief(np.exp(rng.uniform(math.log(least), math.log(most)))))
     return Distribution(getattr(stats, kind)(shape, scale=scale))
 

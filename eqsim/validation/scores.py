@@ -5,7 +5,7 @@ in units of the quoted errors,
     transient                          F(X) from a fresh start, every X from its own ensemble, over 5 mean thresholds
                                        or 2 lives and delays
     transient variance                 variance over contacts of the force of one, at the same X
-    programme, programme variance      the same at the ends of segments of a programme of steps, holds and reversals
+    programme, programme variance      the same at the ends of steps, holds, crawls, jitter and reversals of a programme
     hazard                             the integrated hazard at breaking is Exp(1): events less hazard, over its root
     hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
     mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at half a mean life
@@ -33,6 +33,7 @@ squares in the sample: forces of one contact, or of twenty, are far from normal.
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import integrate
@@ -53,7 +54,7 @@ from eqsim.master import flow
 from eqsim.master.profile import profile_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import fluctuations, transient
-from eqsim.model.drive import Drive, Programme, Segment
+from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
@@ -67,6 +68,7 @@ _PROGRAMME, _SEGMENTS = ("programme", "programme variance"), 4
 _HAZARD, _FLUCTUATIONS = ("hazard", "hazard law"), ("mean", "variance", "covariance")
 KINDS = (*OBSERVABLES, *_TRANSIENT, *_PROGRAMME, *_HAZARD, *_FLUCTUATIONS)
 _REL_ERROR = 1e-4
+_JITTER = 8  # segments that go back and forth
 _ENOUGH = 400  # contacts of either state that carry the force, n <f>^2/<f^2>, for a mean over them to be normal
 _ENOUGH_SQUARES = 1600  # and for a mean of squares
 _ONE = 0.2  # of the sum of squares of so many normal numbers, the largest makes more once in fifty times
@@ -89,7 +91,7 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
         parts.append((_HAZARD, hazards))
     follows = not (point.ensemble.self_consistent or point.ensemble.fluctuates)
     follows = follows and not point.ensemble.newborn.active  # else no reference
-    if index % 3 == 2 and follows and not point.ensemble.thresholds.steps.size:
+    if index % 3 == 2 and follows:
         parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
@@ -190,27 +192,59 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
     return scores
 
 
-def programme_of(point: Point) -> Programme:
+class Course(NamedTuple):
+    """A programme, and the `same` but for segments so slow, or so short and many, that they are holds: of each segment
+    of that, where it ends among those of the `programme`, and by how much the force differs at most."""
+
+    programme: Programme
+    same: Programme
+    ends: list[int]
+    off: float
+
+
+def programme_of(point: Point) -> Course:
     """Steps, holds and reversals, from a fresh or stationary start: displacements of 0.2 to 3 mean lives at 0.1 to 10
-    times the velocity of the point, holds of 0.1 to 100 lives at that velocity."""
+    times the velocity of the point, holds of 0.1 to 100 lives at that velocity. A third of the holds are crawls at a
+    velocity 1e-25 to 1e-12 times that of the point, another third the jitter of a recorded drive, eight segments back
+    and forth by 1e-18 to 1e-8 lives."""
     rng, v = np.random.default_rng((point.seed, 3)), point.velocity
     life = known(reference(point.ensemble, Drive(v)).break_stretch)
-    segments = [Segment(v * 10 ** rng.uniform(-1, 1), distance=life * 10 ** rng.uniform(-0.5, 0.5), points=1)]
-    while len(segments) < _SEGMENTS:
+    first = Segment(v * 10 ** rng.uniform(-1, 1), distance=life * 10 ** rng.uniform(-0.5, 0.5), points=1)
+    segments, same, ends, moved = [first], [first], [1], 0.0
+    while len(same) < _SEGMENTS:
         kind = rng.choice(["hold", "reversal", "step"])
         if kind == "hold":
-            segments.append(Segment(0.0, time=life / v * 10 ** rng.uniform(-1, 2), points=1))
+            hold = Segment(0.0, time=life / v * 10 ** rng.uniform(-1, 2), points=1)
+            pieces = _pieces(hold, life, v, rng)
+            moved += max(piece.path for piece in pieces)
+            segments += pieces
+            same.append(hold)
         else:
-            forward = next(segment.velocity for segment in reversed(segments) if segment.velocity) > 0
+            forward = next(segment.velocity for segment in reversed(same) if segment.velocity) > 0
             sign = 1 if forward == (kind == "step") else -1
             distance = life * 10 ** rng.uniform(-0.7, 0.5)
-            segments.append(Segment(sign * v * 10 ** rng.uniform(-1, 1), distance=distance, points=1))
-    return Programme(tuple(segments), "stationary" if rng.random() < 0.5 else "fresh", v)
+            segment = Segment(sign * v * 10 ** rng.uniform(-1, 1), distance=distance, points=1)
+            segments.append(segment)
+            same.append(segment)
+        ends.append(len(segments))
+    start: Start = "stationary" if rng.random() < 0.5 else "fresh"
+    return Course(Programme(tuple(segments), start, v), Programme(tuple(same), start, v), ends, moved)
+
+
+def _pieces(hold: Segment, life: float, v: float, rng: np.random.Generator) -> list[Segment]:
+    """A hold as it is, or as segments that all but stand."""
+    kind, time = rng.choice(["hold", "crawl", "jitter"]), hold.duration
+    if kind == "hold":
+        return [hold]
+    if kind == "crawl":
+        return [Segment(v * 10 ** rng.uniform(-25, -12), time=time, points=1)]
+    step = life * 10 ** rng.uniform(-18, -8)
+    return [Segment((-1) ** i * step / (time / _JITTER), time=time / _JITTER, points=1) for i in range(_JITTER)]
 
 
 def programmes(point: Point, plan: Suite, threads: int) -> Found:
     """The end of each segment of a programme, from an ensemble of its own, and from another its variance."""
-    whole, shown = programme_of(point), point.shown
+    (whole, same, ends, moved), shown = programme_of(point), point.shown
     cost = predicted_lives(dataclasses.replace(shown, count=1), whole)
     dear = 1 if shown.aging.rule == "none" else _DEAR
     least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
@@ -219,24 +253,25 @@ def programmes(point: Point, plan: Suite, threads: int) -> Found:
         return point.without(_SEGMENTS * _PROGRAMME, "too many lives")
     scores: Found = []
     try:
-        exact = transient(point.ensemble, whole, 2, variance=True)
+        exact = transient(point.ensemble, same, 2, variance=True)
     except InputError:  # of tails so long that a stationary start has no reference
-        whole = dataclasses.replace(whole, start="fresh")
-        exact = transient(point.ensemble, whole, 2, variance=True)
+        whole, same = (dataclasses.replace(one, start="fresh") for one in (whole, same))
+        exact = transient(point.ensemble, same, 2, variance=True)
     assert exact.force_variance is not None
     assert exact.force_variance_error is not None
     for i in range(1, _SEGMENTS + 1):
         level, off, pinned = float(exact.force[i]), float(exact.force_error[i]), float(exact.pinned[i])
         variance, off2 = float(exact.force_variance[i]), float(exact.force_variance_error[i])
-        velocity = whole.segments[i - 1].velocity
+        off, off2 = off + moved, off2 + 2.0 * abs(level) * moved
+        velocity = same.segments[i - 1].velocity
         drag = math.copysign(_drag(point.ensemble, abs(velocity)), velocity)
         few = shown.count * _carrying(level, variance, pinned, drag)
         if not few >= _ENOUGH:
             scores += point.without(_PROGRAMME, "few contacts")
             continue
-        drive = dataclasses.replace(whole, segments=whole.segments[:i])
+        drive = dataclasses.replace(whole, segments=whole.segments[: ends[i - 1]])
         run = trajectory(shown, drive, points=2, seed=point.stream(i, 3), threads=threads)
-        ours = Estimate(float(run.force[i]), float(run.force_stderr[i]), shown.count)
+        ours = Estimate(float(run.force[-1]), float(run.force_stderr[-1]), shown.count)
         if run.force_reliable:
             scores.append(point.score(_PROGRAMME[0], ours, Estimate(level, off, 0), off))
         else:

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from eqsim.io import storage, style
+from eqsim.validation.comparison import REASONS, Score
 from eqsim.validation.points import SUITES
-from eqsim.validation.scores import KINDS, REASONS, Score
-from eqsim.validation.verdict import ALARM, judge, p_overall
+from eqsim.validation.verdict import ALARM, KINDS, judge, p_overall
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"

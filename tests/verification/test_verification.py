@@ -25,9 +25,9 @@ from eqsim.engine.stationary import stationary
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE
 from eqsim.numerics.tables import octave_edges, octave_table
 from eqsim.validation import scores, verdict
+from eqsim.validation.comparison import columns
 from eqsim.validation.points import SUITES, Suite, sample
-from eqsim.validation.scores import KINDS, columns
-from eqsim.validation.verdict import ALARM, declined, left_out
+from eqsim.validation.verdict import ALARM, KINDS, declined, left_out
 
 pytestmark = pytest.mark.verification
 
