@@ -66,8 +66,8 @@ _POOLED_SMOOTH, _POOLED_STEPS = 2e-7, 3e-5  # relative error of averages over th
 _DOMINANT = 0.02  # a single life that makes up more of a sum than this has siblings that were not seen
 _BROAD = 0.05  # a variance with a greater relative error has them, too: squares have heavier tails than the force
 _UNMET = 4.0  # expected lives among all that are drawn, below which a sample may have met none
-_UNSEEN_SQUARES = 5e-4  # share of the mean square that such lives make, from which on lives are drawn for it, too;
-# gamma laws at T = 0 have up to 4e-4, which 32 randomisations show in their scatter
+_UNSEEN_SQUARES = 7e-4  # share of the mean square that such lives make, from which on lives are drawn for it, too;
+# gamma laws at T = 0 have up to 6e-4, which 32 randomisations show in their scatter
 
 Progress = Callable[[int, int], None]
 
