@@ -44,7 +44,7 @@ def lattice_law(law, h, longest, sqrt=False):
     count = 2 * (round(longest / h) // 2) + 2
     if law.steps.size:
         place = np.round(law.steps / h).astype(int)
-        assert np.allclose(place * h, law.steps, rtol=1e-9)
+        assert np.allclose(place * h, law.steps, rtol=1e-9, atol=0)
         share = np.bincount(np.minimum(place, count), minlength=count + 1) / place.size
         xi = np.arange(count + 1) * h
         xi[-1] = law.steps[place >= count].mean() if np.any(place >= count) else xi[-1]

@@ -1,6 +1,7 @@
 """Ctrl-C while kernels run, from Python and at the command line: the work, which would take 20 s to hours, ends within
 `waiting.ALLOWED`, and so do its threads."""
 
+import math
 import pickle
 import signal
 import subprocess
@@ -113,7 +114,7 @@ PULLED = Programme([Segment(0.1, time=4.0)], stage=Stage(0.1, damping=0.1, prelo
 def test_kernels_end_when_they_are_told():
     """Before their first step, where what they fill is still 0."""
     s, course = course_of(WARM, PULLED)
-    numerics = numerics_of(s, course)
+    numerics = numerics_of(s, course, math.inf)
     t = np.linspace(0.0, 1.0, 50)
     path = numerics.path(t, course.at(t), 1.0)
     assert march(numerics.contacts(1.0), path)[0, -1] > 0.0

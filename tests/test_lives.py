@@ -18,6 +18,7 @@ from eqsim.engine.stationary import stationary
 from eqsim.engine.trajectory import ConstantDrive
 from eqsim.estimate import difference
 from eqsim.numerics.streams import STEADY, TRAJECTORY, key
+from eqsim.numerics.threads import NEVER
 
 V = 0.1
 UNIFORM = {"stiffness_law": "uniform"}
@@ -44,7 +45,7 @@ def twin(rng, n, kT, barrier, law):
 def side_by_side(ensemble, seed, ages=8):
     """Sums of stretch and work over the lives of a kernel's lanes, one for each age, shape (2, sums)."""
     c = contacts(ensemble, V)
-    rows = [plain_sums(c, key(seed, STEADY), 0, age, age + 1)[0][:2] for age in range(ages)]
+    rows = [plain_sums(c, key(seed, STEADY), 0, age, age + 1, NEVER)[0][:2] for age in range(ages)]
     return np.array(rows).T[::-1]
 
 

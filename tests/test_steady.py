@@ -485,7 +485,7 @@ def test_early_clocks_show_in_every_error_bar(monkeypatch):
     proposal, log_clock = module.Proposal.of, np.linspace(-36.0, math.log(40), 1000)
     seldom = module.Density.of(log_clock, np.exp(2.0 * log_clock - np.exp(log_clock)))
     monkeypatch.setattr(module, "_proposal", module._proposal.__wrapped__)  # what is known is not used
-    monkeypatch.setattr(module.Proposal, "of", lambda contacts: proposal(contacts)._replace(clock=seldom))
+    monkeypatch.setattr(module.Proposal, "of", lambda *asked: proposal(*asked)._replace(clock=seldom))
     assert spread() > 3.0
 
 

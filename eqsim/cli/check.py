@@ -12,6 +12,7 @@ from eqsim.cli.options import Shown, Threads, cores
 from eqsim.errors import InputError, require_integer
 
 if TYPE_CHECKING:
+    from eqsim.validation.verdict import Verdict
     from eqsim.workflows.replay import Replay
 
 _OUT = Path("runs/out/validation")
@@ -29,8 +30,7 @@ def validate(
     """Particles against the master equation over the parameter space; exit code 1 if they disagree.
 
     Points differ in thresholds, heat, delay, aging and velocity. Compared are steady averages, transients, programmes
-    (steps, holds, crawls, jitter, reversals), hazards and fluctuations, and sliders behind a spring on a few contacts
-    or in avalanches.
+    (steps, holds, crawls, jitter, reversals), hazards, fluctuations, and sliders behind a spring.
     """
     require_integer("--seed", seed, 0, 2**63 - 1)
     count = cores(threads)
@@ -54,8 +54,9 @@ def validate(
         "refused": sorted(refused),
         "versions": storage.versions(),
     }
-    origin = storage.provenance("validate", {"suite": suite}, "", seed)
-    table = storage.parquet(validation.columns(result.scores), origin)
+    table = storage.parquet(
+        validation.columns(result.scores), storage.provenance("validate", {"suite": suite}, "", seed)
+    )
     files = {"scores.parquet": table, "validation.png": saved(validation_figure(result))}
     storage.publish(out, {**files, "summary.json": storage.to_json(summary).encode()})
     reasons = [f"{sum(of.get(reason, 0) for of in absent.values())} {reason}" for reason in validation.REASONS]
@@ -63,15 +64,17 @@ def validate(
         summary,
         title=f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {validation.ALARM:g}",
         columns=("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict"),
-        rows=[
-            (v.kind, str(v.count), f"{v.chi_square:.1f}/{v.even}", f"{v.p_chi_square:.2g}", f"{v.largest:.2f}",
-             f"{v.p_largest:.2g}", "passed" if v.passed and v.kind not in result.declined else "FAILED")
-            for v in result.verdicts
-        ],
+        rows=[_verdict_row(v, v.kind in result.declined) for v in result.verdicts],
         notes=["left out: " + ", ".join(reasons), f"{out}/: scores.parquet, summary.json, validation.png"],
     )  # fmt: skip
     if not result.passed:
         raise Exit(1)
+
+
+def _verdict_row(v: "Verdict", declined: bool) -> tuple[str, ...]:
+    passed = "passed" if v.passed and not declined else "FAILED"
+    chi_square = f"{v.chi_square:.1f}/{v.even}", f"{v.p_chi_square:.2g}"
+    return v.kind, str(v.count), *chi_square, f"{v.largest:.2f}", f"{v.p_largest:.2g}", passed
 
 
 def replay(

@@ -568,12 +568,14 @@ def _averages(
     of_friction = (work + drag * delay - friction * cycle) / cycle.mean()
     scale = float(np.mean(np.abs(travel)) + np.mean(np.abs(birth)))
     with np.errstate(over="ignore", invalid="ignore"):  # of laws so broad that there is no variance
+        # of all randomisations together: few lives of one make much of its mean square
+        largest = float((sums[:, 5] * square).max() / square.sum())
         residual = (square + drag**2 * delay - second * cycle) / cycle.mean() - 2.0 * friction * of_friction
         variance = estimate(second - friction**2, residual, of_squares * second, unit * unit)
     known_too = math.isfinite(known(variance)) and math.isfinite(variance.stderr or 0.0)
     if stiffness_varies(c.aging, c.springs) or not known_too:
         variance = Estimate(None, None, n)
-    elif (variance.stderr or 0.0) > _BROAD * abs(known(variance)) or float(sums[:, 5].max()) >= _DOMINANT:
+    elif (variance.stderr or 0.0) > _BROAD * abs(known(variance)) or largest >= _DOMINANT:
         variance = dataclasses.replace(variance, reliable=False)
     return (
         estimate(friction, of_friction, hidden * size_of_force, unit),

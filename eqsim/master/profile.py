@@ -17,6 +17,8 @@ from eqsim.numerics.tables import Array
 
 # Relative error of the panels that Gauss-Legendre nodes integrate between the jumps of a discrete law.
 _BETWEEN_JUMPS = 1e-6
+# Relative error of sums of powers of a discrete law's thresholds.
+_ROUNDED = 1e-12
 # Coefficients of the highest two Chebyshev polynomials, over the largest value, at which panels are not split further.
 _SMOOTH = 1e-8
 # The same for thresholds that fluctuate: splines between the steps that the Fokker-Planck equation takes are no better.
@@ -97,9 +99,12 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
 class _Steps:
     """Of a discrete law: Gauss-Legendre panels between jumps."""
 
-    jumps, error = True, _BETWEEN_JUMPS
+    jumps = True
 
     def __init__(self, s: Reduced, x: Array) -> None:
+        # without heat and aging nothing changes between jumps
+        exact = isinstance(s.aging, Unaged) and not s.barrier.thermal
+        self.error = _ROUNDED if exact else _BETWEEN_JUMPS
         self._reduced, self.x = s, np.unique(np.append(quenched.panels_between_steps(s), x[x > 0]))
         nodes, weights = np.polynomial.legendre.leggauss(6)
         edge = np.append(0.0, self.x)
