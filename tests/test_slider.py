@@ -200,7 +200,7 @@ def test_mean_field_is_of_second_order():
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
     marks, speeds, at = slider._marks(np.array([0.0, 1.0]), course.ends, course.velocity)
-    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, 7.5, 0.0, math.nan, math.nan, False)
+    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, 7.5, 0.0, math.nan, math.nan, False, False)
 
     def rate(t, X):
         return (0.1 * (0.1 * t + 7.5 - X) - X * (1 + X * X) * np.exp(-X * X)) / 0.1

@@ -28,9 +28,10 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
 _FEW_STEPS = 6000  # of the second accuracy, a few slips
+_FEW_OF_TABLES = 1000  # of discrete laws, every threshold of which begins cohorts of its own
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold
 _UNBALANCED, _TRIES = 0.05, 8  # share of it by which r may be missed, and in how many trials
-_LANDED = 1e-4  # of the longest step without heat, in which many contacts may break at once
+_LANDED = 1e-4  # of the longest step without heat, in which all contacts may break at once
 _BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its middle
 _FARTHER, _WORSE = 10.0, 30.0  # than other steps, those given may go, and miss F
 _FATES = 128  # of cohorts, in the mean over steps
@@ -45,7 +46,7 @@ class TooManySteps(InputError):
 class Spring(NamedTuple):
     """Stage and slider, with time in units of the whole programme: numbers of the equation, damping also per detached
     share; stretch of the spring (NaN: in balance) and velocity at first; largest displacement and missed force of
-    a step; and whether heat breaks contacts."""
+    a step; whether heat breaks contacts, and whether equal thresholds break at once."""
 
     stiffness: float
     damping: float
@@ -56,6 +57,7 @@ class Spring(NamedTuple):
     longest: float
     missed: float
     heat: bool
+    discrete: bool
 
 
 class Balance(NamedTuple):
@@ -116,6 +118,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
         found[4, 0] = (found[0, 0] + damping * spring.velocity) / spring.stiffness
     longest, rho, r, q, a, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 0.0, 1, 0
     halvings = 0  # of the longest displacement in no time
+    usual = 0.0  # step before many contacts broke at once, to go on with
     shortest = max(_SHORTEST * spring.longest, _RESOLVED * marks[marks.size - 1])
     while k < marks.size and m < t.size and path.stop[0] == 0:
         left = marks[k] - t[m - 1]
@@ -160,8 +163,11 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
             if spring.heat:
                 off *= _BENT
             missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
-            if not (spring.heat or given) and off > 4.0 * spring.missed and abs(dX) > _LANDED * spring.longest:
-                # many contacts break at once, or begin to: when and where has to be known
+            sudden = not (spring.heat or given) and off > 4.0 * spring.missed
+            least = max(_LANDED, spring.missed / off) if sudden and spring.discrete else _LANDED
+            if sudden and abs(dX) > least * spring.longest:
+                # many contacts break at once, or begin to: when and where has to be known, the better the more
+                usual = max(usual, dt)
                 halvings = math.ceil(math.log2(2.0 * spring.longest / abs(dX)))
                 at_once = instant or dt <= shortest
                 dt, last, guess, tries = 0.5 * dt, False, r, _TRIES if at_once else 0
@@ -188,6 +194,8 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
         if not instant:
             grown = dt * min(max(0.9 * math.sqrt(spring.missed / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
             longest = max(grown, longest) if last and off < spring.missed else grown
+            if sudden and spring.discrete:  # they have broken
+                longest, usual = max(longest, usual), 0.0
         if spring.heat:
             rho, r = 0.0, 0.0 if instant else change / dt
         else:
@@ -227,7 +235,7 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     coarse = fine
     off = np.zeros_like(fine)
     off[:, kept] = np.abs(fine[:, kept] - fewer)
-    if steps <= _FEW_STEPS:
+    if steps <= (_FEW_OF_TABLES if ensemble.thresholds.steps.size else _FEW_STEPS):
         coarse, (fine, _) = fine, _solved(_with_middles(task), 4)
         off = np.abs(fine - coarse) + 0.5 * off
     missed = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
@@ -315,6 +323,7 @@ def _task(ensemble: Ensemble, programme: Programme, grid: Grid) -> _Task:
     spring = Spring(
         stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
         math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
+        s.law.steps.size > 0,
     )  # fmt: skip
     stretch = 0.0 if math.isnan(spring.stretch) else abs(spring.stretch)
     reach = 2.0 * (float(np.ptp(course.at(np.append(0.0, course.ends)))) + stretch)  # a mass may overshoot
