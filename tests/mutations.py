@@ -102,7 +102,7 @@ MISTAKES = [
       "test_threshold.py::test_ranks_are_equally_likely & test_threshold.py::test_table_draws"),
     M("direct draws: 1 % low", "laws/threshold.py", "return math.sqrt(-log(p))", "return 0.99 * math.sqrt(-log(p))",
       "test_lives.py::test_direct_draws_have_the_law_of_the_table"),
-    M("distributions: error of jumps without the cube", "laws/threshold.py", "for p in (1, 3))", "for p in (1, 1))",
+    M("distributions: error of jumps without the cube", "laws/threshold.py", "self._drawn_to((1, 3), 40.0)", "self._drawn_to((1, 1), 40.0)",
       "test_threshold.py::test_error_of_draws_across_a_gap"),
     M("sqrt law: root of the threshold", "laws/stiffness.py", "return xi / xi_rms if", "return (xi / xi_rms) ** 0.5 if",
       "test_delay_stiffness.py::test_sqrt_law_is_the_root_of_the_force"),
