@@ -36,7 +36,7 @@ class Estimate:
 
     @property
     def diverges(self) -> bool:
-        """Whether the mean is known to be infinite."""
+        """True if the mean is known to be infinite."""
         return self.value is not None and math.isinf(self.value)
 
     def as_dict(self) -> dict[str, Any]:

@@ -311,7 +311,7 @@ def shown_by(
     programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True,
     X_stderr: Array | None = None,
 ) -> tuple[SegmentRecord, ...]:  # fmt: skip
-    """What the segments of a programme show in a force with errors, arrays (points,) at the instants of `grid`, whose
+    """Summarise the segments of a programme from a force with errors, arrays (points,) at the instants of `grid`, whose
     displacements are those of the slider, with errors `X_stderr` if they are found behind a spring."""
     found, before = [], programme.velocity if programme.start == "stationary" else None
     for index, segment in enumerate(programme.segments):

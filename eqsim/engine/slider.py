@@ -195,7 +195,7 @@ class Behind(NamedTuple):
     over: float = 0.0
 
     def within(self, dt: float) -> "Behind":
-        """What a step of dt makes up for. What was missed in a longer step takes as long as that, so that the
+        """Return the share that a step of dt makes up for. What was missed in a longer step takes as long as that, so that the
         displacement of a step vanishes with dt."""
         share = min(1.0, dt / self.over) if self.over > 0.0 else 0.0
         return Behind(share * self.distance, share * self.velocity, self.over)
@@ -336,7 +336,7 @@ class Slider:
         return behind.distance + moved, V + (moved / dt - V) / theta
 
     def _fall_behind(self, dt: float, missed: float) -> Behind:
-        """What is to be made up for after a step of dt whose estimate missed F by `missed` at the end and, in the mean,
+        """Return what is left to make up for after a step of dt whose estimate missed F by `missed` at the end and, in the mean,
         in proportion to the time before."""
         elastic, held, theta = self._held(dt)
         if self.pull.mass == 0.0:
@@ -517,7 +517,7 @@ def _seldom(segment: Array) -> Array:
 
 
 def _missed_by_steps(fine: Array, coarse: Array, recorded: Array) -> Array:
-    """By how much finite steps may be wrong in the mean over replicas: (points, values) from what they left, shape
+    """Bound the error of finite steps in the mean over replicas: (points, values) from what they left, shape
     (replicas, points, values), and left in steps four times as long at the instants `recorded`.
 
     An error of the first order in the step is four times as large there, and a third of the difference; one of a higher

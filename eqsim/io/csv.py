@@ -50,7 +50,7 @@ class Sheet:
 
     @property
     def headless(self) -> bool:
-        """Whether the first line begins with a number, so that it is a row and no names."""
+        """True if the first line begins with a number, so that it is a row and no names."""
         return bool(_LIKE_A_NUMBER.match(self.columns[0]))
 
     def index(self, name: str, hint: str = "") -> int:

@@ -19,7 +19,7 @@ _SETTINGS = {"sweep": "sweep", "fluctuations": "run"}  # commands whose settings
 
 
 def meaning(column: str, units: Units = _UNKNOWN, command: str = "", fractions: bool = False) -> str:
-    """What a column of a table of a `command` holds, with its unit; "" where its name says it all."""
+    """Meaning of a column of a table of a `command`, with its unit; "" where its name says it all."""
     if command == "sweep":
         column = RENAMED_COLUMNS.get(column, column)
     words, unit = _RATE if (command, column) == ("reference", "breaks") else labels.column(column, units, fractions)
@@ -95,7 +95,7 @@ def _units(settings: dict[str, Any]) -> Units:
 
 
 def _unfinished(paths: list[Path], rows: int) -> list[str]:
-    """What is to be said of a sweep whose rows are not all there."""
+    """Remarks on a sweep whose rows are not all there."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         if paths[0].parent.name in (SWEEP_PARTS, SWEEP_HIDDEN):
             planned = json.loads((paths[0].parent.parent / SWEEP_MANIFEST).read_bytes())["points"]
@@ -104,7 +104,7 @@ def _unfinished(paths: list[Path], rows: int) -> list[str]:
 
 
 def _origin(origin: dict[str, Any], units: Units) -> list[str]:
-    """What made a table, in which units, and the run file."""
+    """Command that made a table, its units, and the run file."""
     if not isinstance(origin.get("command"), str):
         return []
     versions, run_file = origin.get("versions") or {}, str(origin.get("run_file") or "")

@@ -23,7 +23,7 @@ _SHOW_CURSOR = b"\x1b[?25h"  # which progress bars hide
 
 
 class _Interrupt:
-    """What has become of the first signal: its `number`, and whether it was `raised` and `acknowledged`."""
+    """Fate of the first signal: its `number`, and whether it was `raised` and `acknowledged`."""
 
     def __init__(self) -> None:
         self.number = 0

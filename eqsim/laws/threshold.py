@@ -392,7 +392,7 @@ class Distribution(Smooth):
         )
 
     def _third_diverges(self) -> bool:
-        """Whether <xi^3> does, as far as SciPy knows the tail: an isf that fails is refused where it is needed."""
+        """True if <xi^3> diverges, as far as SciPy knows the tail: an isf that fails is refused where it is needed."""
         try:
             return diverges(self, 3)
         except InputError:
@@ -424,7 +424,7 @@ class Distribution(Smooth):
 
     @functools.cached_property
     def kinks(self) -> Array:
-        """As in `ThresholdLaw`: SciPy does not tell those inside, which are sought in the values of the density."""
+        """Kinks as in `ThresholdLaw`: SciPy does not tell those inside, which are sought in the values of the density."""
         share = np.concatenate((10.0 ** np.arange(-9.0, -2.5, 0.25), np.arange(0.005, 0.5, 0.005)))
         e = np.concatenate((-np.log1p(-share), [math.log(2.0)], -np.log(share[::-1])))
         x = np.unique(self.inverse_survival(e))
@@ -460,7 +460,7 @@ def tail_exponent(law: ThresholdLaw) -> float:
 
 
 def diverges(law: ThresholdLaw, power: int) -> bool:
-    """Whether E[xi^power] is infinite, or so nearly that double precision cannot tell."""
+    """True if E[xi^power] is infinite, or so nearly that double precision cannot tell."""
     return power / tail_exponent(law) >= 1.0 - _LEAST_DECAY
 
 

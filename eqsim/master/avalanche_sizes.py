@@ -69,14 +69,14 @@ def size_law(law: ThresholdLaw, load: float, most: int, stiffness: StiffnessLaw 
 
 
 class FewContacts(NamedTuple):
-    """By how much n contacts miss the numbers of infinitely many: mean size, and fraction of single breaks."""
+    """Corrections of n contacts to the numbers of infinitely many: mean size, and fraction of single breaks."""
 
     mean: float
     single: float
 
 
 def missed_by_few(law: ThresholdLaw, load: float, contacts: int, stiffness: StiffnessLaw = "uniform") -> FewContacts:
-    """What `contacts` on one spring change, to the first order in 1/n (derived); coupled blocks share it out, and
+    """Corrections that `contacts` on one spring make, to the first order in 1/n (derived); coupled blocks share it out, and
     change less.
 
     The contact that breaks is none of those that may follow, so that rho is (1 - 1/n) times as large. An avalanche

@@ -304,7 +304,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, 
 
 
 class _Task(NamedTuple):
-    """What is solved at any accuracy: marks, speeds up to them, and the marks asked for."""
+    """Task that is solved at any accuracy: marks, speeds up to them, and the marks asked for."""
 
     numerics: Numerics
     spring: Spring

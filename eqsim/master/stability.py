@@ -114,7 +114,7 @@ class Stability(Result):
 
     @property
     def fresh_slips(self) -> bool:
-        """Whether the slider slips on the way from a fresh start, as `model.slip` defines it."""
+        """True if the slider slips on the way from a fresh start, as `model.slip` defines it."""
         return self.stiffness < known(self.fresh.slip_stiffness)
 
     @property
@@ -146,7 +146,7 @@ class Stability(Result):
 
 
 def _beyond(stiffness: float, border: Estimate) -> bool | None:
-    """Whether a stiffness is beyond a border; None where the error of that does not tell."""
+    """Judge whether a stiffness is beyond a border; None where the error of that does not tell."""
     apart = stiffness - known(border)
     return None if abs(apart) <= _CERTAIN * (border.stderr or 0.0) else apart > 0.0
 

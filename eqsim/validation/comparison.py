@@ -97,7 +97,7 @@ class Point(NamedTuple):
         return Score(kind, self.ensemble, self.velocity, known(ours), value, sigma, score, even)
 
     def uniform(self, share: Array) -> Score:
-        """Whether numbers are uniform, as they should be."""
+        """Test whether numbers are uniform, as they should be."""
         distance, p = stats.kstest(share, "uniform")
         z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))  # low if it is too even
         root = 1 / math.sqrt(share.size)

@@ -257,7 +257,7 @@ def _about(cell: _Cubic, t: float) -> _Cubic:
 
 @inlined
 def _change(cell: _Cubic, step: float) -> float:
-    """Of ln x in a step of t."""
+    """Change of ln x in a step of t."""
     return step * (cell.slope + step * (cell.curve + step * cell.third))
 
 
@@ -300,7 +300,7 @@ def _hermite(x: Array, G: Array, slopes: Array, stretch: float) -> tuple[float, 
 
 @routine
 def _rise(x: Array, G: Array, slopes: Array, stretch: float, length: float) -> float:
-    """By how much G grows from a stretch on, to rounding however short the length is."""
+    """Growth of G from a stretch on, to rounding however short the length is."""
     last, end = G.size - 1, stretch + length
     if last < 0 or stretch >= x[last]:
         return 0.0
