@@ -195,8 +195,8 @@ class Behind(NamedTuple):
     over: float = 0.0
 
     def within(self, dt: float) -> "Behind":
-        """Return the share that a step of dt makes up for. What was missed in a longer step takes as long as that, so that the
-        displacement of a step vanishes with dt."""
+        """Return the share that a step of dt makes up for. What was missed in a longer step takes as long as that, so
+        that the displacement of a step vanishes with dt."""
         share = min(1.0, dt / self.over) if self.over > 0.0 else 0.0
         return Behind(share * self.distance, share * self.velocity, self.over)
 
@@ -336,8 +336,8 @@ class Slider:
         return behind.distance + moved, V + (moved / dt - V) / theta
 
     def _fall_behind(self, dt: float, missed: float) -> Behind:
-        """Return what is left to make up for after a step of dt whose estimate missed F by `missed` at the end and, in the mean,
-        in proportion to the time before."""
+        """Return what is left to make up for after a step of dt whose estimate missed F by `missed` at the end and, in
+        the mean, in proportion to the time before."""
         elastic, held, theta = self._held(dt)
         if self.pull.mass == 0.0:
             distance, velocity = _relaxed((0.0, -missed / dt, elastic), self._damping(self.state.sums), dt), 0.0

@@ -374,8 +374,8 @@ class Squares(NamedTuple):
 
     @property
     def beyond(self) -> float:
-        """Share that lives beyond the last e would add to the mean square, relative to it: contributions go on falling as
-        they do over the last cell of the grid."""
+        """Share that lives beyond the last e would add to the mean square, relative to it: contributions go on falling
+        as they do over the last cell of the grid."""
         e = np.exp(self.log_e[-2:])
         before, last = self.contribution[-2:] / e
         if last == 0.0:
@@ -496,8 +496,8 @@ def _unseen(c: Contacts, proposal: Proposal | None, count: int) -> float:
 
 
 def _unmet(c: Contacts, proposal: Proposal | None, count: int) -> float:
-    """Estimate what lives of which `count` may have met none add to the mean square of forces, relative to that of all others:
-    those beyond the last threshold, and all that are too rare among plain births."""
+    """Estimate what lives of which `count` may have met none add to the mean square of forces, relative to that of all
+    others: those beyond the last threshold, and all that are too rare among plain births."""
     if proposal is not None:
         return proposal.squares.beyond
     squares = Proposal.of(c).squares

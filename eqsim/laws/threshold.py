@@ -424,7 +424,7 @@ class Distribution(Smooth):
 
     @functools.cached_property
     def kinks(self) -> Array:
-        """Kinks as in `ThresholdLaw`: SciPy does not tell those inside, which are sought in the values of the density."""
+        """Kinks as in `ThresholdLaw`: SciPy does not tell those inside, which are sought in the density."""
         share = np.concatenate((10.0 ** np.arange(-9.0, -2.5, 0.25), np.arange(0.005, 0.5, 0.005)))
         e = np.concatenate((-np.log1p(-share), [math.log(2.0)], -np.log(share[::-1])))
         x = np.unique(self.inverse_survival(e))

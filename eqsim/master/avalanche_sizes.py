@@ -76,8 +76,8 @@ class FewContacts(NamedTuple):
 
 
 def missed_by_few(law: ThresholdLaw, load: float, contacts: int, stiffness: StiffnessLaw = "uniform") -> FewContacts:
-    """Corrections that `contacts` on one spring make, to the first order in 1/n (derived); coupled blocks share it out, and
-    change less.
+    """Corrections that `contacts` on one spring make, to the first order in 1/n (derived); coupled blocks share it out,
+    and change less.
 
     The contact that breaks is none of those that may follow, so that rho is (1 - 1/n) times as large. An avalanche
     begins with probability 1 - rho (1 - 1/n) per break (ballot theorem). It is single if no other contact breaks within

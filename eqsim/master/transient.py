@@ -321,8 +321,8 @@ def _with_error(coarse: Array, better: Array, cells: Cells, loudest: Array | flo
 
 
 def _near(values: Array) -> Array:
-    """Bound how much a jump nearby changes `values`, where equal thresholds break together: the truth is somewhere between
-    both sides. Of the steady rise between jumps nothing counts, as it is known."""
+    """Bound how much a jump nearby changes `values`, where equal thresholds break together: the truth is somewhere
+    between both sides. Of the steady rise between jumps nothing counts, as it is known."""
     jump = np.pad(np.abs(np.diff(values, 2)), 1, "edge")
     return np.asarray(ndimage.maximum_filter1d(jump, 5))
 
