@@ -438,8 +438,8 @@ def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
 
 
 def _squares_beyond(s: Reduced, hazard: Hazard, origin: float, gap_of: Callable[[Array], Array]) -> tuple[float, float]:
-    """Contribution of lives to the mean square beyond the last panel, and a bound on its error: as they fall with e before
-    it. Nothing where there is no such mean."""
+    """Contribution of lives to the mean square beyond the last panel, and a bound on its error: as they fall with e
+    before it. Nothing where there is no such mean."""
     law, last = s.law, min(math.exp(_FIRST[-1]), _RAREST - origin)
     if law.support[1] < math.inf:
         return 0.0, 0.0
