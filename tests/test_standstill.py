@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from cases import thinned
 from kernels import compiled
+from scipy import integrate
 
 from eqsim import (
     Aging,
@@ -151,6 +152,24 @@ def test_slow_falls_cross_when_they_do():
         assert broke * 1e18 == pytest.approx(exact, rel=1e-12, abs=0)
 
 
+@pytest.mark.parametrize("moves", [0.0, 1e-18])
+def test_ages_below_the_resolution_of_the_stretch(moves):
+    """A contact at stretch .7 that grows as the logarithm of its age, from a millionth of the hold on, at a pace of
+    1e-18: all of the hold is 1e-18 of a displacement, and the threshold grows fivefold in it. Quadrature over ln t."""
+    ensemble = Ensemble(thermal=Thermal(0.1), aging=Aging("logarithmic", beta=0.3, cutoff_time=1e-6), **UNIFORM)
+    pace, xi, x = 1e-18, 0.9, 0.7
+    c = contacts(ensemble, pace)
+    b = 1.0 / (2.0 * 0.1)
+
+    def per_log(u):
+        t = math.exp(u)
+        grown = xi * (1.0 + 0.3 * math.log1p(t / 1e-6))
+        return t * math.exp(-b * (grown * grown - x * x))
+
+    exact = integrate.quad(per_log, -40.0, 0.0, epsabs=0.0, epsrel=1e-11, limit=500)[0]
+    assert passed(c.aging, c, (xi, 1.0, x, 0.0), moves, pace) == pytest.approx(exact, rel=1e-7, abs=0)
+
+
 @pytest.mark.parametrize("name", thinned(3, ["soft", "stiff sqrt", "annealed", "annealed table"]))
 def test_travel_inverts_the_mean_rate(name):
     """Of contacts carried on and back, to 1e-7 of the travel and 4 units in the last place of the hazard, down to
@@ -238,10 +257,11 @@ def test_a_hold_behind_a_spring(count, replicas, points, segment):
     assert abs(found - shorter) > 4.5 * math.hypot(error, missing)
 
 
-def test_a_slow_stage_takes_no_time_to_slip():
+@pytest.mark.parametrize("damping", [0.1, 0.0])
+def test_a_slow_stage_takes_no_time_to_slip(damping):
     """A preload lets a slider slip at once; behind a stage so slow that the hold is 1e-12 of a threshold in its pace
     contacts break at rest as often as in a hold, and the run ends."""
-    ensemble, stage = Ensemble(thermal=Thermal(1.0), count=50, **UNIFORM), Stage(0.5, damping=0.1, preload=0.3)
+    ensemble, stage = Ensemble(thermal=Thermal(1.0), count=50, **UNIFORM), Stage(0.5, damping=damping, preload=0.3)
     slow, hold = (
         trajectory(ensemble, Programme([segment], stage=stage), points=3, replicas=8)
         for segment in (Segment(1e-15, time=200.0), Segment(0.0, time=200.0))
