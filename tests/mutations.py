@@ -405,7 +405,7 @@ MISTAKES = [
       "2 * fine[:, ::2] - coarse", "test_programme_reference.py"),
     M("programme: steps end where nothing is sharp", "master/programme.py", "for s in sharp], atoms - instant",
       "for s in sharp[:0]], atoms[:0]",
-      "test_lattice.py::test_along_a_programme & test_lattice.py::test_below_the_least_threshold"),
+      "test_lattice.py::test_steps_end_where_the_density_jumps"),
     M("slider: a step may miss any force", "master/slider.py", "not (spring.heat or given) and off >",
       "False and off >", "test_lattice.py::test_behind_a_stage"),
     M("programme: peaks of steps both ways", "engine/records.py",
