@@ -166,11 +166,11 @@ def _between(first: Array, last: Array, time: float) -> Array:
     return time * np.exp(-slower) * np.where(near, 1.0 - 0.5 * np.abs(apart), -np.expm1(-faster) / faster)
 
 
-def _hold(point: Point, rng: np.random.Generator, kappa: float) -> tuple[Stage, float]:
+def _hold(point: Point, rng: np.random.Generator, kappa: float, tolerance: float) -> tuple[Stage, float]:
     """A spring that stretches contacts to 0.2 to 0.8 of the mean threshold, and how long a hold takes in which about
     half of those break that hold at first; 0 if they stay."""
     stretch = rng.uniform(0.2, 0.8) * point.ensemble.thresholds.mean
-    stage = Stage(kappa, preload=float(f"{stretch * (1.0 + kappa) / kappa:.4g}"))
+    stage = Stage(kappa, preload=float(f"{stretch * (1.0 + kappa) / kappa:.4g}"), tolerance=tolerance)
     pinned = survivors(_plain(point.ensemble, 1, Delay()), stage, _NODES[1])
     aim = pinned(0.0) * rng.uniform(0.3, 0.7)
     low, high = -3.0, math.log10(_LONGEST)
@@ -194,12 +194,12 @@ def holds(point: Point, plan: Suite) -> Found:
         return []
     point = point._replace(ensemble=ensemble, shown=_uniform_if_pooled(point.shown))
     rng = np.random.default_rng((point.seed, 6))
-    stage, time = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5))
+    stage, time = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     if not time:
         return point.without(HOLD, "few contacts")
     count = int(rng.choice([1, 2, _RIGID] if plan.replicas >= _FOR_ONE else [2, _RIGID]))
     if count == _RIGID:
-        stage, time = _hold(point, rng, 10 ** rng.uniform(6, 12))
+        stage, time = _hold(point, rng, 10 ** rng.uniform(6, 12), plan.tolerance)
         if not time:
             return point.without(HOLD, "few contacts")
     waits = Delay(time * 10 ** rng.uniform(6, 12))
@@ -222,7 +222,7 @@ def pieces(point: Point, plan: Suite) -> Found:
         return []
     point = point._replace(ensemble=ensemble, shown=_uniform_if_pooled(point.shown))
     rng = np.random.default_rng((point.seed, 7))
-    stage, time = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5))
+    stage, time = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     if not time:
         return point.without(PIECES, "few contacts")
     count = int(rng.choice([2, 5, 10, 30, 100]))
