@@ -30,8 +30,9 @@ from eqsim import (
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
 from eqsim.laws.newborn import Newborn
+from eqsim.master import avalanche_sizes
 from eqsim.master.transient import transient
-from eqsim.validation import columns, law_text, points, scores, validate, verdict
+from eqsim.validation import columns, law_text, points, pulled, scores, validate, verdict
 from eqsim.validation.comparison import DECLINED, REASONS, Point, Score, Unscored
 from eqsim.validation.points import LAWS, SUITES, Suite, sample
 from eqsim.validation.scores import (
@@ -431,13 +432,14 @@ def test_programmes():
 
 
 @pytest.mark.verification
-def test_programmes_without_breaks_in_holds(monkeypatch):
-    """A negative control: holds that are over at once."""
+@pytest.mark.parametrize("stands", [lambda segment: segment.velocity == 0, lambda segment: 0 < segment.path < 1e-6])
+def test_programmes_without_breaks_in_holds(stands, monkeypatch):
+    """A negative control: holds, and crawls and jitter, that are over at once."""
     soft = Ensemble(thermal=Thermal(0.1), stiffness_law="uniform")
     assert programme_scores(soft).max() < 4.5
 
     def hurried(ensemble, drive, **how):
-        segments = [dataclasses.replace(s, time=1e-6 * s.time) if s.velocity == 0 else s for s in drive.segments]
+        segments = [dataclasses.replace(s, time=1e-6 * s.time) if stands(s) else s for s in drive.segments]
         return trajectory(ensemble, dataclasses.replace(drive, segments=tuple(segments)), **how)
 
     monkeypatch.setattr("eqsim.validation.scores.trajectory", hurried)
@@ -458,3 +460,83 @@ def test_programmes_that_all_but_stand():
                 assert max(piece.path for piece in pieces) <= course.off < 1e-6
                 slowest.add((len(pieces), pieces[0].velocity != 0))
     assert slowest == {(1, False), (1, True), (8, True)}
+
+
+# ----------------------------------------------------------- one thing wrong in what a pulled slider is compared with
+
+
+def pulled_scores(compare, chosen, count=4):
+    """Scores of the first points that are asked for, with as many replicas as in the quick suite."""
+    drawn = ((index, e, v) for index, e, v in sample(60, 1) if chosen(e))
+    points = (Point(index, e, e, v, 1000 + index) for index, e, v in itertools.islice(drawn, count))
+    return [score for point in points for score in made(compare(point, SUITES["quick"]))]
+
+
+def passes(scores):
+    """Whether the scores of each kind pass."""
+    return {kind: judge(kind, scores).passed for kind in {score.kind for score in scores}}
+
+
+def as_if(monkeypatch, change):
+    """The engine follows another ensemble and programme than it is asked for."""
+    monkeypatch.setattr(
+        pulled, "trajectory", lambda ensemble, drive, **how: trajectory(*change(ensemble, drive), **how)
+    )
+
+
+def without_heat(ensemble, drive):
+    return dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, kT=0.0)), drive
+
+
+def looks_that_cost_time(ensemble, drive):
+    """Of a hold that is looked at often a third is lost."""
+    (segment,) = drive.segments
+    time = segment.time if segment.points == 1 else segment.time / 1.5
+    return ensemble, dataclasses.replace(drive, segments=(dataclasses.replace(segment, time=time),))
+
+
+def hot(ensemble):
+    return ensemble.thermal.kT > 0 and ensemble.disorder == "quenched"
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize(("compare", "wrong"), [(pulled.holds, without_heat), (pulled.pieces, looks_that_cost_time)])
+def test_holds_of_few_contacts(compare, wrong, monkeypatch):
+    """Holds without heat, and looks at a hold that take some of its time, fail."""
+    count = 12 if wrong is looks_that_cost_time else 4
+    assert all(passes(pulled_scores(compare, hot, count)).values())
+    as_if(monkeypatch, wrong)
+    assert not any(passes(pulled_scores(compare, hot, count)).values())
+
+
+def test_avalanches_know_the_stiffness_that_shares_the_force(monkeypatch):
+    """The program's law of sizes with k in the place of k_t fails, the right one passes."""
+    ensemble = Ensemble(Gamma(0.0))
+
+    def verdicts():
+        found = [pulled.avalanches(at(ensemble, 0.1, seed=seed), SUITES["quick"]) for seed in range(3)]
+        return passes(made(itertools.chain.from_iterable(found)))
+
+    assert verdicts() == {"avalanche": True, "single break": True}
+    monkeypatch.setattr(avalanche_sizes, "shared_stiffness", lambda *_: 1.0)
+    assert verdicts() == {"avalanche": False, "single break": False}
+
+
+@pytest.mark.parametrize(
+    ("law", "wrong", "kind"),
+    [
+        (stats.uniform(0.5, 1.0), stats.trapezoid(0.2, 0.8, loc=0.4, scale=1.2), "friction"),
+        (stats.pareto(5.3), stats.truncpareto(5.3, 6.0), "force_variance"),
+    ],
+    ids=["jump blurred", "tail cut"],
+)
+def test_steady_averages_know_the_law(law, wrong, kind):
+    """Contacts whose thresholds lack a jump, or the highest of a heavy tail, fail; the right ones pass (|z| < 4.5)."""
+    right, other = (Ensemble(Distribution(each), Thermal(0.02), stiffness_law="uniform") for each in (law, wrong))
+
+    def largest(shown):
+        found = made(averages(at(right, 0.1, shown), steady(shown, Drive(0.1), rel_error=1e-4)))
+        return abs({score.kind: score.z for score in found}[kind])
+
+    assert largest(right) < 4.5
+    assert largest(other) > 10.0

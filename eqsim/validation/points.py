@@ -43,8 +43,8 @@ _SHAPES = {"lognorm": (0.1, 2.0), "weibull_min": (0.4, 10.0), "pareto": (3.05, 1
 
 class Suite(NamedTuple):
     """How many parameter points, how many of them are also tested for fluctuations, contacts and ensembles of these
-    tests in turn, the fewest contacts of a transient, for as long as they take fewer than `lives` lives, and how many
-    sliders on a few contacts behind a spring are followed."""
+    tests in turn, the fewest contacts of a transient, for as long as they take fewer than `lives` lives, how many
+    sliders on a few contacts behind a spring are followed, and the tolerance of their steps in holds."""
 
     points: int
     wide: int
@@ -52,10 +52,11 @@ class Suite(NamedTuple):
     contacts: int = 200
     lives: float = 1e6
     replicas: int = 24
+    tolerance: float = 1e-4
 
 
 SUITES = {
-    "quick": Suite(32, 6, replicas=12),
+    "quick": Suite(32, 6, replicas=12, tolerance=1e-3),
     "full": Suite(240, 18, replicas=60),
     "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200),
 }

@@ -32,6 +32,7 @@ from eqsim.validation.verdict import ALARM, KINDS, declined, left_out
 pytestmark = pytest.mark.verification
 
 FAR = 6.5  # 8e-11 of a normal score
+BOUNDED = {"steps"}  # kinds all of whose errors may be bounds, so that no score counts as even
 
 
 @pytest.mark.parametrize("part", range(PARTS))
@@ -46,7 +47,7 @@ def test_parameter_space(part):
     assert not far
     if "space" in found.complete:
         assert [v for v in found.verdicts if not v.passed] == []
-        assert min(v.even for v in found.verdicts) >= 50
+        assert min(v.count if v.kind in BOUNDED else v.even for v in found.verdicts) >= 50
         assert [v.kind for v in found.verdicts if declined(v.kind, v.count, found.left_out)] == []
 
 
@@ -61,7 +62,7 @@ def test_p_values_are_flat(seed, monkeypatch):
     found = publish()
     assert [v for v in result.verdicts if not min(v.p_chi_square, v.p_largest) > ALARM / len(SEEDS)] == []
     if "flat" in found.complete:
-        assert {kind for kind, _ in found.flatness} == set(KINDS)
+        assert {kind for kind, _ in found.flatness} >= set(KINDS) - BOUNDED
         assert [at for at, p in found.flatness.items() if not p > ALARM] == []
 
 
