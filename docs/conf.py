@@ -22,7 +22,7 @@ extensions = [
     "from_program",
     "mathml",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "jupyter_execute"]
 nitpicky = True
 default_role = "code"  # `name` in docstrings
 templates_path: list[str] = []

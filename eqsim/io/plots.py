@@ -316,7 +316,7 @@ def stability_figure(found: "Stability", borders: dict[str, Any], caption: Capti
         axes.fill_between(velocity, 0, np.where(known, steady, 0), color="C3", alpha=0.12, linewidth=0)
     if shown.any():
         axes.plot(
-            velocity[shown], fresh[shown], color="C0", linestyle="--", marker=".", label="a fresh start slips below"
+            velocity[shown], fresh[shown], color="C0", linestyle="--", marker=".", label="a fresh start jumps below"
         )
     axes.plot([found.velocity], [found.stiffness], "k*", markersize=12, label=f"this run, {found.verdict}")
     axes.set(xscale="log", yscale="log", xlabel=caption.along("drive.velocity"))
