@@ -502,8 +502,8 @@ def hot(ensemble):
 @pytest.mark.verification
 @pytest.mark.parametrize(("compare", "wrong"), [(pulled.holds, without_heat), (pulled.pieces, looks_that_cost_time)])
 def test_holds_of_few_contacts(compare, wrong, monkeypatch):
-    """Holds without heat, and looks at a hold that take nine tenths of its time, fail (a third would be seen with more
-    replicas than the quick suite has)."""
+    """Holds without heat, and looks at a hold that take nine tenths of its time, fail; that a third of it is lost
+    does not show in as few replicas as the quick suite has."""
     count = 6 if wrong is looks_that_cost_time else 4
     assert all(passes(pulled_scores(compare, hot, count)).values())
     as_if(monkeypatch, wrong)
