@@ -31,6 +31,7 @@ THINNED = {
     *("test_thermal", "test_stability", "test_master_edges", "test_asymptotics", "test_densities", "test_lives"),
     *("test_threshold", "test_trajectory", "test_elastic", "test_newborn", "test_newborn_reference", "test_slider"),
     *("test_velocities", "test_scatter", "test_portable", "test_properties", "test_figures"),
+    *("test_convolution", "test_kinks", "test_lattice", "test_standstill", "test_variance"),
 }
 
 
