@@ -32,6 +32,7 @@ _FEW_OF_TABLES = 1000  # of discrete laws, every threshold of which begins cohor
 _MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold
 _UNBALANCED, _TRIES = 0.05, 8  # share of it by which r may be missed, and in how many trials
 _LANDED = 1e-4  # of the longest step without heat, in which all contacts may break at once
+_SHARE = 0.1  # of the longest step, in which equal thresholds may break that change F by as much as may be missed
 _BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its middle
 _FARTHER, _WORSE = 10.0, 30.0  # than other steps, those given may go, and miss F
 _FATES = 128  # of cohorts, in the mean over steps
@@ -164,7 +165,7 @@ def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tup
                 off *= _BENT
             missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
             sudden = not (spring.heat or given) and off > 4.0 * spring.missed
-            least = max(_LANDED, spring.missed / off) if sudden and spring.discrete else _LANDED
+            least = max(_LANDED, _SHARE * spring.missed / off) if sudden and spring.discrete else _LANDED
             if sudden and abs(dX) > least * spring.longest:
                 # many contacts break at once, or begin to: when and where has to be known, the better the more
                 usual = max(usual, dt)
