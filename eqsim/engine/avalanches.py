@@ -16,7 +16,7 @@ import numpy as np
 from eqsim.engine.contacts import Contacts
 from eqsim.engine.lanes import draw_life
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import kernel, maker, routine
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import Key
 from eqsim.numerics.tables import Array
 
@@ -78,7 +78,7 @@ def _rest(now: Array, stiffness: float) -> float:
     return now[X] + (stiffness * (now[Y] - now[X]) - now[FORCE]) / (stiffness + now[STIFFNESS])
 
 
-@maker
+@routine
 def longer(events: Array) -> Array:
     """A copy with twice as many rows."""
     more = np.empty((2 * events.shape[0], events.shape[1]))

@@ -28,7 +28,7 @@ from eqsim.estimate import Estimate, drifts, ratio
 from eqsim.model.drive import Drive, check_output
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, interruptibly
@@ -76,7 +76,7 @@ class Response(NamedTuple):
 LEVEL, _BEGAN, _SIZE, _BLOCKS, _RELEASED, AVALANCHES, BREAKS, SINGLE, WORK = range(9)
 
 
-@inlined
+@routine(inline=True)
 def _rounded(x: float, unit: float) -> float:
     """The nearest multiple of a power of 2."""
     big = unit * 6755399441055744.0  # 1.5 * 2^52
@@ -103,7 +103,7 @@ def prepare(c: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> Non
         b.least[node] = min(b.least[2 * node], b.least[2 * node + 1])
 
 
-@inlined
+@routine(inline=True)
 def _push(b: Blocks, r: Response, row: int, begin: int, end: int, offset: int, force: float, first: int) -> None:
     """Move the blocks first + begin, ... of a row of the lattice by what row `row` of the response says from `offset`
     on, and mend the tree. Loops over unsigned numbers vectorise: these do not count from the end."""
@@ -134,7 +134,7 @@ def _push(b: Blocks, r: Response, row: int, begin: int, end: int, offset: int, f
         low, high = low // 2, high // 2
 
 
-@inlined
+@routine(inline=True)
 def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
     """Move all blocks by what a drop of the force at `block` makes, over n k."""
     nx, ny = r.nx, r.ny
@@ -162,7 +162,7 @@ def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
                 _push(b, r, row, 2 * nx - 1 - x - right, nx, middle + x + 1 - 2 * nx, force, first)
 
 
-@inlined
+@routine(inline=True)
 def _lowest(b: Blocks) -> int:
     """The block that breaks next."""
     leaves = b.least.size // 2

@@ -18,7 +18,7 @@ from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine, shared, shared_maker
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array, look_up_all
@@ -52,14 +52,14 @@ class Lives(NamedTuple):
     root: Array
 
 
-@shared_maker
+@routine
 def empty_lanes() -> Lanes:
     """Lanes for any contacts."""
     index = np.empty(LANES, np.int64)
     return Lanes(np.empty(LANES, np.int64), np.empty(LANES, np.int64), index, np.empty((4, LANES), np.uint64))
 
 
-@maker
+@routine
 def empty_lives(c: Contacts, rounds: int) -> Lives:
     """Lives that clocks never end, of contacts as stiff as uniform ones."""
     shape = (rounds, LANES)
@@ -92,7 +92,7 @@ def _draw_born(c: Contacts, key: Key, contact: int, number: int) -> tuple[float,
     return xi, y, -math.log(v)
 
 
-@shared
+@routine
 def draw_unstressed(law: Thresholds, thermal: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
     """Half of a Philox result serves one draw. Without a clock the two halves are the thresholds of two lives."""
     contact, age, index, words = lanes.contact, lanes.age, lanes.number, lanes.words
@@ -135,7 +135,7 @@ def draw_life(c: Contacts, key: Key, contact: int, number: int) -> tuple[float, 
     return xi, y, clock, delay_after(c, key, contact, number)
 
 
-@inlined
+@routine(inline=True)
 def delay_after(c: Contacts, key: Key, contact: int, number: int) -> float:
     """The delay after a contact's life."""
     if c.delay.random == 0.0:
@@ -166,7 +166,7 @@ def _draw_one_stretched(law: Stretched, c: Contacts, key: Key, contact: int, num
     return _draw_born(c, key, contact, number)
 
 
-@shared
+@routine
 def draw_thresholds(law: Thresholds, r: int, u: Array, row: Array, count: int) -> None:
     """Thresholds in the place of the uniforms u[r]; `row` is scratch."""
     if law.steps.size > 0:
@@ -178,7 +178,7 @@ def draw_thresholds(law: Thresholds, r: int, u: Array, row: Array, count: int) -
     look_up_all(law.table, r, u, row, count)
 
 
-@shared
+@routine
 def break_unstressed(
     law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Lives, row: Array, count: int
 ) -> None:
@@ -231,7 +231,7 @@ def _note_path_work(law: Langevin, c: Contacts, lives: Lives, r: int, count: int
     pass  # they are there
 
 
-@inlined
+@routine(inline=True)
 def squared(stiffness: Any, travel: Any, y: Any) -> Any:
     """`Sample.square` of one life or of many."""
     return stiffness**2 * travel * (y * y + travel * (y + travel / 3.0))
@@ -311,7 +311,7 @@ def fill_lives(c: Contacts, key: Key, first: int, step: float, u: Array, v: Arra
     fill(c.aging, c, langevin.Source(key, first, step), u, v, found)
 
 
-@functools.partial(by_law, makes_arrays=True)
+@by_law
 def fill(law: Any, c: Contacts, source: langevin.Source, u: Array, v: Array, sample: Sample) -> None:
     """Lives LANES at a time."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself

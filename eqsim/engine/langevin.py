@@ -31,7 +31,7 @@ from eqsim.engine.contacts import Contacts
 from eqsim.laws.aging import Langevin
 from eqsim.laws.barrier.base import height, height_slope, path_step, prefactor, thermal
 from eqsim.laws.stiffness import Springs, kappa
-from eqsim.numerics.compiled import inlined, routine, shared_maker
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.streams import Key, midpoints
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp, exp_less_one, log, quarter_sine
@@ -92,7 +92,7 @@ def step_error(law: Langevin, step: float = STEP, time: float = 1.0) -> float:
     return STEP_ERROR * max(1.0, (0.25 * law.alpha * law.final2 * time / 100.0) ** 0.42) * (step / STEP) ** 2
 
 
-@inlined
+@routine(inline=True)
 def pinned(c: Contacts) -> Pinned:
     """The laws of steps at constant velocity."""
     return Pinned(c.barrier, c.springs, c.aging, 1.0)
@@ -101,7 +101,7 @@ def pinned(c: Contacts) -> Pinned:
 # ------------------------------------------------------------------------------------------------------- deviates
 
 
-@inlined
+@routine(inline=True)
 def normals_of(u: float, v: float) -> tuple[float, float]:
     """A normal deviate and the square of another from two uniforms (Box and Muller)."""
     square = -2.0 * log(u)
@@ -109,7 +109,7 @@ def normals_of(u: float, v: float) -> tuple[float, float]:
     return normal, max(square - normal * normal, 0.0)
 
 
-@inlined
+@routine(inline=True)
 def pairs_of(shape: float) -> int:
     """How many pairs of squares of normals there are in chi-square of 2 shape + 1 degrees of freedom; -1 if it is drawn
     in another way."""
@@ -117,7 +117,7 @@ def pairs_of(shape: float) -> int:
     return int(freedom) // 2 if freedom == math.floor(freedom) and freedom < 14.0 else -1
 
 
-@inlined
+@routine(inline=True)
 def times_uniforms(key: Key, contact: int, life: int, draw: int, product: float, count: int) -> float:
     """`product` times min(count, 4) further uniforms."""
     a, b, d, e = midpoints(key, contact, life, draw)
@@ -129,7 +129,7 @@ def times_uniforms(key: Key, contact: int, life: int, draw: int, product: float,
     return product * e if count > 3 else product
 
 
-@inlined
+@routine(inline=True)
 def chi_square(shape: float, square: float, product: float) -> float:
     """Chi-square of 2 shape + 1 degrees of freedom from the square of a normal, and the product of a uniform for every
     pair of squares."""
@@ -138,7 +138,7 @@ def chi_square(shape: float, square: float, product: float) -> float:
     return odd - 2.0 * log(product) if pairs > 0 else odd
 
 
-@inlined
+@routine(inline=True)
 def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u: float) -> float:
     """Chi-square of 2 shape + 1 degrees of freedom, or 0, which means to try again with another draw but the same
     uniform `u` (Marsaglia and Tsang, 2000, for the shape 1/2 + shape >= 1/2, raised by 1 if below 1)."""
@@ -154,7 +154,7 @@ def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u
     return 2.0 * third * cube * lift if taken else 0.0
 
 
-@inlined
+@routine(inline=True)
 def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> tuple[Any, Any, Any, Any]:
     """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a uniform, and the next draw."""
     a, b, product, passage = midpoints(key, contact, life, draw)
@@ -176,14 +176,14 @@ def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> t
 # ------------------------------------------------------------------------------------------ the physics of a step
 
 
-@inlined
+@routine(inline=True)
 def reaches(distance: float, spread: float, speed: float) -> float:
     """The h after which speed h + spread sqrt(h) = distance."""
     root = 2.0 * distance / (spread + math.sqrt(spread * spread + 4.0 * speed * distance))
     return root * root
 
 
-@inlined
+@routine(inline=True)
 def heat(c: Pinned, xi: float, x: float) -> float:
     """Thermal rate per displacement at stretch `x` of a contact of threshold `xi`, or x if that is more."""
     xi = max(xi, x)
@@ -191,7 +191,7 @@ def heat(c: Pinned, xi: float, x: float) -> float:
     return exp(c.barrier.log_w - height(c.barrier, xi, x, a)) * prefactor(c.barrier, xi, x)
 
 
-@inlined
+@routine(inline=True)
 def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> tuple[float, float]:
     """Threshold half-way through a step from `xi` to `end`, of which `along` is the component along the start, and its
     spread: the bridge of the (2n+2)-dimensional process, which pulls back within a relaxation time."""
@@ -201,7 +201,7 @@ def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> tupl
     return math.sqrt(square + (2.0 * c.aging.shape + 1.0) * spread2), math.sqrt(spread2)
 
 
-@inlined
+@routine(inline=True)
 def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) -> tuple[Any, Any, Any]:
     """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the thermal rate now, and the slope
     of the barrier over 2 kT with the threshold."""
@@ -229,7 +229,7 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
 
 
-@inlined
+@routine(inline=True)
 def move(c: Pinned, xi: float, h: float, normal: float, square: float) -> tuple[float, float, float]:
     """The threshold after a step: its component along the start, itself, and the lost part of the correlation."""
     lost = -exp_less_one(max(-0.5 * c.aging.alpha * h, -700.0))
@@ -238,13 +238,13 @@ def move(c: Pinned, xi: float, h: float, normal: float, square: float) -> tuple[
     return along, math.sqrt(along * along + s2 * square), lost
 
 
-@inlined
+@routine(inline=True)
 def swerve_of(c: Pinned, variance: float, xi: float, gap: float, touch: float, ahead: float, end: float) -> float:
     """What the drift away from 0, (n + 1/2)/xi, does to ln of the chance to touch, to first order in `variance`."""
     return variance * (gap * ahead / (gap + ahead)) * (0.25 - c.aging.shape * c.aging.shape) / (xi * touch * end)
 
 
-@inlined
+@routine(inline=True)
 def pull_of(c: Pinned, variance: float, xi: float, gap: float, ahead: float, end: float) -> float:
     """What the drift towards 0 does to it."""
     both = gap + ahead
@@ -252,7 +252,7 @@ def pull_of(c: Pinned, variance: float, xi: float, gap: float, ahead: float, end
     return 0.5 * variance * dip * (xi * (2.0 - t) + end * (1.0 + t) - dip) / (3.0 * c.aging.final2 * c.aging.final2)
 
 
-@inlined
+@routine(inline=True)
 def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) -> bool:
     """Whether a threshold that went from `xi` to `end` has met the stretch in between; `passage` is a uniform. Some of
     these passages are yet to be `confirmed`.
@@ -330,7 +330,7 @@ def bessel_k(n: float, z: float) -> float:
     return width * total
 
 
-@inlined
+@routine(inline=True)
 def heats(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lost: float) -> tuple[float, float]:
     """Thermal rates half-way, averaged over the bridge, and at the end."""
     middle, spread = halfway(c, xi, along, end, lost)
@@ -339,7 +339,7 @@ def heats(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lo
     return between, heat(c, end, x + slid)
 
 
-@inlined
+@routine(inline=True)
 def work_of(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lost: float, broke: bool) -> float:
     """Work done over k in a step, by Simpson's rule for the force; in one that was cut short the stiffness goes
     straight."""
@@ -350,13 +350,13 @@ def work_of(c: Pinned, xi: float, x: float, h: float, end: float, along: float, 
     return slid * (k0 * x + 4.0 * k01 * (x + 0.5 * slid) + k1 * (x + slid)) / 6.0
 
 
-@inlined
+@routine(inline=True)
 def hazard(h: float, rate: float, between: float, last: float) -> float:
     """Hazard of a step, by Simpson's rule."""
     return h * (rate + 4.0 * between + last) / 6.0
 
 
-@inlined
+@routine(inline=True)
 def whole_work(c: Pinned, x: float, work: float) -> float:
     """Work done over k in a life that ended at `x`: `work`, that of all steps, where the stiffness varies."""
     return work if c.springs.slope > 0.0 else 0.5 * c.springs.constant * x * x
@@ -379,7 +379,7 @@ def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]
     return h, x + c.moves * h, path.draw + 1
 
 
-@inlined
+@routine(inline=True)
 def cut_heats(c: Pinned, xi: float, x: float, h: float, end: float) -> tuple[float, float]:
     """`heats` of a step cut short by a passage, which is short."""
     middle, spread = 0.5 * (xi + end), 0.5 * math.sqrt(0.5 * c.aging.alpha * c.aging.final2 * h)
@@ -419,13 +419,13 @@ def burn(c: Pinned, path: Path, h: float, end: float, rates: Rates) -> tuple[Any
 # ------------------------------------------------------------------------------------------------ one path, or many
 
 
-@inlined
+@routine(inline=True)
 def moved(path: Path, draw: int, xi: float, x: float, left: float) -> Path:
     """A path after a step."""
     return Path(path.key, path.contact, path.life, draw, xi, x, left)
 
 
-@inlined
+@routine(inline=True)
 def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any, Any]:
     """One step, at most `most` long. Returns whether the contact broke, its path from there, the length of the step,
     and the work done over k where the stiffness varies."""
@@ -445,7 +445,7 @@ def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any
     return broke, moved(path, draw, end, x + c.moves * h, path.left - spent), h, work
 
 
-@inlined
+@routine(inline=True)
 def stride(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any, Any]:
     """`walk` of a stretch of either sign, in the direction of motion; a step ends where that is 0."""
     back = path.x < 0.0
@@ -518,7 +518,7 @@ def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
         square[i] = chi_square(shape, square[i], u[i])
 
 
-@shared_maker
+@routine
 def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array) -> None:
     """`life` of many contacts' lives `numbers`, to the same bits: `stretches` at breaking in the place of thresholds at
     birth, and `works` in the place of clocks.

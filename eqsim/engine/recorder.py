@@ -23,7 +23,7 @@ from eqsim.laws.aging.base import growth
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import add_row, inlined, move_rows, routine, shared, shared_maker, take_row
+from eqsim.numerics.compiled import add_row, move_rows, routine, take_row
 from eqsim.numerics.tables import Array
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -175,13 +175,13 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
 # ------------------------------------------------------------------------------------------------------- kernels
 
 
-@inlined
+@routine(inline=True)
 def fixed(x: float, scale: float) -> int:
     """x in fixed point."""
     return int(np.rint(x * scale))
 
 
-@inlined
+@routine(inline=True)
 def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
     """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are the last bits of the sum. Few
     processors convert more than one number at a time."""
@@ -190,7 +190,7 @@ def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
     return int(np.rint(x * scale))
 
 
-@inlined
+@routine(inline=True)
 def leave(recorder: Recorder, j: int, sign: int, stiffness: float, born: float) -> None:
     """Add (sign 1) or take back (sign -1) a life's ramp at a grid point."""
     deposits, scales, ramp = recorder.deposits, recorder.scales, stiffness * born
@@ -202,14 +202,14 @@ def leave(recorder: Recorder, j: int, sign: int, stiffness: float, born: float) 
     deposits[j, SQUARE] += sign * fixed(ramp * ramp, scales[SQUARE])
 
 
-@inlined
+@routine(inline=True)
 def seen(run: Run, born: float, broke: float) -> tuple[int, int]:
     """The grid points start <= j < end at which `born` <= X < `broke`; beyond the grid if it ends there."""
     per_step = (run.points - 1) / run.distance
     return max(0, math.ceil(born * per_step)), math.ceil(min(broke, 2.0 * run.distance) * per_step)
 
 
-@inlined
+@routine(inline=True)
 def deposit(recorder: Recorder, stiffness: float, origin: float, born: float, broke: float) -> None:
     """A life pinned at `born` <= X < `broke` whose stretch is X - `origin`."""
     start, end = seen(recorder.run, born, broke)
@@ -220,7 +220,7 @@ def deposit(recorder: Recorder, stiffness: float, origin: float, born: float, br
             leave(recorder, end, -1, stiffness, origin)
 
 
-@inlined
+@routine(inline=True)
 def record(
     recorder: Recorder, batch: int, stiffness: float, origin: float, born: float, broke: float, reborn: float
 ) -> None:
@@ -245,7 +245,7 @@ def record(
             batches[batch, quarter, TRAVEL] += fixed(broke - born, scales[TRAVEL])
 
 
-@inlined
+@routine(inline=True)
 def leave_force(recorder: Recorder, j: int, force: float) -> None:
     """Add a force at one grid point."""
     deposits, scales = recorder.deposits, recorder.scales
@@ -256,7 +256,7 @@ def leave_force(recorder: Recorder, j: int, force: float) -> None:
         deposits[j + 1, SQUARE] -= fixed(force * force, scales[SQUARE])
 
 
-@inlined
+@routine(inline=True)
 def leave_pinned(recorder: Recorder, born: float, broke: float) -> None:
     """Count a life pinned at `born` <= X < `broke`."""
     start, end = seen(recorder.run, born, broke)
@@ -267,14 +267,14 @@ def leave_pinned(recorder: Recorder, born: float, broke: float) -> None:
             recorder.deposits[end, COUNT] -= 1
 
 
-@inlined
+@routine(inline=True)
 def scales_of(recorder: Recorder) -> tuple[float, float, float, float, float, float]:
     """The powers of 2, out of loops: what these write might else be taken for them."""
     scales = recorder.scales
     return scales[COUNT], scales[FORCE], scales[SQUARE], scales[SLOPE], scales[SLOPE2], scales[RAMP2]
 
 
-@inlined
+@routine(inline=True)
 def point_after(x: float, run: Run, per_step: float) -> Any:
     """The first grid point at or after x >= 0; `run.points` beyond the last one."""
     at = np.ceil(min(x * per_step, float(run.points))) + 2.0**52
@@ -289,21 +289,21 @@ class Columns(NamedTuple):
     number: Array
 
 
-@shared_maker
+@routine
 def empty_columns() -> Columns:
     """Scratch for LANES contacts."""
     start, end = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     return Columns(start, end, np.empty((5, LANES), np.int64))
 
 
-@inlined
+@routine(inline=True)
 def joined(c: Contacts, recorder: Recorder) -> bool:
     """Whether a life begins where another ends and nothing changes there but the place of birth."""
     alone = recorder.run.batch_by_life or born_stretched(c.newborn)
     return c.springs.slope == 0.0 and c.delay.mean == 0.0 and not alone
 
 
-@shared
+@routine
 def leave_ramps(
     recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
 ) -> None:
@@ -326,7 +326,7 @@ def leave_ramps(
         move_rows(deposits, start, end, column, i)
 
 
-@shared
+@routine
 def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: Columns, count: int) -> None:
     """`leave_ramps` of uniform stiffness, where COUNT and FORCE stand for the other columns."""
     run, deposits, narrow = recorder.run, recorder.deposits, recorder.narrow
@@ -344,7 +344,7 @@ def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: 
         take_row(deposits, end[i], COUNT, row)
 
 
-@shared
+@routine
 def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, columns: Columns, count: int) -> None:
     """Without delay a life begins where another, from `born` to `broke`, ends: with uniform stiffness nothing changes
     there but the square and the place of birth."""
@@ -380,7 +380,7 @@ def follow_growth(c: Contacts, recorder: Recorder, batch: int, stiffness: float,
             recorder.batches[batch, quarter, AREA] += fixed(until - before, recorder.batch_scales[AREA])
 
 
-@shared
+@routine
 def follow_path(
     c: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, begin: float
 ) -> tuple[float, langevin.Path]:
@@ -420,7 +420,7 @@ def follow_path(
     return s, path
 
 
-@inlined
+@routine(inline=True)
 def edge_after(run: Run, x: float) -> float:
     """The end of the half or quarter that x lies in; infinite beyond the last."""
     if x <= 0.5 * run.distance:

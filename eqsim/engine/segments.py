@@ -37,7 +37,7 @@ from eqsim.laws.barrier.base import thermal
 from eqsim.laws.delay import delay_draw
 from eqsim.laws.newborn import born_stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import by_law, inlined, kernel, routine
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array, search
 
@@ -104,7 +104,7 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, 
         p.delay[i] = delay_of_the_first(c, key, contact)
 
 
-@inlined
+@routine(inline=True)
 def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
     """After the life in which a stationary start finds a contact."""
     return delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
@@ -267,7 +267,7 @@ def live(
     return broke
 
 
-@inlined
+@routine(inline=True)
 def _record(
     c: Contacts, recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
 ) -> None:

@@ -38,7 +38,7 @@ from eqsim.laws.delay import Waits, delay_draw, residual_delay_draw
 from eqsim.laws.newborn import born_stretched
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
-from eqsim.numerics.compiled import by_law, kernel, maker, routine, shared, shared_inlined
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, fill_words, uniform, uniforms
 from eqsim.numerics.tables import Array
 
@@ -99,7 +99,7 @@ def simulate(c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Ke
             active = _retire(recorder.run.distance, lanes, journey, active)
 
 
-@maker
+@routine
 def empty_journey(c: Contacts) -> Journey:
     position, edge, since = np.empty(LANES), np.empty(LANES), np.empty(LANES)
     mark, work, distance = np.empty(LANES, np.int64), np.empty(LANES), np.empty(LANES)
@@ -111,7 +111,7 @@ def empty_journey(c: Contacts) -> Journey:
     return Journey(position, np.empty(LANES), np.empty(LANES), edge, since, mark, work, distance, delay)
 
 
-@shared
+@routine
 def fill_lanes(
     c: Contacts, start: Fresh | Stationary, recorder: Recorder, key: Key, lanes: Lanes, journey: Journey,
     queue: tuple[int, int, int],
@@ -182,7 +182,7 @@ def _advance_paths(
 # --------------------------------------------------------------------------------------------- recording together
 
 
-@shared_inlined
+@routine(inline=True)
 def record_round(
     c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, journey: Journey, columns: Columns,
     counts: tuple[int, int, int],
@@ -250,7 +250,7 @@ def _cross(
 # ------------------------------------------------------------------------------------------- recording one by one
 
 
-@shared
+@routine
 def live(
     c: Contacts, recorder: Recorder, key: Key, lanes: Lanes, lives: Lives, journey: Journey, which: tuple[int, int]
 ) -> float:

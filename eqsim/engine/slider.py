@@ -45,7 +45,7 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
 from eqsim.model.slip import least_slip, width_of
-from eqsim.numerics.compiled import apart, inlined, kernel
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
@@ -109,7 +109,7 @@ def advance(
         _add(c, some, total)
 
 
-@inlined
+@routine(inline=True)
 def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: int, total: Array) -> None:
     """Follow contact i along a piece."""
     left, by_motion = piece.length, False
@@ -146,7 +146,7 @@ def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: 
     p.stretch[i] = piece.sign * (y + piece.moves * left)
 
 
-@apart
+@routine
 def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
     """After the life of which a contact knows how many were drawn."""
     if lives < 0 and c.delay.random > 0.0:
@@ -154,7 +154,7 @@ def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
     return delay_after(c, stream, contact, abs(lives) - 1)
 
 
-@inlined
+@routine(inline=True)
 def _add(c: Contacts, p: Followed, total: Array) -> None:
     """Add up what contacts are at the end of a piece."""
     pinned, stiffness, force, square, stored = 0.0, 0.0, 0.0, 0.0, 0.0

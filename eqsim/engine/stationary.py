@@ -26,7 +26,7 @@ from eqsim.laws.delay import residual_delay_draw
 from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds, threshold_draw
-from eqsim.numerics.compiled import by_law, inlined, kernel
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table, search
@@ -209,7 +209,7 @@ def _try_cycles(
     return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # one in e^32
 
 
-@inlined
+@routine(inline=True)
 def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -> tuple[Any, Any, Any, Any]:
     """Threshold at birth, stretch now, stretch at breaking and exponential clock of a pinned contact of the stationary
     state."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.errors import NOT_NEGATIVE, require_choice, require_number
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import log
 
@@ -138,13 +138,13 @@ class Waits(NamedTuple):
         return Exponential(self.mean) if self.random else Fixed(self.mean)
 
 
-@inlined
+@routine(inline=True)
 def delay_draw(law: Waits, u: float) -> float:
     """A delay from a uniform u in (0, 1)."""
     return law.mean - law.random - law.random * log(u)
 
 
-@inlined
+@routine(inline=True)
 def residual_delay_draw(law: Waits, u: float) -> float:
     """The rest of a delay in the stationary state, where all of it is random or none, from a uniform u in (0, 1)."""
     return (law.mean - law.random) * u - law.random * math.log(u)

@@ -17,7 +17,7 @@ from scipy import special
 
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.laws.kinks import density_kinks
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
 
@@ -564,14 +564,14 @@ def for_kernels(law: ThresholdLaw) -> Thresholds:
     return Thresholds(law.table(), law.steps / law.scale, exponentials)
 
 
-@inlined
+@routine(inline=True)
 def exponential_threshold(p: float) -> float:
     """xi/x_* of a gamma law with n = 0 or 1 from the product of n + 1 uniforms, without a table: -ln p is the sum of as
     many exponential variables."""
     return math.sqrt(-log(p))
 
 
-@inlined
+@routine(inline=True)
 def threshold_draw(law: Thresholds, u: float) -> float:
     """A threshold from a uniform u in (0, 1), the fraction of contacts that exceed it."""
     if law.steps.size > 0:

@@ -5,14 +5,13 @@ A cohort is the births of a step, spread evenly over it in time and displacement
 |x|/g so far, of which the law of thresholds says how many it has broken mechanically, and a thermal survival.
 """
 
-import functools
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.laws.delay import Waits
-from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.tables import Array, search
 from eqsim.numerics.vector_math import exp, exp_less_one
 
@@ -94,7 +93,7 @@ class Population(NamedTuple):
     order: Array
 
 
-@inlined
+@routine(inline=True)
 def grown_by(growth: Growth, age: float) -> float:
     """By what factor thresholds have grown at an age."""
     if growth.values.size == 0:
@@ -127,7 +126,7 @@ def _pooled(pool: Pool, p: int, low: float, high: float) -> float:
     return (top - pool.total[p, i] - u * (pool.above[p, i] + 0.5 * slope * u)) / (high - low)
 
 
-@inlined
+@routine(inline=True)
 def mean_exponential(low: float, high: float) -> float:
     """Mean of e^-E while E goes evenly between two values."""
     d = max(abs(high - low), 1e-200)
@@ -187,7 +186,7 @@ def _bear(c: Contacts, cohort: Array, step: tuple[float, float, float, float]) -
     cohort[_K2] *= 3.0 * u2
 
 
-@inlined
+@routine(inline=True)
 def noted(choices: Choices, m: int, i: int, fate: int) -> None:
     """Keep the fate of cohort i in step m, if there is room."""
     if not choices.given and m + 1 < choices.first.size:
@@ -223,7 +222,7 @@ def _join(one: Array, two: Array) -> None:
         one[column] += two[column]
 
 
-@inlined
+@routine(inline=True)
 def _broken_by(t: Array, broken: Array, last: int, at: float, before: float) -> float:
     """Breaks up to a time, not after t[last], from `before` per unit time before 0."""
     if at <= 0.0:
@@ -232,7 +231,7 @@ def _broken_by(t: Array, broken: Array, last: int, at: float, before: float) -> 
     return broken[i] + (broken[i + 1] - broken[i]) * (at - t[i]) / (t[i + 1] - t[i])
 
 
-@inlined
+@routine(inline=True)
 def due_births(delay: Waits, t: Array, found: Array, m: int, before: float) -> tuple[float, float]:
     """Births of step m: those of contacts that are detached already, and the breaks per unit time in the step times
     which those that break in it."""
@@ -245,7 +244,7 @@ def due_births(delay: Waits, t: Array, found: Array, m: int, before: float) -> t
     return until - _broken_by(t, found[3], m - 1, t[m - 1] - tau, before), max(dt - tau, 0.0)
 
 
-@inlined
+@routine(inline=True)
 def _scale(cohort: Array, births: float) -> None:
     """Make a cohort of one contact one of `births`."""
     for column in (_A, _S, _K1, _K2):
@@ -255,13 +254,13 @@ def _scale(cohort: Array, births: float) -> None:
 # what kernels ask of contacts of any kind, which are the first argument, or of their population
 
 
-@functools.partial(by_law, makes_arrays=True)
+@by_law
 def empty(c: Any, rows: int) -> Any:
     """A population of none, with so many rows."""
     return _rows(Population(np.zeros((0, 12)), np.zeros(0, np.int64)), rows)
 
 
-@functools.partial(by_law, makes_arrays=True)
+@by_law
 def with_room(p: Any, rows: int) -> Any:
     """A copy that has so many rows."""
     return _rows(p, rows)
@@ -287,7 +286,7 @@ def observe(p: Any, count: int, X: float, found: Array, m: int) -> float:
     return _observed(p, count, X, found, m)
 
 
-@maker
+@routine
 def _rows(p: Population, rows: int) -> Population:
     cohorts, order = np.zeros((rows, p.cohorts.shape[1])), np.zeros(rows, np.int64)
     for i in range(rows):

@@ -35,7 +35,7 @@ from eqsim.master.cohorts import (
     observe,
     with_room,
 )
-from eqsim.numerics.compiled import inlined, maker, routine
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
 
@@ -104,7 +104,7 @@ def table_of_w() -> Array:
     return np.ascontiguousarray(np.stack((np.append(0.0, np.cumsum(parts)) + math.exp(_FIRST), slope(y)), axis=1))
 
 
-@inlined
+@routine(inline=True)
 def _w(table: Array, y: float) -> float:
     """W; beyond the table its slope goes on as y + gamma."""
     at = (min(y, _LAST) - _FIRST) * _PER_UNIT
@@ -153,19 +153,19 @@ def _thermal(c: Fronts, z: Array, ages: tuple[float, float], xs: tuple[float, fl
             z[k] += 0.5 * p * halves * both
 
 
-@inlined
+@routine(inline=True)
 def _copy(values: Array, to: Array) -> None:
     for k in range(values.size):
         to[k] = values[k]
 
 
-@inlined
+@routine(inline=True)
 def _logarithms(z: Array, y: Array) -> None:
     for k in range(z.size):
         y[k] = math.log(max(z[k], 1e-300))
 
 
-@inlined
+@routine(inline=True)
 def _below(left: float, right: float, y: float) -> float:
     """int_0^y of the share of a stratum above y."""
     if y <= left:
@@ -175,7 +175,7 @@ def _below(left: float, right: float, y: float) -> float:
     return y - 0.5 * (y - left) ** 2 / (right - left)
 
 
-@inlined
+@routine(inline=True)
 def _unbroken(left: float, right: float, low: float, high: float) -> float:
     """Share of a stratum above y, in the mean over low < y < high."""
     if high - low > 1e-9 * high:
@@ -276,7 +276,7 @@ def _join(one: Array, two: Array, newer: float) -> None:
         one[column] += two[column]
 
 
-@maker
+@routine
 def _rows(p: Cells, rows: int) -> Cells:
     """A copy that has so many rows."""
     cells, z = np.zeros((rows, p.cells.shape[1])), np.zeros((rows, p.z.shape[1]))
@@ -345,7 +345,7 @@ def _begun(c: Fronts, path: Path, p: Cells) -> tuple[int, float]:
     return count, 1.0 / cycle
 
 
-@inlined
+@routine(inline=True)
 def _scale(cell: Array, births: float) -> None:
     """Make a cell of one contact one of `births`."""
     for column in (_B, _S, _K1, _K2):

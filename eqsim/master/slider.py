@@ -23,7 +23,7 @@ from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numer
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
@@ -74,7 +74,7 @@ class Balance(NamedTuple):
     rho: float
 
 
-@inlined
+@routine(inline=True)
 def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: float) -> float:
     """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from X = 0."""
     if damping == 0.0:
@@ -87,7 +87,7 @@ def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: floa
     return dt / damping * (net * first + gain * dt * second)
 
 
-@inlined
+@routine(inline=True)
 def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, float]:
     """Displacement in a step, infinite where nothing holds the slider, and the velocity then, where breaks and births
     change F by r per time."""

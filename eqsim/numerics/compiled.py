@@ -5,358 +5,38 @@ vectorises.
 """
 
 import functools
-import hashlib
-import os
-import pickle
-import tempfile
-import time
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numba
-from llvmlite import binding as llvm
 from llvmlite import ir
-from numba import _dynfunc
-from numba.core import cgutils, event, types
-from numba.core.caching import CompileResultCacheImpl
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder, compile_result
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import register_pass
-from numba.core.serialize import dumps
-from numba.core.typed_passes import NativeLowering
+from numba.core import cgutils, types
 from numba.extending import intrinsic, overload, register_jitable
 
 from eqsim.numerics.kernel_folder import kernel_folder
 
 Body = TypeVar("Body", bound=Callable[..., Any])
 _CACHE = kernel_folder()
-_PATIENCE = 120.0  # seconds that a process waits for another one that compiles the same kernel
-
-
-class TakenError(Exception):
-    """Another process compiles what is asked for."""
-
-
-class Files:
-    """What is compiled, on disk, a file for each routine and signature, instead of numba's, which keeps one index for
-    all signatures of a routine: processes that compile at the same time lose or mix up what others write there.
-
-    A process that has to compile holds a lock until it has saved; others wait for it and then load, or raise TakenError
-    unless they are `patient`. What is damaged, or cannot be written, is compiled again.
-    """
-
-    patient = True
-
-    def __init__(self, numbas: Any) -> None:
-        self._folder, self._name = Path(numbas._cache_path), numbas._index_name.removesuffix(".nbi")
-        self._stamp = numba.__version__, numbas._source_stamp
-        self._locks: dict[Path, int] = {}
-
-    def path(self, key: Any) -> Path:
-        """Where the machine code of a signature is."""
-        digest = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()
-        return self._folder / f"{self._name}.{digest[:24]}.nbc"
-
-    def load(self, key: Any) -> Any:
-        """What was saved, or None: then this process has to compile it."""
-        path = self.path(key)
-        found = self._read(path, key)
-        if found is None and self._alone(path):
-            found = self._read(path, key)  # written since
-            if found is not None:
-                self._release(path)
-        return found
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep machine code, all or nothing, if the disk takes it."""
-        path, content = self.path(key), dumps((key, data))
-        with suppress(OSError):
-            handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
-            try:
-                with os.fdopen(handle, "wb") as file:
-                    file.write(hashlib.sha256(content).digest() + content)
-                os.replace(name, path)
-            except BaseException:
-                os.unlink(name)
-                raise
-        self._release(path)
-
-    @staticmethod
-    def _read(path: Path, key: Any) -> Any:
-        try:
-            content = path.read_bytes()
-            if hashlib.sha256(content[32:]).digest() != content[:32]:
-                return None
-            of, data = pickle.loads(content[32:])
-        except (OSError, pickle.PickleError, EOFError, AttributeError, ImportError, IndexError):
-            return None
-        return data if of == key else None
-
-    def _alone(self, path: Path) -> bool:
-        """Whether the lock is new, after waiting for another process that may have had it."""
-        if path in self._locks:  # what was to be compiled failed
-            return False
-        try:
-            import fcntl
-
-            path.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o666)
-        except (ImportError, OSError):  # a system or a folder without locks: more than one may compile
-            return False
-        self._locks[path] = handle
-        with event.trigger_event("numba:compile", data={}):  # for those who show what is going on
-            end = time.monotonic() + _PATIENCE
-            while time.monotonic() < end:
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                except BlockingIOError:  # held by another process
-                    if not self.patient:
-                        self._release(path)
-                        raise TakenError from None
-                    time.sleep(0.05)
-                except OSError:  # a file system without locks
-                    break
-        return True
-
-    def _release(self, path: Path) -> None:
-        handle = self._locks.pop(path, None)
-        if handle is not None:
-            os.close(handle)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a routine that is called from Python, cached on disk if any of the usual folders can be written."""
-    return _cached(function)
-
-
-def _cached(function: Callable[..., Any], **more: Any) -> Any:
-    options = {"error_model": "numpy", "pipeline_class": _Compiler, "no_cpython_wrapper": True, **more}
+    """Compile a function that Python calls, cached on disk if any of the usual folders can be written."""
+    options = {"error_model": "numpy", "nogil": True}
     if _CACHE is None:
         return numba.njit(function, **options)
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE  # read when the function is decorated
     try:
-        made = numba.njit(function, cache=True, **options)
+        return numba.njit(function, cache=True, **options)
     finally:
         numba.config.CACHE_DIR = previous
-    made._cache._cache_file = Files(made._cache._cache_file)
-    return made
 
 
-class _Library(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM code of a routine with that of its `parts`. What it `needs` of numba's and of shared routines, which is
-    optimised already, is taken in by the kernel at the end; numba would do so in each routine on the way there, and
-    optimise it each time."""
-
-    def __init__(self, codegen: Any, name: str) -> None:
-        super().__init__(codegen, name)
-        self.parts: list[_Part] = []
-        self.needs: list[Any] = []
-
-    def add_linking_library(self, library: Any) -> None:
-        if isinstance(library, _Part):
-            self.parts.append(library)
-            self.needs += library.needs
-        else:
-            self.needs.append(library)
-
-    def finalize(self) -> None:
-        for part in dict.fromkeys(self.parts):
-            self._final_module.link_in(part.own(), preserve=True)
-        super().finalize()
-
-
-class _Part(_Library):
-    """Of a routine that others take in. numba would make machine code of it, too, that nobody calls."""
-
-    def _finalize_final_module(self) -> None:
-        self._finalized = True
-
-    def own(self) -> Any:
-        """Its code without what it needs."""
-        return super()._get_module_for_linking()
-
-    def _get_module_for_linking(self) -> Any:  # for callers that numba compiles in its own way
-        module = self.own().clone()
-        for one in dict.fromkeys(self.needs):
-            module.link_in(one._get_module_for_linking(), preserve=True)
-        return module
-
-
-class _Kernel(_Library):
-    """Of a kernel, and machine code."""
-
-    def finalize(self) -> None:
-        self._own = {one.name for one in self._final_module.functions if not one.is_declaration}
-        self._linking_libraries += self.needs  # after all that refer to them: else the linker drops them
-        super().finalize()
-
-    def _optimize_final_module(self) -> None:
-        """Nobody else calls the rest: LLVM then drops arguments that are not read, of which calls would push dozens. It
-        gets names of its own: who else has such a routine would be linked to this one, which takes other arguments.
-        """
-        for one in list(self._final_module.functions):
-            done = one.is_declaration or one.linkage == llvm.Linkage.internal or one.name in self._own
-            if one.name.startswith("_Z") and not done:  # not what numba counts references by
-                one.linkage, one.name = llvm.Linkage.internal, f"{one.name}.part"
-        super()._optimize_final_module()
-
-
-class _Shared(_Kernel):
-    """Of a shared routine, with all it needs and without machine code."""
-
-    def _finalize_final_module(self) -> None:
-        self._finalized = True
-
-    def serialize_using_object_code(self) -> Any:
-        return self.name, self._final_module.as_bitcode()
-
-
-class _SharedOnDisk(CompileResultCacheImpl):  # type: ignore[misc]
-    """How a shared routine is read from disk; numba would make machine code."""
-
-    def rebuild(self, context: Any, kept: Any) -> Any:
-        (name, code), fndesc, environment, signature, *_ = kept
-        library = _Shared(context.codegen(), name)
-        library._final_module, library._finalized = llvm.parse_bitcode(code), True
-        return compile_result(
-            target_context=context, typing_context=context.typing_context, signature=signature, fndesc=fndesc,
-            library=library, environment=environment, entry_point=_named(fndesc, environment), objectmode=False,
-            lifted=(),
-        )  # fmt: skip
-
-
-def _named(fndesc: Any, environment: Any) -> Any:
-    """What numba finds a routine by, where it would have the compiled function."""
-    return _dynfunc.make_function(fndesc.lookup_module(), "", "", 0, environment, ())
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _Lowering(NativeLowering):  # type: ignore[misc]
-    _name = "eqsim_lowering"
-
-    def run_pass(self, state: Any) -> bool:
-        for flag, value in state.pipeline.flags.items():
-            setattr(state.flags, flag, value)
-        state.library = state.pipeline.library(state.targetctx.codegen(), state.func_id.func_qualname)
-        if not state.flags.no_compile:
-            state.library.enable_object_caching()
-            return super().run_pass(state)
-        super().run_pass(state)
-        made = state.cr
-        if state.pipeline.apart:
-            state.library.own().get_function(made.fndesc.llvm_func_name).add_function_attribute("noinline")
-        name = _named(made.fndesc, made.env)
-        state.targetctx.insert_user_function(name, made.fndesc, [state.library])
-        state.cr = made._replace(cfunc=name)
-        return True
-
-
-class _Compiler(CompilerBase):  # type: ignore[misc]
-    """numba's own; but all have the same flags, those of `register_jitable`, until it has come to LLVM code: numba
-    compiles a routine again for callers of other flags."""
-
-    flags: ClassVar[dict[str, bool]] = {"release_gil": True, "no_cpython_wrapper": False, "no_cfunc_wrapper": True}
-    library: ClassVar[type[_Library]] = _Kernel
-    apart: ClassVar[bool] = False  # never taken into its callers
-
-    def define_pipelines(self) -> list[Any]:
-        manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        manager.passes = [(_Lowering if one is NativeLowering else one, text) for one, text in manager.passes]
-        manager.finalize()
-        return [manager]
-
-
-class _PartCompiler(_Compiler):
-    flags: ClassVar[dict[str, bool]] = {"no_compile": True, "no_cfunc_wrapper": True}
-    library: ClassVar[type[_Library]] = _Part
-
-
-class _ApartCompiler(_PartCompiler):
-    apart: ClassVar[bool] = True
-
-
-class _InlineCompiler(_PartCompiler):
-    flags: ClassVar[dict[str, bool]] = _PartCompiler.flags | {"forceinline": True}
-
-
-class _SharedCompiler(_PartCompiler):
-    library: ClassVar[type[_Library]] = _Shared
-
-
-class _InlineSharedCompiler(_InlineCompiler):
-    library: ClassVar[type[_Library]] = _Shared
-
-
-# Of routines that only kernels call; Python, if it calls them, interprets them. They do not count references, which
-# takes long in loops, unless they make arrays.
-_PART = {"error_model": "numpy", "pipeline_class": _PartCompiler}
-_INLINE = {"error_model": "numpy", "pipeline_class": _InlineCompiler}
-
-
-def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a routine into its callers, so that loops over lanes of contacts can vectorise. It makes no arrays."""
-    return register_jitable(_nrt=False, **_INLINE)(function)
-
-
-def routine(function: Callable[..., Any]) -> Any:
-    """Compile a longer routine that kernels call. It makes no arrays."""
-    return register_jitable(_nrt=False, **_PART)(function)
-
-
-def apart(function: Callable[..., Any]) -> Any:
-    """`routine`, of one that is seldom called: as a part of its caller LLVM does ahead of time, every time, what no
-    condition keeps it from."""
-    return register_jitable(_nrt=False, error_model="numpy", pipeline_class=_ApartCompiler)(function)
-
-
-def maker(function: Callable[..., Any]) -> Any:
-    """Compile a routine that kernels call and that makes arrays."""
-    return register_jitable(_nrt=True, **_PART)(function)
-
-
-def shared(function: Callable[..., Any]) -> Any:
-    """`routine`, of a longer one, of which LLVM code is cached on disk, so that not each kernel compiles it, or not the
-    same process."""
-    return _shared(function, _SharedCompiler, False)
-
-
-def shared_inlined(function: Callable[..., Any]) -> Any:
-    """`inlined` likewise."""
-    return _shared(function, _InlineSharedCompiler, False)
-
-
-def shared_maker(function: Callable[..., Any]) -> Any:
-    """`maker` likewise."""
-    return _shared(function, _SharedCompiler, True)
-
-
-def _shared(function: Any, compiler: type[_Compiler], makes_arrays: bool) -> Any:
-    made = _cached(function, pipeline_class=compiler, _nrt=makes_arrays)
-    if _CACHE is not None:
-        made._cache._impl = _SharedOnDisk(function)
-    function.dispatcher, function._numba_type_ = made, types.Dispatcher(made)
-    return function
-
-
-def compile_unless_taken(routine: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile a shared routine for arguments of such types, unless it is on disk or another process does it."""
-    if _CACHE is None:
-        return
-    made, signature = routine.dispatcher, tuple(map(numba.typeof, arguments))
-    files = made._cache._cache_file
-    if files.path(made._cache._index_key(signature, made.targetctx.codegen())).exists():
-        return
-    with global_compiler_lock:  # no other thread asks for it meanwhile
-        files.patient = False
-        try:
-            with suppress(TakenError):
-                made.compile(signature)
-        finally:
-            files.patient = True
+def routine(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
+    """Compile a function into the kernels that call it; Python, if it calls it, interprets it. `inline` leaves no call,
+    so that loops over many contacts can vectorise; else LLVM decides."""
+    if function is None:
+        return functools.partial(routine, inline=inline)
+    return register_jitable(error_model="numpy", forceinline=inline)(function)
 
 
 class LawRoutine(Protocol):
@@ -368,7 +48,7 @@ class LawRoutine(Protocol):
         """A decorator for the body that a law has."""
 
 
-def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> LawRoutine:
+def by_law(default: Callable[..., Any]) -> LawRoutine:
     """A kernel routine with a body for each type of law, its first argument, as `functools.singledispatch` has them:
     laws register theirs with `@name.register(Law)`. `default`, which every other law has, may raise TypeError.
 
@@ -383,7 +63,7 @@ def by_law(default: Callable[..., Any], makes_arrays: bool = False) -> LawRoutin
     def choose(law: Any, *arguments: Any) -> Any:
         return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    overload(call, jit_options={"_nrt": makes_arrays, **_INLINE}, strict=False)(choose)
+    overload(call, jit_options={"error_model": "numpy", "forceinline": True}, strict=False)(choose)
 
     def register(law: type) -> Callable[[Body], Body]:
         def keep(function: Body) -> Body:

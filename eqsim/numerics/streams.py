@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import float_of, inlined, routine
+from eqsim.numerics.compiled import float_of, routine
 
 TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
 STEADY = 2  # first purpose of a steady estimate; others are hashes of what it is an estimate of
@@ -48,7 +48,7 @@ def name_of(*declared: Any) -> int:
     return int.from_bytes(digest.digest()[:8])
 
 
-@inlined
+@routine(inline=True)
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
     c1, c3, k0, k1 = c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW  # else the compiler multiplies 64 bits by 64 at first
@@ -59,27 +59,27 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
     return c0, c1, c2, c3
 
 
-@inlined
+@routine(inline=True)
 def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
     bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
     return min((float_of(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
 
 
-@inlined
+@routine(inline=True)
 def _midpoint(word: Any) -> float:
     """A 32-bit word and a half: the word in the last bits of 2^52."""
     return np.uint64(word | _UNITS).view(np.float64) - (2.0**52 - 0.5)
 
 
-@inlined
+@routine(inline=True)
 def product(low: Any, high: Any) -> float:
     """The product of two independent uniforms in (0, 1) from two 32-bit words: mid-points of cells 2^-32 wide, good
     enough where the product is above `ROUGH`; below, `fine_product` divides the cells further."""
     return (_midpoint(low) * 2.0**-32) * (_midpoint(high) * 2.0**-32)
 
 
-@inlined
+@routine(inline=True)
 def fine_product(key: Key, contact: int, life: int, draw: int, low: Any, high: Any) -> float:
     """`product` where it is small, its two cells divided by a further draw: uniforms down to 2^-96."""
     u, v = uniforms(key, contact, life, draw)
@@ -97,7 +97,7 @@ def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: 
         )
 
 
-@inlined
+@routine(inline=True)
 def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, Any]:
     """The four words behind `uniforms`."""
     c, j = np.uint64(contact), np.uint64(life)
@@ -105,14 +105,14 @@ def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, A
     return philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
 
 
-@inlined
+@routine(inline=True)
 def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
     """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw < 2^16."""
     a, b, d, e = bits(key, contact, life, draw)
     return uniform(a, b), uniform(d, e)
 
 
-@inlined
+@routine(inline=True)
 def words(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
     """Four independent 32-bit integers of a contact's path, as floats; contact < 2^63, life < 2^32, draw < 2^31. None
     of their counters is one of `uniforms`."""
@@ -122,7 +122,7 @@ def words(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, f
     return np.float64(a), np.float64(b), np.float64(d), np.float64(e)
 
 
-@inlined
+@routine(inline=True)
 def midpoints(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
     """Four independent uniforms in (0, 1) of a contact's path, mid-points of cells 2^-32 wide, from `words`."""
     a, b, d, e = words(key, contact, life, draw)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import four_cubics, four_of, inlined, routine
+from eqsim.numerics.compiled import four_cubics, four_of, routine
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -54,7 +54,7 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
     return table
 
 
-@inlined
+@routine(inline=True)
 def search(values: Array, x: float, right: bool) -> int:
     """How many of ascending values are below x, or at most x (`right`); `np.searchsorted` takes long to compile."""
     low, high = 0, values.size
@@ -67,7 +67,7 @@ def search(values: Array, x: float, right: bool) -> int:
     return low
 
 
-@inlined
+@routine(inline=True)
 def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)
@@ -80,14 +80,14 @@ def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, 
     return min(max(cell, -1), np.int64(cells) - 1) + 2, t
 
 
-@inlined
+@routine(inline=True)
 def _polynomial(table: Array, row: int, t: float) -> float:
     """The polynomial of a row at t."""
     a, b, c, d = four_of(table, row)
     return a + t * (b + t * (c + t * d))
 
 
-@inlined
+@routine(inline=True)
 def look_up(table: Array, s: float) -> float:
     """The tabulated function at s > 0."""
     row, t = _place(table[0, 0], table[0, 1], table[0, 2], s)

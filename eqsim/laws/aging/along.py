@@ -8,7 +8,7 @@ import numpy as np
 from eqsim.laws.aging.base import break_lives, end, growth, kappa_at, life, smooth, spend, spent, whole_hazard
 from eqsim.laws.barrier.base import height, prefactor, thermal
 from eqsim.laws.stiffness import Springs, kappa
-from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -30,7 +30,7 @@ class _Path(NamedTuple):
     age: float
 
 
-@inlined
+@routine(inline=True)
 def _at(c: _Path, s: float) -> tuple[float, float]:
     """Threshold at s, and the barrier there."""
     xi = c.xi * growth(c.law, c.age + s)
@@ -117,7 +117,7 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
             return top, spent
 
 
-@inlined
+@routine(inline=True)
 def _rate(c: _Path, z: float) -> float:
     """Hazard per unit z."""
     s = c.end * z * (2.0 - z)
@@ -164,7 +164,7 @@ def _lives(law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives
 # -------------------------------------------------------------------------------------------- segments of a programme
 
 
-@inlined
+@routine(inline=True)
 def _excess(law: Any, xi: float, y: float, age: float, moves: float, s: float) -> float:
     """Threshold less stretch at s of a segment."""
     return xi * growth(law, age + s) - abs(y + moves * s)

@@ -17,7 +17,7 @@ from eqsim.errors import InputError
 from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch, stretches
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
-from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 
@@ -240,7 +240,7 @@ class _Cubic(NamedTuple):
     third: float
 
 
-@inlined
+@routine(inline=True)
 def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
     """The cell that begins at a node, about its beginning, t = 0; it ends at t = 1."""
     width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
@@ -248,14 +248,14 @@ def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
     return _Cubic(width, left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise)
 
 
-@inlined
+@routine(inline=True)
 def _about(cell: _Cubic, t: float) -> _Cubic:
     """A cell about another t."""
     slope = cell.slope + t * (2.0 * cell.curve + 3.0 * t * cell.third)
     return _Cubic(cell.width, slope, cell.curve + 3.0 * t * cell.third, cell.third)
 
 
-@inlined
+@routine(inline=True)
 def _change(cell: _Cubic, step: float) -> float:
     """Change of ln x in a step of t."""
     return step * (cell.slope + step * (cell.curve + step * cell.third))
@@ -327,7 +327,7 @@ def _rise_in(x: Array, G: Array, slopes: Array, low: int, stretch: float, length
     return G[low] * math.exp(t * cell.width) * math.expm1(step * cell.width)
 
 
-@inlined
+@routine(inline=True)
 def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
     """Where G = target; infinite if G never gets there."""
     last = G.size - 1

@@ -25,7 +25,7 @@ from eqsim.laws.barrier.base import (
     stretch,
     stretches,
 )
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
@@ -112,26 +112,26 @@ def dawson_table() -> Array:
 _SOFT = 2.0 / math.sqrt(math.pi)
 
 
-@inlined
+@routine(inline=True)
 def _excess(xi: float, root: float, log_w: float) -> float:
     """a xi^2 - ln(omega/v), root = sqrt(a)."""
     top = root * xi
     return top * top - log_w
 
 
-@inlined
+@routine(inline=True)
 def _odds(xi: float, root: float, log_w: float, clock: float) -> float:
     """erfi(root x) of the x where (omega/v) H(x) = clock, but for what of the barrier is beyond FLAT."""
     return _SOFT * clock * root * bounded_exp(min(_excess(xi, root, log_w), FLAT))
 
 
-@inlined
+@routine(inline=True)
 def _rank(xi: float, root: float, log_w: float, odds: float) -> float:
     """ln(1 + erfi(root x)) of the same x."""
     return log_one_plus(odds) + max(_excess(xi, root, log_w) - FLAT, 0.0)
 
 
-@inlined
+@routine(inline=True)
 def _end(xi: float, per_root: float, z: float) -> float:
     """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is xi, to double precision."""
     return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
@@ -205,7 +205,7 @@ def _mean_rate(law: Soft, table: Array, xi: float, stiffness: float, x: float, l
 _NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
 
 
-@inlined
+@routine(inline=True)
 def _ahead(z: float, s: float) -> float:
     """I(z, s) where its integrand changes by a factor of a few."""
     total = 0.0
@@ -215,18 +215,18 @@ def _ahead(z: float, s: float) -> float:
     return 0.5 * s * total
 
 
-@inlined
+@routine(inline=True)
 def _dawson(table: Array, z: float) -> float:
     return z / look_up(table, max(z, _LEAST_Z))
 
 
-@inlined
+@routine(inline=True)
 def _log_ticks(law: Soft, xi: float, a: float, y: float, clock: float) -> float:
     """ln T."""
     return math.log(clock) - law.log_w + 0.5 * math.log(a) + a * (xi - y) * (xi + y)
 
 
-@inlined
+@routine(inline=True)
 def _short(z: float, ticks: float) -> float:
     """s where (2|z| + 1) T < 1e-4, z of any sign."""
     return ticks * (1.0 + ticks * (-z + ticks * (4.0 * z * z - 1.0) / 3.0))
