@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import draw_life
+from eqsim.engine.lanes import draw_birth
 from eqsim.laws.stiffness import kappa
 from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import Key
@@ -104,7 +104,7 @@ def _break(c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Arra
     k = kappa(c.springs, xi)
     now[FORCE] -= k * xi * each
     now[LOST] += 0.5 * k * xi * xi * each
-    p.xi[i], y, _, _ = draw_life(c, stream, first + i, p.lives[i])
+    p.xi[i], y, _ = draw_birth(c.newborn, c, stream, first + i, p.lives[i])
     stiffness = kappa(c.springs, p.xi[i])
     p.lives[i] += 1
     now[FORCE] += stiffness * y * each

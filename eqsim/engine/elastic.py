@@ -21,7 +21,7 @@ import numpy as np
 
 from eqsim.engine.avalanches import Queue, longer, put_back
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import draw_life
+from eqsim.engine.lanes import draw_birth
 from eqsim.engine.scatter import births, scatter
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
@@ -90,7 +90,7 @@ def prepare(c: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> Non
     for j in range(b.at.shape[0]):
         for i in range(n):
             contact = j * n + i
-            xi, _, _, _ = draw_life(c, stream, first + contact, 0)
+            xi, _, _ = draw_birth(c.newborn, c, stream, first + contact, 0)
             b.xi[contact], b.lives[contact] = _rounded(xi, unit), 1
         order = np.argsort(b.xi[j * n : (j + 1) * n])
         for i in range(n):
@@ -209,7 +209,7 @@ def load(c: Contacts, stream: Key, first: int, b: Blocks, r: Response, now: Arra
         now[BREAKS] += 1.0
         now[_RELEASED] += xi
         now[WORK] += 0.5 * xi * xi
-        drawn, _, _, _ = draw_life(c, stream, first + contact, b.lives[contact])
+        drawn, _, _ = draw_birth(c.newborn, c, stream, first + contact, b.lives[contact])
         b.xi[contact] = _rounded(drawn, r.unit)
         b.lives[contact] += 1
         put_back(Queue(b.at[block], b.contact[block]), at + b.xi[contact])

@@ -54,14 +54,6 @@ class Pinned(NamedTuple):
     moves: float
 
 
-class Source(NamedTuple):
-    """Where the random numbers of paths come from: contacts from `first` on; and the accuracy of steps."""
-
-    key: Key
-    first: int
-    step: float
-
-
 class Path(NamedTuple):
     """A pinned contact between steps: its stream of random numbers and the next `draw` of it, threshold, stretch, and
     what its exponential clock has left."""
@@ -457,44 +449,83 @@ def stride(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, A
 
 
 @routine
-def follow(c: Pinned, path: Path, length: float, step: float) -> tuple[Any, Any, Any]:
-    """Whether a contact breaks within a `length` of time, its path from there or from the end, and after how long."""
-    broke, elapsed = False, 0.0
+def follow(c: Pinned, path: Path, length: float, step: float) -> tuple[Any, Any, Any, Any]:
+    """Whether a contact breaks within a `length` of time, its path from there or from the end, after how long, and the
+    work done over k until then where the stiffness varies."""
+    broke, elapsed, total = False, 0.0, 0.0
     while not broke and elapsed < length:
-        broke, path, h, _ = stride(c, path, length - elapsed, step)
+        broke, path, h, work = stride(c, path, length - elapsed, step)
         elapsed += h
-    return broke, path, elapsed
-
-
-@routine
-def life(c: Pinned, path: Path, step: float) -> Any:
-    """Stretch at breaking and work done over k of a contact at its birth."""
-    total, broke = 0.0, False
-    while not broke:
-        broke, path, _, work = walk(c, path, math.inf, step)
         total += work
-    return path.x, whole_work(c, path.x, total)
+    return broke, path, elapsed, total
+
+
+class Paths(NamedTuple):
+    """Lives to be followed, arrays (n,): contact and number of each life, threshold at birth and clock at breaking; and
+    what they come to: stretch at breaking, and int (k_i/k) x dx until then."""
+
+    contact: Array
+    number: Array
+    threshold: Array
+    clock: Array
+    travel: Array
+    work: Array
 
 
 class Walkers(NamedTuple):
-    """Paths that advance side by side, arrays (WALKERS,): which one each is, its stream of random numbers, and the
-    deviates of its next step with `u`, uniforms of theirs."""
+    """Paths that advance side by side, arrays (WALKERS,).
 
-    at: Array
+    Attributes
+    ----------
+    number, contact, life, draw : ndarray of int
+        Which of the `Paths` each is, -1 if none; its stream of random numbers.
+    xi, x, left, work : ndarray
+        Where it is: threshold, stretch, rest of the clock, work so far.
+    h, rate, slope, along, end, lost, between, last, spent : ndarray
+        Its step, as in `walk`.
+    normal, square, passage, u : ndarray
+        Deviates of the step.
+    broke : ndarray of bool
+    special : ndarray of int
+        Which of them need more than the usual.
+    """
+
+    number: Array
     contact: Array
     life: Array
     draw: Array
+    xi: Array
+    x: Array
+    left: Array
+    work: Array
+    h: Array
+    rate: Array
+    slope: Array
+    along: Array
+    end: Array
+    lost: Array
+    between: Array
+    last: Array
+    spent: Array
     normal: Array
     square: Array
     passage: Array
     u: Array
+    broke: Array
+    special: Array
+
+    @classmethod
+    def empty(cls) -> "Walkers":
+        """None on their way."""
+        whole, real = np.zeros((5, WALKERS), np.int64), np.zeros((17, WALKERS))
+        return cls._make((*whole[:4], *real, np.zeros(WALKERS, np.bool_), whole[4]))
 
 
 @routine
 def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
     """`random_step` of many paths."""
-    contact, life, draw, u = walkers.contact, walkers.life, walkers.draw, walkers.u
-    normal, square, passage = walkers.normal, walkers.square, walkers.passage
+    contact, life, draw = walkers.contact, walkers.life, walkers.draw
+    normal, square, passage, u = walkers.normal, walkers.square, walkers.passage, walkers.u
     for i in range(count):
         normal[i], square[i], u[i], passage[i] = midpoints(key, contact[i], life[i], draw[i])
         draw[i] += 1
@@ -519,47 +550,61 @@ def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
 
 
 @routine
-def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array) -> None:
-    """`life` of many contacts' lives `numbers`, to the same bits: `stretches` at breaking in the place of thresholds at
-    birth, and `works` in the place of clocks.
+def begin_paths(w: Walkers, paths: Paths, lanes: int, count: int, begun: int, laws: Pinned) -> tuple[int, int]:
+    """Note the ends of broken paths among the first `count` of `w.special`, and begin others in their lanes: the number
+    of lanes in use, and of paths begun."""
+    for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
+        i = w.special[j]
+        if not w.broke[i]:
+            continue
+        done = w.number[i]
+        if done >= 0:
+            paths.travel[done] = w.x[i]
+            paths.work[done] = whole_work(laws, w.x[i], w.work[i])
+        if begun < paths.threshold.size:
+            w.number[i], w.contact[i], w.life[i], w.draw[i] = begun, paths.contact[begun], paths.number[begun], 0
+            w.xi[i], w.x[i], w.left[i], w.work[i] = paths.threshold[begun], 0.0, paths.clock[begun], 0.0
+            begun += 1
+        else:
+            lanes -= 1
+            w.number[i], w.contact[i], w.life[i], w.draw[i] = (
+                w.number[lanes],
+                w.contact[lanes],
+                w.life[lanes],
+                w.draw[lanes],
+            )
+            w.xi[i], w.x[i], w.left[i], w.work[i] = w.xi[lanes], w.x[lanes], w.left[lanes], w.work[lanes]
+    return lanes, begun
+
+
+@routine
+def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None:
+    """Follow lives from birth to breaking, the same bits as by `follow`.
 
     Paths advance side by side, one loop for each part of a step, and where one has ended the next begins.
     """
-    at, contact, life = np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
-    draw, special = np.empty(WALKERS, np.int64), np.arange(WALKERS)
-    scratch = np.zeros((16, WALKERS))
-    xi, x, left, work = scratch[0], scratch[1], scratch[2], scratch[3]  # where paths are
-    h, rate, slope, along = scratch[4], scratch[5], scratch[6], scratch[7]  # their steps
-    end, lost, between, last = scratch[8], scratch[9], scratch[10], scratch[11]
-    passage, broke, spent, u = scratch[12], scratch[13], scratch[14], scratch[15]
-    walkers = Walkers(at, contact, life, draw, along, end, passage, u)
-    begun, lanes = 0, min(WALKERS, stretches.size)
-    count, at[:], broke[:] = lanes, -1, 1.0  # idle lanes count as broken
+    xi, x, left, work, h, rate, slope = w.xi, w.x, w.left, w.work, w.h, w.rate, w.slope
+    along, end, lost, between, last, spent = w.along, w.end, w.lost, w.between, w.last, w.spent
+    passage, broke, special = w.passage, w.broke, w.special
+    lanes = min(WALKERS, paths.threshold.size)
+    for i in range(WALKERS):
+        w.number[i] = -1
+        broke[i] = True  # as idle lanes are
+        special[i] = i
+        spent[i] = 0.0
+    begun, count = 0, lanes
     while True:
-        for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
-            i = special[j]
-            if broke[i] == 0.0:
-                continue
-            if at[i] >= 0:
-                stretches[at[i]], works[at[i]] = x[i], whole_work(c, x[i], work[i])
-            if begun < stretches.size:
-                at[i], contact[i], life[i], draw[i] = begun, contacts[begun], numbers[begun], 0
-                xi[i], x[i], left[i], work[i] = stretches[begun], 0.0, works[begun], 0.0
-                begun += 1
-            else:
-                lanes -= 1
-                at[i], contact[i], life[i], draw[i] = at[lanes], contact[lanes], life[lanes], draw[lanes]
-                xi[i], x[i], left[i], work[i] = xi[lanes], x[lanes], left[lanes], work[lanes]
+        lanes, begun = begin_paths(w, paths, lanes, count, begun, c)
         if lanes == 0:
             return
 
         for i in range(lanes):
             h[i], rate[i], slope[i] = pace(c, xi[i], x[i], left[i], math.inf, step)
-        draw_steps(key, c.aging.shape, walkers, lanes)
+        draw_steps(key, c.aging.shape, w, lanes)
         for i in range(lanes):
-            along[i], end[i], lost[i] = move(c, xi[i], h[i], along[i], end[i])
+            along[i], end[i], lost[i] = move(c, xi[i], h[i], w.normal[i], w.square[i])
         for i in range(lanes):
-            broke[i] = 1.0 if meets(c, xi[i], x[i], h[i], end[i], passage[i]) else 0.0
+            broke[i] = meets(c, xi[i], x[i], h[i], end[i], passage[i])
         if thermal(c.barrier):
             for i in range(lanes):
                 between[i], last[i] = heats(c, xi[i], x[i], h[i], end[i], along[i], lost[i])
@@ -569,24 +614,26 @@ def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, str
         count = 0
         for i in range(lanes):
             special[count] = i
-            count += broke[i] > 0.0 or spent[i] > _SCATTERS or spent[i] >= left[i]
+            count += broke[i] or spent[i] > _SCATTERS or spent[i] >= left[i]
         for j in range(count):
             i = special[j]
-            path = Path(key, contact[i], life[i], draw[i], xi[i], x[i], left[i])
-            if broke[i] > 0.0 and not confirmed(c, xi[i], x[i], h[i], end[i], passage[i]):
-                broke[i] = 0.0
-            if broke[i] > 0.0:
-                h[i], end[i], draw[i] = meeting(c, path, h[i], end[i])
+            path = Path(key, w.contact[i], w.life[i], w.draw[i], xi[i], x[i], left[i])
+            if broke[i] and not confirmed(c, xi[i], x[i], h[i], end[i], passage[i]):
+                broke[i] = False
+            if broke[i]:
+                h[i], end[i], w.draw[i] = meeting(c, path, h[i], end[i])
             if thermal(c.barrier):
-                if broke[i] > 0.0:
+                if broke[i]:
                     between[i], last[i] = cut_heats(c, xi[i], x[i], h[i], end[i])
                 rates = Rates(rate[i], between[i], last[i], slope[i])
-                now = moved(path, draw[i], xi[i], x[i], left[i])
-                burnt, h[i], end[i], spent[i], draw[i] = burn(c, now, h[i], end[i], rates)
+                now = moved(path, w.draw[i], xi[i], x[i], left[i])
+                burnt, h[i], end[i], spent[i], w.draw[i] = burn(c, now, h[i], end[i], rates)
                 if burnt:
-                    broke[i] = 1.0
+                    broke[i] = True
 
         for i in range(lanes if c.springs.slope > 0.0 else 0):
-            work[i] += work_of(c, xi[i], x[i], h[i], end[i], along[i], lost[i], broke[i] > 0.0)
+            work[i] += work_of(c, xi[i], x[i], h[i], end[i], along[i], lost[i], broke[i])
         for i in range(lanes):
-            xi[i], x[i], left[i] = end[i], x[i] + h[i], left[i] - spent[i]
+            x[i] += h[i]
+            xi[i] = end[i]
+            left[i] -= spent[i]

@@ -32,13 +32,13 @@ from scipy import ndimage
 from eqsim.engine import avalanches
 from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import delay_after, draw_one
+from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
 from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
 from eqsim.engine.scatter import pinned_variance
-from eqsim.engine.segments import Population, begin_stationary, delay_of_the_first
+from eqsim.engine.segments import Population, begin_stationary
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging import Unaged
-from eqsim.laws.aging.base import growth, spend, stiffness_varies
+from eqsim.laws.aging.base import Held, growth, spend, stiffness_varies
 from eqsim.laws.barrier import Mechanical
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Programme
@@ -120,14 +120,14 @@ def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: 
                 return
             left -= p.time[i]
             lives = abs(p.lives[i])
-            p.xi[i], born, p.clock[i] = draw_one(c.newborn, c, stream, first + i, lives)
+            p.xi[i], born, p.clock[i] = draw_birth(c.newborn, c, stream, first + i, lives)
             p.stretch[i], p.time[i], p.lives[i] = born, -0.0, lives + 1
             if born != 0.0:  # it brings a force and energy
                 brought = kappa(c.springs, p.xi[i]) * born
                 total[MOTION if by_motion else HEAT] -= brought
                 total[LOST] -= 0.5 * brought * born
         y, before, stiffness = piece.sign * p.stretch[i], -p.time[i], kappa(c.springs, p.xi[i])
-        contact = p.xi[i], stiffness, y, before
+        contact = Held(p.xi[i], stiffness, y, before)
         broke, clock = spend(c.aging, c, contact, piece.moves, left, p.clock[i])
         if broke > left:
             break
@@ -282,11 +282,11 @@ class Slider:
         found, p = stationary(before), self.population
         for first in range(0, self.count, _TOGETHER):
             some = slice(first, min(first + _TOGETHER, self.count))
-            part = Population.fresh(some.stop - first)
-            begin_stationary(before, found, self.stream, self.first + first, part)
-            p.time[some] = np.where(part.rest < 0.0, -part.age, part.rest) / speed
-            p.xi[some], p.stretch[some], p.clock[some] = part.xi, part.stretch, part.clock
-            p.lives[some] = np.where(part.rest < 0.0, -part.lives, part.lives)
+            part = Population.fresh(self.first + first, some.stop - first)
+            begin_stationary(before, found, self.stream, part)
+            p.time[some] = np.where(part.pinned, -part.age, part.wait) / speed
+            p.xi[some], p.stretch[some], p.clock[some] = part.threshold, part.stretch, part.clock
+            p.lives[some] = np.where(part.pinned, -part.lives, part.lives)
 
     def __enter__(self) -> "Slider":
         return self

@@ -262,14 +262,16 @@ class Unstressed(NamedTuple):
 
 class Stretched(NamedTuple):
     """For kernels: a law of births; whether it is one of fractions of the threshold; whether a threshold has to be
-    above |y|, or above y only; the stretch that births beyond it, as good as none, count as; and -ln J_c(|y|) against
-    |y|, an empty table where that is sought in the thresholds' own."""
+    above |y|, or above y only; the stretch that births beyond it, as good as none, count as; -ln J_c(|y|) against |y|,
+    an empty table where that is sought in the thresholds' own; and the direction of motion, in which stretches of
+    contacts count that are followed along a segment."""
 
     law: Any
     of_threshold: bool
     two_sided: bool
     most: float
     ranks: Array
+    sign: float = 1.0
 
     def reach(self, xi: float) -> float:
         """The greatest |y| of contacts whose thresholds are at most `xi`."""

@@ -5,12 +5,11 @@ vectorises.
 """
 
 import functools
+import typing
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, cast
 
 import numba
-from llvmlite import ir
-from numba.core import cgutils, types
 from numba.extending import intrinsic, overload, register_jitable
 
 from eqsim.numerics.kernel_folder import kernel_folder
@@ -31,7 +30,11 @@ def kernel(function: Callable[..., Any]) -> Any:
         numba.config.CACHE_DIR = previous
 
 
-def routine(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
+@typing.overload
+def routine(function: Callable[..., Any]) -> Any: ...
+@typing.overload
+def routine(*, inline: bool) -> Callable[[Callable[..., Any]], Any]: ...
+def routine(function: Any = None, *, inline: bool = False) -> Any:
     """Compile a function into the kernels that call it; Python, if it calls it, interprets it. `inline` leaves no call,
     so that loops over many contacts can vectorise; else LLVM decides."""
     if function is None:
@@ -77,157 +80,13 @@ def by_law(default: Callable[..., Any]) -> LawRoutine:
     return made
 
 
-def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
+def _fma(context: Any, x: Any, y: Any, z: Any) -> Any:
     """x y + z in kernels, rounded once: one instruction where x y + z are two, and the same bits on any processor."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
 
-    return types.float64(types.float64, types.float64, types.float64), generate
+    return numba.float64(numba.float64, numba.float64, numba.float64), generate
 
 
-def _row_change(instruction: str, doc: str) -> Any:
-    """An intrinsic for the numbers of a row of C-ordered 64-bit integers, up to four in one instruction. Left to
-    itself the compiler changes them one by one."""
-
-    def typing(typing: Any, sums: Any, j: Any, column: Any, row: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array = context.make_array(sums)(context, builder, value=arguments[0])
-            columns = cgutils.unpack_tuple(builder, array.shape)[1]
-            start = builder.add(builder.mul(arguments[1], columns), arguments[2])
-            numbers = cgutils.unpack_tuple(builder, arguments[3])
-            for first in range(0, len(numbers), 4):
-                part = numbers[first : first + 4]
-                vector = ir.VectorType(part[0].type, len(part))
-                change = ir.Constant(vector, ir.Undefined)
-                for i, number in enumerate(part):
-                    change = builder.insert_element(change, number, ir.Constant(ir.IntType(32), i))
-                at = builder.gep(array.data, [builder.add(start, ir.Constant(start.type, first))])
-                at = builder.bitcast(at, vector.as_pointer())
-                builder.store(getattr(builder, instruction)(builder.load(at, align=8), change), at, align=8)
-            return context.get_dummy_value()
-
-        numbers = types.UniTuple(types.int64, len(row))  # type: ignore[attr-defined]
-        return types.void(sums, types.int64, types.int64, numbers), generate
-
-    typing.__doc__ = doc
-    return intrinsic(typing)
-
-
-add_row = _row_change("add", "Add the tuple `row` to row `j` of `sums` from `column` on.")
-take_row = _row_change("sub", "Take the tuple `row` from row `j` of `sums` from `column` on.")
-
-
-def _shuffled(builder: Any, a: Any, b: Any, *order: int) -> Any:
-    """The numbers of two vectors, those of the second counted on, in an order."""
-    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order)))
-
-
-def _transposed(builder: Any, rows: Any) -> Any:
-    """Columns of four vectors of four numbers."""
-    even, odd = (
-        [_shuffled(builder, *rows[k : k + 2], n, n + 4, n + 2, n + 6) for k in (0, 2)] for n in (0, 1)
-    )  # of lanes 0 and 2, 1 and 3
-    return [_shuffled(builder, *pair, n, n + 1, n + 4, n + 5) for n in (0, 2) for pair in (even, odd)]
-
-
-def _vector_at(builder: Any, array: Any, offset: Any, vector: Any) -> Any:
-    """Where a vector of neighbouring numbers of an array begins."""
-    return builder.bitcast(builder.gep(array.data, [offset]), vector.as_pointer())
-
-
-def _move_rows(typing: Any, sums: Any, start: Any, end: Any, number: Any, i: Any) -> Any:
-    """Add 1 and the five numbers[:, j], for j from i to i + 3, to the rows start[j] of `sums`, and take them from the
-    rows end[j]; all arrays are C-ordered, of 64-bit integers. Columns are turned into rows in vectors of four."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        into, starts, ends, numbers = (
-            context.make_array(kind)(context, builder, value=value)
-            for kind, value in zip(signature.args[:4], arguments[:4], strict=True)
-        )
-        whole = ir.IntType(64)
-        four, two = ir.VectorType(whole, 4), ir.VectorType(whole, 2)
-        width, lanes = (cgutils.unpack_tuple(builder, array.shape)[1] for array in (into, numbers))
-        columns = [ir.Constant(four, [1] * 4)]
-        for k in range(5):
-            offset = builder.add(builder.mul(ir.Constant(whole, k), lanes), arguments[4])
-            columns.append(builder.load(_vector_at(builder, numbers, offset, four), align=8))
-        rows = zip(_transposed(builder, columns[:4]), _transposed(builder, 2 * columns[4:]), strict=True)
-        for lane, (first, last) in enumerate(rows):
-            parts = (0, four, first), (4, two, _shuffled(builder, last, last, 0, 1))
-            number = builder.add(arguments[4], ir.Constant(whole, lane))
-            for which, change in ((starts, builder.add), (ends, builder.sub)):
-                row = builder.mul(builder.load(builder.gep(which.data, [number])), width)
-                for column, vector, part in parts:
-                    place = _vector_at(builder, into, builder.add(row, ir.Constant(whole, column)), vector)
-                    builder.store(change(builder.load(place, align=8), part), place, align=8)
-        return context.get_dummy_value()
-
-    return types.void(sums, start, end, number, types.int64), generate
-
-
-def _four_of(typing: Any, table: Any, j: Any) -> Any:
-    """The numbers of row j of a C-ordered table of four columns, in one load. Left to itself the compiler gathers each
-    column for many rows at once, which takes twice as long."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array = context.make_array(table)(context, builder, value=arguments[0])
-        at = builder.gep(array.data, [builder.mul(arguments[1], ir.Constant(arguments[1].type, 4))])
-        row = builder.load(builder.bitcast(at, ir.VectorType(ir.DoubleType(), 4).as_pointer()), align=8)
-        numbers = [builder.extract_element(row, ir.Constant(ir.IntType(32), i)) for i in range(4)]
-        return context.make_tuple(builder, signature.return_type, numbers)
-
-    row = types.UniTuple(types.float64, 4)  # type: ignore[attr-defined]
-    return row(table, types.int64), generate
-
-
-def _four_cubics(typing: Any, table: Any, row: Any, r: Any, t: Any, i: Any) -> Any:
-    """Cubic polynomials in the place of their arguments t[r, j], for j from i to i + 3, with coefficients from the rows
-    row[j] of a C-ordered table of four columns. Rows are turned into columns in vectors of four."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        tables, rows, numbers = (
-            context.make_array(signature.args[k])(context, builder, value=arguments[k]) for k in (0, 1, 3)
-        )
-        whole, four = ir.IntType(64), ir.VectorType(ir.DoubleType(), 4)
-        found = []
-        for lane in range(4):
-            j = builder.load(builder.gep(rows.data, [builder.add(arguments[4], ir.Constant(whole, lane))]))
-            place = _vector_at(builder, tables, builder.mul(j, ir.Constant(whole, 4)), four)
-            found.append(builder.load(place, align=8))
-        a, b, c, d = _transposed(builder, found)
-        first = builder.mul(arguments[2], cgutils.unpack_tuple(builder, numbers.shape)[1])
-        place = _vector_at(builder, numbers, builder.add(first, arguments[4]), four)
-        x = builder.load(place, align=8)
-        for coefficient in (c, b, a):
-            d = builder.fadd(coefficient, builder.fmul(x, d))
-        builder.store(d, place, align=8)
-        return context.get_dummy_value()
-
-    return types.void(table, row, types.int64, t, types.int64), generate
-
-
-def _float_of(typing: Any, whole: Any) -> Any:
-    """The double nearest to an integer of 0 to 2^63, in kernels: where the processor has no instruction that converts
-    vectors of 64 bits, from halves in the last bits of 2^84 and of 2^52, whose sum is rounded once."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        double, integer = ir.DoubleType(), ir.IntType(64)
-        triple, _, features = context.codegen().magic_tuple()
-        if not triple.startswith("x86_64") or "+avx512dq" in features:
-            return builder.sitofp(arguments[0], double)
-
-        def above(power: int, half: Any) -> Any:  # 2^power + half of its last bits
-            exponent = ir.Constant(integer, (1023 + power) << 52)
-            return builder.bitcast(builder.or_(half, exponent), double)
-
-        high = builder.lshr(arguments[0], ir.Constant(integer, 32))
-        low = builder.and_(arguments[0], ir.Constant(integer, 2**32 - 1))
-        rest = builder.fsub(above(84, high), ir.Constant(double, 2.0**84 + 2.0**52))
-        return builder.fadd(rest, above(52, low))
-
-    return types.float64(types.int64), generate
-
-
-fma, float_of, move_rows = intrinsic(_fma), intrinsic(_float_of), intrinsic(_move_rows)
-four_of, four_cubics = intrinsic(_four_of), intrinsic(_four_cubics)
+fma = intrinsic(_fma)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import float_of, routine
+from eqsim.numerics.compiled import routine
 
 TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
 STEADY = 2  # first purpose of a steady estimate; others are hashes of what it is an estimate of
@@ -20,6 +20,7 @@ ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and mo
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _UNITS = np.uint64(0x4330000000000000)  # bits of 2^52
+_UNITS_OF_UPPER = np.uint64(0x4530000000000000)  # bits of 2^84
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 
 
@@ -62,8 +63,12 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 @routine(inline=True)
 def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
-    bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
-    return min((float_of(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
+    bits = (low | (high << _HALF)) >> np.uint64(1)
+    # halves in the last bits of 2^84 and of 2^52, whose sum is rounded once: many processors have no instruction that
+    # converts several 64-bit integers
+    upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64) - (2.0**84 + 2.0**52)
+    whole = upper + np.uint64((bits & _LOW) | _UNITS).view(np.float64)
+    return min((whole + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
 
 
 @routine(inline=True)

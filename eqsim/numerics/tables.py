@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import four_cubics, four_of, routine
+from eqsim.numerics.compiled import routine
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -68,38 +68,37 @@ def search(values: Array, x: float, right: bool) -> int:
 
 
 @routine(inline=True)
-def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
+def _cell_of(table: Array, s: float) -> tuple[Any, Any]:
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)
-    cell = (bits >> _SHIFT) - np.int64(first)
+    cells = np.int64(table[0, 2])
+    cell = (bits >> _SHIFT) - np.int64(table[0, 0])
     t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (1.0 / (_FRACTION + 1))
     if cell < 0:
-        t = s * per_edge
-    if cell >= np.int64(cells):
+        t = s * table[0, 1]
+    if cell >= cells:
         t = 1.0
-    return min(max(cell, -1), np.int64(cells) - 1) + 2, t
+    return min(max(cell, -1), cells - 1) + 2, t
 
 
 @routine(inline=True)
 def _polynomial(table: Array, row: int, t: float) -> float:
     """The polynomial of a row at t."""
-    a, b, c, d = four_of(table, row)
-    return a + t * (b + t * (c + t * d))
+    return table[row, 0] + t * (table[row, 1] + t * (table[row, 2] + t * table[row, 3]))
 
 
 @routine(inline=True)
 def look_up(table: Array, s: float) -> float:
     """The tabulated function at s > 0."""
-    row, t = _place(table[0, 0], table[0, 1], table[0, 2], s)
+    row, t = _cell_of(table, s)
     return _polynomial(table, row, t)
 
 
 @routine
-def look_up_all(table: Array, r: int, s: Array, row: Array, lanes: int) -> None:
-    """The tabulated function in the place of s[r], for `lanes` numbers and up to three more, four at a time; `row` is
-    scratch."""
-    first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
-    for i in range((lanes + 3) // 4 * 4):
-        row[i], s[r, i] = _place(first, per_edge, cells, s[r, i])
-    for i in range(0, lanes, 4):
-        four_cubics(table, row, r, s, i)
+def look_up_all(table: Array, s: Array, values: Array, row: Array, count: int) -> None:
+    """Fill `values` with the tabulated function at the first `count` of `s`, arrays (n,); the same array will do for
+    both, and `row` is scratch. Look-ups in a loop of their own leave the other one free to vectorise."""
+    for i in range(count):
+        row[i], values[i] = _cell_of(table, s[i])
+    for i in range(count):
+        values[i] = _polynomial(table, row[i], values[i])

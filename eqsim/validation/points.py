@@ -20,7 +20,7 @@ import numpy as np
 from scipy import stats
 
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import typical_lives
+from eqsim.engine.sample import typical_lives
 from eqsim.errors import InputError
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.aging.base import Drift

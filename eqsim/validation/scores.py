@@ -40,12 +40,13 @@ from scipy import integrate
 
 from eqsim.engine.blocks import Job
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import lives
-from eqsim.engine.programme import steps_of
+from eqsim.engine.langevin import STEP
+from eqsim.engine.programme import constant_drive, steps_of
 from eqsim.engine.recorder import Run, Scales
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import Fresh, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
-from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
+from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known
 from eqsim.laws.aging import Aging, Flow, Logarithmic, Unaged
@@ -338,7 +339,7 @@ def hazards(point: Point) -> Found:
     if not (s.aging.closed or s.aging.fluctuates):  # hazards along paths are quadratures
         u, clock = u[:4000], clock[:4000]
     c = contacts(point.shown, point.velocity)
-    stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock).travel
+    stretch = lives(c, Source(key(point.seed, TRAJECTORY), 0, STEP), u, clock).travel
     unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
     if s.aging.fluctuates:
         return [point.uniform(profile_of(s).at(stretch * unit)[0])]
@@ -462,7 +463,7 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
     if isinstance(drive, Programme):
         return steps_of(ensemble, drive, drive.grid(2), 1, seed)
     c = contacts(ensemble, drive.velocity)
-    run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary", False)
+    run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary")
     table = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, ensemble.count, 1, 0.0)
-    return ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))
+    return constant_drive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))

@@ -270,12 +270,13 @@ def travel(c: Any, xi: float, stiffness: float, y: float, clock: float) -> float
 
 
 @by_law
-def stretches(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    """`stretch` of `count` contacts in the place of their thresholds `lives.stretch[r]`. Clocks are overwritten, `row`
-    is scratch."""
-    x, stiffness, clock = lives.stretch, lives.stiffness, lives.clock
+def stretches(law: Any, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+    """Fill the first `count` travels of round r with `stretch` of these contacts, born unstressed; `lives` is an
+    `engine.lanes.Lives`."""
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel = lives.clock, lives.travel
     for i in range(count):
-        x[r, i] = stretch(law, table, x[r, i], stiffness[r, i], clock[r, i])
+        travel[r, i] = stretch(law, table, threshold[r, i], stiffness[r, i], clock[r, i])
 
 
 def require_whole(name: str, law: Any) -> None:

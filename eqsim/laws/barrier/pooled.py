@@ -14,7 +14,7 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
 from eqsim.numerics.compiled import routine
@@ -200,14 +200,6 @@ class Pooled(_Numbers):
 @stretch.register(Pooled)
 def _stretch(law: Pooled, table: Array, xi: float, stiffness: float, clock: float) -> float:
     return min(xi, _inverse(law.x, law.G, law.slopes, clock * math.exp(-law.log_w)))
-
-
-@stretches.register(Pooled)
-def _stretches(law: Pooled, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    stretch, clock, x, G, slopes = lives.stretch, lives.clock, law.x, law.G, law.slopes
-    per_attempt = math.exp(-law.log_w)
-    for i in range(count):
-        stretch[r, i] = min(stretch[r, i], _inverse(x, G, slopes, clock[r, i] * per_attempt))
 
 
 @hazard.register(Pooled)

@@ -155,27 +155,26 @@ def _stretch(law: Soft, table: Array, xi: float, stiffness: float, clock: float)
 
 
 @stretches.register(Soft)
-def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    x, clock, stiffness, roots = lives.stretch, lives.clock, lives.stiffness, lives.root
-    b, log_w = law.b, law.log_w
+def _stretches(law: Soft, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel, log_w = lives.clock, lives.travel, law.log_w
+    root, per_root, rank = lives.root, lives.per_root, lives.rank
     if springs.slope == 0.0:  # roots and divisions are the same for all
-        root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
+        same = math.sqrt(law.b)
         for i in range(count):
-            clock[r, i] = _odds(x[r, i], root, log_w, clock[r, i])
-        for i in range(count):
-            clock[r, i] = _rank(x[r, i], root, log_w, clock[r, i])
-        look_up_all(table, r, clock, row, count)
-        for i in range(count):
-            x[r, i] = _end(x[r, i], per_root, clock[r, i])
+            root[i] = same
+            per_root[i] = 1.0 / same
     else:
         for i in range(count):
-            roots[i] = math.sqrt(b * stiffness[r, i])
-            clock[r, i] = _odds(x[r, i], roots[i], log_w, clock[r, i])
-        for i in range(count):
-            clock[r, i] = _rank(x[r, i], roots[i], log_w, clock[r, i])
-        look_up_all(table, r, clock, row, count)
-        for i in range(count):
-            x[r, i] = _end(x[r, i], 1.0 / roots[i], clock[r, i])
+            root[i] = math.sqrt(law.b * stiffness[r, i])
+            per_root[i] = 1.0 / root[i]
+    for i in range(count):
+        rank[i] = _odds(threshold[r, i], root[i], log_w, clock[r, i])
+    for i in range(count):
+        rank[i] = _rank(threshold[r, i], root[i], log_w, rank[i])
+    look_up_all(table, rank, rank, lives.row, count)
+    for i in range(count):
+        travel[r, i] = _end(threshold[r, i], per_root[i], rank[i])
 
 
 @hazard.register(Soft)

@@ -119,14 +119,16 @@ def _stretch(law: Stiff, table: Array, xi: float, stiffness: float, clock: float
 
 
 @stretches.register(Stiff)
-def _stretches(law: Stiff, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
+def _stretches(law: Stiff, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel, spent = lives.clock, lives.travel, lives.rank
+    b, log_w = law.b, law.log_w
     for i in range(count):  # in steps, as in `soft`
-        clock[r, i] = _odds(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
+        spent[i] = _odds(threshold[r, i], b * stiffness[r, i], log_w, clock[r, i])
     for i in range(count):
-        clock[r, i] = _spent(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
+        spent[i] = _spent(threshold[r, i], b * stiffness[r, i], log_w, spent[i])
     for i in range(count):
-        x[r, i] = _end(x[r, i], clock[r, i])
+        travel[r, i] = _end(threshold[r, i], spent[i])
 
 
 @hazard.register(Stiff)
