@@ -139,7 +139,7 @@ def _draw_stretched(law: Stretched, c: Contacts, key: Key, lanes: Lanes, lives: 
         draw_delays(c, key, lanes, lives, count)
 
 
-@routine
+@routine(inline=True)
 def draw_unstressed(law: Thresholds, heat: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
     """Draw thresholds and, if heat breaks contacts, clocks. Half of a Philox result serves one draw; without a clock
     the two halves are the thresholds of two lives."""
@@ -185,12 +185,12 @@ def draw_thresholds(law: Thresholds, u: Array, lives: Lives, r: int, count: int)
     else:
         for i in range(count):
             u[i] = -log(u[i])
-        look_up_all(law.table, u, u, lives.row, count)
+        look_up_all(law.table, u, lives.row, count)
         for i in range(count):
             threshold[r, i] = u[i]
 
 
-@routine
+@routine(inline=True)
 def draw_delays(c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
     """Draw the delays after the next ROUNDS lives, where they are random."""
     words, delay, law = lanes.words, lives.delay, c.delay

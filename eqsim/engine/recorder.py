@@ -28,8 +28,6 @@ _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below 
 _LEAST_WORK = 2.0**5  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
 _BITS = 62  # of a sum; the sign and one more are left
 _UNITS = 0x4330000000000000  # bits of 2^52
-_SHIFTED = 0x4338000000000000  # bits of 1.5 2^52
-_NARROW_FROM = 2 ** (_BITS - 51)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
 
 # What a contact leaves at a point of the grid, with Y = -X0 where the slider would have been pulled from: 1, kappa Y,
 # (kappa Y)^2, kappa, kappa^2 and kappa^2 Y.
@@ -135,15 +133,14 @@ class Extent(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers; whether all contacts are equally
-    stiff, and whether they are so many that no deposit of one exceeds 51 bits."""
+    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers; and whether all contacts are
+    equally stiff."""
 
     deposits: Deposit
     windows: Window
     replica: float
     replica_square: float
     uniform: bool
-    narrow: bool = False
 
     @classmethod
     def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
@@ -186,10 +183,8 @@ class Scales(NamedTuple):
             )
         most = max(force, drag)
         replica, replica_square = power([most, most**2], replicas)
-        return cls(
-            deposits._replace(count=1.0), windows._replace(breaks=1.0), replica, replica_square, lives.alike,
-            contacts >= _NARROW_FROM,
-        )  # fmt: skip
+        counted = deposits._replace(count=1.0), windows._replace(breaks=1.0)
+        return cls(*counted, replica, replica_square, lives.alike)
 
 
 class Averaging(NamedTuple):
@@ -212,23 +207,6 @@ class Averaging(NamedTuple):
         return cls(edge, since, np.zeros(LANES, np.int64), work, pinned, broke, reborn)
 
 
-class Columns(NamedTuple):
-    """Scratch for what the contacts in the lanes leave, arrays (LANES,): at the point `start` what `Deposit` says, and
-    back again at `end`."""
-
-    start: Array
-    end: Array
-    force: Array
-    square: Array
-    slope: Array
-    slope2: Array
-    ramp2: Array
-
-    @classmethod
-    def empty(cls) -> "Columns":
-        return cls(*np.zeros((7, LANES), np.int64))
-
-
 class Recorder(NamedTuple):
     """Where kernels add up what contacts leave along a segment.
 
@@ -247,8 +225,6 @@ class Recorder(NamedTuple):
         Sums over batches and quarters of the second half.
     lives, stop : ndarray of int, shape (1,)
         Lives so far; anything but 0 in `stop` ends the kernel.
-    narrow : bool
-        As in `Scales`.
     joined : bool
         Whether a life begins where another ends, and nothing changes there but the place of birth.
     alone : bool
@@ -256,7 +232,8 @@ class Recorder(NamedTuple):
     carries : bool
         Whether where lives break is found for all lanes together, before they are recorded.
     averaging : Averaging
-    columns : Columns
+    begins, ends : ndarray of int, shape (LANES,)
+        Scratch: points of the grid.
     """
 
     run: Run
@@ -267,12 +244,12 @@ class Recorder(NamedTuple):
     windows: Array
     lives: Array
     stop: Array
-    narrow: bool
     joined: bool
     alone: bool
     carries: bool
     averaging: Averaging
-    columns: Columns
+    begins: Array
+    ends: Array
 
     @classmethod
     def of(cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0) -> "Recorder":
@@ -285,8 +262,8 @@ class Recorder(NamedTuple):
         joined = not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0
         return cls(
             run, start, scales.deposits, scales.windows, total.scratch[row : row + run.points + 1], total.windows,
-            total.lives, total.stop, scales.narrow, joined, alone, run.moves != 0 and not paths, Averaging.empty(),
-            Columns.empty(),
+            total.lives, total.stop, joined, alone, run.moves != 0 and not paths, Averaging.empty(),
+            np.zeros(LANES, np.int64), np.zeros(LANES, np.int64),
         )  # fmt: skip
 
 
@@ -326,15 +303,6 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
 @routine(inline=True)
 def fixed(x: float, scale: float) -> int:
     """x in fixed point."""
-    return int(np.rint(x * scale))
-
-
-@routine(inline=True)
-def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
-    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are the last bits of the sum. Few
-    processors convert more than one number at a time."""
-    if narrow:
-        return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
 
 
@@ -403,7 +371,7 @@ def edge_after(run: Run, x: float) -> float:
     return run.length if x <= run.length else math.inf
 
 
-@routine
+@routine(inline=True)
 def average(
     recorder: Recorder, batch: int, stiffness: float, origin: float, born: float, broke: float, reborn: float
 ) -> None:
@@ -437,77 +405,68 @@ def point_after(x: float, run: Run, per_step: float) -> Any:
     return np.float64(at).view(np.int64) - _UNITS
 
 
-@routine
+@routine(inline=True)
 def leave_ramps(recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, count: int) -> None:
     """Record the lives of round r of the first `count` lanes, pinned at 0 <= `born` <= X < `broke`."""
-    scales, deposits, narrow, run = recorder.scales, recorder.deposits, recorder.narrow, recorder.run
-    stiffness, columns = lives.stiffness, recorder.columns
-    start, end, force, square = columns.start, columns.end, columns.force, columns.square
-    slope, slope2, ramp2 = columns.slope, columns.slope2, columns.ramp2
-    per_step = (run.points - 1) / run.length
+    scales, deposits, run = recorder.scales, recorder.deposits, recorder.run
+    stiffness, start, end, per_step = lives.stiffness, recorder.begins, recorder.ends, (run.points - 1) / run.length
     for i in range(count):
         start[i] = point_after(born[i], run, per_step)
+    for i in range(count):
         end[i] = point_after(broke[i], run, per_step)
     for i in range(count):
         kappa = stiffness[r, i]
         ramp = kappa * born[i]
-        force[i] = fixed_narrow(ramp, -scales.force, narrow)
-        square[i] = fixed_narrow(ramp * ramp, scales.square, narrow)
-        slope[i] = fixed_narrow(kappa, scales.slope, narrow)
-        slope2[i] = fixed_narrow(kappa * kappa, scales.slope2, narrow)
-        ramp2[i] = fixed_narrow(kappa * ramp, -scales.ramp2, narrow)
-    for i in range(count):
+        force = fixed(ramp, -scales.force)
+        square = fixed(ramp * ramp, scales.square)
+        slope = fixed(kappa, scales.slope)
+        slope2 = fixed(kappa * kappa, scales.slope2)
+        ramp2 = fixed(kappa * ramp, -scales.ramp2)
         begun, ended = deposits[start[i]], deposits[end[i]]
         begun.count += 1
-        begun.force += force[i]
-        begun.square += square[i]
-        begun.slope += slope[i]
-        begun.slope2 += slope2[i]
-        begun.ramp2 += ramp2[i]
+        begun.force += force
+        begun.square += square
+        begun.slope += slope
+        begun.slope2 += slope2
+        begun.ramp2 += ramp2
         ended.count -= 1
-        ended.force -= force[i]
-        ended.square -= square[i]
-        ended.slope -= slope[i]
-        ended.slope2 -= slope2[i]
-        ended.ramp2 -= ramp2[i]
+        ended.force -= force
+        ended.square -= square
+        ended.slope -= slope
+        ended.slope2 -= slope2
+        ended.ramp2 -= ramp2
 
 
-@routine
+@routine(inline=True)
 def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
     """`leave_ramps` of contacts that are equally stiff: count and force stand for the other fields."""
-    scales, deposits, narrow, run = recorder.scales, recorder.deposits, recorder.narrow, recorder.run
-    columns = recorder.columns
-    start, end, force, square = columns.start, columns.end, columns.force, columns.square
-    per_step = (run.points - 1) / run.length
+    scales, deposits, run = recorder.scales, recorder.deposits, recorder.run
+    start, end, per_step = recorder.begins, recorder.ends, (run.points - 1) / run.length
     for i in range(count):
         start[i] = point_after(born[i], run, per_step)
+    for i in range(count):
         end[i] = point_after(broke[i], run, per_step)
     for i in range(count):
-        force[i] = fixed_narrow(born[i], -scales.force, narrow)
-        square[i] = fixed_narrow(born[i] * born[i], scales.square, narrow)
-    for i in range(count):
+        force = fixed(born[i], -scales.force)
+        square = fixed(born[i] * born[i], scales.square)
         begun, ended = deposits[start[i]], deposits[end[i]]
         begun.count += 1
-        begun.force += force[i]
-        begun.square += square[i]
+        begun.force += force
+        begun.square += square
         ended.count -= 1
-        ended.force -= force[i]
-        ended.square -= square[i]
+        ended.force -= force
+        ended.square -= square
 
 
-@routine
+@routine(inline=True)
 def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
     """`leave_uniform_ramps` without delay: a life begins where another ends, and only the square and the place of birth
     change there."""
-    scales, deposits, narrow, run = recorder.scales, recorder.deposits, recorder.narrow, recorder.run
-    end, force, square = recorder.columns.end, recorder.columns.force, recorder.columns.square
-    per_step = (run.points - 1) / run.length
+    scales, deposits, run = recorder.scales, recorder.deposits, recorder.run
+    end, per_step = recorder.ends, (run.points - 1) / run.length
     for i in range(count):
-        distance = broke[i] - born[i]
         end[i] = point_after(broke[i], run, per_step)
-        force[i] = fixed_narrow(distance, -scales.force, narrow)
-        square[i] = fixed_narrow(distance * (born[i] + broke[i]), scales.square, narrow)
     for i in range(count):
-        here = deposits[end[i]]
-        here.force += force[i]
-        here.square += square[i]
+        distance, here = broke[i] - born[i], deposits[end[i]]
+        here.force += fixed(distance, -scales.force)
+        here.square += fixed(distance * (born[i] + broke[i]), scales.square)

@@ -253,7 +253,7 @@ def _note_lives(
     return note_together(recorder, c, lanes, lives, r, active, full)
 
 
-@routine
+@routine(inline=True)
 def note_together(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int, full: int) -> bool:
     """Record the lives of all lanes at once. A contact's lives come in order of position, so what they leave in
     averages is added up on the way, and noted when a life crosses the edge of a window."""
@@ -262,11 +262,11 @@ def note_together(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r
     work, pinned = averaging.work, averaging.pinned
     travel, stiffness, delay = lives.travel, lives.stiffness, lives.delay
     for i in range(full):
-        x = travel[r, i]
-        work[i] += 0.5 * stiffness[r, i] * x * x
-        broke[i] = position[i] + x
-        reborn[i] = broke[i]
+        work[i] += 0.5 * stiffness[r, i] * travel[r, i] * travel[r, i]
+        broke[i] = position[i] + travel[r, i]
     if recorder.joined:
+        for i in range(full):
+            reborn[i] = broke[i]
         join_uniform_ramps(recorder, position, broke, full)
     else:
         for i in range(full):
@@ -285,7 +285,7 @@ def note_together(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r
     return ended
 
 
-@routine
+@routine(inline=True)
 def cross_edges(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int) -> bool:
     """Note what contacts whose lives cross the edge of a window have left in it, and these lives; whether any has come
     to the end of the segment."""

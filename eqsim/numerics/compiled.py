@@ -39,7 +39,7 @@ def routine(function: Any = None, *, inline: bool = False) -> Any:
     so that loops over many contacts can vectorise; else LLVM decides."""
     if function is None:
         return functools.partial(routine, inline=inline)
-    return register_jitable(error_model="numpy", forceinline=inline)(function)
+    return register_jitable(_nrt=False, error_model="numpy", forceinline=inline)(function)
 
 
 class LawRoutine(Protocol):
@@ -66,7 +66,7 @@ def by_law(default: Callable[..., Any]) -> LawRoutine:
     def choose(law: Any, *arguments: Any) -> Any:
         return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    overload(call, jit_options={"error_model": "numpy", "forceinline": True}, strict=False)(choose)
+    overload(call, jit_options={"_nrt": False, "error_model": "numpy", "forceinline": True}, strict=False)(choose)
 
     def register(law: type) -> Callable[[Body], Body]:
         def keep(function: Body) -> Body:

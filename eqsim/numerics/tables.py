@@ -68,17 +68,16 @@ def search(values: Array, x: float, right: bool) -> int:
 
 
 @routine(inline=True)
-def _cell_of(table: Array, s: float) -> tuple[Any, Any]:
+def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)
-    cells = np.int64(table[0, 2])
-    cell = (bits >> _SHIFT) - np.int64(table[0, 0])
+    cell = (bits >> _SHIFT) - np.int64(first)
     t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (1.0 / (_FRACTION + 1))
     if cell < 0:
-        t = s * table[0, 1]
-    if cell >= cells:
+        t = s * per_edge
+    if cell >= np.int64(cells):
         t = 1.0
-    return min(max(cell, -1), cells - 1) + 2, t
+    return min(max(cell, -1), np.int64(cells) - 1) + 2, t
 
 
 @routine(inline=True)
@@ -90,15 +89,16 @@ def _polynomial(table: Array, row: int, t: float) -> float:
 @routine(inline=True)
 def look_up(table: Array, s: float) -> float:
     """The tabulated function at s > 0."""
-    row, t = _cell_of(table, s)
+    row, t = _cell_of(table[0, 0], table[0, 1], table[0, 2], s)
     return _polynomial(table, row, t)
 
 
 @routine
-def look_up_all(table: Array, s: Array, values: Array, row: Array, count: int) -> None:
-    """Fill `values` with the tabulated function at the first `count` of `s`, arrays (n,); the same array will do for
-    both, and `row` is scratch. Look-ups in a loop of their own leave the other one free to vectorise."""
+def look_up_all(table: Array, s: Array, row: Array, count: int) -> None:
+    """Replace the first `count` of `s`, shape (n,), by the tabulated function there; `row` is scratch. Look-ups in a loop
+    of their own leave the other one free to vectorise."""
+    first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
     for i in range(count):
-        row[i], values[i] = _cell_of(table, s[i])
+        row[i], s[i] = _cell_of(first, per_edge, cells, s[i])
     for i in range(count):
-        values[i] = _polynomial(table, row[i], values[i])
+        s[i] = _polynomial(table, row[i], s[i])

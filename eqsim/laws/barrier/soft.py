@@ -172,7 +172,7 @@ def _stretches(law: Soft, table: Array, springs: Any, lives: Any, r: int, count:
         rank[i] = _odds(threshold[r, i], root[i], log_w, clock[r, i])
     for i in range(count):
         rank[i] = _rank(threshold[r, i], root[i], log_w, rank[i])
-    look_up_all(table, rank, rank, lives.row, count)
+    look_up_all(table, rank, lives.row, count)
     for i in range(count):
         travel[r, i] = _end(threshold[r, i], per_root[i], rank[i])
 
