@@ -297,7 +297,7 @@ def test_sampled_fluctuations_of_heavy_tails():
     heavy, light = (Ensemble(law) for law in (Pareto(5.6), Gamma()))
     for contacts, known in ((heavy, False), (light, True)):
         drive = Drive(0.1, distance=1.0)
-        found, exact = sampled(contacts, drive, 2, 5e4, (1, 1)), reference(contacts, Drive(0.1), variance=True)
+        found, exact = sampled(contacts, drive, 2, 5e4, 1, 1), reference(contacts, Drive(0.1), variance=True)
         assert found.reliable is known
         assert abs(found.covariance[0] - exact.force_variance.value) < 4.5 * found.stderr[0]
 

@@ -97,7 +97,7 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
         parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
-        parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, size)))
+        parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, *size)))
     rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR  # 1.0: the first 65 536 lives will do
     try:
         found = steady(point.shown, Drive(point.velocity), rel_error=rel_error, seed=seed, threads=threads)
@@ -400,14 +400,13 @@ _INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {
 }
 
 
-def fluctuating(point: Point, size: tuple[int, int]) -> Found:
-    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles. Raises InputError where lives are too
-    rare and too long to be found."""
+def fluctuating(point: Point, count: int, ensembles: int) -> Found:
+    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles of `count`
+    contacts. Raises InputError where lives are too rare and too long to be found."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     s = settled(ensemble, v)
     if s.stiffness == "sqrt" and s.aging.stiffens:
         return point.without(_FLUCTUATIONS, "no reference")
-    count, ensembles = size
     if shown.fluctuates:
         count = min(count, 40_000 // ensembles)
     means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)

@@ -90,7 +90,7 @@ class ElasticResult(OfTrajectory):
             "summary.json": storage.to_json(self.summary()).encode(),
             **pictures("force", elastic_figure(found, exact, said), formats),
             **pictures("avalanches", avalanches_figure(found, self.sizes, said), formats),
-            **pictures("fronts", fronts_figure(found, elastic.shape, said), formats),
+            **pictures("fronts", fronts_figure(found, *elastic.shape, said), formats),
         }
 
 
