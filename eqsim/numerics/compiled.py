@@ -1,39 +1,116 @@
-"""How eqsim compiles its kernels: no GIL, strict IEEE arithmetic, and a cache that cannot go stale.
+"""How eqsim compiles its kernels: no GIL, strict IEEE arithmetic, and a cache that
+cannot go stale.
 
-Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every division, and no loop with one
-vectorises.
+`kernel` compiles a function that Python calls, for the types of its arguments, and
+keeps the machine code on disk. `routine` compiles a function into the kernels that
+call it. `by_law` makes a routine that has another body for each type of law.
+
+Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every
+division, and no loop with one vectorises.
 """
 
 import functools
-from collections.abc import Callable
+import hashlib
+import typing
+from collections.abc import Callable, Hashable
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload, register_jitable
 
-from eqsim.numerics.kernel_folder import kernel_folder
+from eqsim.numerics.kernel_folder import locked_folder
+
+__all__ = ["by_law", "fma", "kernel", "routine"]
 
 Body = TypeVar("Body", bound=Callable[..., Any])
-_CACHE = kernel_folder()
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls, cached on disk if any of the usual folders can be written."""
+class Kernel:
+    """A function that Python calls, compiled anew for each combination of types.
+
+    A dispatcher of numba keeps one index on disk for all types, which processes that
+    save at the same time take from each other. So each combination has a dispatcher and
+    a folder of its own here, which a process locks while it compiles or loads.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._by_kind: dict[Hashable, Callable[..., Any]] = {}
+        self.signatures: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        compiled = self._by_kind.get(_kind(arguments))
+        if compiled is None:
+            compiled = self._load_or_compile(arguments)
+        return compiled(*arguments)
+
+    def _load_or_compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        """The machine code for such arguments; several kinds may have the same types."""
+        signature = tuple(map(numba.typeof, arguments))
+        digest = hashlib.sha256(f"{numba.__version__} {signature}".encode()).hexdigest()
+        function = self._function
+        name = f"{function.__module__}.{function.__qualname__}-{digest[:16]}"
+        if signature not in self.signatures:
+            with locked_folder(name) as folder:
+                if signature not in self.signatures:  # no other thread has made it
+                    self.signatures[signature] = _compiled(function, signature, folder)
+        return self._by_kind.setdefault(_kind(arguments), self.signatures[signature])
+
+
+def _kind(value: Any) -> Any:
+    """What numba's type of a value depends on; numba.typeof takes fifty times longer."""
+    if type(value) is np.ndarray:
+        flags = value.flags
+        if flags.carray:  # C-contiguous, aligned and writeable
+            return value.dtype, value.ndim
+        order = flags.c_contiguous, flags.f_contiguous
+        return value.dtype, value.ndim, order, flags.writeable, flags.aligned
+    if isinstance(value, tuple):
+        return type(value), *map(_kind, value)
+    return type(value)
+
+
+def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) -> Any:
+    """A dispatcher for one signature, from a folder or saved there if there is one."""
     options = {"error_model": "numpy", "nogil": True}
-    if _CACHE is None:
-        return numba.njit(function, **options)
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE  # read when the function is decorated
-    try:
-        return numba.njit(function, cache=True, **options)
-    finally:
-        numba.config.CACHE_DIR = previous
+    if folder is not None:
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            return numba.njit(signature, cache=True, **options)(function)
+        except (OSError, RuntimeError):  # the disk is full, or the folder was removed
+            pass
+        finally:
+            numba.config.CACHE_DIR = previous
+    return numba.njit(signature, **options)(function)
+
+
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Compile a function that Python calls. Kernels cannot call it: they call routines.
+
+    Arguments are arrays, numbers, None, and tuples and NamedTuples of these; a whole
+    number is of 64 bits. The machine code is kept on disk if a folder can be written.
+    """
+    return Kernel(function)
+
+
+@typing.overload
+def routine(function: Callable[..., Any]) -> Any: ...
+
+
+@typing.overload
+def routine(*, inline: bool) -> Callable[[Callable[..., Any]], Any]: ...
 
 
 def routine(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
-    """Compile a function into the kernels that call it; Python, if it calls it, interprets it. `inline` leaves no call,
-    so that loops over many contacts can vectorise; else LLVM decides."""
+    """Compile a function into the kernels that call it; Python, if it calls it,
+    interprets it. `inline` leaves no call, so that loops over many contacts can
+    vectorise; else LLVM decides."""
     if function is None:
         return functools.partial(routine, inline=inline)
     return register_jitable(error_model="numpy", forceinline=inline)(function)
@@ -78,12 +155,14 @@ def by_law(default: Callable[..., Any]) -> LawRoutine:
 
 
 def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
-    """x y + z in kernels, rounded once: one instruction where x y + z are two, and the same bits on any processor."""
+    """x y + z in kernels, rounded once: one instruction where x y + z are two, and the
+    same bits on any processor."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
 
-    return types.float64(types.float64, types.float64, types.float64), generate
+    number = numba.float64
+    return number(number, number, number), generate
 
 
 def _row_change(instruction: str, doc: str) -> Any:
