@@ -126,10 +126,12 @@ class LawRoutine(Protocol):
 
 
 def by_law(default: Callable[..., Any]) -> LawRoutine:
-    """A kernel routine with a body for each type of law, its first argument, as `functools.singledispatch` has them:
-    laws register theirs with `@name.register(Law)`. `default`, which every other law has, may raise TypeError.
+    """Make a routine that has another body for each type of law, its first argument:
+    `functools.singledispatch` for kernels. Laws register theirs with
+    `@name.register(Law)`; `default`, which every other law has, may raise TypeError.
 
-    Kernels choose when they are compiled, by the NamedTuple that a law is, so that only what is used is compiled.
+    Kernels choose when they are compiled, by the NamedTuple that a law is, so that only
+    what is used is compiled.
     """
     bodies: dict[type, Callable[..., Any]] = {}
 
@@ -140,7 +142,10 @@ def by_law(default: Callable[..., Any]) -> LawRoutine:
     def choose(law: Any, *arguments: Any) -> Any:
         return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    overload(call, jit_options={"error_model": "numpy", "forceinline": True}, strict=False)(choose)
+    # Left to LLVM, a body is a call from loops over contacts, which do not vectorise:
+    # a life along a programme takes 2.5 times as long.
+    options = {"error_model": "numpy", "forceinline": True}
+    overload(call, jit_options=options, strict=False)(choose)
 
     def register(law: type) -> Callable[[Body], Body]:
         def keep(function: Body) -> Body:
