@@ -24,28 +24,41 @@ from pathlib import Path
 from filelock import FileLock
 
 _PACKAGE = Path(__file__).parent.parent
+# Folders and files below eqsim/ with compiled code, and with what it is compiled from.
+KERNEL_SOURCES = (
+    "numerics",
+    "laws",
+    "engine",
+    "master/cohorts.py",
+    "master/fronts.py",
+    "master/slider.py",
+)
 # Seconds that a process waits for another one that compiles the same kernel: several
 # times what the longest takes. Then it compiles for itself.
 _PATIENCE = 120.0
 # Seconds between two looks at a lock: no delay that anybody notices.
 _LOOK = 0.05
 _one_thread = threading.RLock()
-_begins: list[float] = []  # when this process began what it compiles, loads or waits for
+# When this process began what it compiles, loads or waits for.
+_begins: list[float] = []
 
 
 @functools.cache
 def kernel_folder() -> str | None:
     """The first of the usual folders that can be written; None if none can."""
     digest = hashlib.sha256()
-    for part in ("numerics", "laws", "engine", "master/cohorts.py", "master/fronts.py", "master/slider.py"):
+    for part in KERNEL_SOURCES:
         path = _PACKAGE / part
         for source in [path] if path.suffix else sorted(path.rglob("*.py")):
             digest.update(source.read_bytes())
     name = f"eqsim-kernels-{digest.hexdigest()[:16]}"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    homes = [user_cache] if user_cache.is_absolute() else []  # a user whom the machine does not know has none
-    for parent in (*([Path(chosen)] if chosen else []), _PACKAGE / "__pycache__", *homes):
+    parents = [Path(chosen)] if chosen else []
+    parents.append(_PACKAGE / "__pycache__")
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if os.path.isabs(home):  # a user whom the machine does not know has none
+        parents.append(Path(home))
+    for parent in parents:
         try:
             (parent / name).mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=parent / name) as probe:
