@@ -7,14 +7,15 @@ from pathlib import Path
 import pytest
 from kernels import LAWS
 
-from eqsim.numerics import compiled
+from eqsim.numerics.kernel_folder import kernel_folder
 
 
 def pytest_sessionstart(session):
     workers = getattr(session.config.option, "numprocesses", None)
-    if not workers or compiled._CACHE is None or not all(Path(arg).is_dir() for arg in session.config.args):
+    folder = kernel_folder()
+    if not workers or folder is None or not all(Path(arg).is_dir() for arg in session.config.args):
         return
-    done = Path(compiled._CACHE) / "for-tests"
+    done = Path(folder, "for-tests")
     if not done.exists():
         count = min(workers, 4)  # of processes, each of which takes some seconds more
         command, root = [sys.executable, "-m", "tests.kernels"], Path(__file__).parent.parent

@@ -69,8 +69,8 @@ def test_same_bits_on_dask(expected, command):
     with cluster, distributed.Client(cluster) as client:
         workers = (client.get_executor(), 2)
         assert [bits(*case, threads=workers) for case in CASES] == expected
-        # arrays come as the kernel knows them: it is compiled once with paths and once without
-        assert set(client.run(compiled_signatures).values()) == {2}
+        # arrays come as the kernel knows them: it is compiled once for each law and each start
+        assert set(client.run(compiled_signatures).values()) == {4}
         here, there = command("--threads", "1"), command("--dask", cluster.scheduler_address)
     assert there[0].exit_code == 0, there[0].output
     assert "2 workers" in there[0].output

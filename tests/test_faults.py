@@ -488,7 +488,7 @@ def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
         folder.chmod(0o500)
     home = {"HOME": str(package), "XDG_CACHE_HOME": str(package), "PYTHONPATH": str(package)}
     home |= {"MPLCONFIGDIR": str(tmp_path)}
-    code = "import eqsim.numerics.compiled as c; assert c._CACHE is None, c._CACHE; " + EQSIM
+    code = "from eqsim.numerics.kernel_folder import kernel_folder as f; assert f() is None, f(); " + EQSIM
     process = start("steady", run_file, code=code, limit=powerless, env=os.environ | home, cwd=tmp_path)
     try:
         code, output, errors = ended(process, timeout=300)

@@ -2,7 +2,6 @@
 `waiting.ALLOWED`, and so do its threads."""
 
 import math
-import pickle
 import signal
 import subprocess
 import sys
@@ -25,7 +24,6 @@ from eqsim.master.cohorts import march
 from eqsim.master.programme import course_of, numerics_of
 from eqsim.numerics.streams import STEADY, key
 from eqsim.numerics.threads import NEVER, ThreadPool, current_stop, interruptibly
-from eqsim.workflows.second import Second
 
 SET = np.ones(1, np.int64)
 
@@ -267,17 +265,6 @@ def test_a_process_that_cannot_answer_leaves_no_temporary_file(tmp_path):
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (143, "eqsim: interrupted; nothing is half-written\n")
     assert [path.name for path in tmp_path.rglob("*")] == ["x", "a.parquet"]
-
-
-def test_the_second_process_ends_with_the_first():
-    """Whatever it is doing: its parent may have been killed."""
-    second = Second()
-    second.start()
-    second.send(pickle.dumps((WARM, Programme([Segment(0.1, distance=400.0)], stage=PULLED.stage), 2001)))
-    once(lambda: psutil.Process(second.process.pid).cpu_times().user > 1.0)
-    assert second.process.poll() is None
-    second.process.stdin.close()
-    assert second.process.wait(ALLOWED) == 1
 
 
 def test_a_pool_of_threads_costs_little():

@@ -1,45 +1,120 @@
-"""How eqsim compiles its kernels: no GIL, strict IEEE arithmetic, and a cache that cannot go stale.
+"""How eqsim compiles its kernels: no GIL, strict IEEE arithmetic, and a cache that
+cannot go stale.
 
-Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every division, and no loop with one
-vectorises.
+`kernel` compiles a function that Python calls, for the types of its arguments, and
+keeps the machine code on disk. `routine` compiles a function into the kernels that
+call it. `by_law` makes a routine that has another body for each type of law.
+
+Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every
+division, and no loop with one vectorises. Inlined routines do not count references to
+arrays, which would take longer than all they do; so they make none.
 """
 
 import functools
+import hashlib
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.extending import intrinsic, overload, register_jitable
 
-from eqsim.numerics.kernel_folder import kernel_folder
+from eqsim.numerics.kernel_folder import locked_folder
+
+__all__ = ["by_law", "fma", "kernel", "routine"]
 
 Body = TypeVar("Body", bound=Callable[..., Any])
-_CACHE = kernel_folder()
+_INLINED = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls, cached on disk if any of the usual folders can be written."""
+class Kernel:
+    """A function that Python calls, compiled anew for each combination of types.
+
+    A dispatcher of numba keeps one index on disk for all types, which processes that
+    save at the same time take from each other. So each combination has a dispatcher and
+    a folder of its own here, which a process locks while it compiles or loads.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._by_kind: dict[Hashable, Callable[..., Any]] = {}
+        self.signatures: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        compiled = self._by_kind.get(_kind(arguments))
+        if compiled is None:
+            compiled = self._load_or_compile(arguments)
+        return compiled(*arguments)
+
+    def _load_or_compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        """The machine code for such arguments; several kinds may have the same types."""
+        signature = tuple(map(numba.typeof, arguments))
+        digest = hashlib.sha256(f"{numba.__version__} {signature}".encode()).hexdigest()
+        function = self._function
+        name = f"{function.__module__}.{function.__qualname__}-{digest[:16]}"
+        if signature not in self.signatures:
+            with locked_folder(name) as folder:
+                if signature not in self.signatures:  # no other thread has made it
+                    self.signatures[signature] = _compiled(function, signature, folder)
+        return self._by_kind.setdefault(_kind(arguments), self.signatures[signature])
+
+
+def _kind(value: Any) -> Any:
+    """What numba's type of a value depends on; numba.typeof takes fifty times longer."""
+    if type(value) is np.ndarray:
+        flags = value.flags
+        if flags.carray:  # C-contiguous, aligned and writeable
+            return value.dtype, value.ndim
+        order = flags.c_contiguous, flags.f_contiguous
+        return value.dtype, value.ndim, order, flags.writeable, flags.aligned
+    if isinstance(value, tuple):
+        return type(value), *map(_kind, value)
+    return type(value)
+
+
+def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) -> Any:
+    """A dispatcher for one signature, from a folder or saved there if there is one."""
     options = {"error_model": "numpy", "nogil": True}
-    if _CACHE is None:
-        return numba.njit(function, **options)
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE  # read when the function is decorated
-    try:
-        return numba.njit(function, cache=True, **options)
-    finally:
-        numba.config.CACHE_DIR = previous
+    if folder is not None:
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            return numba.njit(signature, cache=True, **options)(function)
+        except (OSError, RuntimeError):  # the disk is full, or the folder was removed
+            pass
+        finally:
+            numba.config.CACHE_DIR = previous
+    return numba.njit(signature, **options)(function)
+
+
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Compile a function that Python calls. Kernels cannot call it: they call routines.
+
+    Arguments are arrays, numbers, None, and tuples and NamedTuples of these; a whole
+    number is of 64 bits. The machine code is kept on disk if a folder can be written.
+    """
+    return Kernel(function)
 
 
 @typing.overload
 def routine(function: Callable[..., Any]) -> Any: ...
+
+
 @typing.overload
 def routine(*, inline: bool) -> Callable[[Callable[..., Any]], Any]: ...
-def routine(function: Any = None, *, inline: bool = False) -> Any:
-    """Compile a function into the kernels that call it; Python, if it calls it, interprets it. `inline` leaves no call,
-    so that loops over many contacts can vectorise; else LLVM decides."""
+
+
+def routine(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
+    """Compile a function into the kernels that call it; Python, if it calls it,
+    interprets it. `inline` leaves no call, so that loops over many contacts can
+    vectorise; else LLVM decides."""
     if function is None:
         return functools.partial(routine, inline=inline)
-    return register_jitable(_nrt=False, error_model="numpy", forceinline=inline)(function)
+    options = _INLINED if inline else {"error_model": "numpy", "forceinline": False}
+    return register_jitable(**options)(function)
 
 
 class LawRoutine(Protocol):
@@ -52,10 +127,12 @@ class LawRoutine(Protocol):
 
 
 def by_law(default: Callable[..., Any]) -> LawRoutine:
-    """A kernel routine with a body for each type of law, its first argument, as `functools.singledispatch` has them:
-    laws register theirs with `@name.register(Law)`. `default`, which every other law has, may raise TypeError.
+    """Make a routine that has another body for each type of law, its first argument:
+    `functools.singledispatch` for kernels. Laws register theirs with
+    `@name.register(Law)`; `default`, which every other law has, may raise TypeError.
 
-    Kernels choose when they are compiled, by the NamedTuple that a law is, so that only what is used is compiled.
+    Kernels choose when they are compiled, by the NamedTuple that a law is, so that only
+    what is used is compiled.
     """
     bodies: dict[type, Callable[..., Any]] = {}
 
@@ -66,7 +143,9 @@ def by_law(default: Callable[..., Any]) -> LawRoutine:
     def choose(law: Any, *arguments: Any) -> Any:
         return bodies.get(getattr(law, "instance_class", type(None)), default)
 
-    overload(call, jit_options={"_nrt": False, "error_model": "numpy", "forceinline": True}, strict=False)(choose)
+    # Left to LLVM, a body is a call from loops over contacts, which do not vectorise:
+    # a life along a programme takes 2.5 times as long.
+    overload(call, jit_options=_INLINED, strict=False)(choose)
 
     def register(law: type) -> Callable[[Body], Body]:
         def keep(function: Body) -> Body:
@@ -80,13 +159,15 @@ def by_law(default: Callable[..., Any]) -> LawRoutine:
     return made
 
 
-def _fma(context: Any, x: Any, y: Any, z: Any) -> Any:
-    """x y + z in kernels, rounded once: one instruction where x y + z are two, and the same bits on any processor."""
+def _fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
+    """x y + z in kernels, rounded once: one instruction where x y + z are two, and the
+    same bits on any processor."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
 
-    return numba.float64(numba.float64, numba.float64, numba.float64), generate
+    number = numba.float64
+    return number(number, number, number), generate
 
 
 fma = intrinsic(_fma)

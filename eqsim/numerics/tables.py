@@ -95,8 +95,8 @@ def look_up(table: Array, s: float) -> float:
 
 @routine
 def look_up_all(table: Array, s: Array, row: Array, count: int) -> None:
-    """Replace the first `count` of `s`, shape (n,), by the tabulated function there; `row` is scratch. Look-ups in a loop
-    of their own leave the other one free to vectorise."""
+    """Replace the first `count` of `s`, shape (n,), by the tabulated function there; `row` is scratch. Look-ups in a
+    loop of their own leave the other one free to vectorise."""
     first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
     for i in range(count):
         row[i], s[i] = _cell_of(first, per_edge, cells, s[i])
