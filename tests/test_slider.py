@@ -146,7 +146,7 @@ def test_energy_and_threads(ensemble, stage, monkeypatch):
     assert np.abs(work - stored - dissipated - missing).max() < 1e-11 * max(work.max(), 1.0)
     assert np.abs(missing).max() < 1e-2 * dissipated.max()
     assert dissipated.max() > 0.1
-    monkeypatch.setattr("eqsim.engine.slider._SHARE", 3)  # as if the contacts were many
+    monkeypatch.setattr("eqsim.engine.slider._BLOCKS_PER_THREAD", 3)  # as if the contacts were many
     same = pulled(ensemble, 150.0, stage, 61, 0.3, threads=2)
     assert same.columns().keys() == found.columns().keys()
     for name, column in found.columns().items():

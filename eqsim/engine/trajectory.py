@@ -34,7 +34,7 @@ from eqsim.engine.recorder import (
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.scatter import ENOUGH, RARE, Births, Scatter, births, known_variance, pinned_variance, scatter
 from eqsim.engine.simulate import simulate
-from eqsim.engine.slider import pulled
+from eqsim.engine.slider_runs import pulled
 from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
@@ -150,7 +150,7 @@ def trajectory(
     expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
     progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.stage:
-        return pulled(ensemble, drive, (points, seed, replicas), threads, progress)
+        return pulled(ensemble, drive, points, seed, replicas, threads, progress)
     if isinstance(drive, Programme):
         return along(ensemble, drive, (points, seed, replicas), threads, progress)
     workers = workers_of(threads)

@@ -99,7 +99,7 @@ def run_elastic(
 ) -> ElasticResult:
     """`workflows.run.run` of a run file with coupled blocks, and the drive of its plate. Raises InputError."""
     ensemble, output = file.ensemble(folder), file.output
-    _, expected = check_elastic(ensemble, drive, (output.points, output.seed, output.replicas), max_lives)
+    _, expected = check_elastic(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     progress(0, expected)
     found = elastic_trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,
