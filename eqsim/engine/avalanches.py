@@ -78,16 +78,17 @@ def queue_of(threshold: Array, stretch: Array, lives: Array) -> Queue:
     return Queue(position[order], order, threshold.copy(), lives.copy())
 
 
-def events_of(dtype: np.dtype[Any], kernel: Callable[..., int], *arguments: Any) -> Array:
+def events_of(dtype: np.dtype[Any], kernel: Callable[..., tuple[int, bool]], *arguments: Any) -> Array:
     """Join the events that `kernel(*arguments, events)` finds.
 
-    The kernel fills an array and returns how many events there are. It is called again if
-    the array is full.
+    The kernel fills an array, and returns the number of events and whether it has come to
+    its end. Else the array is full, and the kernel is called again.
     """
     events = np.empty(_ROOM, dtype)
-    found: list[Array] = []
-    while not found or found[-1].size == _ROOM:
-        count = kernel(*arguments, events)
+    found = []
+    done = False
+    while not done:
+        count, done = kernel(*arguments, events)
         found.append(events[:count].copy())
     return np.concatenate(found)
 
@@ -155,11 +156,13 @@ def _break(laws: Contacts, stream: Key, first: int, queue: Queue, now: Any) -> N
 
 
 @kernel
-def load(laws: Contacts, stream: Key, first: int, queue: Queue, state: Array, way: Way, events: Array) -> int:
+def load(
+    laws: Contacts, stream: Key, first: int, queue: Queue, state: Array, way: Way, events: Array
+) -> tuple[int, bool]:
     """Move the stage along its way, and note the avalanches that end (`EVENT`).
 
     The first contact is number `first`; `state` (1,) is a `STATE`. Returns the number of
-    avalanches. If `events` is full the stage may not have reached its end.
+    avalanches, and False if there are more than `events` has room for.
     """
     now = state[0]
     rows = 0
@@ -174,7 +177,7 @@ def load(laws: Contacts, stream: Key, first: int, queue: Queue, state: Array, wa
             rest = now.X + net / (way.stiffness + now.stiffness)
             if now.size > 0:
                 if rows == events.size:
-                    return rows
+                    return rows, False
                 _slip(now, way.stiffness, rest)
                 event = events[rows]
                 event.Y = now.Y
@@ -198,4 +201,4 @@ def load(laws: Contacts, stream: Key, first: int, queue: Queue, state: Array, wa
             now.X_begun = next_break
             now.force_begun = now.force
         _break(laws, stream, first, queue, now)
-    return rows
+    return rows, True

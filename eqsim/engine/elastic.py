@@ -231,11 +231,11 @@ def _lowest(b: Blocks) -> int:
 @kernel
 def load(
     laws: Contacts, stream: Key, first: int, b: Blocks, r: Response, state: Array, until: float, events: Array
-) -> int:
+) -> tuple[int, bool]:
     """Raise the level to `until`, and note the avalanches that end (`EVENT`).
 
     The first contact of all is number `first`; `state` (1,) is a `STATE`. Returns the
-    number of avalanches. If `events` is full the level may not have reached `until`.
+    number of avalanches, and False if there are more than `events` has room for.
     """
     now = state[0]
     rows = 0
@@ -245,7 +245,7 @@ def load(
         if lowest > now.level:
             if now.size > 0:
                 if rows == events.size:
-                    return rows
+                    return rows, False
                 event = events[rows]
                 event.level = now.level
                 event.block = now.block
@@ -257,7 +257,7 @@ def load(
                 now.size = 0
             if lowest > until:
                 now.level = until
-                return rows
+                return rows, True
             now.level = lowest
             now.block = _lowest(b)
             now.blocks = 0
@@ -287,7 +287,7 @@ def load(
 
 @dataclass(frozen=True, repr=False)
 class ElasticTrajectory(Result):
-    """What coupled blocks do while the plate moves. Forces and displacements are means over blocks and replicas.
+    """Motion of coupled blocks while the plate moves, in the mean over blocks and replicas.
 
     Attributes
     ----------
@@ -296,25 +296,26 @@ class ElasticTrajectory(Result):
     X, force : ndarray, shape (points,)
         Mean displacement of the blocks, and F/(N k) (length).
     force_stderr : ndarray, shape (points,)
-        Of `force`: from the scatter between replicas; of a single ensemble, what independent contacts at the same
-        displacements would have.
+        Standard error of `force` from the scatter between replicas; of a single replica, that
+        of independent contacts at the same displacements.
     force_reliable : bool
-        Whether there are replicas enough (8): contacts at the same X do not know how far that is from those of others.
+        Whether replicas are enough (8). One replica does not show how far its X is from
+        that of others.
     force_replica_std, X_replica_std : ndarray, shape (points,), or None
         Standard deviations between replicas, if there are several.
     friction, size, single : Estimate
-        Over the second half of the plate's way, from batches of it: int F dX/Delta X of all blocks (length), breaks per
-        avalanche, and the fraction of avalanches that are a single break.
+        Averages over the second half of the plate's way, from batches: int F dX/Delta X of
+        all blocks (length), breaks per avalanche, and fraction of single breaks among them.
     avalanches : dict of ndarray
-        By column: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that broke, `drop` of
-        F/(N k) (length), and the `replica`.
+        Columns: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that
+        broke, `drop` of F/(N k) (length), and the `replica`.
     blocks : dict of ndarray
-        A row for each record of each block: `t`, `D`, `block`, its displacement `X`, its force `force` = F_j/(n k)
-        (lengths), `breaks` so far, and the `replica`.
+        Columns, with a row for each record of each block: `t`, `D`, `block`, its displacement
+        `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the `replica`.
     lives : int
-        Lives of contacts that were simulated.
+        Number of lives of contacts that were simulated.
     seed, engine_seconds, threads
-        How it was computed.
+        Seed of the random numbers, seconds that kernels took, and threads.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -492,26 +493,26 @@ def elastic_trajectory(
     max_lives: float = 1e10,
     progress: Callable[[int], None] | None = None,
 ) -> ElasticTrajectory:
-    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, every avalanche break by break.
+    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, break by break.
 
     Parameters
     ----------
     ensemble : Ensemble
         N contacts of uniform stiffness at T = 0, without delay and aging.
     drive : Drive
-        Of the plate, with the blocks that it pulls; its velocity only tells time.
+        Drive of the plate, with the blocks that it pulls; its velocity only tells time.
     points : int
         Records, equidistant in D from 0.
     seed : int
-        Of the random numbers; the result depends on nothing else.
+        Seed of the random numbers.
     replicas : int
-        Independent ensembles.
+        Number of independent ensembles.
     threads : int
-        That share the replicas; they change no number.
+        Threads that share the replicas; they change no number.
     max_lives : float
-        Work that needs more lives of contacts is refused.
+        Most lives of contacts that may be simulated.
     progress : callable, optional
-        `progress(lives)` is told now and then how many lives have been simulated.
+        `progress(lives)` is called now and then with the lives simulated so far.
 
     Returns
     -------
@@ -520,8 +521,8 @@ def elastic_trajectory(
     Raises
     ------
     InputError
-        For contacts that heat or time breaks, contacts that cannot be divided among the blocks, arguments out of range,
-        and if more than `max_lives` lives are predicted.
+        For contacts that heat or time breaks, contacts that cannot be divided among the
+        blocks, arguments out of range, and more than `max_lives` predicted lives.
     """
     elastic, _ = check_elastic(ensemble, drive, points, seed, replicas, max_lives)
     unit, mean = ensemble.thresholds.scale, ensemble.thresholds.mean
