@@ -198,20 +198,19 @@ def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
             line = line + ny if r.periodic else -1 - line
         elif line >= ny:
             line = line - ny if r.periodic else 2 * ny - 1 - line
-        first = line * nx
         left = min(r.reach[row], (around_x - 1) // 2)
         right = min(r.reach[row], around_x // 2)
-        _push(b, r, row, max(0, x - left), min(nx, x + right + 1), middle - x, force, first)
-        if x < left:  # around the ring, or the mirror image at the edge
-            if r.periodic:
-                _push(b, r, row, nx + x - left, nx, middle - x - nx, force, first)
+        for image in range(-1, 2):  # around the ring, or mirrored at the edges
+            if image == 0 or r.periodic:
+                offset = middle - x + image * nx
+                begin = max(0, middle - left - offset)
+                end = min(nx, middle + right + 1 - offset)
             else:
-                _push(b, r, row, 0, left - x, middle + x + 1, force, first)
-        if x + right >= nx:
-            if r.periodic:
-                _push(b, r, row, 0, x + right + 1 - nx, middle - x + nx, force, first)
-            else:
-                _push(b, r, row, 2 * nx - 1 - x - right, nx, middle + x + 1 - 2 * nx, force, first)
+                offset = middle + x + 1 - (image + 1) * nx
+                begin = max(0, middle - right - offset)
+                end = min(nx, middle + left + 1 - offset)
+            if begin < end:
+                _push(b, r, row, begin, end, offset, force, line * nx)
 
 
 @inlined
