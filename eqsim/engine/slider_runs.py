@@ -246,6 +246,7 @@ def pulled(
             follow = _break_by_break if slider.quasi_static else _in_steps
             runs.append(follow(slider, instants, told))
         lives += runs[-1].lives
+        del slider  # its memory is that of the next one
         if follow is _in_steps:
             with Slider(*start, _COARSER) as slider:  # its lives do not count
                 coarse.append(_in_steps(slider, instants[recorded], lambda _: told(0)))
