@@ -127,11 +127,12 @@ def test_kernels_end_when_they_are_told():
 def test_avalanches_end_when_they_are_told(stop, breaks):
     ensemble = Ensemble(count=100, stiffness_law="uniform")
     with Slider(ensemble, Programme([Segment(0.1, time=50.0)], stage=Stage(0.1)), 1, 0, 1) as pulled:
-        p, now = pulled.population, np.zeros(11)
-        now[avalanches.STIFFNESS] = 1.0
-        queue = avalanches.queue_of(p.xi, p.stretch)
-        avalanches.load(pulled.c, pulled.stream, 0, p, queue, now, avalanches.Way(0.1, 40.0, stop))
-    assert (now[avalanches.BREAKS] > 0) == breaks
+        state = np.zeros(1, avalanches.STATE)
+        state["stiffness"] = 1.0
+        queue = avalanches.queue_of(*(pulled.population[name] for name in ("threshold", "stretch", "lives")))
+        way, events = avalanches.Way(0.1, 40.0, stop), np.empty(1, avalanches.EVENT)
+        avalanches.load(pulled.laws, pulled.stream, 0, queue, state, way, events)
+    assert (state["breaks"][0] > 0) == breaks
 
 
 @pytest.mark.parametrize("moment", ["solver", "compiler"])

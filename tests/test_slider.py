@@ -138,15 +138,15 @@ def test_agrees_with_small_steps():
     ids=["stick-slip", "soft sqrt, mass, viscous", "quasi-static", "annealed"],
 )
 def test_energy_and_threads(ensemble, stage, monkeypatch):
-    """Work of the stage = stored + dissipated + what finite steps miss, to rounding; the latter is small. Two threads
-    leave the same bits."""
+    """Work of the stage = stored + dissipated + what finite steps miss, to rounding. The latter is below the tolerance
+    of the force, 1e-4, times the way; the mean force is more than 0.1. Two threads leave the same bits."""
     ensemble = replace(ensemble, count=6_000)
     found = pulled(ensemble, 150.0, stage, 61, 0.3)
     work, stored, dissipated, missing = found.energy.T
     assert np.abs(work - stored - dissipated - missing).max() < 1e-11 * max(work.max(), 1.0)
-    assert np.abs(missing).max() < 1e-2 * dissipated.max()
+    assert np.abs(missing).max() < 1e-3 * dissipated.max()
     assert dissipated.max() > 0.1
-    monkeypatch.setattr("eqsim.engine.slider._SHARE", 3)  # as if the contacts were many
+    monkeypatch.setattr("eqsim.engine.slider._BLOCKS_PER_THREAD", 3)  # as if the contacts were many
     same = pulled(ensemble, 150.0, stage, 61, 0.3, threads=2)
     assert same.columns().keys() == found.columns().keys()
     for name, column in found.columns().items():
@@ -169,6 +169,17 @@ def test_a_stiff_spring_is_a_rigid_slider():
     assert off[first].max() < 1e-4 + 6 * 3.5 / 2_000
     assert np.all(off <= 4.5 * np.hypot(rigid.force_stderr, stiff.force_stderr) + 1e-4)
     assert stiff.slips == ()
+
+
+def test_thresholds_grow_behind_a_stiff_spring():
+    """Contacts whose thresholds double are those of a rigid slider, and F differs as in the test above, with breaks at
+    up to 7."""
+    ensemble = Ensemble(count=2_000, aging=Aging("flow", 0.1, 2.0), **UNIFORM)
+    rigid, stiff = (
+        trajectory(ensemble, Programme([Segment(0.1, distance=4.0)], stage=stage), points=21)
+        for stage in (None, Stage(1e4))
+    )
+    assert np.abs(stiff.force - rigid.force).max() < 1e-4 + 6 * 7.0 / 2_000
 
 
 def test_nothing_holds_the_slider():
@@ -334,7 +345,8 @@ def avalanches_one_by_one(n, kappa, until):
 
 
 @pytest.mark.parametrize("kappa", [2.0, 0.1])
-def test_avalanches_one_by_one(kappa):
+def test_avalanches_one_by_one(kappa, monkeypatch):
+    monkeypatch.setattr("eqsim.engine.avalanches._ROOM", 3)  # the kernel is called again
     expected = avalanches_one_by_one(40, kappa, 12.0)
     found = pulled(Ensemble(count=40, **UNIFORM), 12.0, Stage(kappa), 5, velocity=1.0).avalanches
     size = len(found["breaks"])

@@ -31,7 +31,7 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import interruptibly
 
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
-_MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 100 bytes each
+_MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 120 bytes each
 _LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
 
 

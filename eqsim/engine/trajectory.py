@@ -20,7 +20,7 @@ from eqsim.engine.recorder import BATCHES, Run, Scales, Window
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.sample import rough_stretch, typical_lives
 from eqsim.engine.scatter import ENOUGH, RARE, Births, Scatter, births, known_variance, pinned_variance, scatter
-from eqsim.engine.slider import pulled
+from eqsim.engine.slider_runs import pulled
 from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
@@ -136,7 +136,7 @@ def trajectory(
     expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
     progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.stage:
-        return pulled(ensemble, drive, (points, seed, replicas), threads, progress)
+        return pulled(ensemble, drive, points, seed, replicas, threads, progress)
     if isinstance(drive, Programme):
         return along(ensemble, drive, (points, seed, replicas), threads, progress)
     workers = workers_of(threads)
