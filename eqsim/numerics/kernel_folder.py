@@ -13,6 +13,7 @@ from pathlib import Path
 _PACKAGE = Path(__file__).parent.parent
 
 
+# It has no parameters, and sources that are edited while a process runs are not those that it has imported.
 @functools.cache
 def kernel_folder() -> str | None:
     """The first of the usual folders that can be written; None if none can."""
