@@ -115,8 +115,8 @@ def test_kernels_end_when_they_are_told():
     numerics = numerics_of(s, course, math.inf)
     t = np.linspace(0.0, 1.0, 50)
     path = numerics.path(t, course.at(t), 1.0)
-    assert march(numerics.contacts(1.0), path)[0, -1] > 0.0
-    assert not march(numerics.contacts(1.0), path._replace(stop=SET))[:, 1:].any()
+    assert march(numerics.contacts(1.0), path).force[-1] > 0.0
+    assert not np.array(march(numerics.contacts(1.0), path._replace(stop=SET)))[:, 1:].any()
     c = contacts(Ensemble(), 0.1)
     sums, _ = plain_sums(c, key(1, STEADY), 0, 0, 2, NEVER)
     assert sums[1] > 0.0

@@ -211,7 +211,7 @@ def test_mean_field_is_of_second_order():
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
     marks, speeds, at = slider._marks(np.array([0.0, 1.0]), course.ends, course.velocity)
-    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, 7.5, 0.0, math.nan, math.nan, False, False)
+    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, False, 7.5, 0.0, False, False)
 
     def rate(t, X):
         return (0.1 * (0.1 * t + 7.5 - X) - X * (1 + X * X) * np.exp(-X * X)) / 0.1
@@ -219,7 +219,7 @@ def test_mean_field_is_of_second_order():
     exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-12, atol=1e-13).y[0, -1]
     task = slider._Task(numerics_of(reduced, course, math.inf), spring, marks, speeds, at)
     found = (slider._solved(task, fine) for fine in (1, 4))
-    coarse, fine = (abs(values[6, -1] - exact) for values, _ in found)
+    coarse, fine = (abs(values.X[-1] - exact) for values, _ in found)
     assert coarse < 1e-5
     assert fine < coarse / 12
 

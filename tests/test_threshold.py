@@ -311,6 +311,19 @@ def test_laws_whose_tail_scipy_knows(frozen):
     assert abs(found.value - frozen.moment(2) / (2 * frozen.mean())) < 1e-9 + found.stderr
 
 
+@pytest.mark.parametrize("bins", [1, 3, 40, 1000])
+@pytest.mark.parametrize("place", [0.0, 1e-9, 1.0, 1e6])
+def test_bins_of_a_histogram_are_found(bins, place):
+    """To the last bit, of bins of very different widths; equal neighbours are one bin."""
+    rng = np.random.default_rng(bins)
+    edges = place + np.cumsum(np.append(0.0, rng.exponential(size=bins) ** 3))
+    counts = rng.permutation(np.arange(bins) % 7 + 1.0)
+    counts[1:][counts[1:] == counts[:-1]] = 0.0  # two of them in a row are one, too
+    law = Distribution(scipy.stats.rv_histogram((counts, edges), density=False))
+    jumps = np.append(True, np.append(np.diff(law.frozen.pdf(0.5 * (edges[1:] + edges[:-1]))) != 0.0, True))
+    np.testing.assert_array_equal(law.breakpoints, edges[jumps])
+
+
 def test_histogram_law_can_be_printed():
     law = Distribution(scipy.stats.rv_histogram(np.histogram([1.0, 2.0, 2.0, 3.0], bins=3)))
     assert "Distribution" in repr(law)

@@ -96,8 +96,25 @@ def lives(c: Contacts, source: Source, u: Array, v: Array, birth: Array | None =
     if isinstance(c.newborn, Stretched):
         fill_stretched(c, u, v, spread(u.size) if birth is None else birth, sample)
     else:
-        fill_lives(c, source, u, v, sample, Lives.empty(c, 1))
+        fill_lives(c, source, u, v, sample, _scratch(c, source, sample))
     return sample
+
+
+class _Paths(NamedTuple):
+    """Scratch of lives whose thresholds fluctuate."""
+
+    paths: langevin.Paths
+    walkers: langevin.Walkers
+
+
+def _scratch(c: Contacts, source: Source, sample: Sample) -> Lives | _Paths:
+    """Scratch of `fill`."""
+    if not c.aging.fluctuates:
+        return Lives.empty(c, 1)
+    n = sample.travel.size
+    contact, number = source.first + np.arange(n), np.zeros(n, np.int64)
+    paths = langevin.Paths(contact, number, np.empty(n), np.empty(n), sample.travel, sample.work)
+    return _Paths(paths, langevin.Walkers.empty())
 
 
 @kernel
@@ -114,13 +131,13 @@ def fill_stretched(c: Contacts, u: Array, v: Array, birth: Array, sample: Sample
 
 
 @kernel
-def fill_lives(c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Lives) -> None:
+def fill_lives(c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Any) -> None:
     """The kernel of `lives` of others."""
     fill(c.aging, c, source, u, v, sample, scratch)
 
 
 @by_law
-def fill(law: Any, c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Lives) -> None:
+def fill(law: Any, c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Any) -> None:
     """Fill a sample, LANES lives at a time."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     rank, clock = scratch.rank, scratch.clock
@@ -138,13 +155,10 @@ def fill(law: Any, c: Contacts, source: Source, u: Array, v: Array, sample: Samp
 
 
 @fill.register(Langevin)
-def _fill_paths(law: Langevin, c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Lives) -> None:
-    contact, number = np.empty(u.size, np.int64), np.zeros(u.size, np.int64)
-    threshold, clock = np.empty(u.size), np.empty(u.size)
+def _fill_paths(law: Langevin, c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Any) -> None:
+    threshold, clock = scratch.paths.threshold, scratch.paths.clock
     for i in range(u.size):
-        contact[i] = source.first + i
         threshold[i] = threshold_draw(c.thresholds, u[i])
         clock[i] = -log(v[i])
         sample.stiffness[i] = c.springs.constant
-    paths = langevin.Paths(contact, number, threshold, clock, sample.travel, sample.work)
-    langevin.walk_all(langevin.pinned(c), source.key, source.step, paths, scratch.walkers)
+    langevin.walk_all(langevin.pinned(c), source.key, source.step, scratch.paths, scratch.walkers)

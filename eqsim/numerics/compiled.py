@@ -126,26 +126,37 @@ class LawRoutine(Protocol):
         """A decorator for the body that a law has."""
 
 
-def by_law(default: Callable[..., Any]) -> LawRoutine:
+@typing.overload
+def by_law(default: Callable[..., Any]) -> LawRoutine: ...
+
+
+@typing.overload
+def by_law(*, makes_arrays: bool) -> Callable[[Callable[..., Any]], LawRoutine]: ...
+
+
+def by_law(default: Callable[..., Any] | None = None, *, makes_arrays: bool = False) -> Any:
     """Make a routine that has another body for each type of law, its first argument:
     `functools.singledispatch` for kernels. Laws register theirs with
     `@name.register(Law)`; `default`, which every other law has, may raise TypeError.
 
     Kernels choose when they are compiled, by the NamedTuple that a law is, so that only
-    what is used is compiled.
+    what is used is compiled. All bodies are inlined.
     """
+    if default is None:
+        return functools.partial(by_law, makes_arrays=makes_arrays)
+    chosen_by_default = default
     bodies: dict[type, Callable[..., Any]] = {}
 
     @functools.wraps(default)
     def call(law: Any, *arguments: Any) -> Any:
-        return bodies.get(type(law), default)(law, *arguments)
+        return bodies.get(type(law), chosen_by_default)(law, *arguments)
 
     def choose(law: Any, *arguments: Any) -> Any:
-        return bodies.get(getattr(law, "instance_class", type(None)), default)
+        return bodies.get(getattr(law, "instance_class", type(None)), chosen_by_default)
 
     # Left to LLVM, a body is a call from loops over contacts, which do not vectorise:
     # a life along a programme takes 2.5 times as long.
-    overload(call, jit_options=_INLINED, strict=False)(choose)
+    overload(call, jit_options={**_INLINED, "_nrt": makes_arrays}, strict=False)(choose)
 
     def register(law: type) -> Callable[[Body], Body]:
         def keep(function: Body) -> Body:

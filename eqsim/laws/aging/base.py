@@ -24,6 +24,7 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.laws.barrier.base import hazard, mean_rate, rate, stretch, stretches, travel
+from eqsim.laws.law import Law
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
@@ -43,7 +44,7 @@ def scale2(final2: float, age: Any) -> Array:
     return np.asarray(final2 + (1.0 - final2) * np.exp(-age)) if final2 < 1 else 1.0 + change2(final2, age)
 
 
-class AgingLaw:
+class AgingLaw(Law):
     """What every law of aging has: `fluctuates` if lives are paths of a random process, `closed` if they are known in
     closed form, without integrating a hazard or following a path, and `stiffens` if the stiffness of the sqrt law
     follows the threshold, which else is that at birth. `keys` are the parameters of `Aging` that are its own."""

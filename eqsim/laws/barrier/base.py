@@ -20,6 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
+from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.tables import NO_TABLE, Array
 
@@ -37,7 +38,7 @@ class Numbers(NamedTuple):
     log_w: float
 
 
-class Barrier:
+class Barrier(Law):
     """Formulas of a barrier for NumPy: arrays of any shape that broadcast. Lengths are in units of `law.scale`.
 
     Attributes
