@@ -24,25 +24,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 1800.0  # seconds that tests may take; a mistake without an end is caught
-# Decorators of functions that stay plain Python. A function with any other decorator counts as compiled: one that is
-# not listed here costs time, and no mistake is judged beside kernels that do not have it.
-PLAIN = frozenset(
-    {
-        "abstractmethod",
-        "cached_property",
-        "classmethod",
-        "contextmanager",
-        "functools.cache",
-        "functools.cached_property",
-        "functools.lru_cache",
-        "functools.wraps",
-        "lru_cache",
-        "property",
-        "staticmethod",
-        "styled",
-    }
-)
-_COMPILER = re.compile(r"^(?:from|import) (?:numba|llvmlite)\b", re.MULTILINE)
+# Modules that compile. A decorator that a file imports from one of these may make machine code of a function.
+COMPILERS = ("eqsim.numerics.compiled", "numba", "llvmlite")
 
 
 class Mistake(NamedTuple):
@@ -783,10 +766,29 @@ def changed(mistake: Mistake, root: Path = ROOT) -> str:
     return found
 
 
-def is_compiled(function: ast.FunctionDef) -> bool:
-    """Whether a function may be compiled, by its decorators."""
-    made_by = (one.func if isinstance(one, ast.Call) else one for one in function.decorator_list)
-    return any(ast.unparse(name) not in PLAIN for name in made_by)
+def compilers(file: ast.Module, modules: tuple[str, ...] = COMPILERS) -> set[str]:
+    """The names in a file for what it imports from modules that compile, and for these modules."""
+    names = set()
+    for node in ast.walk(file):
+        if isinstance(node, ast.Import):
+            imported = [(alias.name, alias.asname or alias.name.partition(".")[0]) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            imported = [(f"{node.module}.{alias.name}", alias.asname or alias.name) for alias in node.names]
+        else:
+            continue
+        names |= {name for path, name in imported if any(f"{path}.".startswith(f"{module}.") for module in modules)}
+    return names
+
+
+def is_compiled(function: ast.FunctionDef, known: set[str]) -> bool:
+    """Whether a function may become machine code: by a decorator with one of the names of `compilers`, or as the body
+    that a law registers for a kernel routine."""
+    for decorator in function.decorator_list:
+        names = {node.id for node in ast.walk(decorator) if isinstance(node, ast.Name)}
+        maker = decorator.func if isinstance(decorator, ast.Call) else decorator
+        if names & known or (isinstance(maker, ast.Attribute) and maker.attr == "register"):
+            return True
+    return False
 
 
 def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
@@ -795,9 +797,12 @@ def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
     source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
     before = source[: source.index(mistake.old)] + mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
     line = before.count("\n") + 1
-    functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    file = ast.parse(source)
+    functions = [node for node in ast.walk(file) if isinstance(node, ast.FunctionDef)]
     around = [node for node in functions if node.lineno <= line <= (node.end_lineno or 0)]
-    return not around or any(map(is_compiled, around)) or bool(_COMPILER.search(source))
+    if not around or compilers(file, ("numba", "llvmlite")):
+        return True
+    return any(is_compiled(node, compilers(file)) for node in around)
 
 
 class Copy:

@@ -11,13 +11,22 @@ import tempfile
 from pathlib import Path
 
 _PACKAGE = Path(__file__).parent.parent
+# Folders and files below eqsim/ with compiled code, and with what it is compiled from.
+KERNEL_SOURCES = (
+    "numerics",
+    "laws",
+    "engine",
+    "master/cohorts.py",
+    "master/fronts.py",
+    "master/slider.py",
+)
 
 
 @functools.cache
 def kernel_folder() -> str | None:
     """The first of the usual folders that can be written; None if none can."""
     digest = hashlib.sha256()
-    for part in ("numerics", "laws", "engine", "master/cohorts.py", "master/fronts.py", "master/slider.py"):
+    for part in KERNEL_SOURCES:
         path = _PACKAGE / part
         for source in [path] if path.suffix else sorted(path.rglob("*.py")):
             digest.update(source.read_bytes())
