@@ -2,6 +2,7 @@
 Commands and blocks of Python in them are those of test_docs.py."""
 
 import ast
+import functools
 import re
 import shlex
 import shutil
@@ -41,17 +42,23 @@ def test_no_linter_is_missing():
         assert hook["entry"] in contributing
 
 
+@functools.cache
+def parsed(folder):
+    """The syntax of every source file below a folder."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / folder).rglob("*.py"))}
+
+
 def functions(folder):
     """Every function below a folder: where it is, and its syntax."""
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, file in parsed(folder).items():
+        for node in ast.walk(file):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield f"{path.relative_to(ROOT)}: {node.name}", node
 
 
 def values(annotation):
-    """How many values a parameter brings: all members of an anonymous tuple, and one of any other type, as those have
-    a name for what belongs together, or names for its parts."""
+    """How many values a parameter brings: the members of an anonymous tuple; one of any
+    other type, which has a name for what belongs together."""
     if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
         return values(ast.parse(annotation.value, mode="eval").body)
     if isinstance(annotation, ast.BinOp):
@@ -112,7 +119,7 @@ def test_functions_have_at_most_eight_values():
 
 
 def test_columns_have_names():
-    """What belongs together is a type with fields, not an array with numbers for its columns."""
+    """What belongs together is a type with fields, not an array whose columns are numbered."""
     numbers = re.compile(r"= range\(\d+\)")
     found = {str(path.relative_to(ROOT)) for path in (ROOT / "eqsim").rglob("*.py") if numbers.search(path.read_text())}
     assert found - NUMBERED_COLUMNS == set()
@@ -214,8 +221,7 @@ def test_deliberate_mistakes_can_be_made():
 
 def compiled_functions():
     """File, and syntax, of every function that may become machine code."""
-    for path in sorted((ROOT / "eqsim").rglob("*.py")):
-        file = ast.parse(path.read_text(encoding="utf-8"))
+    for path, file in parsed("eqsim").items():
         known = mutations.compilers(file)
         for node in ast.walk(file):
             if isinstance(node, ast.FunctionDef) and mutations.is_compiled(node, known):
@@ -223,8 +229,8 @@ def compiled_functions():
 
 
 def unknown_decorators(file, compiling):
-    """Decorators of a file of which `mutations` cannot know whether they compile: made in eqsim by a module that
-    compiles, without the name of the compiler."""
+    """Decorators of a file of which `mutations` cannot know whether they compile: they
+    are made in eqsim, by a module that compiles."""
     known, suspects = mutations.compilers(file), mutations.compilers(file, compiling)
     if known:
         suspects |= {node.name for node in file.body if isinstance(node, ast.FunctionDef)}
@@ -236,8 +242,9 @@ def unknown_decorators(file, compiling):
 
 
 def test_no_decorator_is_unknown():
-    """Each either comes from a module that `mutations` knows to compile, or from one that does not compile."""
-    files = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / "eqsim").rglob("*.py"))}
+    """Each comes from a module that `mutations` knows to compile, or from one that does
+    not compile."""
+    files = parsed("eqsim")
     compiling = tuple(
         ".".join(path.relative_to(ROOT).with_suffix("").parts)
         for path, file in files.items()
@@ -254,8 +261,8 @@ def test_no_decorator_is_unknown():
 
 
 def test_mistakes_in_kernels_are_judged_beside_kernels_that_have_them():
-    """However a decorator of the compiler is imported, what it makes is taken for compiled, and a mistake in its body
-    is made in compiled code. What Python runs as it stands is not."""
+    """However a decorator of the compiler is imported, what it makes counts as compiled,
+    and a mistake in its body as one in compiled code. Plain Python does not."""
     assert len([*compiled_functions()]) > 250
     for head, decorator in (
         ("from eqsim.numerics.compiled import kernel", "kernel"),
@@ -297,6 +304,8 @@ def test_the_sources_of_kernels_name_their_folder(tmp_path, monkeypatch):
     sources = sorted({tmp_path / path.relative_to(ROOT) for path, _ in compiled_functions()})
     assert len(sources) > 25
     assert all(part.exists() for part in parts)
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert all(f"`eqsim/{part}`" in contributing for part in kernel_folder.KERNEL_SOURCES)
     assert [path for path in sources if not parts & {path, *path.parents}] == []
     assert [path.name for path in sources if name_after_an_edit(path) == before] == []
     assert name_after_an_edit(tmp_path / "eqsim" / "io" / "runfile.py") == before
