@@ -2,14 +2,17 @@
 
     python tests/mutations.py [--list] [--only PART ...] [--whole] [--json FILE]
 
-Each mistake of `MISTAKES` is made in a temporary copy of the repository, where the tests nearest to it are run, and
-with --whole the default suite if these pass. A table says which test caught it. Exit code 1 if one survives, 2 if a
-mistake cannot be made (its text is not there once) or its tests fail without it. Mistakes in compiled code take as long
-as kernels take to compile, a minute or so each; those in plain Python some seconds.
+Each mistake of `MISTAKES` is made in a temporary copy of the repository, where the
+tests nearest to it are run with all their cases, and with --whole the default suite if
+these pass. A table says which test caught it. Exit code 1 if one survives, 2 if a
+mistake cannot be made (its text is not there once) or its tests fail without it.
+Mistakes in compiled code take as long as kernels take to compile, a minute or so each;
+those in plain Python some seconds.
 """
 
 import argparse
 import ast
+import functools
 import json
 import os
 import re
@@ -24,25 +27,9 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 1800.0  # seconds that tests may take; a mistake without an end is caught
-# Decorators of functions that stay plain Python. A function with any other decorator counts as compiled: one that is
-# not listed here costs time, and no mistake is judged beside kernels that do not have it.
-PLAIN = frozenset(
-    {
-        "abstractmethod",
-        "cached_property",
-        "classmethod",
-        "contextmanager",
-        "functools.cache",
-        "functools.cached_property",
-        "functools.lru_cache",
-        "functools.wraps",
-        "lru_cache",
-        "property",
-        "staticmethod",
-        "styled",
-    }
-)
-_COMPILER = re.compile(r"^(?:from|import) (?:numba|llvmlite)\b", re.MULTILINE)
+# Modules that compile: what a file imports from one of these may, as a decorator, make
+# machine code of a function.
+COMPILERS = ("eqsim.numerics.compiled", "numba", "llvmlite")
 
 
 class Mistake(NamedTuple):
@@ -403,7 +390,7 @@ MISTAKES = [
     M("programme: no error for what was not met", "engine/programme.py", "lives=float(count),", "lives=math.inf,",
       "test_programme.py::test_few_contacts_quote_what_they_did_not_meet"),
     M("programme: extrapolated as of first order", "master/programme.py", "(4 * fine[:, ::2] - coarse) / 3",
-      "2 * fine[:, ::2] - coarse", "test_programme_reference.py"),
+      "2 * fine[:, ::2] - coarse", "test_programme_reference.py::test_force_in_a_hold"),
     M("programme: steps end where nothing is sharp", "master/programme.py", "for s in sharp], atoms - instant",
       "for s in sharp[:0]], atoms[:0]",
       "test_lattice.py::test_steps_end_where_the_density_jumps"),
@@ -792,10 +779,33 @@ def changed(mistake: Mistake, root: Path = ROOT) -> str:
     return found
 
 
-def is_compiled(function: ast.FunctionDef) -> bool:
-    """Whether a function may be compiled, by its decorators."""
-    made_by = (one.func if isinstance(one, ast.Call) else one for one in function.decorator_list)
-    return any(ast.unparse(name) not in PLAIN for name in made_by)
+@functools.cache
+def imports(file: ast.Module) -> list[tuple[str, str]]:
+    """The full names of all that a file imports, and what it calls them."""
+    found = []
+    for node in ast.walk(file):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, alias.asname or alias.name.partition(".")[0]) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            found += [(f"{node.module}.{alias.name}", alias.asname or alias.name) for alias in node.names]
+    return found
+
+
+def compilers(file: ast.Module, modules: tuple[str, ...] = COMPILERS) -> set[str]:
+    """The names in a file for modules that compile, and for what it imports from them."""
+    within = tuple(f"{module}." for module in modules)
+    return {name for path, name in imports(file) if f"{path}.".startswith(within)}
+
+
+def is_compiled(function: ast.FunctionDef, known: set[str]) -> bool:
+    """Whether a function may become machine code: by a decorator with one of the names
+    of `compilers`, or as the body that a law registers for a kernel routine."""
+    for decorator in function.decorator_list:
+        names = {node.id for node in ast.walk(decorator) if isinstance(node, ast.Name)}
+        maker = decorator.func if isinstance(decorator, ast.Call) else decorator
+        if names & known or (isinstance(maker, ast.Attribute) and maker.attr == "register"):
+            return True
+    return False
 
 
 def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
@@ -804,9 +814,12 @@ def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
     source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
     before = source[: source.index(mistake.old)] + mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
     line = before.count("\n") + 1
-    functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    file = ast.parse(source)
+    functions = [node for node in ast.walk(file) if isinstance(node, ast.FunctionDef)]
     around = [node for node in functions if node.lineno <= line <= (node.end_lineno or 0)]
-    return not around or any(map(is_compiled, around)) or bool(_COMPILER.search(source))
+    if not around or compilers(file, ("numba", "llvmlite")):
+        return True
+    return any(is_compiled(node, compilers(file)) for node in around)
 
 
 class Copy:
@@ -856,7 +869,7 @@ class Copy:
                 kept = folder
                 if not compiled:
                     shutil.copytree(self.known, kept, dirs_exist_ok=True)
-            for arguments in (["-n", "0", *ids([mistake])], *([[]] if whole else [])):
+            for arguments in (nearest([mistake]), *([[]] if whole else [])):
                 code, output = self.pytest(*arguments)
                 if code == -1:
                     return "caught", f"no end within {LONGEST:g} s"
@@ -879,6 +892,12 @@ def ids(mistakes: list[Mistake]) -> list[str]:
     return list(dict.fromkeys(f"tests/{test}" for mistake in mistakes for test in mistake.tests.split(" & ") if test))
 
 
+def nearest(mistakes: list[Mistake]) -> list[str]:
+    """Arguments for pytest: the tests nearest to some mistakes, with all their cases, in
+    one process."""
+    return ["-n", "0", "-m", "not long", *ids(mistakes)]
+
+
 def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
     """Make one mistake after the other. Raises WrongTable."""
     fates = [Fate(mistake.name, "equivalent", mistake.same, 0.0) for mistake in mistakes if mistake.same]
@@ -886,7 +905,7 @@ def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
         print(f"{len(ids(left))} tests without a mistake", flush=True)
-        code, output = copy.pytest("-n", "0", *ids(left))
+        code, output = copy.pytest(*nearest(left))
         if code:
             raise WrongTable(f"without a mistake:\n{output[-3000:]}")
         for number, mistake in enumerate(left, 1):

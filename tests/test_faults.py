@@ -256,6 +256,15 @@ COMMANDS = {
 }
 
 
+# Commands that read what there is, or solve a few equations: not interrupted here.
+SHORT = {"design", "export", "fluctuations", "info", "material", "plot"}
+
+
+def test_no_command_is_forgotten():
+    long = {words[0] for words in COMMANDS.values()}
+    assert sorted([*long, *SHORT]) == sorted(info.callback.__name__ for info in app.registered_commands)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -1,12 +1,13 @@
 """Lives as the kernels draw them, many side by side, against a plain twin: one contact at a time, NumPy's generator,
 libm, and an equation solved by SciPy. And many contacts side by side against the same contacts one by one."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 import scipy.stats
-from cases import thinned
+from cases import chosen
 from scipy import optimize, special
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady
@@ -22,6 +23,8 @@ from eqsim.numerics.threads import NEVER
 
 V = 0.1
 UNIFORM = {"stiffness_law": "uniform"}
+STARTS = ("fresh", "stationary")
+POINTS = (2, 11, 501)
 
 
 def hazard(barrier, x, xi, a):
@@ -105,7 +108,11 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("start", "points", "ensemble"), thinned(5, ("fresh", "stationary"), (2, 11, 501), CASES))
+@chosen(  # by default each kind of contacts once
+    ("start", "points", "ensemble"),
+    itertools.product(STARTS, POINTS, CASES),
+    [(STARTS[i % 2], POINTS[i % 3], ensemble) for i, ensemble in enumerate(CASES)],
+)
 def test_side_by_side_as_one_by_one(ensemble, start, points):
     """The same contacts with every life deposited and recorded by itself: force, pinned fraction, variance and sums
     over the second half agree to rounding, of which sums of 300 contacts and some 1e4 lives have 1e-11."""
@@ -131,7 +138,7 @@ PLAIN = [
 ]
 
 
-@pytest.mark.parametrize("ensemble", thinned(2, PLAIN))
+@chosen("ensemble", PLAIN, PLAIN[:3])  # quenched contacts that do not age
 def test_plain_steady_agrees_with_the_default(ensemble):
     """Three scores a case, |z| < 4.5: false alarm 1e-4."""
     plain, clever = (steady(ensemble, Drive(V), rel_error=2e-3, plain=how, seed=31) for how in (True, False))

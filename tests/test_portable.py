@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import chosen
 from numpy._core import _multiarray_umath as built
 
 from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
@@ -120,7 +121,9 @@ def test_results_have_a_version():
     assert digest(results) != VERSIONS[RESULTS_VERSION]
 
 
-@pytest.mark.parametrize("name", CASES)
+@chosen(  # by default all but two, whose kernels no other test compiles
+    "name", CASES, [name for name in CASES if name not in ("annealed, aging", "flow, stationary")]
+)
 def test_results(name):
     """As stored, and on two threads the same bits."""
     found = result(name)
@@ -144,7 +147,11 @@ def test_other_draws_are_told_apart(name):
             agree(name, {**exact, column: found[column]}, exact)
 
 
-@pytest.mark.parametrize("name", ["T = 0, n = 2.5", "soft, stationary", "annealed", "flow"])
+@chosen(
+    "name",
+    ["T = 0, n = 2.5", "soft, stationary", "annealed", "flow"],
+    ["T = 0, n = 2.5", "soft, stationary", "annealed"],
+)
 def test_last_bits_of_tables_change_no_draw(name, monkeypatch):
     """All tables an ulp larger, as another processor may find them: the same lives, results within rounding."""
 

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from eqsim.engine.simulate import Journey
 from kernels import compiled
 
 from eqsim import Aging, Delay, Ensemble, Thermal
@@ -26,7 +27,6 @@ from eqsim.engine.recorder import (
     edge_after,
     moments,
 )
-from eqsim.engine.simulate import Journey
 from eqsim.engine.stationary import extremes
 from eqsim.laws.aging.base import growth
 from eqsim.laws.stiffness import kappa

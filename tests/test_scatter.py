@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 import scipy.stats
+from cases import chosen
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, reference, trajectory
 from eqsim.engine.blocks import Totals
@@ -44,7 +45,7 @@ def law(ensemble, v, distance):
     return [(s.X * unit, s.mean * unit, s.variance * unit**2) for s in found]
 
 
-@pytest.mark.parametrize("name", CASES)
+@chosen("name", CASES, ["late", "hot", "drag", "broad", "table"])
 def test_moments_of_the_law(name):
     """Mean and variance of a contact's force against the master equation, as good as they are taken for: 5 % of the
     variance (and of the force) in the transient, wherever it is; the stationary mean to 1e-3, the variance to 1e-2.

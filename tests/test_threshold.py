@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
+from cases import chosen
 from kernels import compiled
 
 from eqsim import Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference, steady
@@ -54,7 +55,7 @@ def test_gamma_is_nakagami(n):
     np.testing.assert_array_equal(law.sf(np.array([-1.0, 0.0])), 1.0)
 
 
-@pytest.mark.parametrize("n", SHAPES)
+@chosen("n", SHAPES, [0.0, 2.7])
 def test_gamma_against_forty_digits(n):
     """P_c ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2), its moments and its tail, from the definition."""
     law = Gamma(n, 0.7)
@@ -186,7 +187,7 @@ def ks(sample, cdf):
     return scipy.stats.kstest(sample, cdf).pvalue
 
 
-@pytest.mark.parametrize("n", SHAPES)
+@chosen("n", SHAPES, [0.0, 2.7])
 def test_gamma_draws(n):
     """KS over 1e5 draws of the engine's streams, p > 1e-5 (false alarm of the whole file 2e-4); n + 0.05 (n+1) must
     fail."""
