@@ -13,7 +13,7 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import Lanes, Lives
 from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales, moments
+from eqsim.engine.recorder import Extent, Moments, Run, Scales, moments, recorded_alone, recorder_for
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.sample import typical_lives
 from eqsim.engine.scatter import RARE, Scatter, births, known_variance, pinned_variance, scatter
@@ -108,12 +108,13 @@ class Steps(NamedTuple):
         return Totals(rows, rows - 2 * len(self.steps) + 1, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
-        handed_on = len(self.steps) > 1 or self.before is not None
+        handed_on = len(self.steps) > 1 or self.before is not None or self.steps[0].run.moves == 0
+        kind = recorder_for(recorded_alone(step.contacts, step.run) for step in self.steps)
         together = _TOGETHER if handed_on else max(last - first, 1)
         for begin in range(first, max(last, first + 1), together):  # none at all compile kernels
             end, start = min(begin + together, last), self._start(begin, min(together, last - begin), handed_on)
             for step in self.steps:
-                recorder = Recorder.of(step.contacts, step.run, step.scales, start, total, step.row)
+                recorder = kind.of(step.contacts, step.run, step.scales, start, total, step.row)
                 follow(step.contacts, recorder, self.stream, begin, end, Lanes.empty(), Lives.empty(step.contacts))
                 if total.stop[0]:
                     return

@@ -10,6 +10,7 @@ overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -208,7 +209,7 @@ class Averaging(NamedTuple):
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave along a segment.
+    """Where kernels add up what contacts leave along a segment, some lives together, others one by one.
 
     Attributes
     ----------
@@ -255,16 +256,44 @@ class Recorder(NamedTuple):
     def of(cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0) -> "Recorder":
         """A recorder of contacts that come in from `start`, into the sums of a `blocks.Totals`, from a row of its
         deposits on."""
-        varies = c.aging.stiffens and c.springs.slope > 0.0
-        paths = c.aging.fluctuates and (varies or run.batch_by_life or not run.last)
-        stretched = isinstance(c.newborn, Stretched)
-        alone = run.batch_by_life or varies or stretched or paths or run.moves == 0
+        alone = recorded_alone(c, run)
         joined = not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0
+        here = total.scratch[row : row + run.points + 1], total.windows, total.lives, total.stop
+        carries, scratch = run.moves != 0 and not (alone and _follows_paths(c, run)), np.zeros((2, LANES), np.int64)
         return cls(
-            run, start, scales.deposits, scales.windows, total.scratch[row : row + run.points + 1], total.windows,
-            total.lives, total.stop, joined, alone, run.moves != 0 and not paths, Averaging.empty(),
-            np.zeros(LANES, np.int64), np.zeros(LANES, np.int64),
-        )  # fmt: skip
+            run, start, scales.deposits, scales.windows, *here, joined, alone, carries, Averaging.empty(), *scratch
+        )
+
+
+class Together(Recorder):
+    """A recorder of the lives of all lanes at once; a type, so that kernels leave out the rest."""
+
+    __slots__ = ()
+
+
+class OneByOne(Recorder):
+    """A recorder of lives one by one: of few contacts, of those born stretched or whose stiffness varies, of paths that
+    end with the segment, and in a hold."""
+
+    __slots__ = ()
+
+
+def recorder_for(alone: Iterable[bool]) -> type[Recorder]:
+    """The recorder for segments in which lives are recorded `alone`, or not."""
+    kinds = set(alone)
+    return Recorder if len(kinds) > 1 else OneByOne if True in kinds else Together
+
+
+def recorded_alone(c: Contacts, run: Run) -> bool:
+    """Whether lives along a segment are recorded one by one."""
+    varies = c.aging.stiffens and c.springs.slope > 0.0
+    stretched = isinstance(c.newborn, Stretched)
+    return run.batch_by_life or varies or stretched or run.moves == 0 or _follows_paths(c, run)
+
+
+def _follows_paths(c: Contacts, run: Run) -> bool:
+    """Whether lives are paths that are recorded on their way, or end with the segment."""
+    return c.aging.fluctuates and (c.springs.slope > 0.0 or run.batch_by_life or not run.last)
 
 
 class Moments(NamedTuple):

@@ -18,8 +18,10 @@ from eqsim.engine.follow import admit, move_lane, note_lives
 from eqsim.engine.lanes import ROUNDS, Lanes, Lives, delay_of_the_first
 from eqsim.engine.recorder import (
     BATCHES,
+    OneByOne,
     Recorder,
     Run,
+    Together,
     average,
     edge_after,
     fixed,
@@ -115,6 +117,8 @@ class Span(NamedTuple):
 
 
 @admit.register(Recorder)
+@admit.register(Together)
+@admit.register(OneByOne)
 def _admit(recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int) -> bool:
     run, averaging = recorder.run, recorder.averaging
     x, age = enter(recorder.start, c, recorder, key, contact)
@@ -134,6 +138,8 @@ def _admit(recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lane: int, c
 
 
 @move_lane.register(Recorder)
+@move_lane.register(Together)
+@move_lane.register(OneByOne)
 def _move_lane(recorder: Recorder, source: int, target: int) -> None:
     averaging = recorder.averaging
     averaging.edge[target] = averaging.edge[source]
@@ -244,17 +250,10 @@ def _path_goes_on(law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: P
 # --------------------------------------------------------------------------------------- what lives leave there
 
 
-@note_lives.register(Recorder)
-def _note_lives(
+@routine(inline=True)
+def note_together(
     recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
 ) -> bool:
-    if recorder.alone:
-        return note_alone(recorder, c, key, lanes, lives, r, active)
-    return note_together(recorder, c, lanes, lives, r, active, full)
-
-
-@routine(inline=True)
-def note_together(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int, full: int) -> bool:
     """Record the lives of all lanes at once. A contact's lives come in order of position, so what they leave in
     averages is added up on the way, and noted when a life crosses the edge of a window."""
     averaging, position = recorder.averaging, lanes.position
@@ -322,7 +321,9 @@ def cross_edges(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: 
 
 
 @routine
-def note_alone(recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int) -> bool:
+def note_alone(
+    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
     """Record the lives of the lanes one by one."""
     run, position, ended = recorder.run, lanes.position, False
     for i in range(active):
@@ -347,18 +348,43 @@ def note_alone(recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: L
     return ended
 
 
+@note_lives.register(Recorder)
+def _note_either(
+    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
+    if recorder.alone:
+        return note_alone(recorder, c, key, lanes, lives, r, active, full)
+    return note_together(recorder, c, key, lanes, lives, r, active, full)
+
+
+note_lives.register(Together)(note_together)
+note_lives.register(OneByOne)(note_alone)
+
+
 @by_law
 def leave_life(
     law: Any, c: Contacts, recorder: Recorder, batch: int, drawn: langevin.Path, born: float, travel: float
 ) -> tuple[float, float]:
     """Record a life that begins at `born` as `drawn`, by the law of aging, and is carried over `travel` unless in a
     hold. The stiffness whose work is yet to be averaged, and where the life ends."""
-    run, stiffness = recorder.run, kappa(c.springs, drawn.xi)
-    if run.moves == 0:
+    stiffness = kappa(c.springs, drawn.xi)
+    if recorder.run.moves == 0:
         contact = Held(drawn.xi, stiffness, drawn.x, 0.0)
-        travel = spend(law, c, contact, 0, run.length - born, drawn.left)[0]
+        travel = time_in_hold(recorder.start, c, contact, recorder.run.length - born, drawn.left)
     stiffness = leave_span(c, recorder, batch, Span(stiffness, drawn.x, 0.0, born, travel))
     return stiffness, born + travel
+
+
+@by_law
+def time_in_hold(start: Any, c: Contacts, contact: Held, longest: float, clock: float) -> float:
+    """How long a contact is pinned in a hold, or infinity if that is longer than it lasts; by the type of the start, as
+    only programmes have holds."""
+    return math.inf
+
+
+@time_in_hold.register(Population)
+def _time_in_hold(start: Population, c: Contacts, contact: Held, longest: float, clock: float) -> float:
+    return spend(c.aging, c, contact, 0, longest, clock)[0]
 
 
 @leave_life.register(Langevin)
