@@ -78,37 +78,13 @@ def count_values(node):
     return sum(values(one.annotation) for one in arguments if one and one.arg not in ("self", "cls"))
 
 
-# TEMPORARY, to be emptied: functions with more values than eight, files with numbers for columns.
-MANY_VALUES = {
-    "eqsim/engine/segments.py: _hand_on_path",
-    "eqsim/engine/segments.py: _live_path",
-    "eqsim/engine/segments.py: hand_on",
-    "eqsim/engine/segments.py: live",
-    "eqsim/engine/simulate.py: _found_path",
-    "eqsim/engine/simulate.py: fill_lanes",
-    "eqsim/engine/simulate.py: found",
-    "eqsim/engine/simulate.py: record_round",
-    "eqsim/fitting/design.py: design",
-    "eqsim/laws/aging/along.py: _along",
-    "eqsim/laws/aging/along.py: _spend",
-    "eqsim/laws/aging/base.py: _spend",
-    "eqsim/laws/aging/base.py: spend",
-}
-NUMBERED_COLUMNS = {
-    "eqsim/engine/avalanches.py",
-    "eqsim/engine/elastic.py",
-    "eqsim/engine/recorder.py",
-    "eqsim/engine/slider.py",
-    "eqsim/master/cohorts.py",
-    "eqsim/master/fronts.py",
-}
 
 
 def test_functions_have_at_most_eight_values():
     """A tuple of three numbers is three values, however it is passed."""
     found = [(where, count_values(node)) for where, node in functions("eqsim")]
     assert len(found) > 500
-    assert {where: count for where, count in found if count > 8 and where not in MANY_VALUES} == {}
+    assert {where: count for where, count in found if count > 8} == {}
     for source, count in (
         ("def f(self, a, b: int, *c: float, d: str = '', **e): ...", 5),
         ("def f(a: tuple[int, float, tuple[Array, Array]]): ...", 4),
@@ -122,7 +98,7 @@ def test_columns_have_names():
     """What belongs together is a type with fields, not an array whose columns are numbered."""
     numbers = re.compile(r"= range\(\d+\)")
     found = {str(path.relative_to(ROOT)) for path in (ROOT / "eqsim").rglob("*.py") if numbers.search(path.read_text())}
-    assert found - NUMBERED_COLUMNS == set()
+    assert found == set()
 
 
 def test_commands_have_at_most_fifty_lines():

@@ -200,12 +200,13 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
 def along(
     ensemble: Ensemble,
     programme: Programme,
-    recorded: tuple[int, int, int],
+    points: int,
+    seed: int,
+    replicas: int,
     threads: Threads,
     progress: Progress | None,
 ) -> ProgrammeTrajectory:
-    """`trajectory.trajectory` of a programme; `recorded` holds points, seed and replicas."""
-    points, seed, replicas = recorded
+    """`trajectory.trajectory` of a programme."""
     grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
     job = steps_of(ensemble, programme, grid, replicas, seed)
     interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, so that seconds are those of the work

@@ -611,7 +611,7 @@ def _path_at_rest(law: Langevin, c: Contacts, contact: Held, clock: float, most:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
-    key = (np.uint64(0), np.uint64(0))
+    key = Key(np.uint64(0), np.uint64(0))
     path = langevin.Path(key, i, np.int64(0), np.int64(0), contact.threshold, 0.0, clock)
     broke, path, elapsed, _ = langevin.follow(laws, path, min(_SEEN / law.alpha, most), langevin.STEP)
     return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion

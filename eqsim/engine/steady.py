@@ -185,7 +185,7 @@ def steady(
         lowered = tables_of_squares + (0.0 if divergence else _unmet(c, proposal, count))
         of_squares = math.hypot(lowered, others)
         covered = proposal is None or proposal.covered
-        result = _averages(c, sums, (drag, unit), size, covered, (hidden, of_squares))
+        result = _averages(c, sums, drag, unit, size, covered, Unseen(hidden, of_squares))
         if divergence:
             result = (*result[:-1], infinite(count))
         error = _relative(result)
@@ -612,14 +612,21 @@ def _relative(found: tuple[Estimate, ...]) -> float:
     return max(relative)
 
 
+class Unseen(NamedTuple):
+    """Relative errors that the scatter of randomisations does not show: of the means over lives, and of that of
+    squares."""
+
+    means: float
+    squares: float
+
+
 def _averages(
-    c: Contacts, sums: Array, units: tuple[float, float], size: int, covered: bool, unseen: tuple[float, float]
+    c: Contacts, sums: Array, drag: float, unit: float, size: int, covered: bool, unseen: Unseen
 ) -> tuple[Estimate, ...]:
-    """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`; `units` are eta v/k and the unit
-    of length, `unseen` relative errors of the means over lives, and of that of squares, that do not show in their
-    scatter."""
+    """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`; `drag` is eta v/k and `unit` that
+    of length."""
     reliable = covered and float(sums[:, 4].max()) < _DOMINANT
-    (drag, unit), delay, (hidden, of_squares) = units, c.delay.mean, unseen
+    delay, (hidden, of_squares) = c.delay.mean, unseen
     work, travel, square, birth = sums[:, :4].T
     cycle = travel + delay
     friction = float((work.mean() + drag * delay) / cycle.mean())

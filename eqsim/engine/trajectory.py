@@ -138,7 +138,7 @@ def trajectory(
     if isinstance(drive, Programme) and drive.stage:
         return pulled(ensemble, drive, points, seed, replicas, threads, progress)
     if isinstance(drive, Programme):
-        return along(ensemble, drive, (points, seed, replicas), threads, progress)
+        return along(ensemble, drive, points, seed, replicas, threads, progress)
     workers = workers_of(threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)

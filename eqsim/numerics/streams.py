@@ -6,7 +6,7 @@ a contact's history cannot depend on threads, blocks, or on what was simulated b
 """
 
 import hashlib
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,13 +24,17 @@ _UNITS_OF_UPPER = np.uint64(0x4530000000000000)  # bits of 2^84
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 
 
-Key = tuple[Any, Any]
+class Key(NamedTuple):
+    """The two 32-bit words of a Philox key, each in 64 bits."""
+
+    low: Any
+    high: Any
 
 
 def key(seed: int, purpose: int) -> Key:
-    """The two 32-bit words of a Philox key."""
+    """The key of a stream of random numbers."""
     words = np.random.SeedSequence((seed, purpose)).generate_state(2, np.uint32)
-    return np.uint64(words[0]), np.uint64(words[1])
+    return Key(np.uint64(words[0]), np.uint64(words[1]))
 
 
 def name_of(*declared: Any) -> int:
@@ -98,7 +102,7 @@ def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: 
         c, j = np.uint64(contact[i]), np.uint64(life[i])
         last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
         words[0, i], words[1, i], words[2, i], words[3, i] = philox(
-            c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1]
+            c & _LOW, c >> _HALF, j & _LOW, last, key.low, key.high
         )
 
 
@@ -107,7 +111,7 @@ def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, A
     """The four words behind `uniforms`."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
-    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
+    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key.low, key.high)
 
 
 @routine(inline=True)
@@ -123,7 +127,7 @@ def words(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, f
     of their counters is one of `uniforms`."""
     c = np.uint64(contact)
     last = np.uint64(draw) | np.uint64(0x80000000)
-    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key[0], key[1])
+    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key.low, key.high)
     return np.float64(a), np.float64(b), np.float64(d), np.float64(e)
 
 
