@@ -22,6 +22,7 @@ from eqsim.engine.stationary import extremes
 from eqsim.errors import InputError
 from eqsim.laws.newborn import Stretched
 from eqsim.numerics.compiled import routine
+from eqsim.numerics.rows import add_rows, take_rows
 from eqsim.numerics.tables import Array, search
 
 BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
@@ -29,6 +30,8 @@ _LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below 
 _LEAST_WORK = 2.0**5  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
 _BITS = 62  # of a sum; the sign and one more are left
 _UNITS = 0x4330000000000000  # bits of 2^52
+_SHIFTED = 0x4338000000000000  # bits of 1.5 2^52
+_NARROW_FROM = 2 ** (_BITS - 51)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
 
 # What a contact leaves at a point of the grid, with Y = -X0 where the slider would have been pulled from: 1, kappa Y,
 # (kappa Y)^2, kappa, kappa^2 and kappa^2 Y.
@@ -134,14 +137,15 @@ class Extent(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers; and whether all contacts are
-    equally stiff."""
+    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers; whether all contacts are equally
+    stiff, and whether they are so many that no deposit of one exceeds 51 bits."""
 
     deposits: Deposit
     windows: Window
     replica: float
     replica_square: float
     uniform: bool
+    narrow: bool
 
     @classmethod
     def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
@@ -185,7 +189,7 @@ class Scales(NamedTuple):
         most = max(force, drag)
         replica, replica_square = power([most, most**2], replicas)
         counted = deposits._replace(count=1.0), windows._replace(breaks=1.0)
-        return cls(*counted, replica, replica_square, lives.alike)
+        return cls(*counted, replica, replica_square, lives.alike, contacts >= _NARROW_FROM)
 
 
 class Averaging(NamedTuple):
@@ -206,6 +210,28 @@ class Averaging(NamedTuple):
         """Of idle lanes."""
         edge, since, work, pinned, broke, reborn = np.zeros((6, LANES))
         return cls(edge, since, np.zeros(LANES, np.int64), work, pinned, broke, reborn)
+
+
+class Columns(NamedTuple):
+    """Scratch for what the contacts in the lanes leave, arrays (LANES,) of integers: what `Deposit` says at the point
+    `begins`, and back again at `ends`. `once` is 1 and `never` 0 for all."""
+
+    begins: Array
+    ends: Array
+    force: Array
+    square: Array
+    slope: Array
+    slope2: Array
+    ramp2: Array
+    once: Array
+    never: Array
+
+    @classmethod
+    def empty(cls) -> "Columns":
+        """Of nothing."""
+        begins, ends, force, square, slope, slope2, ramp2 = np.zeros((7, LANES), np.int64)
+        once, never = np.ones(LANES, np.int64), np.zeros(LANES, np.int64)
+        return cls(begins, ends, force, square, slope, slope2, ramp2, once, never)
 
 
 class Recorder(NamedTuple):
@@ -233,8 +259,9 @@ class Recorder(NamedTuple):
     carries : bool
         Whether where lives break is found for all lanes together, before they are recorded.
     averaging : Averaging
-    begins, ends : ndarray of int, shape (LANES,)
-        Scratch: points of the grid.
+    columns : Columns
+    narrow : bool
+        As in `Scales`.
     """
 
     run: Run
@@ -249,8 +276,8 @@ class Recorder(NamedTuple):
     alone: bool
     carries: bool
     averaging: Averaging
-    begins: Array
-    ends: Array
+    columns: Columns
+    narrow: bool
 
     @classmethod
     def of(cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0) -> "Recorder":
@@ -259,9 +286,19 @@ class Recorder(NamedTuple):
         alone = recorded_alone(c, run)
         joined = not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0
         here = total.scratch[row : row + run.points + 1], total.windows, total.lives, total.stop
-        carries, scratch = run.moves != 0 and not (alone and _follows_paths(c, run)), np.zeros((2, LANES), np.int64)
+        carries, scratch = run.moves != 0 and not (alone and _follows_paths(c, run)), Columns.empty()
         return cls(
-            run, start, scales.deposits, scales.windows, *here, joined, alone, carries, Averaging.empty(), *scratch
+            run,
+            start,
+            scales.deposits,
+            scales.windows,
+            *here,
+            joined,
+            alone,
+            carries,
+            Averaging.empty(),
+            scratch,
+            scales.narrow,
         )
 
 
@@ -332,6 +369,15 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
 @routine(inline=True)
 def fixed(x: float, scale: float) -> int:
     """x in fixed point."""
+    return int(np.rint(x * scale))
+
+
+@routine(inline=True)
+def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
+    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are the last bits of the sum. Few
+    processors convert more than one number at a time."""
+    if narrow:
+        return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
 
 
@@ -435,67 +481,68 @@ def point_after(x: float, run: Run, per_step: float) -> Any:
 
 
 @routine(inline=True)
+def find_points(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
+    """Find the grid points from which and up to which lives are seen. A loop fills one array: with more, whether any of
+    them overlap would take too long to find out for the compiler to use vectors."""
+    run, begins, ends = recorder.run, recorder.columns.begins, recorder.columns.ends
+    per_step = (run.points - 1) / run.length
+    for i in range(count):
+        begins[i] = point_after(born[i], run, per_step)
+    for i in range(count):
+        ends[i] = point_after(broke[i], run, per_step)
+
+
+@routine(inline=True)
 def leave_ramps(recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, count: int) -> None:
-    """Record the lives of round r of the first `count` lanes, pinned at 0 <= `born` <= X < `broke`."""
-    scales, deposits, run = recorder.scales, recorder.deposits, recorder.run
-    stiffness, start, end, per_step = lives.stiffness, recorder.begins, recorder.ends, (run.points - 1) / run.length
+    """Record the lives of round r of the first `count` lanes, pinned at 0 <= `born` <= X < `broke`; `count` is a
+    multiple of four."""
+    scales, columns, stiffness = recorder.scales, recorder.columns, lives.stiffness
+    force, square, slope, slope2, ramp2 = columns.force, columns.square, columns.slope, columns.slope2, columns.ramp2
+    find_points(recorder, born, broke, count)
     for i in range(count):
-        start[i] = point_after(born[i], run, per_step)
+        force[i] = fixed_narrow(stiffness[r, i] * born[i], -scales.force, recorder.narrow)
     for i in range(count):
-        end[i] = point_after(broke[i], run, per_step)
+        ramp = stiffness[r, i] * born[i]
+        square[i] = fixed_narrow(ramp * ramp, scales.square, recorder.narrow)
+    for i in range(count):
+        slope[i] = fixed_narrow(stiffness[r, i], scales.slope, recorder.narrow)
+    for i in range(count):
+        slope2[i] = fixed_narrow(stiffness[r, i] * stiffness[r, i], scales.slope2, recorder.narrow)
     for i in range(count):
         kappa = stiffness[r, i]
-        ramp = kappa * born[i]
-        force = fixed(ramp, -scales.force)
-        square = fixed(ramp * ramp, scales.square)
-        slope = fixed(kappa, scales.slope)
-        slope2 = fixed(kappa * kappa, scales.slope2)
-        ramp2 = fixed(kappa * ramp, -scales.ramp2)
-        begun, ended = deposits[start[i]], deposits[end[i]]
-        begun.count += 1
-        begun.force += force
-        begun.square += square
-        begun.slope += slope
-        begun.slope2 += slope2
-        begun.ramp2 += ramp2
-        ended.count -= 1
-        ended.force -= force
-        ended.square -= square
-        ended.slope -= slope
-        ended.slope2 -= slope2
-        ended.ramp2 -= ramp2
+        ramp2[i] = fixed_narrow(kappa * (kappa * born[i]), -scales.ramp2, recorder.narrow)
+    numbers = columns.once, force, square, slope, slope2, ramp2
+    for i in range(0, count, 4):
+        add_rows(recorder.deposits, columns.begins, numbers, i)
+        take_rows(recorder.deposits, columns.ends, numbers, i)
 
 
 @routine(inline=True)
 def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
     """`leave_ramps` of contacts that are equally stiff: count and force stand for the other fields."""
-    scales, deposits, run = recorder.scales, recorder.deposits, recorder.run
-    start, end, per_step = recorder.begins, recorder.ends, (run.points - 1) / run.length
+    scales, columns = recorder.scales, recorder.columns
+    find_points(recorder, born, broke, count)
     for i in range(count):
-        start[i] = point_after(born[i], run, per_step)
+        columns.force[i] = fixed_narrow(born[i], -scales.force, recorder.narrow)
     for i in range(count):
-        end[i] = point_after(broke[i], run, per_step)
-    for i in range(count):
-        force = fixed(born[i], -scales.force)
-        square = fixed(born[i] * born[i], scales.square)
-        begun, ended = deposits[start[i]], deposits[end[i]]
-        begun.count += 1
-        begun.force += force
-        begun.square += square
-        ended.count -= 1
-        ended.force -= force
-        ended.square -= square
+        columns.square[i] = fixed_narrow(born[i] * born[i], scales.square, recorder.narrow)
+    numbers = columns.once, columns.force, columns.square, columns.never
+    for i in range(0, count, 4):
+        add_rows(recorder.deposits, columns.begins, numbers, i)
+        take_rows(recorder.deposits, columns.ends, numbers, i)
 
 
 @routine(inline=True)
 def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
     """`leave_uniform_ramps` without delay: a life begins where another ends, and only the square and the place of birth
     change there."""
-    scales, deposits, run = recorder.scales, recorder.deposits, recorder.run
-    end, per_step = recorder.ends, (run.points - 1) / run.length
+    scales, columns = recorder.scales, recorder.columns
+    find_points(recorder, born, broke, count)
     for i in range(count):
-        end[i] = point_after(broke[i], run, per_step)
+        columns.force[i] = fixed_narrow(broke[i] - born[i], -scales.force, recorder.narrow)
     for i in range(count):
-        distance, here = broke[i] - born[i], deposits[end[i]]
-        here.force += fixed(distance, -scales.force)
-        here.square += fixed(distance * (born[i] + broke[i]), scales.square)
+        difference = (broke[i] - born[i]) * (born[i] + broke[i])
+        columns.square[i] = fixed_narrow(difference, scales.square, recorder.narrow)
+    numbers = columns.never, columns.force, columns.square, columns.never
+    for i in range(0, count, 4):
+        add_rows(recorder.deposits, columns.ends, numbers, i)

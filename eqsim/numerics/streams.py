@@ -95,7 +95,7 @@ def fine_product(key: Key, contact: int, life: int, draw: int, low: Any, high: A
     return ((np.float64(np.int64(low)) + u) * 2.0**-32) * ((np.float64(np.int64(high)) + v) * 2.0**-32)
 
 
-@routine
+@routine(inline=True)
 def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: int) -> None:
     """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of `words`, shape (4, lanes)."""
     for i in range(lanes):

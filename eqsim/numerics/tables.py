@@ -93,7 +93,7 @@ def look_up(table: Array, s: float) -> float:
     return _polynomial(table, row, t)
 
 
-@routine
+@routine(inline=True)
 def look_up_all(table: Array, s: Array, row: Array, count: int) -> None:
     """Replace the first `count` of `s`, shape (n,), by the tabulated function there; `row` is scratch. Look-ups in a
     loop of their own leave the other one free to vectorise."""
