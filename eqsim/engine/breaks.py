@@ -8,7 +8,7 @@ import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import admit, follow, note_lives
-from eqsim.engine.lanes import LANES, Lanes, Lives
+from eqsim.engine.lanes import LANES, Lanes, Lives, idle_lanes
 from eqsim.engine.steady import settled
 from eqsim.engine.trajectory import check_run
 from eqsim.errors import InputError
@@ -85,7 +85,7 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
         size = int(_MARGIN * each * (last - first)) + 100
         while True:
             listed = BreakList(distance, np.empty(size, BREAK), np.zeros(1, np.int64), current_stop())
-            follow(c, listed, stream, first, last, Lanes.empty(), Lives.empty(c))
+            follow(c, listed, stream, first, last, *idle_lanes(c, stream))
             size = int(listed.number[0])
             if size <= listed.rows.size:
                 return listed.rows[:size]

@@ -59,7 +59,7 @@ def follow(c: Contacts, recorder: Any, key: Key, first: int, last: int, lanes: L
         full = min(LANES, (active + _TOGETHER - 1) // _TOGETHER * _TOGETHER)
         draw_lives(c.newborn, c, key, lanes, lives, full)
         if recorder.carries:
-            carry_lives(c.aging, c, key, lanes, lives, full)
+            carry_lives(c.newborn, c, lives, full)
         ended = False
         for r in range(ROUNDS):
             if note_lives(recorder, c, key, lanes, lives, r, active, full):

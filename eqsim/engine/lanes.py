@@ -60,6 +60,14 @@ class Lanes(NamedTuple):
         return cls(contact, age, np.full(LANES, math.inf), number, np.zeros((4, LANES), np.uint64))
 
 
+class Followed(NamedTuple):
+    """What paths of the lives in the lanes need: their random numbers, and scratch."""
+
+    lanes: Lanes
+    key: Key
+    walkers: langevin.Walkers
+
+
 class Lives(NamedTuple):
     """The next lives of the contacts in the lanes, arrays (rounds, LANES).
 
@@ -79,8 +87,7 @@ class Lives(NamedTuple):
         Scratch of laws.
     row : ndarray of int, shape (LANES,)
         Scratch of tables.
-    walkers : langevin.Walkers, or () where no threshold fluctuates
-        Scratch of paths.
+    followed : Followed, or () where no threshold fluctuates
     """
 
     threshold: Array
@@ -94,19 +101,24 @@ class Lives(NamedTuple):
     per_root: Array
     rank: Array
     row: Array
-    walkers: Any
+    followed: Any
 
     @classmethod
-    def empty(cls, c: Contacts, rounds: int = ROUNDS) -> "Lives":
+    def empty(cls, c: Contacts, followed: Any = (), rounds: int = ROUNDS) -> "Lives":
         """Lives that clocks never end, of contacts born unstressed, as stiff as uniform ones, with the mean delay."""
         threshold, birth, clock, delay, stiffness, travel, work = np.zeros((7, rounds, LANES))
         clock[:] = math.inf
         delay[:] = c.delay.mean
         stiffness[:] = c.springs.constant
-        walkers = langevin.Walkers.empty() if c.aging.fluctuates else ()
         root, per_root, rank = np.zeros((3, LANES))
         drawn = threshold, birth, clock, delay
-        return cls(*drawn, stiffness, travel, work, root, per_root, rank, np.zeros(LANES, np.int64), walkers)
+        return cls(*drawn, stiffness, travel, work, root, per_root, rank, np.zeros(LANES, np.int64), followed)
+
+
+def idle_lanes(c: Contacts, key: Key) -> tuple[Lanes, Lives]:
+    """Lanes for contacts, and their lives."""
+    lanes = Lanes.empty()
+    return lanes, Lives.empty(c, Followed(lanes, key, langevin.Walkers.empty()) if c.aging.fluctuates else ())
 
 
 class Birth(NamedTuple):
@@ -244,37 +256,31 @@ def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
 
 
 @by_law
-def carry_lives(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
-    """Fill travel and stiffness of the first `count` lives of every round, by the law of aging."""
+def carry_lives(law: Any, c: Contacts, lives: Lives, count: int) -> None:
+    """Fill travel and stiffness of the first `count` lives of every round, by the law of births."""
     for r in range(lives.threshold.shape[0]):
-        carry(c.newborn, c, lives, r, count)
+        break_lives(c.aging, c, lives, r, count)
 
 
-@carry_lives.register(Langevin)
-def _carry_paths(law: Langevin, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
-    age, number = lanes.age, lanes.number
-    for r in range(lives.threshold.shape[0]):
-        for i in range(count):
-            number[i] = ROUNDS * age[i] + r
-        paths = langevin.Paths(
-            lanes.contact, number, lives.threshold[r, :count], lives.clock[r], lives.travel[r], lives.work[r]
-        )
-        langevin.walk_all(langevin.pinned(c), key, langevin.STEP, paths, lives.walkers)
-
-
-@by_law
-def carry(law: Any, c: Contacts, lives: Lives, r: int, count: int) -> None:
-    """Fill travel and stiffness of the first `count` lives of round r, by the law of births."""
-    break_lives(c.aging, c, lives, r, count)
-
-
-@carry.register(Stretched)
-def _carry_stretched(law: Stretched, c: Contacts, lives: Lives, r: int, count: int) -> None:
+@carry_lives.register(Stretched)
+def _carry_stretched(law: Stretched, c: Contacts, lives: Lives, count: int) -> None:
     threshold, stiffness = lives.threshold, lives.stiffness
     birth, clock, carried = lives.birth, lives.clock, lives.travel
+    for r in range(ROUNDS):
+        for i in range(count):
+            stiffness[r, i] = kappa(c.springs, threshold[r, i])
+            carried[r, i] = travel(c, threshold[r, i], stiffness[r, i], birth[r, i], clock[r, i])
+
+
+@break_lives.register(Langevin)
+def _walk_lives(law: Langevin, c: Contacts, lives: Lives, r: int, count: int) -> None:
+    lanes, number = lives.followed.lanes, lives.followed.lanes.number
     for i in range(count):
-        stiffness[r, i] = kappa(c.springs, threshold[r, i])
-        carried[r, i] = travel(c, threshold[r, i], stiffness[r, i], birth[r, i], clock[r, i])
+        number[i] = ROUNDS * lanes.age[i] + r
+    paths = langevin.Paths(
+        lanes.contact, number, lives.threshold[r, :count], lives.clock[r], lives.travel[r], lives.work[r]
+    )
+    langevin.walk_all(langevin.pinned(c), lives.followed.key, langevin.STEP, paths, lives.followed.walkers)
 
 
 @by_law

@@ -11,7 +11,7 @@ import numpy as np
 from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
-from eqsim.engine.lanes import Lanes, Lives
+from eqsim.engine.lanes import idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
 from eqsim.engine.recorder import Extent, Moments, Run, Scales, moments, recorded_alone, recorder_for
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
@@ -115,7 +115,7 @@ class Steps(NamedTuple):
             end, start = min(begin + together, last), self._start(begin, min(together, last - begin), handed_on)
             for step in self.steps:
                 recorder = kind.of(step.contacts, step.run, step.scales, start, total, step.row)
-                follow(step.contacts, recorder, self.stream, begin, end, Lanes.empty(), Lives.empty(step.contacts))
+                follow(step.contacts, recorder, self.stream, begin, end, *idle_lanes(step.contacts, self.stream))
                 if total.stop[0]:
                     return
 

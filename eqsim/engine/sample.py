@@ -110,7 +110,7 @@ class _Paths(NamedTuple):
 def _scratch(c: Contacts, source: Source, sample: Sample) -> Lives | _Paths:
     """Scratch of `fill`."""
     if not c.aging.fluctuates:
-        return Lives.empty(c, 1)
+        return Lives.empty(c, rounds=1)
     n = sample.travel.size
     contact, number = source.first + np.arange(n), np.zeros(n, np.int64)
     paths = langevin.Paths(contact, number, np.empty(n), np.empty(n), sample.travel, sample.work)

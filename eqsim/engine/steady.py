@@ -37,7 +37,7 @@ from scipy import integrate, interpolate
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import admit, follow, note_lives
-from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, life_work
+from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, idle_lanes, life_work
 from eqsim.engine.langevin import STEP, step_error
 from eqsim.engine.sample import Sample, Source, lives, rough_stretch, square_of
 from eqsim.errors import InputError, require_number
@@ -426,7 +426,7 @@ def _plainly(c: Contacts, stream: Key, index: int, size: int, stop: Array) -> Ar
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
     sums = PlainSums.empty(index * LANES, rounds, 2 * rounds, stop)
     without = c._replace(delay=Waits(c.delay.mean, 0.0))  # no sum depends on a delay
-    follow(without, sums, stream, sums.first, sums.first + LANES, Lanes.empty(), Lives.empty(without))
+    follow(without, sums, stream, sums.first, sums.first + LANES, *idle_lanes(without, stream))
     work, travel, square, birth, size_of_work = (np.cumsum(part)[-1] for part in sums.parts())  # one after the other
     largest = max(sums.most_work.max() / size_of_work, sums.most_travel.max() / travel)
     return np.array([[work / size, travel / size, square / size, birth / size, largest, 0.0]])  # see `_unmet`
