@@ -8,9 +8,11 @@ import mpmath
 import numba
 import numpy as np
 import pytest
+from kernels import compiled
 
 from eqsim.numerics import vector_math
 from eqsim.numerics.compiled import fma
+from eqsim.numerics.streams import uniform
 from eqsim.numerics.tables import look_up, look_up_all, octave_edges, octave_table
 
 RNG = np.random.default_rng(5)
@@ -120,6 +122,16 @@ def test_fma_rounds_once():
     exact = [float(Fraction(x) * Fraction(y) - Fraction(x * y)) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)]
     assert [lost(x, y) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)] == exact
     assert any(exact)
+
+
+def test_uniforms_are_rounded_once():
+    """Two words make 63 bits, which are rounded once, ties to even, as Python does."""
+    draw = compiled(uniform)
+    ties = [2**k + step for k in range(53, 63) for step in (1, 2 ** (k - 53), 3 * 2 ** (k - 53), 2 ** (k - 53) + 1)]
+    whole = [0, 1, 2**32 - 1, 2**32, 2**53 - 1, 2**63 - 1, *ties, *RNG.integers(0, 2**63, 500).tolist()]
+    words = [(np.uint64(2 * number % 2**32), np.uint64(2 * number // 2**32)) for number in whole]
+    expected = [min((float(number) + 0.5) * 2.0**-63, 1.0 - 2.0**-53) for number in whole]
+    assert [draw(*pair) for pair in words] == expected
 
 
 def test_third():

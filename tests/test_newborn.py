@@ -33,8 +33,8 @@ from eqsim import (
     trajectory,
     transient,
 )
+from eqsim.engine import langevin
 from eqsim.engine.contacts import contacts
-from eqsim.engine.langevin import STEP
 from eqsim.engine.sample import Source, lives
 from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.laws.barrier.base import travel
@@ -220,7 +220,7 @@ def test_nothing_overflows():
     u, v = np.exp(-np.exp([rng.uniform(-37, 6, 4000), rng.uniform(-37, 3.7, 4000)]))
     for _, ensemble, velocity in sample(50, 7):
         if ensemble.newborn.active:
-            found = lives(contacts(ensemble, velocity), Source(key(0, 1), 0, STEP), u, v)
+            found = lives(contacts(ensemble, velocity), Source(key(0, 1), 0, langevin.STEP), u, v)
             assert all(np.all(np.isfinite(part)) for part in found)
             assert np.all(found.travel >= 0.0)
 
