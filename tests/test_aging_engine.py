@@ -22,8 +22,8 @@ from scipy.interpolate import CubicSpline
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
 from eqsim.engine import langevin
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import lives
-from eqsim.engine.langevin import STEP, WALKERS, Path, pinned
+from eqsim.engine.langevin import STEP, WALKERS, Path, Paths, Walkers, pinned, whole_work
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import stationary, stretches, whole_lives
 from eqsim.master.fokker_planck import survival
 from eqsim.master.transient import transient
@@ -32,7 +32,7 @@ from eqsim.numerics.streams import key
 
 halfway, meeting, meets = compiled(langevin.halfway), compiled(langevin.meeting), compiled(langevin.meets)
 pace, touching = compiled(langevin.pace), compiled(langevin.touching)
-life_of, lives_of = compiled(langevin.life), compiled(langevin.lives)
+follow, walk_all = compiled(langevin.follow), compiled(langevin.walk_all)
 
 LIMIT, RARE = 4.5, 1e-5
 STEPS = 1e-3  # what steps of the default accuracy may cost, relative (documented in `engine.langevin`)
@@ -211,7 +211,7 @@ def ensemble_of(path, factor=1.0):
 def lived(path, factor=1.0, many=LIVES):
     """Work and stretch of so many lives on one `path`, D_v times `factor`."""
     u, v = np.random.default_rng(11).random((2, many))
-    return lives(contacts(ensemble_of(path, factor), 1.0), key(2, 98), 0, u, v)[:2]
+    return lives(contacts(ensemble_of(path, factor), 1.0), Source(key(2, 98), 0, STEP), u, v)[:2]
 
 
 @functools.cache
@@ -326,7 +326,7 @@ def test_clocks_that_stop_within_a_step(lives_log2, chance):
     get right. `chance` is left of so many lives (1 s.e. of the mean, from ten seeds); 4 of these are allowed."""
     path = (2.5, 6.0, 0.3, 3.0, 180.0, "stiff", "uniform")
     u, v = scipy.stats.qmc.Sobol(2, rng=np.random.default_rng(1)).random(2**lives_log2).T + 2.0**-31
-    stretch = lives(contacts(ensemble_of(path), 1.0), key(2, 99), 0, u, v).travel
+    stretch = lives(contacts(ensemble_of(path), 1.0), Source(key(2, 99), 0, STEP), u, v).travel
     assert abs(stretch.mean() / expected(path).stretch - 1) < 4 * chance
 
 
@@ -339,7 +339,7 @@ def test_work_of_a_stiffness_that_fluctuates(path):
     excess = []
     for law in ("sqrt", "uniform"):
         one = (*path[:6], law)
-        work, stretch, *_ = lives(contacts(ensemble_of(one), 1.0), key(3, 98), 0, u, v)
+        work, stretch, *_ = lives(contacts(ensemble_of(one), 1.0), Source(key(3, 98), 0, STEP), u, v)
         life = expected(one)
         excess += [work / life.work - 1.0, stretch / life.stretch - 1.0]
     basis = np.stack((excess[2], excess[3], np.ones(size)), axis=1)
@@ -350,7 +350,9 @@ def test_work_of_a_stiffness_that_fluctuates(path):
 def _one_by_one(c, stream, contact, births, clocks):
     """Stretches at breaking and work of one contact after the other."""
     paths = [Path(stream, contact + i, 2, 0, births[i], 0.0, clocks[i]) for i in range(births.size)]
-    return np.array([life_of(c, path, STEP) for path in paths]).T
+    ends = [follow(c, path, math.inf, STEP) for path in paths]
+    assert all(broke for broke, *_ in ends)
+    return np.array([(path.x, whole_work(c, path.x, work)) for _, path, _, work in ends]).T
 
 
 @chosen("path", [*PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])], [PATHS[4]])
@@ -361,11 +363,11 @@ def test_paths_side_by_side_as_one_by_one(path):
     births, clocks = np.random.default_rng(13).exponential(size=(2, size)) + 0.1
     single = _one_by_one(c, stream, 5, births, clocks)
     for first, last in ((0, size), (3, WALKERS), (7, 8), (9, 9)):
-        part = slice(first, last)
-        who, lives_old = np.arange(5 + first, 5 + last), np.full(last - first, 2)
-        both = births[part].copy(), clocks[part].copy()
-        lives_of(c, stream, STEP, who, lives_old, *both)
-        np.testing.assert_array_equal(both, single[:, part])
+        part, travel, work = slice(first, last), np.zeros(last - first), np.zeros(last - first)
+        contact, number = np.arange(5 + first, 5 + last), np.full(last - first, 2)
+        paths = Paths(contact, number, births[part], clocks[part], travel, work)
+        walk_all(c, stream, STEP, paths, Walkers.empty())
+        np.testing.assert_array_equal((travel, work), single[:, part])
     assert np.all(_one_by_one(c, stream, 6, births, clocks)[0] != single[0])  # control: other contacts
 
 
@@ -373,14 +375,15 @@ def test_steps_of_many_paths_vectorise():
     """Packed roots and products of doubles in loops over paths; there are none where a path is alone."""
     ensemble = Ensemble(thermal=Thermal(0.1, 1.0, "stiff"), aging=Aging("langevin", 0.1, 2.0))
     c, stream = pinned(contacts(ensemble, 1.0)), key(0, 0)
-    lives_of(c, stream, STEP, np.arange(3), np.arange(3), np.ones(3), np.ones(3))
-    life_of(c, Path(stream, 0, 0, 0, 1.0, 0.0, 1.0), STEP)
+    paths = Paths(np.arange(3), np.arange(3), *np.ones((4, 3)))
+    walk_all(c, stream, STEP, paths, Walkers.empty())
+    follow(c, Path(stream, 0, 0, 0, 1.0, 0.0, 1.0), math.inf, STEP)
 
     def packed(function):
         (assembly,) = (asm for (given,), asm in function.inspect_asm().items() if given.types[0] == numba.typeof(c))
         return assembly.count("mulpd")
 
-    many, one = packed(lives_of), packed(life_of)
+    many, one = packed(walk_all), packed(follow)
     assert many > 30
     assert one < 5
 

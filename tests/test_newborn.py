@@ -33,12 +33,14 @@ from eqsim import (
     trajectory,
     transient,
 )
-from eqsim.engine import lanes
+from eqsim.engine import langevin
 from eqsim.engine.contacts import contacts
+from eqsim.engine.sample import Source, lives
 from eqsim.estimate import OBSERVABLES, z_score
 from eqsim.laws.barrier.base import travel
 from eqsim.laws.newborn import Newborn, newborn_draw, stretched
 from eqsim.laws.threshold import for_kernels
+from eqsim.numerics.streams import key
 from eqsim.validation.points import sample
 
 LIMIT = 4.5
@@ -218,7 +220,7 @@ def test_nothing_overflows():
     u, v = np.exp(-np.exp([rng.uniform(-37, 6, 4000), rng.uniform(-37, 3.7, 4000)]))
     for _, ensemble, velocity in sample(50, 7):
         if ensemble.newborn.active:
-            found = lanes.lives(contacts(ensemble, velocity), lanes.key_of(0, 1), 0, u, v)
+            found = lives(contacts(ensemble, velocity), Source(key(0, 1), 0, langevin.STEP), u, v)
             assert all(np.all(np.isfinite(part)) for part in found)
             assert np.all(found.travel >= 0.0)
 

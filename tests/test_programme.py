@@ -31,7 +31,7 @@ from eqsim import (
 from eqsim.engine.contacts import contacts
 from eqsim.laws.aging import Flow, Logarithmic
 from eqsim.laws.aging.along import crossing
-from eqsim.laws.aging.base import spend, spent
+from eqsim.laws.aging.base import Held, spend, spent
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.base import hazard, rate, stretch
 from eqsim.laws.barrier.pooled import Pooled
@@ -257,7 +257,7 @@ def test_clocks_along_a_segment(barrier):
         rates = np.exp(law.log_w + np.nan_to_num(exponent, nan=-np.inf))
         hazards = integrate.cumulative_trapezoid(rates, s, initial=0.0)
         clock = rng.uniform(0.0, 1.5) * hazards[-1]
-        broke, left = follow(c.aging, c, (xi, stiffness, y, 0.0), moves, length, clock)
+        broke, left = follow(c.aging, c, Held(xi, stiffness, y, 0.0), moves, length, clock)
         slack = 1e-9 + 1e-9 * hazards[-1] + 2.0 * np.abs(np.diff(rates)).max() * s[1]
         if clock < hazards[-1] - slack:
             assert np.interp(broke, s, hazards) == pytest.approx(clock, rel=0, abs=slack)
@@ -268,7 +268,7 @@ def test_clocks_along_a_segment(barrier):
         elif clock > hazards[-1] + slack:
             assert broke == math.inf
             assert left == pytest.approx(clock - hazards[-1], rel=0, abs=slack)
-            assert passed(c.aging, c, (xi, stiffness, y, 0.0), moves, length) == pytest.approx(
+            assert passed(c.aging, c, Held(xi, stiffness, y, 0.0), moves, length) == pytest.approx(
                 hazards[-1], rel=0, abs=slack
             )
             seen["survived"] += 1
@@ -288,7 +288,7 @@ def test_first_crossing(law):
         s = np.linspace(0.0, length, 20_001)
         excess = xi * law.growth_at(age + s) - np.abs(y + moves * s)
         met = np.flatnonzero(excess <= 0)
-        at = find(law, (xi, y, age), moves, length)
+        at = find(law, Held(xi, 1.0, y, age), moves, length)
         if met.size:
             assert s[max(met[0] - 1, 0)] - 1e-12 <= at <= s[met[0]] + 1e-12
         else:  # a crossing between two instants of the grid is none

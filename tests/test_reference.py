@@ -28,8 +28,8 @@ from eqsim import (
     trajectory,
 )
 from eqsim.engine.contacts import contacts as contacts_of
-from eqsim.engine.lanes import lives
-from eqsim.engine.langevin import step_error
+from eqsim.engine.langevin import STEP, step_error
+from eqsim.engine.sample import Source, lives
 from eqsim.master import annealed, quenched, velocities
 from eqsim.master import steady as master_steady
 from eqsim.master.closure import closure
@@ -273,7 +273,7 @@ def test_fast_fluctuations():
         closed = special.gamma(4 / 3) * (3e4 / (4 * 2.5e6 * factor)) ** (1 / 3)
         assert (abs(found / closed - 1) < 1e-3) == right
     c, u = contacts_of(contacts, 1.0), np.random.default_rng(8).random((2, 1000))
-    stretch = lives(c, key(1, TRAJECTORY), 0, *u).travel
+    stretch = lives(c, Source(key(1, TRAJECTORY), 0, STEP), *u).travel
     allowed = math.hypot(4.5 * stretch.std() / math.sqrt(stretch.size), step_error(c.aging) * found)  # false alarm 1e-5
     assert abs(stretch.mean() - found) < allowed
     assert allowed < 0.15 * found
@@ -480,19 +480,19 @@ def trajectory_sample(ensemble, drive, runs):
     """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
     from eqsim.engine.blocks import Totals
     from eqsim.engine.contacts import contacts
+    from eqsim.engine.programme import constant_drive
     from eqsim.engine.recorder import Run, Scales, moments
     from eqsim.engine.stationary import stationary
-    from eqsim.engine.trajectory import ConstantDrive
     from eqsim.numerics.streams import TRAJECTORY, key
 
     c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
-    run = Run(drive.distance / unit, 5, True, False)
+    run = Run(drive.distance / unit, 5, stationary=True)
     scales = Scales.of(c, run, n, 1, 0.0)
     job = (c, stationary(c), run, scales, key(12, TRAJECTORY))
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = []
     for first in range(0, runs * n, n):
         total = Totals(6, 5, 1)
-        ConstantDrive(*job, 0.0).simulate(total, first, first + n)
-        forces.append(moments(total.deposits, scales, run, n, drag)[0] * unit)
+        constant_drive(*job, 0.0).simulate(total, first, first + n)
+        forces.append(moments(total.deposits, scales, run, n, drag).force * unit)
     return np.array(forces)

@@ -30,7 +30,7 @@ from eqsim import (
 )
 from eqsim.engine.contacts import contacts
 from eqsim.engine.trajectory import guarded
-from eqsim.laws.aging.base import spend, spent
+from eqsim.laws.aging.base import Held, spend, spent
 from eqsim.laws.barrier.base import _averaged, back, hazard, mean_rate, onward, rate
 from eqsim.laws.barrier.soft import Soft
 from eqsim.laws.barrier.stiff import Stiff
@@ -98,14 +98,15 @@ def test_pieces_add_up(name):
     tried = broken = 0
     for moves, y, age in itertools.product(VELOCITIES, (0.7, 0.2, -0.2, -0.6, 1e-20, 0.0), (0.0, 0.3)):
         length = 1.5 if moves < 0.01 else 2.0
-        contact = 0.9, 1.2, y, age
+        contact = Held(0.9, 1.2, y, age)
         if name == "falling flow" and (abs(y) > 0.3 or moves > 0.01):
             continue  # breaks
         whole = passed(c.aging, c, contact, moves, length)
         for parts in (30, 1000):
             step = length / parts
             total = sum(
-                passed(c.aging, c, (0.9, 1.2, y + moves * step * j, age + step * j), moves, step) for j in range(parts)
+                passed(c.aging, c, Held(0.9, 1.2, y + moves * step * j, age + step * j), moves, step)
+                for j in range(parts)
             )
             assert total == pytest.approx(whole, rel=1e-8, abs=1e-8)
         tried += 1
@@ -115,7 +116,7 @@ def test_pieces_add_up(name):
         once, _ = follow(c.aging, c, contact, moves, length, clock)
         step, rest = length / 30, clock
         while at < length:
-            found, left = follow(c.aging, c, (0.9, 1.2, x, age + at), moves, step, rest)
+            found, left = follow(c.aging, c, Held(0.9, 1.2, x, age + at), moves, step, rest)
             if found <= step:
                 break
             at, x, rest = at + step, x + moves * step, left
@@ -131,13 +132,13 @@ def test_slow_motion_meets_the_hold(name):
     """As v goes to 0 the hazard of every law, and where contacts break, are those of a hold, to rounding."""
     c = contacts(LAWS[name], 1.0)
     for y in (0.25, -0.2) if name == "falling flow" else (0.7, -0.5, 0.25):
-        held = passed(c.aging, c, (0.9, 1.2, y, 0.1), 0.0, 5.0)
+        held = passed(c.aging, c, Held(0.9, 1.2, y, 0.1), 0.0, 5.0)
         for moves in (1e-300, 1e-40, 1e-17):
-            slow = passed(c.aging, c, (0.9, 1.2, y, 0.1), moves, 5.0)
+            slow = passed(c.aging, c, Held(0.9, 1.2, y, 0.1), moves, 5.0)
             assert slow == pytest.approx(held, rel=1e-12, abs=0)
             if held > 0.0:
-                at, _ = follow(c.aging, c, (0.9, 1.2, y, 0.1), 0.0, 5.0, 0.3 * held)
-                soon, _ = follow(c.aging, c, (0.9, 1.2, y, 0.1), moves, 5.0, 0.3 * held)
+                at, _ = follow(c.aging, c, Held(0.9, 1.2, y, 0.1), 0.0, 5.0, 0.3 * held)
+                soon, _ = follow(c.aging, c, Held(0.9, 1.2, y, 0.1), moves, 5.0, 0.3 * held)
                 assert soon == pytest.approx(at, rel=1e-8, abs=0)
 
 
@@ -148,7 +149,7 @@ def test_slow_falls_cross_when_they_do():
     x, final2 = 0.7, 0.3**2
     exact = math.log((1.0 - final2) / (x * x - final2)) * final2 / (4.0 * 0.05)
     for moves in (1.0, 0.0):
-        broke, _ = follow(c.aging, c, (1.0, 1.0, x, 0.0), moves, 1e-16, 1.0)
+        broke, _ = follow(c.aging, c, Held(1.0, 1.0, x, 0.0), moves, 1e-16, 1.0)
         assert broke * 1e18 == pytest.approx(exact, rel=1e-12, abs=0)
 
 
@@ -167,7 +168,7 @@ def test_ages_below_the_resolution_of_the_stretch(moves):
         return t * math.exp(-b * (grown * grown - x * x))
 
     exact = integrate.quad(per_log, -40.0, 0.0, epsabs=0.0, epsrel=1e-11, limit=500)[0]
-    assert passed(c.aging, c, (xi, 1.0, x, 0.0), moves, pace) == pytest.approx(exact, rel=1e-7, abs=0)
+    assert passed(c.aging, c, Held(xi, 1.0, x, 0.0), moves, pace) == pytest.approx(exact, rel=1e-7, abs=0)
 
 
 @chosen("name", ["soft", "stiff sqrt", "annealed", "annealed table"], ["soft"])

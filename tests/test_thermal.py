@@ -16,7 +16,8 @@ from scipy import integrate, interpolate, special
 
 from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import lives
+from eqsim.engine.langevin import STEP
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.steady import _POOLED_STEPS
 from eqsim.laws.barrier import BARRIERS, base, pooled, soft
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS, pooled_hazard, pooled_rate
@@ -657,7 +658,7 @@ def survival(ensemble, velocity):
 def break_stretches(ensemble, velocity, count=40_000):
     stream = key(21, TRAJECTORY)
     u, v = np.array([uniforms(stream, i, 0, 0) for i in range(count)]).T.copy()
-    work, stretch, *_ = lives(contacts(ensemble, velocity), stream, 0, u, v)
+    work, stretch, *_ = lives(contacts(ensemble, velocity), Source(stream, 0, STEP), u, v)
     stiffness = 2.0 * work / stretch**2
     xi = ensemble.thresholds.inverse_survival(-np.log(u))
     np.testing.assert_allclose(
@@ -706,7 +707,7 @@ def test_lives_spend_their_clocks(disorder, stiffness, barrier):
     law = Gamma(1.0, 2.0)
     ensemble = Ensemble(law, Thermal(2.0, 1.5, barrier), stiffness=0.5, stiffness_law=stiffness, disorder=disorder)
     u, v = np.random.default_rng(14).random((2, 400))
-    x = lives(contacts(ensemble, 1.0), key(0, TRAJECTORY), 0, u, v).travel
+    x = lives(contacts(ensemble, 1.0), Source(key(0, TRAJECTORY), 0, STEP), u, v).travel
     xi, b, w = law.inverse_survival(-np.log(u)) / law.scale, ensemble.b, 1.5 * law.scale
     if disorder == "annealed":
         at, back = np.unique(x, return_inverse=True)
