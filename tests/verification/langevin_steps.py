@@ -56,8 +56,8 @@ def measured(ages: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndar
     def one(index: int) -> tuple[float, float, float]:
         u, clock = (qmc.Sobol(2, rng=np.random.default_rng((seed, index))).random(size) + 2.0**-31).T
         begin = time.thread_time()
-        sample = lives(c, Source(key(seed, index), 0, step), u, clock)
-        return sample.work.mean(), sample.travel.mean(), (time.thread_time() - begin) / size
+        work, stretch, *_ = lives(c, Source(key(seed, index), 0, step), u, clock)
+        return work.mean(), stretch.mean(), (time.thread_time() - begin) / size
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = np.array(list(pool.map(one, range(RANDOMISATIONS))))
