@@ -56,9 +56,9 @@ def test_same_bits_on_processes(expected, processes, workers):
 
 def compiled_signatures():
     """How often this process has compiled or loaded the kernel."""
-    from eqsim.engine.simulate import simulate
+    from eqsim.engine.follow import follow
 
-    return len(simulate.signatures)
+    return len(follow.signatures)
 
 
 @pytest.mark.long
@@ -178,7 +178,7 @@ def test_few_shares_small_messages_and_progress(replicas):
     assert found == bits(THERMAL, "stationary", replicas)
     assert len(executor.sent) == 12
     assert max(executor.sent) < 2**20
-    sums = 102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, batches, status, replicas
+    sums = 102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, windows, counts, replicas
     assert max(executor.returned) < 8 * sums + 1000
     assert told[-1] == found[-1]
 

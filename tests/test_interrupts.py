@@ -17,8 +17,10 @@ from waiting import ALLOWED, once
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal
 from eqsim.engine import avalanches
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import plain_sums
+from eqsim.engine.follow import follow
+from eqsim.engine.lanes import LANES, Lanes, Lives
 from eqsim.engine.slider import Slider
+from eqsim.engine.steady import PlainSums
 from eqsim.master import slider
 from eqsim.master.cohorts import march
 from eqsim.master.programme import course_of, numerics_of
@@ -118,9 +120,10 @@ def test_kernels_end_when_they_are_told():
     assert march(numerics.contacts(1.0), path).force[-1] > 0.0
     assert not np.array(march(numerics.contacts(1.0), path._replace(stop=SET)))[:, 1:].any()
     c = contacts(Ensemble(), 0.1)
-    sums, _ = plain_sums(c, key(1, STEADY), 0, 0, 2, NEVER)
-    assert sums[1] > 0.0
-    assert not plain_sums(c, key(1, STEADY), 0, 0, 2, SET)[0].any()
+    for stop, travels in ((NEVER, True), (SET, False)):
+        sums = PlainSums.empty(0, 0, 2, stop)
+        follow(c, sums, key(1, STEADY), 0, LANES, Lanes.empty(), Lives.empty(c))
+        assert np.any(sums.parts()) == np.any(sums.travel) == travels
 
 
 @pytest.mark.parametrize(("stop", "breaks"), [(NEVER, True), (SET, False)])

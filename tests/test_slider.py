@@ -26,8 +26,8 @@ from eqsim import (
     transient,
 )
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import ROUNDS, draw_life, draw_lives, empty_lanes, empty_lives
-from eqsim.laws.aging.base import spend
+from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, delay_after, draw_birth, draw_lives
+from eqsim.laws.aging.base import Held, spend
 from eqsim.master import slider
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
 from eqsim.master.programme import course_of, numerics_of
@@ -55,14 +55,17 @@ def pulled(ensemble, time, stage, points=41, velocity=0.1, **how):
     ids=["mechanical", "mechanical, n=2.5, exponential delay", "soft"],
 )
 def test_one_life_is_that_of_many(ensemble):
-    c, stream, lanes = contacts(ensemble, 1.0), key(3, TRAJECTORY), compiled(empty_lanes)()
-    lives = compiled(empty_lives)(c, ROUNDS)
-    lanes.contact[:], lanes.age[:] = np.arange(256) % 50, np.arange(256) // 50
-    compiled(draw_lives)(c.newborn, c, stream, lanes, lives, 256)
-    for i in range(0, 256, 5):
+    c, stream = contacts(ensemble, 1.0), key(3, TRAJECTORY)
+    lanes, lives = Lanes.empty(), Lives.empty(c)
+    lanes.contact[:], lanes.age[:] = np.arange(LANES) % 50, np.arange(LANES) // 50
+    compiled(draw_lives)(c.newborn, c, stream, lanes, lives, LANES)
+    for i in range(0, LANES, 5):
         for r in range(ROUNDS):
-            xi, _, clock, delay = compiled(draw_life)(c, stream, lanes.contact[i], ROUNDS * lanes.age[i] + r)
-            assert (xi, clock) == (lives.stretch[r, i], lives.clock[r, i])
+            life = stream, lanes.contact[i], ROUNDS * lanes.age[i] + r
+            drawn = lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
+            assert compiled(draw_birth)(c.newborn, c, *life) == drawn
+            delay = compiled(delay_after)(c, *life)
+            assert delay == lives.delay[r, i]
             assert delay > 0 if ensemble.delay.time else delay == 0
 
 
@@ -76,8 +79,8 @@ def test_slower_motion_is_another_pace(law):
         ours, theirs = contacts(ensemble, 1.0), contacts(ensemble, m)
         for y, age, clock in ((0.0, 0.0, 0.5), (0.4, 1.0, 1e-3), (-0.6, 0.8, 0.02), (-0.9, 2.0, 3.0)):
             for length in (0.1, 1.5):
-                a, left = go(ours.aging, ours, (1.2, 1.1, y, age), m, length / m, clock)
-                b, rest = go(theirs.aging, theirs, (1.2, 1.1, y, age * m), 1.0, length, clock)
+                a, left = go(ours.aging, ours, Held(1.2, 1.1, y, age), m, length / m, clock)
+                b, rest = go(theirs.aging, theirs, Held(1.2, 1.1, y, age * m), 1.0, length, clock)
                 assert m * a == b or m * a == pytest.approx(b, rel=1e-7, abs=1e-9)
                 assert left == pytest.approx(rest, rel=1e-7, abs=1e-9)
 
@@ -87,16 +90,16 @@ def test_slower_motion_is_another_pace(law):
 
 def twin(ensemble, stage, velocity, time, dt, records):
     """X at `records` instants by explicit steps of a damped slider at T = 0, every contact looked at in every step."""
-    c, stream, draw = contacts(ensemble, velocity), key(1, TRAJECTORY), compiled(draw_life)
+    c, stream, draw = contacts(ensemble, velocity), key(1, TRAJECTORY), compiled(draw_birth)
     n, tau = ensemble.count, ensemble.delay.time
-    xi = np.array([draw(c, stream, i, 0)[0] for i in range(n)])
+    xi = np.array([draw(c.newborn, c, stream, i, 0).threshold for i in range(n)])
     lives, birth, again, pinned = np.ones(n, int), np.zeros(n), np.full(n, math.inf), np.full(n, True)
     X, t, found, steps = 0.0, 0.0, [0.0], round(time / dt)
     for step in range(steps):
         for i in np.flatnonzero(pinned & (X - birth >= xi)):
             pinned[i], again[i] = False, t + tau
         for i in np.flatnonzero(again <= t):
-            xi[i], birth[i], pinned[i], again[i] = draw(c, stream, i, lives[i])[0], X, True, math.inf
+            xi[i], birth[i], pinned[i], again[i] = draw(c.newborn, c, stream, i, lives[i]).threshold, X, True, math.inf
             lives[i] += 1
         force = np.sum((X - birth)[pinned]) / n
         X += dt * (stage.stiffness * (velocity * t + stage.preload - X) - force) / stage.damping
@@ -327,8 +330,8 @@ def test_stick_slip():
 def avalanches_one_by_one(n, kappa, until):
     """Sizes and places of avalanches by looking at all contacts for every break."""
     ensemble = Ensemble(count=n, **UNIFORM)
-    c, stream, draw = contacts(ensemble, 1.0), key(1, TRAJECTORY), compiled(draw_life)
-    xi = np.array([draw(c, stream, i, 0)[0] for i in range(n)])
+    c, stream, draw = contacts(ensemble, 1.0), key(1, TRAJECTORY), compiled(draw_birth)
+    xi = np.array([draw(c.newborn, c, stream, i, 0).threshold for i in range(n)])
     birth, lives, Y, found = np.zeros(n), np.ones(n, int), 0.0, []
     while True:
         i = int(np.argmin(birth + xi))
@@ -340,7 +343,7 @@ def avalanches_one_by_one(n, kappa, until):
             Y = needed
             found.append([X, 0])
         found[-1][1] += 1
-        birth[i], xi[i] = X, draw(c, stream, i, lives[i])[0]
+        birth[i], xi[i] = X, draw(c.newborn, c, stream, i, lives[i]).threshold
         lives[i] += 1
 
 
