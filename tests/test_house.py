@@ -78,8 +78,6 @@ def count_values(node):
     return sum(values(one.annotation) for one in arguments if one and one.arg not in ("self", "cls"))
 
 
-
-
 def test_functions_have_at_most_eight_values():
     """A tuple of three numbers is three values, however it is passed."""
     found = [(where, count_values(node)) for where, node in functions("eqsim")]
