@@ -101,7 +101,7 @@ CHOSEN = [
     "annealed soft uniform",
     "langevin sqrt",
     "hold and steps, soft sqrt",
-    "hold and steps, langevin sqrt, soft",
+    "hold and steps, langevin sqrt, soft",  # with -m verification: its kernels are those of no other test
 ]
 WRONG = [
     ("mechanical sqrt", {"stiffness_law": "uniform"}),
@@ -175,7 +175,7 @@ def scores(simulated, result, x_star, more=0.0):
 @chosen(
     ("times", "name"),
     [*((1, name) for name in CHOSEN), *((4, name) for name in CASES)],
-    [(1, name) for name in CHOSEN],
+    [(1, name) for name in CHOSEN[:-1]],
 )
 def test_engine_agrees_with_time_steps(name, times):
     """|z| < 4.5 at every X for force and, with delay, pinned fraction: 258 scores in all cases, false alarm 7e-6

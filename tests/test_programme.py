@@ -123,7 +123,6 @@ def scores(found, exact):
     [
         ("mechanical sqrt", "fresh"),
         ("mechanical uniform, fixed delay", "stationary"),
-        ("annealed soft uniform, fixed delay", "stationary"),
         ("identical", "stationary"),
         ("table", "fresh"),
     ],

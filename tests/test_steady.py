@@ -399,7 +399,7 @@ def test_averages_of_known_sums():
     cycle = stretch + delay
     friction, pinned = (work + drag * delay) / cycle, stretch / cycle
     for hidden in (0.0, 0.05):
-        found = module._averages(c, sums, (drag, unit), 100, True, (hidden, 0.0))
+        found = module._averages(c, sums, drag, unit, 100, True, module.Unseen(hidden, 0.0))
         for estimate, value, gradient, unseen, scale in (
             (found[0], friction, (1 / cycle, -friction / cycle), friction, unit),
             (found[1], pinned, (0.0, delay / cycle**2), pinned * delay / cycle, 1.0),
@@ -410,7 +410,9 @@ def test_averages_of_known_sums():
             assert estimate.stderr == pytest.approx(error * scale, rel=1e-12, abs=0)
             assert (estimate.n, estimate.dof, estimate.reliable) == (3200, 31, True)
     sums[7, 4] = 0.021  # one life that makes up 2 % of a sum
-    assert not any(estimate.reliable for estimate in module._averages(c, sums, (drag, unit), 100, True, (0.0, 0.0)))
+    assert not any(
+        estimate.reliable for estimate in module._averages(c, sums, drag, unit, 100, True, module.Unseen(0.0, 0.0))
+    )
 
 
 def test_difference_of_estimates():

@@ -101,12 +101,8 @@ def kernel(function: Callable[..., Any]) -> Kernel:
 
 @typing.overload
 def routine(function: Callable[..., Any]) -> Any: ...
-
-
 @typing.overload
 def routine(*, inline: bool) -> Callable[[Callable[..., Any]], Any]: ...
-
-
 def routine(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
     """Compile a function into the kernels that call it; Python, if it calls it,
     interprets it. `inline` leaves no call, so that loops over many contacts can
@@ -128,12 +124,8 @@ class LawRoutine(Protocol):
 
 @typing.overload
 def by_law(default: Callable[..., Any]) -> LawRoutine: ...
-
-
 @typing.overload
 def by_law(*, makes_arrays: bool) -> Callable[[Callable[..., Any]], LawRoutine]: ...
-
-
 def by_law(default: Callable[..., Any] | None = None, *, makes_arrays: bool = False) -> Any:
     """Make a routine that has another body for each type of law, its first argument:
     `functools.singledispatch` for kernels. Laws register theirs with
