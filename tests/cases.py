@@ -1,19 +1,20 @@
-"""Cases of tests: some by default, all of them with -m verification."""
-
-import itertools
+"""Tests with many cases, some of which run by default and all with -m verification."""
 
 import pytest
 
 
-def thinned(every, *axes):
-    """All combinations of the values of `axes`, for `parametrize`: by default one in `every`. Where there are
-    several axes it has no factor in common with how many values they have, so that each value is met."""
-    return some(every, itertools.product(*axes))
-
-
-def some(every, cases):
-    """These cases, tuples, for `parametrize`: by default one in `every`."""
-    return [
-        pytest.param(*case, marks=[pytest.mark.verification] if index % every else [])
-        for index, case in enumerate(cases)
-    ]
+def chosen(names, cases, default, ids=None):
+    """`pytest.mark.parametrize` with all `cases`: those in `default` run by default, the
+    others with -m verification. `default` holds cases, or what `ids` calls them."""
+    left = list(default)
+    marked = []
+    for case in cases:
+        meant = [case, ids(case)] if ids else [case]
+        found = [index for index, choice in enumerate(left) if choice is case or choice in meant]
+        for index in found[:1]:
+            del left[index]
+        values = [case] if isinstance(names, str) else case
+        marks = [] if found else [pytest.mark.verification]
+        marked.append(pytest.param(*values, marks=marks))
+    assert not left, f"{left}: no cases of this test"
+    return pytest.mark.parametrize(names, marked, ids=ids)

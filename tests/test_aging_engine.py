@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import pytest
 import scipy.stats
-from cases import thinned
+from cases import chosen
 from kernels import compiled
 from rows import BASIC, basic
 from scipy.interpolate import CubicSpline
@@ -22,8 +22,8 @@ from scipy.interpolate import CubicSpline
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, Thermal, reference, steady, trajectory
 from eqsim.engine import langevin
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import lives
-from eqsim.engine.langevin import STEP, WALKERS, Path, pinned
+from eqsim.engine.langevin import STEP, WALKERS, Path, Paths, Walkers, pinned, whole_work
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import stationary, stretches, whole_lives
 from eqsim.master.fokker_planck import survival
 from eqsim.master.transient import transient
@@ -32,7 +32,7 @@ from eqsim.numerics.streams import key
 
 halfway, meeting, meets = compiled(langevin.halfway), compiled(langevin.meeting), compiled(langevin.meets)
 pace, touching = compiled(langevin.pace), compiled(langevin.touching)
-life_of, lives_of = compiled(langevin.life), compiled(langevin.lives)
+follow, walk_all = compiled(langevin.follow), compiled(langevin.walk_all)
 
 LIMIT, RARE = 4.5, 1e-5
 STEPS = 1e-3  # what steps of the default accuracy may cost, relative (documented in `engine.langevin`)
@@ -48,7 +48,7 @@ def _deviates(stream, shape, count):
     return found
 
 
-@pytest.mark.parametrize("n", thinned(2, (0.3, 0.5, 6.0, 1.0, 0.0, 2.5, 10.7)))
+@chosen("n", (0.3, 0.5, 6.0, 1.0, 0.0, 2.5, 10.7), (0.3, 6.0))  # of a small shape, and of sums
 def test_deviates_of_a_step(n):
     """A normal, a chi-square of 2n+1 and a uniform deviate, not correlated: 60 000 each."""
     found = _deviates(key(1, 99), n, 60_000)
@@ -170,8 +170,9 @@ PATHS = [  # n, x_*f/x_*i, D_v, kT/(k x_*^2), omega x_*/v, barrier, stiffness
 ]
 
 
-@pytest.mark.parametrize("shape", [0, 1])
-@pytest.mark.parametrize("length", [0.1, 1.0, 4.0])  # in relaxation times
+@chosen(  # the length is in relaxation times
+    ("length", "shape"), itertools.product([0.1, 1.0, 4.0], [0, 1]), [(0.1, 0), (4.0, 1)]
+)
 def test_halfway_of_a_step(shape, length):
     """E xi^2 half-way of the (2n+2)-dimensional process, drawn component by component, given both ends: false alarm
     5e-5 each. The half-way point of a straight line fails for long steps."""
@@ -210,7 +211,7 @@ def ensemble_of(path, factor=1.0):
 def lived(path, factor=1.0, many=LIVES):
     """Work and stretch of so many lives on one `path`, D_v times `factor`."""
     u, v = np.random.default_rng(11).random((2, many))
-    return lives(contacts(ensemble_of(path, factor), 1.0), key(2, 98), 0, u, v)[:2]
+    return lives(contacts(ensemble_of(path, factor), 1.0), Source(key(2, 98), 0, STEP), u, v)[:2]
 
 
 @functools.cache
@@ -227,7 +228,7 @@ def distance(stretch, life):
     return max(np.max(cdf - rank), np.max(rank + 1 / x.size - cdf)) * math.sqrt(x.size)
 
 
-@pytest.mark.parametrize("path", thinned(3, PATHS))
+@chosen("path", PATHS, [PATHS[0], PATHS[3]])  # cold; one kernel for both
 def test_lives_of_fluctuating_thresholds(path):
     """S(x) of the Fokker-Planck equation (Kolmogorov: P(sqrt(N) D > 2.5) = 7e-6, and steps may move S by 1e-3), mean
     stretch and mean work (|z| < 4.5 beyond 1e-3)."""
@@ -238,7 +239,7 @@ def test_lives_of_fluctuating_thresholds(path):
         assert abs(sample.mean() - exact) < STEPS * exact + LIMIT * sample.std() / math.sqrt(LIVES)
 
 
-@pytest.mark.parametrize("path", [PATHS[1], PATHS[2], PATHS[4]])
+@chosen("path", [PATHS[1], PATHS[2], PATHS[4]], [PATHS[1], PATHS[2]])
 def test_the_longest_life_of_a_stationary_start(path):
     """No more than some 1e-5 of all time is spent beyond it, by the Fokker-Planck equation. The longest of 2^15 paths
     say where that is: a factor 3 is left to chance, and it must not be much longer than it has to be."""
@@ -253,7 +254,7 @@ def test_the_longest_life_of_a_stationary_start(path):
     assert beyond(0.7 * longest) > 1e-5
 
 
-@pytest.mark.parametrize("path", PATHS[:5])
+@chosen("path", PATHS[:5], PATHS[:4])
 def test_lives_with_another_rate_fail(path):
     """Negative control: D 20 % off."""
     assert distance(lived(path, 1.2)[1], expected(path)) > 2.5 + STEPS * math.sqrt(LIVES)
@@ -267,8 +268,11 @@ def test_steps_next_to_zero():
     assert distance(stretch, expected(path)) < 2.5 + STEPS * math.sqrt(many)
 
 
-@pytest.mark.parametrize("n", [0.0, 0.1, 0.3, 0.49])
-@pytest.mark.parametrize("r", [1e-4, 1e-2, 0.1, 0.5])
+@chosen(
+    ("r", "n"),
+    itertools.product([1e-4, 1e-2, 0.1, 0.5], [0.0, 0.1, 0.3, 0.49]),
+    itertools.product([1e-4, 0.5], [0.0, 0.49]),
+)
 def test_passages_next_to_zero(n, r):
     """The chance to touch r in a step of the default accuracy from 1: summed over all ends within 4e-3 of the inverse
     Laplace transform on a straight contour, at no end off by more than 5e-2. Control: a process of 0.1 dimensions
@@ -322,7 +326,7 @@ def test_clocks_that_stop_within_a_step(lives_log2, chance):
     get right. `chance` is left of so many lives (1 s.e. of the mean, from ten seeds); 4 of these are allowed."""
     path = (2.5, 6.0, 0.3, 3.0, 180.0, "stiff", "uniform")
     u, v = scipy.stats.qmc.Sobol(2, rng=np.random.default_rng(1)).random(2**lives_log2).T + 2.0**-31
-    stretch = lives(contacts(ensemble_of(path), 1.0), key(2, 99), 0, u, v).travel
+    stretch = lives(contacts(ensemble_of(path), 1.0), Source(key(2, 99), 0, STEP), u, v).travel
     assert abs(stretch.mean() / expected(path).stretch - 1) < 4 * chance
 
 
@@ -335,7 +339,7 @@ def test_work_of_a_stiffness_that_fluctuates(path):
     excess = []
     for law in ("sqrt", "uniform"):
         one = (*path[:6], law)
-        work, stretch, *_ = lives(contacts(ensemble_of(one), 1.0), key(3, 98), 0, u, v)
+        work, stretch, *_ = lives(contacts(ensemble_of(one), 1.0), Source(key(3, 98), 0, STEP), u, v)
         life = expected(one)
         excess += [work / life.work - 1.0, stretch / life.stretch - 1.0]
     basis = np.stack((excess[2], excess[3], np.ones(size)), axis=1)
@@ -346,10 +350,12 @@ def test_work_of_a_stiffness_that_fluctuates(path):
 def _one_by_one(c, stream, contact, births, clocks):
     """Stretches at breaking and work of one contact after the other."""
     paths = [Path(stream, contact + i, 2, 0, births[i], 0.0, clocks[i]) for i in range(births.size)]
-    return np.array([life_of(c, path, STEP) for path in paths]).T
+    ends = [follow(c, path, math.inf, STEP) for path in paths]
+    assert all(broke for broke, *_ in ends)
+    return np.array([(path.x, whole_work(c, path.x, work)) for _, path, _, work in ends]).T
 
 
-@pytest.mark.parametrize("path", thinned(12, [PATHS[4], *PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])]))
+@chosen("path", [*PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])], [PATHS[4]])
 def test_paths_side_by_side_as_one_by_one(path):
     """To the last bit, however many there are and whatever else advances beside them."""
     c = pinned(contacts(ensemble_of(path), 1.0))
@@ -357,11 +363,11 @@ def test_paths_side_by_side_as_one_by_one(path):
     births, clocks = np.random.default_rng(13).exponential(size=(2, size)) + 0.1
     single = _one_by_one(c, stream, 5, births, clocks)
     for first, last in ((0, size), (3, WALKERS), (7, 8), (9, 9)):
-        part = slice(first, last)
-        who, lives_old = np.arange(5 + first, 5 + last), np.full(last - first, 2)
-        both = births[part].copy(), clocks[part].copy()
-        lives_of(c, stream, STEP, who, lives_old, *both)
-        np.testing.assert_array_equal(both, single[:, part])
+        part, travel, work = slice(first, last), np.zeros(last - first), np.zeros(last - first)
+        contact, number = np.arange(5 + first, 5 + last), np.full(last - first, 2)
+        paths = Paths(contact, number, births[part], clocks[part], travel, work)
+        walk_all(c, stream, STEP, paths, Walkers.empty())
+        np.testing.assert_array_equal((travel, work), single[:, part])
     assert np.all(_one_by_one(c, stream, 6, births, clocks)[0] != single[0])  # control: other contacts
 
 
@@ -369,14 +375,15 @@ def test_steps_of_many_paths_vectorise():
     """Packed roots and products of doubles in loops over paths; there are none where a path is alone."""
     ensemble = Ensemble(thermal=Thermal(0.1, 1.0, "stiff"), aging=Aging("langevin", 0.1, 2.0))
     c, stream = pinned(contacts(ensemble, 1.0)), key(0, 0)
-    lives_of(c, stream, STEP, np.arange(3), np.arange(3), np.ones(3), np.ones(3))
-    life_of(c, Path(stream, 0, 0, 0, 1.0, 0.0, 1.0), STEP)
+    paths = Paths(np.arange(3), np.arange(3), *np.ones((4, 3)))
+    walk_all(c, stream, STEP, paths, Walkers.empty())
+    follow(c, Path(stream, 0, 0, 0, 1.0, 0.0, 1.0), math.inf, STEP)
 
     def packed(function):
         (assembly,) = (asm for (given,), asm in function.inspect_asm().items() if given.types[0] == numba.typeof(c))
         return assembly.count("mulpd")
 
-    many, one = packed(lives_of), packed(life_of)
+    many, one = packed(walk_all), packed(follow)
     assert many > 30
     assert one < 5
 
@@ -415,6 +422,8 @@ RUNS = {
     ),
 }  # fmt: skip
 # what is known only so well, relative: C of annealed births (`_SETTLED`) and steps of paths
+# Both rules that need paths, with and without heat, each stiffness law and delay law.
+CHOSEN = ["flow sqrt", "flow uniform exponential", "langevin sqrt", "langevin cold exponential"]
 KNOWN = {"annealed": 2e-4, "langevin": STEPS, "flow": 1e-6}
 
 
@@ -443,7 +452,7 @@ def scores(result, exact_force, exact_pinned, known):
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize("name", thinned(2, RUNS))
+@chosen("name", RUNS, CHOSEN)
 def test_fresh_start(name):
     """F(X) and pinned(X) from a fresh start at 21 points, 40 scores a run, against the renewal equation."""
     exact = fresh(name)
@@ -451,7 +460,7 @@ def test_fresh_start(name):
     assert scores(run(name, "fresh"), exact.force, exact.pinned, known).max() < LIMIT
 
 
-@pytest.mark.parametrize("name", thinned(2, RUNS))
+@chosen("name", RUNS, ["flow sqrt", "langevin sqrt"])
 def test_stationary_start(name):
     """Level from X = 0 on, at 21 points (42 scores), and in the averages over the second half (3 scores)."""
     exact, known = reference(RUNS[name], Drive(1.0)), KNOWN[name.split()[0]]
@@ -473,6 +482,7 @@ def test_the_variance_of_aging_stiffness(name):
     np.testing.assert_allclose(found.force_replica_std[1:], quoted[1:], rtol=1.1 * LIMIT / math.sqrt(2 * 300))
 
 
+@pytest.mark.verification  # its kernels are those of no other test
 def test_delays_longer_than_any_life_in_a_stationary_start():
     """Cycles are found in proportion to their length, and what is found detached waits for the rest of its delay: force
     and pinned fraction at nine points, |z| < 4.5 in 18 scores."""
@@ -515,7 +525,9 @@ def test_negative_controls(name):
     assert scores(result, level.friction.value, level.pinned.value, 1e-3).max() > 10.0
 
 
-@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt exponential"])
+@chosen(  # contacts whose thresholds flow are in test_portable.py, too
+    "name", ["flow sqrt", "langevin sqrt exponential"], ["langevin sqrt exponential"]
+)
 def test_same_bits_for_any_threads(name):
     ensemble = replace(RUNS[name], count=600)
     if ensemble.disorder == "annealed":
@@ -553,7 +565,9 @@ def test_grids_of_steps():
         assert abs(late.value - exact.friction.value) < LIMIT * late.stderr + STEPS
 
 
-@pytest.mark.parametrize("name", ["flow sqrt", "langevin sqrt", "langevin uniform"])
+@chosen(  # by default those whose paths are followed along the grid
+    "name", ["flow sqrt", "langevin sqrt", "langevin uniform"], ["langevin sqrt"]
+)
 def test_conservation(name):
     """Every contact is pinned or detached: with a huge drag the force counts the detached ones; without delay all are
     pinned at every X."""
@@ -571,7 +585,7 @@ def test_conservation(name):
 # --------------------------------------------------------------------------------------------------------- steady
 
 
-@pytest.mark.parametrize("name", RUNS)
+@chosen("name", RUNS, CHOSEN)
 def test_steady(name):
     """Steady averages to 1e-2 (paths) or 2e-4 against the reference: |z| < 4.5 in three averages. So few paths need not
     call their error bars reliable."""
@@ -584,7 +598,7 @@ def test_steady(name):
         assert abs(one.value - level.value) < LIMIT * one.stderr + known * level.value * paths
 
 
-@pytest.mark.parametrize("stiffness", thinned(2, ("sqrt", "uniform")))
+@chosen("stiffness", ("sqrt", "uniform"), ["sqrt"])
 def test_limits(stiffness):
     """No aging at D -> 0; the final law at infinite rate, with the newborn rms; weaker contacts; and fluctuations that
     lower friction at large D_v."""
@@ -634,7 +648,7 @@ def test_flow_of_strong_cold_contacts():
     assert abs(found.value - exact.value) < LIMIT * math.hypot(found.stderr, exact.stderr)
 
 
-@pytest.mark.parametrize("v", [1e-17, 1e-18, 1e-20, 1e-90])
+@chosen("v", [1e-17, 1e-18, 1e-20, 1e-90], [1e-17, 1e-90])
 def test_flow_with_the_shortest_lives(v):
     """Hot contacts with the sqrt law break after 1/omega, before they have slid 1e-17 x_* or far less, while their
     thresholds grow: friction within 4.5 errors of some 3e-5. Without growth it is more than 50 errors away."""

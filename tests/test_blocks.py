@@ -56,9 +56,9 @@ def test_same_bits_on_processes(expected, processes, workers):
 
 def compiled_signatures():
     """How often this process has compiled or loaded the kernel."""
-    from eqsim.engine.simulate import simulate
+    from eqsim.engine.follow import follow
 
-    return len(simulate.signatures)
+    return len(follow.signatures)
 
 
 @pytest.mark.long
@@ -69,8 +69,8 @@ def test_same_bits_on_dask(expected, command):
     with cluster, distributed.Client(cluster) as client:
         workers = (client.get_executor(), 2)
         assert [bits(*case, threads=workers) for case in CASES] == expected
-        # arrays come as the kernel knows them: it is compiled once with paths and once without
-        assert set(client.run(compiled_signatures).values()) == {2}
+        # arrays come as the kernel knows them: it is compiled once for each law and each start
+        assert set(client.run(compiled_signatures).values()) == {4}
         here, there = command("--threads", "1"), command("--dask", cluster.scheduler_address)
     assert there[0].exit_code == 0, there[0].output
     assert "2 workers" in there[0].output
@@ -178,7 +178,7 @@ def test_few_shares_small_messages_and_progress(replicas):
     assert found == bits(THERMAL, "stationary", replicas)
     assert len(executor.sent) == 12
     assert max(executor.sent) < 2**20
-    sums = 102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, batches, status, replicas
+    sums = 102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, windows, counts, replicas
     assert max(executor.returned) < 8 * sums + 1000
     assert told[-1] == found[-1]
 

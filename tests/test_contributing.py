@@ -121,6 +121,7 @@ def test_the_law_agrees_with_its_reference(copy, which):
     assert max(map(abs, found["wrong"])) > 4.5
 
 
+@pytest.mark.verification  # compiles the law for three drives
 def test_the_law_works_in_every_drive(copy):
     """Along a programme with a hold, a reversal and a motion too slow for a stretch to resolve, from a fresh and a
     stationary start, and behind a stage: forces at the ends of segments against the renewal equation and the mean

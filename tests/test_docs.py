@@ -47,6 +47,7 @@ def build(source, target, *more):
     return subprocess.run(command, capture_output=True, text=True)
 
 
+@pytest.mark.long
 def test_the_site_can_be_built(tmp_path):
     """All references hold, those to keys of run files and to public names included."""
     done = build(DOCS, tmp_path)

@@ -8,9 +8,11 @@ import mpmath
 import numba
 import numpy as np
 import pytest
+from kernels import compiled
 
 from eqsim.numerics import vector_math
-from eqsim.numerics.compiled import add_row, float_of, fma, four_of, move_rows, take_row
+from eqsim.numerics.compiled import fma
+from eqsim.numerics.streams import uniform
 from eqsim.numerics.tables import look_up, look_up_all, octave_edges, octave_table
 
 RNG = np.random.default_rng(5)
@@ -122,16 +124,14 @@ def test_fma_rounds_once():
     assert any(exact)
 
 
-def test_doubles_of_integers():
-    """Rounded once, ties to even, as Python does."""
-
-    @numba.njit
-    def double(whole):
-        return float_of(whole)
-
+def test_uniforms_are_rounded_once():
+    """Two words make 63 bits, which are rounded once, ties to even, as Python does."""
+    draw = compiled(uniform)
     ties = [2**k + step for k in range(53, 63) for step in (1, 2 ** (k - 53), 3 * 2 ** (k - 53), 2 ** (k - 53) + 1)]
     whole = [0, 1, 2**32 - 1, 2**32, 2**53 - 1, 2**63 - 1, *ties, *RNG.integers(0, 2**63, 500).tolist()]
-    assert [double(number) for number in whole] == [float(number) for number in whole]
+    words = [(np.uint64(2 * number % 2**32), np.uint64(2 * number // 2**32)) for number in whole]
+    expected = [min((float(number) + 0.5) * 2.0**-63, 1.0 - 2.0**-53) for number in whole]
+    assert [draw(*pair) for pair in words] == expected
 
 
 def test_third():
@@ -141,43 +141,6 @@ def test_third():
     loop("third")(x, y)
     np.testing.assert_array_equal(y, x / 3.0)
     assert np.any(x * (1.0 / 3.0) != x / 3.0)
-
-
-def test_rows():
-    """Numbers are added to a row, or taken from it, from a column on; nothing else is touched."""
-
-    @numba.njit
-    def change(sums, j, column, row):
-        add_row(sums, j, column, (1, row[0], row[1], row[2], row[3], row[4]))
-        take_row(sums, j + 1, column + 2, (row[0], row[1]))
-
-    sums, row = RNG.integers(-(2**62), 2**62, (9, 8)), RNG.integers(-(2**61), 2**61, 5)
-    for j, column in ((0, 0), (3, 2), (7, 1)):
-        expected = sums.copy()
-        expected[j, column] += 1
-        expected[j, column + 1 : column + 6] += row
-        expected[j + 1, column + 2 : column + 4] -= row[:2]
-        change(sums, j, column, row)
-        np.testing.assert_array_equal(sums, expected)
-
-
-def test_rows_of_four():
-    """Four rows at a time are changed as one after the other, also where they are the same row."""
-
-    @numba.njit
-    def change(sums, start, end, number):
-        for i in range(0, start.size, 4):
-            move_rows(sums, start, end, number, i)
-
-    sums, number = RNG.integers(-(2**62), 2**62, (9, 7)), RNG.integers(-(2**60), 2**60, (5, 12))
-    start, end, expected = RNG.integers(0, 9, 12), RNG.integers(0, 9, 12), sums.copy()
-    start[4:8] = end[2:6] = 3
-    for i in range(12):
-        row = [1, *number[:, i]]
-        expected[start[i], :6] += row
-        expected[end[i], :6] -= row
-    change(sums, start, end, number)
-    np.testing.assert_array_equal(sums, expected)
 
 
 @pytest.mark.parametrize("count", [1, 4, 7, 8])
@@ -191,25 +154,12 @@ def test_look_up_all(count):
 
     @numba.njit
     def together(table, s, row, count):
-        look_up_all(table, 1, s, row, count)
+        look_up_all(table, s, row, count)
 
     edges = octave_edges(-3, 3)
     table = octave_table(-3, edges**0.7, 0.7 * edges**-0.3)
-    s = 2.0 ** RNG.uniform(-5, 5, (2, 8))
-    expected = np.empty(8)
-    each(table, s[1].copy(), expected)
+    s = 2.0 ** RNG.uniform(-5, 5, 8)
+    expected = np.append(np.empty(count), s[count:])  # the rest is left as it is
+    each(table, s[:count].copy(), expected)
     together(table, s, np.empty(8, np.int64), count)
-    np.testing.assert_array_equal(s[1, :count], expected[:count])
-
-
-def test_four_of():
-    """The four numbers of a row, as they are."""
-
-    @numba.njit
-    def weigh(table, j):
-        a, b, c, d = four_of(table, j)
-        return a + 10 * b + 100 * c + 1000 * d
-
-    table = RNG.random((5, 4))
-    for j in range(5):
-        assert weigh(table, j) == pytest.approx(table[j] @ [1, 10, 100, 1000], rel=1e-15, abs=0)
+    np.testing.assert_array_equal(s, expected)

@@ -256,6 +256,15 @@ COMMANDS = {
 }
 
 
+# Commands that read what there is, or solve a few equations: not interrupted here.
+SHORT = {"design", "export", "fluctuations", "info", "material", "plot"}
+
+
+def test_no_command_is_forgotten():
+    long = {words[0] for words in COMMANDS.values()}
+    assert sorted([*long, *SHORT]) == sorted(info.callback.__name__ for info in app.registered_commands)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -488,7 +497,7 @@ def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
         folder.chmod(0o500)
     home = {"HOME": str(package), "XDG_CACHE_HOME": str(package), "PYTHONPATH": str(package)}
     home |= {"MPLCONFIGDIR": str(tmp_path)}
-    code = "import eqsim.numerics.compiled as c; assert c._CACHE is None, c._CACHE; " + EQSIM
+    code = "from eqsim.numerics.kernel_folder import kernel_folder as f; assert f() is None, f(); " + EQSIM
     process = start("steady", run_file, code=code, limit=powerless, env=os.environ | home, cwd=tmp_path)
     try:
         code, output, errors = ended(process, timeout=300)

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import thinned
+from cases import chosen
 from reduced_cases import barrier_of, contacts
 from rows import aging
 from scipy import integrate, optimize
@@ -60,7 +60,7 @@ def test_zero_temperature(v, value):
     assert m.stretch == pytest.approx(total[0], rel=1e-9, abs=0)
 
 
-@pytest.mark.parametrize(("final", "law"), thinned(3, (0.3, 10.0), LAWS))
+@chosen(("final", "law"), itertools.product((0.3, 10.0), LAWS), [(0.3, LAWS[0]), (10.0, LAWS[3])])
 def test_limits_of_slow_and_fast_aging(law, final):
     """alpha -> 0 is no aging. alpha -> inf is the law of x_*f from birth on: lengths scale by rho, b by rho^2 and, as
     the sqrt law's rms stays that of the newborn, k_i by rho once more. The corrections are of order
@@ -160,7 +160,7 @@ def test_errors_cover_a_refined_result(monkeypatch):
         assert abs(m.work - fine.work) < m.work_error + 2e-14 * m.work
 
 
-@pytest.mark.parametrize(("final", "law"), thinned(3, (0.5, 10.0), LAWS))
+@chosen(("final", "law"), itertools.product((0.5, 10.0), LAWS), [(0.5, LAWS[3])])
 def test_survivors(final, law):
     """Splined in ln x they integrate to the stationary moments: two methods that share the rate alone. Without aging
     they are those of a contact whose hazard has a closed form."""

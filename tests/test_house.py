@@ -2,6 +2,7 @@
 Commands and blocks of Python in them are those of test_docs.py."""
 
 import ast
+import functools
 import re
 import shlex
 import shutil
@@ -41,26 +42,61 @@ def test_no_linter_is_missing():
         assert hook["entry"] in contributing
 
 
+@functools.cache
+def parsed(folder):
+    """The syntax of every source file below a folder."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / folder).rglob("*.py"))}
+
+
 def functions(folder):
     """Every function below a folder: where it is, and its syntax."""
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, file in parsed(folder).items():
+        for node in ast.walk(file):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield f"{path.relative_to(ROOT)}: {node.name}", node
 
 
-def parameters(node):
-    """The names that a function is called with."""
+def values(annotation):
+    """How many values a parameter brings: the members of an anonymous tuple; one of any
+    other type, which has a name for what belongs together."""
+    if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
+        return values(ast.parse(annotation.value, mode="eval").body)
+    if isinstance(annotation, ast.BinOp):
+        return max(values(annotation.left), values(annotation.right))
+    if not isinstance(annotation, ast.Subscript) or ast.unparse(annotation.value) not in ("tuple", "Tuple"):
+        return 1
+    members = annotation.slice.elts if isinstance(annotation.slice, ast.Tuple) else [annotation.slice]
+    if any(isinstance(member, ast.Constant) and member.value is ... for member in members):
+        return 1  # as many of a kind as there are: a sequence
+    return sum(map(values, members))
+
+
+def count_values(node):
+    """How many values a function is called with."""
     given = node.args
-    names = [one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
-    names += [one.arg for one in (given.vararg, given.kwarg) if one]
-    return [name for name in names if name not in ("self", "cls")]
+    arguments = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+    return sum(values(one.annotation) for one in arguments if one and one.arg not in ("self", "cls"))
 
 
-def test_functions_have_at_most_eight_parameters():
-    found = {where: len(parameters(node)) for where, node in functions("eqsim")}
+def test_functions_have_at_most_eight_values():
+    """A tuple of three numbers is three values, however it is passed."""
+    found = [(where, count_values(node)) for where, node in functions("eqsim")]
     assert len(found) > 500
-    assert {where: count for where, count in found.items() if count > 8} == {}
+    assert {where: count for where, count in found if count > 8} == {}
+    for source, count in (
+        ("def f(self, a, b: int, *c: float, d: str = '', **e): ...", 5),
+        ("def f(a: tuple[int, float, tuple[Array, Array]]): ...", 4),
+        ("def f(a: 'tuple[int, int] | None', b: Lives): ...", 3),
+        ("def f(a: tuple[float, ...], b: dict[str, tuple[int, int]]): ...", 2),
+    ):
+        assert count_values(ast.parse(source).body[0]) == count, source
+
+
+def test_columns_have_names():
+    """What belongs together is a type with fields, not an array whose columns are numbered."""
+    numbers = re.compile(r"= range\(\d+\)")
+    found = {str(path.relative_to(ROOT)) for path in (ROOT / "eqsim").rglob("*.py") if numbers.search(path.read_text())}
+    assert found == set()
 
 
 def test_commands_have_at_most_fifty_lines():
@@ -158,32 +194,65 @@ def test_deliberate_mistakes_can_be_made():
 
 
 def compiled_functions():
-    """File, and syntax, of every function that a decorator of the compiler makes: one that its file imports from
-    eqsim.numerics.compiled, or the register of a routine with a body for each law."""
-    for path in sorted((ROOT / "eqsim").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        compilers = {
-            name.asname or name.name
-            for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and node.module == "eqsim.numerics.compiled"
-            for name in node.names
-        }
-        for node in ast.walk(tree):
-            decorators = node.decorator_list if isinstance(node, ast.FunctionDef) else []
-            names = {inner.id for one in decorators for inner in ast.walk(one) if isinstance(inner, ast.Name)}
-            registers = any(
-                isinstance(one, ast.Call) and ast.unparse(one.func).endswith(".register") for one in decorators
-            )
-            if names & compilers or registers:
+    """File, and syntax, of every function that may become machine code."""
+    for path, file in parsed("eqsim").items():
+        known = mutations.compilers(file)
+        for node in ast.walk(file):
+            if isinstance(node, ast.FunctionDef) and mutations.is_compiled(node, known):
                 yield path, node
 
 
+def unknown_decorators(file, compiling):
+    """Decorators of a file of which `mutations` cannot know whether they compile: they
+    are made in eqsim, by a module that compiles."""
+    known, suspects = mutations.compilers(file), mutations.compilers(file, compiling)
+    if known:
+        suspects |= {node.name for node in file.body if isinstance(node, ast.FunctionDef)}
+    for node in ast.walk(file):
+        if isinstance(node, ast.FunctionDef) and not mutations.is_compiled(node, known):
+            for decorator in node.decorator_list:
+                if suspects & {inner.id for inner in ast.walk(decorator) if isinstance(inner, ast.Name)}:
+                    yield f"{node.name}: {ast.unparse(decorator)}"
+
+
+def test_no_decorator_is_unknown():
+    """Each comes from a module that `mutations` knows to compile, or from one that does
+    not compile."""
+    files = parsed("eqsim")
+    compiling = tuple(
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path, file in files.items()
+        if mutations.compilers(file)
+    )
+    assert len(compiling) > 20
+    for path, file in files.items():
+        assert [*unknown_decorators(file, compiling)] == [], path
+    for source in (
+        "from eqsim.engine.lanes import vectorised\n@vectorised\ndef f(x): return x",
+        "from numba import njit\ndef fast(f): return njit(f)\n@fast\ndef g(x): return x",
+    ):
+        assert [*unknown_decorators(ast.parse(source), compiling)], source
+
+
 def test_mistakes_in_kernels_are_judged_beside_kernels_that_have_them():
-    """Whatever the decorators are called: each function that they make is taken for compiled, and a mistake in its
-    body is made in compiled code. What Python runs as it stands is not."""
-    found = list(compiled_functions())
-    assert len(found) > 250
-    assert [f"{path.name}: {node.name}" for path, node in found if not mutations.is_compiled(node)] == []
+    """However a decorator of the compiler is imported, what it makes counts as compiled,
+    and a mistake in its body as one in compiled code. Plain Python does not."""
+    assert len([*compiled_functions()]) > 250
+    for head, decorator in (
+        ("from eqsim.numerics.compiled import kernel", "kernel"),
+        ("from eqsim.numerics.compiled import by_law as choose", "choose"),
+        ("from eqsim.numerics.compiled import by_law", "functools.partial(by_law, makes_arrays=True)"),
+        ("from eqsim.numerics import compiled", "compiled.inlined"),
+        ("import eqsim.numerics.compiled", "eqsim.numerics.compiled.inlined"),
+        ("from numba.extending import overload", "overload(f)"),
+        ("import numba as nb", "nb.njit(cache=True)"),
+        ("from eqsim.laws.barrier.base import spend", "spend.register(Law)"),
+    ):
+        file = ast.parse(f"{head}\n@{decorator}\ndef g(x): return x")
+        assert mutations.is_compiled(file.body[-1], mutations.compilers(file)), head
+    for head, decorator in (("import functools", "functools.cache"), ("", "property")):
+        file = ast.parse(f"{head}\nfrom eqsim.numerics.compiled import kernel\n@{decorator}\ndef g(x): return x")
+        assert not mutations.is_compiled(file.body[-1], mutations.compilers(file)), head
     named = {mistake.name: mistake for mistake in mutations.MISTAKES}
     assert mutations.needs_kernels(named["lives: both rounds alike at T > 0"])  # of a routine that kernels share
     assert not mutations.needs_kernels(named["gamma: rms threshold"])
@@ -204,9 +273,14 @@ def test_the_sources_of_kernels_name_their_folder(tmp_path, monkeypatch):
         finally:
             path.write_bytes(source)
 
+    parts = {tmp_path / "eqsim" / part for part in kernel_folder.KERNEL_SOURCES}
     before = kernel_folder.kernel_folder.__wrapped__()
     sources = sorted({tmp_path / path.relative_to(ROOT) for path, _ in compiled_functions()})
-    assert len(sources) > 30
+    assert len(sources) > 25
+    assert all(part.exists() for part in parts)
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert all(f"`eqsim/{part}`" in contributing for part in kernel_folder.KERNEL_SOURCES)
+    assert [path for path in sources if not parts & {path, *path.parents}] == []
     assert [path.name for path in sources if name_after_an_edit(path) == before] == []
     assert name_after_an_edit(tmp_path / "eqsim" / "io" / "runfile.py") == before
 

@@ -2,7 +2,6 @@
 `waiting.ALLOWED`, and so do its threads."""
 
 import math
-import pickle
 import signal
 import subprocess
 import sys
@@ -18,14 +17,15 @@ from waiting import ALLOWED, once
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal
 from eqsim.engine import avalanches
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import plain_sums
+from eqsim.engine.follow import follow
+from eqsim.engine.lanes import LANES, Lanes, Lives
 from eqsim.engine.slider import Slider
+from eqsim.engine.steady import PlainSums
 from eqsim.master import slider
 from eqsim.master.cohorts import march
 from eqsim.master.programme import course_of, numerics_of
 from eqsim.numerics.streams import STEADY, key
 from eqsim.numerics.threads import NEVER, ThreadPool, current_stop, interruptibly
-from eqsim.workflows.second import Second
 
 SET = np.ones(1, np.int64)
 
@@ -117,23 +117,25 @@ def test_kernels_end_when_they_are_told():
     numerics = numerics_of(s, course, math.inf)
     t = np.linspace(0.0, 1.0, 50)
     path = numerics.path(t, course.at(t), 1.0)
-    assert march(numerics.contacts(1.0), path)[0, -1] > 0.0
-    assert not march(numerics.contacts(1.0), path._replace(stop=SET))[:, 1:].any()
+    assert march(numerics.contacts(1.0), path).force[-1] > 0.0
+    assert not np.array(march(numerics.contacts(1.0), path._replace(stop=SET)))[:, 1:].any()
     c = contacts(Ensemble(), 0.1)
-    sums, _ = plain_sums(c, key(1, STEADY), 0, 0, 2, NEVER)
-    assert sums[1] > 0.0
-    assert not plain_sums(c, key(1, STEADY), 0, 0, 2, SET)[0].any()
+    for stop, travels in ((NEVER, True), (SET, False)):
+        sums = PlainSums.empty(0, 0, 2, stop)
+        follow(c, sums, key(1, STEADY), 0, LANES, Lanes.empty(), Lives.empty(c))
+        assert np.any(sums.parts()) == np.any(sums.travel) == travels
 
 
 @pytest.mark.parametrize(("stop", "breaks"), [(NEVER, True), (SET, False)])
 def test_avalanches_end_when_they_are_told(stop, breaks):
     ensemble = Ensemble(count=100, stiffness_law="uniform")
     with Slider(ensemble, Programme([Segment(0.1, time=50.0)], stage=Stage(0.1)), 1, 0, 1) as pulled:
-        p, now = pulled.population, np.zeros(11)
-        now[avalanches.STIFFNESS] = 1.0
-        queue = avalanches.queue_of(p.xi, p.stretch)
-        avalanches.load(pulled.c, pulled.stream, 0, p, queue, now, avalanches.Way(0.1, 40.0, stop))
-    assert (now[avalanches.BREAKS] > 0) == breaks
+        state = np.zeros(1, avalanches.STATE)
+        state["stiffness"] = 1.0
+        queue = avalanches.queue_of(*(pulled.population[name] for name in ("threshold", "stretch", "lives")))
+        way, events = avalanches.Way(0.1, 40.0, stop), np.empty(1, avalanches.EVENT)
+        avalanches.load(pulled.laws, pulled.stream, 0, queue, state, way, events)
+    assert (state["breaks"][0] > 0) == breaks
 
 
 @pytest.mark.parametrize("moment", ["solver", "compiler"])
@@ -267,17 +269,6 @@ def test_a_process_that_cannot_answer_leaves_no_temporary_file(tmp_path):
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (143, "eqsim: interrupted; nothing is half-written\n")
     assert [path.name for path in tmp_path.rglob("*")] == ["x", "a.parquet"]
-
-
-def test_the_second_process_ends_with_the_first():
-    """Whatever it is doing: its parent may have been killed."""
-    second = Second()
-    second.start()
-    second.send(pickle.dumps((WARM, Programme([Segment(0.1, distance=400.0)], stage=PULLED.stage), 2001)))
-    once(lambda: psutil.Process(second.process.pid).cpu_times().user > 1.0)
-    assert second.process.poll() is None
-    second.process.stdin.close()
-    assert second.process.wait(ALLOWED) == 1
 
 
 def test_a_pool_of_threads_costs_little():

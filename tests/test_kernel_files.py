@@ -1,28 +1,46 @@
-"""What is compiled, and machine code on disk: what processes that start at once and damaged files do to it."""
+"""Kernels: which machine code a call takes, and what processes that start at once, kills,
+damaged files and full disks do to the files in which it is kept.
 
-import fcntl
+Each test but those of `_kind` runs processes that compile a function of one line.
+"""
+
 import os
-import pickle
+import resource
+import signal
 import subprocess
 import sys
-import threading
 import time
-from collections import Counter
-from pathlib import Path
-from types import SimpleNamespace
+from contextlib import contextmanager
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
-from numba.core import event
+from filelock import FileLock
 
-from eqsim import Aging, Drive, Ensemble, trajectory
-from eqsim.numerics import compiled
-from eqsim.workflows import ahead, second
+from eqsim.numerics.compiled import _kind
 
-ONE = """
-from eqsim import Drive, Ensemble, Thermal, steady
+TINY = """
+from eqsim.numerics.compiled import kernel
+
+@kernel
+def double(x):
+    return 2.0 * x
+
+@kernel
+def size(x):
+    return x.size
+"""
+CALL = """
 from numba.core import event
+from tiny import double
+with event.install_recorder("numba:compile") as compiled:
+    found = double(1.5)
+print(found, len(compiled.buffer) // 2)
+"""  # an event begins and ends
+STEADY = """
+from numba.core import event
+from eqsim import Drive, Ensemble, steady
 count = []
 class Listener(event.Listener):
     def on_start(self, happened):
@@ -33,252 +51,290 @@ class Listener(event.Listener):
 event.register("numba:compile", Listener())
 print(repr(steady(Ensemble(), Drive(velocity=0.1), rel_error=1e-2).friction.value), *count)
 """
+COMPILED, LOADED = "3.0 1", "3.0 0"
 
 
-def files(folder, stamp=1):
-    return compiled.Files(SimpleNamespace(_cache_path=str(folder), _index_name="kernel.nbi", _source_stamp=stamp))
+class Tiny:
+    """Processes that have the module `tiny` and an empty folder for its kernels."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        (folder / "tiny.py").write_text(TINY)
+        path = os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", "")))
+        self.environment = os.environ | {
+            "PYTHONPATH": path,
+            "NUMBA_CACHE_DIR": str(folder / "kernels"),
+        }
+
+    def start(self, code=CALL, **options):
+        return subprocess.Popen(
+            [sys.executable, "-c", code],
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **options,
+        )
+
+    def run(self, code=CALL, **options):
+        process = self.start(code, **options)
+        output, errors = process.communicate(timeout=120)
+        assert process.returncode == 0, errors
+        assert errors == ""
+        return output.strip()
+
+    def files(self, pattern):
+        return list((self.folder / "kernels").rglob(pattern))
 
 
-def saved(folder, key="a", data="code"):
-    store = files(folder)
-    assert store.load(key) is None
-    store.save(key, data)
-    return store
+@pytest.fixture
+def tiny(tmp_path):
+    return Tiny(tmp_path)
 
 
-def test_what_was_saved_is_loaded(tmp_path):
-    saved(tmp_path, "a", "of a")
-    saved(tmp_path, "b", "of b")
-    assert (files(tmp_path).load("a"), files(tmp_path).load("b")) == ("of a", "of b")
-    assert files(tmp_path, stamp=2).load("a") is None  # another source
-    assert not list(tmp_path.glob("*.tmp"))
+def test_what_was_compiled_is_loaded(tiny):
+    assert tiny.run() == COMPILED
+    assert tiny.run() == LOADED
 
 
-def test_damaged_files_are_compiled_again(tmp_path):
-    path = saved(tmp_path).path("a")
-    whole = path.read_bytes()
-    for content in (b"", whole[:40], whole.replace(b"code", b"cede")):
-        path.write_bytes(content)
-        store = files(tmp_path)
-        assert store.load("a") is None
-        store.save("a", "anew")
-        assert files(tmp_path).load("a") == "anew"
+def test_damaged_files_are_compiled_again(tiny):
+    """Files of which a disk has kept nothing, a part, or a part and zeros, or which it
+    has lost. A new kernel of the same function is one of a new process."""
+    code = """
+from pathlib import Path
+from numba.core import event
+from eqsim.numerics.compiled import kernel
+from eqsim.numerics.kernel_folder import kernel_folder
+from tiny import double
+
+def compilations():
+    with event.install_recorder("numba:compile") as compiled:
+        assert kernel(double.__wrapped__)(1.5) == 3.0
+    return len(compiled.buffer) // 2
+
+assert (compilations(), compilations()) == (1, 0)
+for pattern in ("*.nbi", "*.nbc", "*.sha256"):
+    (path,) = Path(kernel_folder()).rglob(pattern)
+    for kept, zeros in ((0, 0), (0.5, 0), (0.5, 0.5), (0.9, 0.1)):
+        content = path.read_bytes()
+        size = len(content)
+        path.write_bytes(content[: int(kept * size)] + bytes(int(zeros * size)))
+        assert (compilations(), compilations()) == (1, 0), (pattern, kept, zeros)
+    path.unlink()
+    assert (compilations(), compilations()) == (1, 0), pattern
+"""
+    tiny.run(code)
 
 
-def test_a_file_of_another_signature_is_not_taken(tmp_path):
-    store = saved(tmp_path, "a")
-    store.path("b").write_bytes(store.path("a").read_bytes())
-    assert files(tmp_path).load("b") is None
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no locks")
-def test_others_wait_for_the_one_that_compiles(tmp_path):
-    first, found = files(tmp_path), []
-    assert first.load("a") is None  # compiles from here on
-    other = threading.Thread(target=lambda: found.append(files(tmp_path).load("a")))
-    other.start()
-    time.sleep(0.3)
-    assert not found
-    first.save("a", "code")
-    other.join(10.0)
-    assert found == ["code"]
-
-
-def test_a_kernel_that_failed_to_compile_keeps_nobody_of_its_own_process_waiting(tmp_path):
-    store = files(tmp_path)
-    begin = time.monotonic()
-    assert store.load("a") is None
-    assert store.load("a") is None
-    assert time.monotonic() - begin < 5.0
-
-
-def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
-    (tmp_path / "file").write_text("")
-    store = files(tmp_path / "file")
-    assert store.load("a") is None
-    store.save("a", "code")
-    assert store.load("a") is None
+def test_processes_that_start_at_once(tiny):
+    """One of them compiles, and the others load."""
+    every = [tiny.start() for _ in range(4)]
+    said = sorted(process.communicate(timeout=120)[0].strip() for process in every)
+    assert said == [LOADED, LOADED, LOADED, COMPILED]
 
 
 @pytest.mark.long
-def test_processes_that_start_at_once_compile_each_kernel_once(tmp_path):
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", ONE]
-    every = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+def test_processes_that_start_at_once_compile_each_kernel_once(tiny):
+    every = [tiny.start(STEADY) for _ in range(4)]
     said = [process.communicate(timeout=300)[0].split() for process in every]
     assert len({numbers[0] for numbers in said}) == 1
-    assert sorted(name for words in said for name in words[1:]) == ["fill_lives", "invert"]
+    assert sorted(name for words in said for name in words[1:]) == [
+        "fill_lives",
+        "invert",
+    ]
 
 
-def test_a_routine_of_a_kernel_elsewhere():
-    """A kernel's own copy of a routine takes fewer arguments than that of another module, which is compiled later. In a
-    process of its own: the wrong one reads and writes anywhere."""
+def test_threads_that_start_at_once(tiny):
+    code = """
+from concurrent.futures import ThreadPoolExecutor
+from numba.core import event
+from tiny import double
+with event.install_recorder("numba:compile") as compiled, ThreadPoolExecutor(4) as pool:
+    found = set(pool.map(double, [1.5] * 4))
+print(*found, len(compiled.buffer) // 2)
+"""
+    assert tiny.run(code) == COMPILED
+
+
+def test_killed_at_every_step_of_compiling(tiny):
+    """A process that is killed as it makes, writes, renames or removes a file of the
+    cache leaves nothing that another takes: of the next two, both find the value, and
+    the second one loads. The parent has imported all; each child finds what was saved,
+    and no checksum."""
+    code = """
+import os, signal, sys
+from numba.core import event
+from pathlib import Path
+import numpy as np
+from eqsim.numerics.kernel_folder import kernel_folder
+from tiny import double, size
+
+def call():
+    with event.install_recorder("numba:compile") as compiled:
+        found = double(1.5)
+    assert found == 3.0
+    return len(compiled.buffer) // 2
+
+def killed_at(step):
+    left = [step]
+    def look(name, arguments):
+        changes = name in ("os.mkdir", "os.rename", "os.remove", "os.rmdir")
+        changes |= name == "open" and bool(arguments[2] & (os.O_WRONLY | os.O_RDWR))
+        if changes and "double" in str(arguments[0]):
+            left[0] -= 1
+            if not left[0]:
+                os.kill(os.getpid(), signal.SIGKILL)
+    sys.addaudithook(look)
+    return call()
+
+def child(function, *arguments):
+    process = os.fork()
+    if not process:
+        status = 100
+        try:
+            status = function(*arguments)
+        finally:
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+
+size(np.ones(3))
+folder = Path(kernel_folder())
+for step in range(1, 100):
+    status = child(killed_at, step)
+    if status != -signal.SIGKILL:
+        break
+    assert child(call) in (0, 1), step
+    assert child(call) == 0, step
+    (note,) = folder.glob("*double*.sha256")
+    note.unlink()
+assert (step > 10, status) == (True, 1), (step, status)
+"""
+    tiny.run(code)
+
+
+@pytest.mark.parametrize("most", [0, 4096])
+def test_a_full_disk(tiny, most):
+    """It takes nothing at all, or the probe of the folder and not the machine code."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    code = CALL.replace("len(compiled.buffer) // 2", "bool(compiled.buffer)")
+    code = f"import sys; sys.dont_write_bytecode = True\n{code}"
+    assert tiny.run(code, preexec_fn=limit) == "3.0 True"
+    assert not tiny.files("*.nbc")
+    assert tiny.run() == COMPILED
+    assert tiny.run() == LOADED
+
+
+@contextmanager
+def another_process_compiles(tiny):
+    """A lock on the folder of `double`, which was not saved whole."""
+    tiny.run()
+    (note,) = tiny.files("*.sha256")
+    note.unlink()
+    with FileLock(note.with_suffix(".lock")):
+        yield
+
+
+def one_that_waits(tiny, patience):
+    """A process that calls `double`, once it waits for the lock."""
+    code = f"""
+import threading, time
+from eqsim.numerics import kernel_folder
+kernel_folder._PATIENCE = {patience}
+def tell():
+    while kernel_folder.compiling_since() is None:
+        time.sleep(0.01)
+    print("waits", flush=True)
+threading.Thread(target=tell, daemon=True).start()
+{CALL}
+print(kernel_folder.compiling_since())
+"""
+    process = tiny.start(code)
+    assert process.stdout.readline() == "waits\n"
+    return process
+
+
+def test_a_process_waits_for_the_one_that_compiles(tiny):
+    with another_process_compiles(tiny):
+        process = one_that_waits(tiny, patience=100.0)
+        time.sleep(1.0)
+        assert process.poll() is None
+    assert process.communicate(timeout=60)[0].splitlines() == [COMPILED, "None"]
+    assert tiny.run() == LOADED
+
+
+def test_a_process_whose_patience_ends_compiles_for_itself(tiny):
+    with another_process_compiles(tiny):
+        process = one_that_waits(tiny, patience=0.2)
+        said = process.communicate(timeout=60)[0]
+    assert said.splitlines() == [COMPILED, "None"]
+    assert not tiny.files("*.sha256")
+
+
+def test_an_interrupt_ends_a_process_that_waits(tiny):
+    with another_process_compiles(tiny):
+        process = one_that_waits(tiny, patience=100.0)
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        assert "KeyboardInterrupt" in process.communicate(timeout=10)[1]
+
+
+class Pair(NamedTuple):
+    a: object
+    b: object
+
+
+class Other(NamedTuple):
+    a: object
+    b: object
+
+
+def values():
+    """Arguments of all kinds, some of which have the same type for numba."""
+    whole, column = np.zeros((3, 4)), np.zeros((3, 1))
+    sealed, fields = np.zeros(3), np.zeros(3, [("x", float), ("y", np.int64)])
+    sealed.flags.writeable = False
+    bytewise = np.zeros(25, np.uint8)[1:].view(float)
+    arrays = whole, whole.T, whole[:, ::2], column, column.T, whole[0], whole[:, 0]
+    arrays += sealed, bytewise, fields, fields["x"], whole.astype(np.float32)
+    numbers = (
+        1,
+        2,
+        1.0,
+        True,
+        np.float64(1.0),
+        np.float32(1.0),
+        np.int64(1),
+        np.bool_(True),
+    )
+    plain = *arrays, *numbers, None, ()
+    nested = [kind(a, 1.0) for a in plain for kind in (Pair, Other)]
+    nested += [(a, 1.0) for a in plain]
+    return [*plain, *nested, Pair(Pair(1, ()), sealed), Pair(Pair(1, ()), whole[0])]
+
+
+def test_values_of_one_kind_have_one_type():
+    """Else a call would take machine code for other arguments."""
+    types = {}
+    for value in values():
+        found = numba.typeof(value)
+        assert types.setdefault(_kind(value), found) == found
+    assert len(types) > 60
+
+
+def test_each_type_has_machine_code(tiny):
+    """numba would convert an integer for machine code that takes a double."""
     code = """
 import numpy as np
-from eqsim import Aging, Ensemble, Thermal
-from eqsim.engine import langevin, lanes
-from eqsim.engine.contacts import contacts
-from tests.kernels import compiled
-c = contacts(Ensemble(thermal=Thermal(0.1), aging=Aging("langevin", 0.1, 2.0)), 1.0)
-name, n = lanes.key_of(1, 2), 300
-found = lanes.lives(c, name, 0, np.full(n, 0.3), np.full(n, 0.6))
-stretch, clock = np.full(n, compiled(lanes.threshold_draw)(c.thresholds, 0.3)), np.full(n, -np.log(0.6))
-arguments = langevin.pinned(c), name, langevin.STEP, np.arange(n), np.zeros(n, np.int64), stretch, clock
-compiled(langevin.lives)(*arguments)
-assert np.allclose(stretch, found.travel, rtol=1e-9, atol=0)
+from tiny import double, size
+assert [type(double(x)) for x in (1, 1.5, np.float32(1.0))] == [float] * 3
+assert [str(x) for (x,) in double.signatures] == ["int64", "float64", "float32"]
+x = np.arange(6.0).reshape(2, 3)
+sealed = x.copy()
+sealed.flags.writeable = False
+assert {size(a) for a in (x, x.T, x.copy(), x[:, :], sealed)} == {6}
+assert len(size.signatures) == 3
 """
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
-
-
-@compiled.routine
-def inner(x):
-    return 2.0 * x
-
-
-@compiled.inlined
-def by_inlined(x):
-    return inner(x) + 1.0
-
-
-@compiled.routine
-def by_routine(x):
-    return inner(x) + 10.0
-
-
-@compiled.shared
-def by_shared(x):
-    return inner(x) + 100.0
-
-
-@compiled.kernel
-def outer(x):
-    return by_inlined(x) + by_routine(x) + by_shared(x)
-
-
-def test_a_routine_is_compiled_once_for_all_that_call_it(tmp_path, monkeypatch):
-    class Compiled(event.Listener):
-        def on_start(self, happened):
-            if "dispatcher" in happened.data:
-                done[happened.data["dispatcher"].py_func.__name__] += 1
-
-        def on_end(self, happened):
-            pass
-
-    done = Counter()
-    for one in (outer, by_shared.dispatcher):
-        monkeypatch.setattr(one._cache._cache_file, "_folder", tmp_path)
-    with event.install_listener("numba:compile", Compiled()):
-        assert outer(1.0) == 117.0
-        assert by_shared(2.0) == 104.0  # interpreted
-    assert done == dict.fromkeys(("inner", "by_inlined", "by_routine", "by_shared", "outer"), 1)
-    assert len(list(tmp_path.glob("*.nbc"))) == 2  # what another kernel finds there
-
-
-@compiled.shared_inlined
-def by_shared_inlined(x):
-    return by_shared(x) * 2.0
-
-
-@compiled.shared_maker
-def by_shared_maker(x):
-    return np.full(2, by_shared_inlined(x))
-
-
-@compiled.kernel
-def first_caller(x):
-    return by_shared_maker(x)[1] + by_shared(x)
-
-
-@compiled.kernel
-def later_caller(x):
-    return by_shared_maker(x)[1] - by_shared(x)
-
-
-@numba.njit
-def compiled_by_numba(x):
-    return by_routine(x) + by_shared_maker(x)[0]
-
-
-def test_shared_routines_are_taken_from_disk(tmp_path, monkeypatch):
-    def as_in_a_new_process():
-        every = (
-            compiled.shared(by_shared),
-            compiled.shared_inlined(by_shared_inlined),
-            compiled.shared_maker(by_shared_maker),
-        )
-        for one in (*(routine.dispatcher for routine in every), first_caller, later_caller):
-            monkeypatch.setattr(one._cache._cache_file, "_folder", tmp_path)
-        return [routine.dispatcher.stats.cache_hits for routine in every]
-
-    hits = as_in_a_new_process()
-    assert first_caller(1.0) == 306.0
-    assert [sum(each.values()) for each in hits] == [0, 0, 0]
-    hits = as_in_a_new_process()
-    assert later_caller(3.0) == 106.0
-    assert compiled_by_numba(3.0) == 228.0
-    assert [sum(each.values()) for each in hits] == [1, 0, 1]  # what is on disk has in it what it calls
-
-
-def test_a_routine_that_another_process_compiles_is_left_to_it(tmp_path, monkeypatch):
-    made = by_shared.dispatcher
-    monkeypatch.setattr(made._cache._cache_file, "_folder", tmp_path)
-    arguments = (np.float32(1.0),)
-    path = made._cache._cache_file.path(made._cache._index_key((numba.float32,), made.targetctx.codegen()))
-    with path.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        compiled.compile_unless_taken(by_shared, arguments)
-        assert not path.exists()
-    compiled.compile_unless_taken(by_shared, arguments)
-    assert path.exists()
-
-
-@pytest.mark.skipif(compiled._CACHE is None, reason="it looks for files, and no folder for them can be written")
-@pytest.mark.parametrize("start", ["fresh", "stationary"])
-@pytest.mark.parametrize("aging", [Aging(), Aging("langevin", 0.1, 2.0)])
-def test_processes_compile_what_kernels_ask_for(start, aging):
-    """There would be two files of a routine if the types of its arguments differed."""
-    ensemble, drive = Ensemble(count=1, aging=aging), Drive(1.0, 1.0, start)
-    trajectory(ensemble, drive, points=2)
-    for routine, arguments in ahead._routines(ensemble, drive):
-        files, key = routine.dispatcher._cache._cache_file, tuple(map(numba.typeof, arguments))
-        assert files.path(routine.dispatcher._cache._index_key(key, routine.dispatcher.targetctx.codegen())).exists()
-    names = ("join_uniform_ramps", "leave_uniform_ramps", "leave_ramps", "empty_columns")
-    of_all_laws = [f"recorder.{name}" for name in names]
-    of_all_laws += [f"lanes.{name}" for name in ("empty_lanes", "draw_unstressed", "draw_thresholds")]
-    for name in of_all_laws:
-        keys = [pickle.loads(path.read_bytes()[32:])[0] for path in Path(compiled._CACHE).rglob(f"{name}-*.nbc")]
-        processors = [processor for _, processor, _ in keys]  # other tests compile for older ones
-        assert len(keys) == len(set(processors)) >= 1, name
-
-
-@pytest.mark.parametrize(
-    ("program", "found"),
-    [
-        ("import pickle, sys; pickle.dump(len(pickle.load(sys.stdin.buffer)), sys.stdout.buffer)", 3),
-        ("import pickle, sys; pickle.load(sys.stdin.buffer); sys.stdout.write('rubbish')", None),
-        ("raise SystemExit(1)", None),
-    ],
-)
-def test_what_the_second_process_sends(monkeypatch, program, found):
-    monkeypatch.setattr(second, "_COMMAND", program)
-    process = second.Second()
-    assert process.found() is None  # nothing was compiled
-    process.send(pickle.dumps((1, 2, 3)))
-    assert process.found() == found
-    process.send(b"more")  # is not taken
-    process.end()
-    assert process.process.returncode is not None
-
-
-def test_a_process_that_is_started_early(monkeypatch):
-    monkeypatch.setattr(second, "_COMMAND", "import sys; sys.stdin.buffer.read()")
-    monkeypatch.setattr(second, "several_processors", lambda: True)
-    for empty in (False, True):
-        monkeypatch.setattr(second.kernel_folder, "is_empty", lambda empty=empty: empty)
-        second.start_early()
-        assert (second._started != []) == empty
-    process = second.take()
-    assert process.process.poll() is None
-    assert process.found() is None  # nor does anybody wait for one that has nothing to do
-    process.end()
-    assert second.take().process is None
+    tiny.run(code)

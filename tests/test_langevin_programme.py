@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import chosen
 from kernels import compiled
 
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, InputError, Programme, Segment, Thermal, trajectory
@@ -22,7 +23,8 @@ LAWS = {
     "mechanical uniform, n = 0": {"thresholds": Gamma(0.0), **UNIFORM},
     "stiff uniform": {"thermal": Thermal(0.1, barrier="stiff"), **UNIFORM},
 }
-CASES = [pytest.param(name, marks=[] if "soft" in name else pytest.mark.verification) for name in LAWS]
+# By default a kernel that other tests compile, too, with both stiffness laws and both laws of delays.
+CHOSEN = ["soft sqrt, exponential delay", "soft uniform, fixed delay"]
 MIXED = (
     Segment(0.1, distance=2.0, points=20),
     Segment(0.0, time=20.0, points=10),
@@ -50,7 +52,7 @@ def scores(one, other):
     return np.maximum(np.abs(force - expected) - STEP_ERROR * np.abs(expected), 0.0) / np.hypot(sigma, theirs)
 
 
-@pytest.mark.parametrize("name", CASES)
+@chosen("name", LAWS, CHOSEN)
 def test_one_segment_has_the_bits_of_a_constant_drive(name):
     """Also where edges of averaging windows are no grid points."""
     ensemble = contacts(name, 500)
@@ -61,7 +63,7 @@ def test_one_segment_has_the_bits_of_a_constant_drive(name):
     assert found.lives == expected.lives
 
 
-@pytest.mark.parametrize("name", CASES)
+@chosen("name", LAWS, CHOSEN[:1])
 def test_many_segments_are_one(name):
     """Sixteen segments at one velocity: steps that end at their ends, and random numbers that go on. |z| < 4.5."""
     ensemble = contacts(name, 30_000)
@@ -95,7 +97,7 @@ def test_reversal_is_a_mirror():
     assert one.force == pytest.approx(-other.force, rel=0, abs=1e-12)
 
 
-@pytest.mark.parametrize("name", CASES)
+@chosen("name", LAWS, CHOSEN)
 def test_slow_aging_is_none(name):
     """Thresholds that move by 1e-4 of themselves along the programme."""
     slow = ends(trajectory(contacts(name, 50_000, Aging("langevin", 1e-10, 2.0)), Programme(MIXED), seed=1))

@@ -1,9 +1,11 @@
 """References along programmes and behind a stage against contacts on a lattice: laws with jumps, kinks and atoms."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from cases import chosen
 from lattice import Leg, history, lattice_law
 from scipy import stats
 
@@ -111,13 +113,13 @@ def behind_stage(seed, enlarged=1.0):
     return worst(found.means.force, found.means.force_error, *known, False)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@chosen("seed", range(6), [0, 2, 3])
 def test_along_a_programme(seed):
     """The quoted error is a bound."""
     assert along_programme(seed) < 1.0
 
 
-@pytest.mark.parametrize("seed", range(6))
+@chosen("seed", range(6), [0, 3])
 def test_behind_a_stage(seed):
     assert behind_stage(seed) < 1.0
 
@@ -171,15 +173,22 @@ def test_contacts_that_never_break():
     assert means.force_error[-1] < 1e-5
 
 
-@pytest.mark.parametrize("kind", [{}, pytest.param({"barrier": "stiff"}, marks=pytest.mark.verification)])
-@pytest.mark.parametrize("stage", [None, Stage(0.5, damping=0.05)])
-def test_all_but_at_rest(kind, stage):
+STAGES = (None, Stage(0.5, damping=0.05))
+
+
+@chosen(  # by default what takes less than a second, and no kernel that no other test compiles
+    ("stage", "barrier", "disorder"),
+    [(stage, *kind) for stage in STAGES for kind in itertools.product(("soft", "stiff"), ("quenched", "annealed"))],
+    [(STAGES[0], "soft", "annealed"), (STAGES[1], "soft", "quenched")],
+)
+def test_all_but_at_rest(stage, barrier, disorder):
     """A slider, or its stage, that moves by less than the resolution of a stretch heats and ages as one at rest."""
     found = []
     for velocity in (0.0, 1e-25, -1e-18):
         segments = Segment(1.0, distance=0.8, points=5), Segment(velocity, time=20.0, points=5)
         drive = Programme(segments, stage=stage)
-        ensemble = Ensemble(thermal=Thermal(0.1, **kind), stiffness_law="uniform", delay=Delay(0.7))
+        thermal = Thermal(0.1, barrier=barrier)
+        ensemble = Ensemble(thermal=thermal, stiffness_law="uniform", delay=Delay(0.7), disorder=disorder)
         if stage is None:
             means = programme.means_of(ensemble, drive, drive.grid(10))
         else:

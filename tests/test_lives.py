@@ -1,27 +1,34 @@
 """Lives as the kernels draw them, many side by side, against a plain twin: one contact at a time, NumPy's generator,
 libm, and an equation solved by SciPy. And many contacts side by side against the same contacts one by one."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 import scipy.stats
-from cases import thinned
+from cases import chosen
 from scipy import optimize, special
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, steady
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import LANES, ROUNDS, lives, plain_sums
+from eqsim.engine.follow import follow
+from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives
+from eqsim.engine.langevin import STEP
+from eqsim.engine.programme import constant_drive
 from eqsim.engine.recorder import Run, Scales, moments
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import stationary
-from eqsim.engine.trajectory import ConstantDrive
+from eqsim.engine.steady import PlainSums
 from eqsim.estimate import difference
 from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 from eqsim.numerics.threads import NEVER
 
 V = 0.1
 UNIFORM = {"stiffness_law": "uniform"}
+STARTS = ("fresh", "stationary")
+POINTS = (2, 11, 501)
 
 
 def hazard(barrier, x, xi, a):
@@ -44,9 +51,12 @@ def twin(rng, n, kT, barrier, law):
 
 def side_by_side(ensemble, seed, ages=8):
     """Sums of stretch and work over the lives of a kernel's lanes, one for each age, shape (2, sums)."""
-    c = contacts(ensemble, V)
-    rows = [plain_sums(c, key(seed, STEADY), 0, age, age + 1, NEVER)[0][:2] for age in range(ages)]
-    return np.array(rows).T[::-1]
+    c, rows = contacts(ensemble, V), []
+    for age in range(ages):
+        sums = PlainSums.empty(0, age, age + 1, NEVER)
+        follow(c, sums, key(seed, STEADY), 0, LANES, Lanes.empty(), Lives.empty(c))
+        rows.append((sums.travel.sum(), sums.work.sum()))
+    return np.array(rows).T
 
 
 @pytest.mark.parametrize("n", [0.0, 1.0, 2.0])
@@ -105,18 +115,22 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("start", "points", "ensemble"), thinned(5, ("fresh", "stationary"), (2, 11, 501), CASES))
+@chosen(  # by default each kind of contacts once
+    ("start", "points", "ensemble"),
+    itertools.product(STARTS, POINTS, CASES),
+    [(STARTS[i % 2], POINTS[i % 3], ensemble) for i, ensemble in enumerate(CASES)],
+)
 def test_side_by_side_as_one_by_one(ensemble, start, points):
     """The same contacts with every life deposited and recorded by itself: force, pinned fraction, variance and sums
     over the second half agree to rounding, of which sums of 300 contacts and some 1e4 lives have 1e-11."""
     c, count = contacts(ensemble, V), 300
     found = []
     for by_life in (False, True):
-        run = Run(20.0, points, start == "stationary", by_life)
+        run = Run(20.0, points, start == "stationary", batch_by_life=by_life)
         scales, total = Scales.of(c, run, count, 1, 0.0), Totals(points + 1, points, 1)
-        ConstantDrive(c, stationary(c), run, scales, key(2, TRAJECTORY), 0.0).simulate(total, 0, count)
-        sums = total.batches.sum(axis=0) / scales.batches
-        found.append((*moments(total.deposits, scales, run, count, 0.0), sums, np.array(total.lives)))
+        constant_drive(c, stationary(c), run, scales, key(2, TRAJECTORY), 0.0).simulate(total, 0, count)
+        sums = [total.windows[name].sum(axis=0) / scale for name, scale in scales.windows._asdict().items()]
+        found.append((*moments(total.deposits, scales, run, count, 0.0), sums, total.lives))
     for mine, other in zip(*found, strict=True):
         np.testing.assert_allclose(mine, other, rtol=1e-10, atol=1e-10)
 
@@ -131,7 +145,7 @@ PLAIN = [
 ]
 
 
-@pytest.mark.parametrize("ensemble", thinned(2, PLAIN))
+@chosen("ensemble", PLAIN, PLAIN[:3])  # quenched contacts that do not age
 def test_plain_steady_agrees_with_the_default(ensemble):
     """Three scores a case, |z| < 4.5: false alarm 1e-4."""
     plain, clever = (steady(ensemble, Drive(V), rel_error=2e-3, plain=how, seed=31) for how in (True, False))
@@ -171,7 +185,8 @@ def test_lives_of_any_number():
     """Blocks of lanes in `lives` have no seams."""
     c = contacts(Ensemble(thermal=Thermal(0.1)), V)
     u, v = np.random.default_rng(1).random((2, 2 * LANES + 3))
-    work, stretch, *_ = lives(c, key(0, 0), 0, u, v)
+    source = Source(key(0, 0), 0, STEP)
+    together = lives(c, source, u, v)
     for i in (0, LANES - 1, LANES, 2 * LANES + 2):
-        one = lives(c, key(0, 0), 0, u[i : i + 1], v[i : i + 1])
-        assert (work[i], stretch[i]) == (one[0][0], one[1][0])
+        alone = lives(c, source, u[i : i + 1], v[i : i + 1])
+        assert (together.work[i], together.travel[i]) == (alone.work[0], alone.travel[0])

@@ -3,7 +3,7 @@
 import functools
 
 import numpy as np
-import pytest
+from cases import chosen
 from oracle import Contacts, settled, simulate
 
 from eqsim import Delay, Drive, Ensemble, Gamma, Programme, Segment, Thermal, trajectory
@@ -94,7 +94,29 @@ CASES = {
 }  # fmt: skip
 
 
-FLUCTUATING = ["hold and steps, langevin sqrt, soft", "reversal, langevin uniform, soft, exponential delay"]
+# By default each kind of kernel that other tests compile, too; four times as many contacts of all with -m verification.
+CHOSEN = [
+    "mechanical sqrt",
+    "quenched soft uniform, units, fixed delay, viscous",
+    "annealed soft uniform",
+    "langevin sqrt",
+    "hold and steps, soft sqrt",
+    "hold and steps, langevin sqrt, soft",  # with -m verification: its kernels are those of no other test
+]
+WRONG = [
+    ("mechanical sqrt", {"stiffness_law": "uniform"}),
+    ("mechanical uniform, n=0, fixed delay, viscous", {"delay_law": "exponential"}),
+    ("quenched soft sqrt", {"disorder": "annealed"}),
+    ("langevin sqrt", {"aging": "flow"}),
+    ("hold and steps, soft sqrt", {"factors": (1.0, 0.05, 1.0, 0.25, 0.0, 1.0)}),
+    ("mechanical uniform, n=0, fixed delay, viscous", {"eta": 0.7}),
+    ("quenched stiff sqrt, n=0", {"kT": 0.6}),
+    ("annealed soft uniform", {"kT": 0.8}),
+    ("annealed aging uniform, soft", {"rate": 0.2}),
+    ("logarithmic sqrt, soft", {"cutoff_time": 0.8}),
+    ("hold and steps, langevin sqrt, soft", {"frozen": True}),
+    ("reversal, annealed soft sqrt, fixed delay", {"factors": (1.0, 1.0, 1.0, 0.5, 0.0, 1.0)}),
+]
 
 
 @functools.cache
@@ -150,12 +172,10 @@ def scores(simulated, result, x_star, more=0.0):
     )
 
 
-@pytest.mark.parametrize(
+@chosen(
     ("times", "name"),
-    [
-        *((1, name) for name in [*[*CASES][:-12:3], "hold and steps, soft sqrt", "reversal, flow", *FLUCTUATING]),
-        *(pytest.param(4, name, marks=pytest.mark.verification) for name in CASES),
-    ],
+    [*((1, name) for name in CHOSEN), *((4, name) for name in CASES)],
+    [(1, name) for name in CHOSEN[:-1]],
 )
 def test_engine_agrees_with_time_steps(name, times):
     """|z| < 4.5 at every X for force and, with delay, pinned fraction: 258 scores in all cases, false alarm 7e-6
@@ -165,23 +185,7 @@ def test_engine_agrees_with_time_steps(name, times):
     assert scores(oracle(c, times=times), engine(c, times), c.x_star, steps).max() < LIMIT
 
 
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [
-        ("mechanical sqrt", {"stiffness_law": "uniform"}),
-        ("mechanical uniform, n=0, fixed delay, viscous", {"delay_law": "exponential"}),
-        ("mechanical uniform, n=0, fixed delay, viscous", {"eta": 0.7}),
-        ("quenched soft sqrt", {"disorder": "annealed"}),
-        ("quenched stiff sqrt, n=0", {"kT": 0.6}),
-        ("annealed soft uniform", {"kT": 0.8}),
-        ("langevin sqrt", {"aging": "flow"}),
-        ("annealed aging uniform, soft", {"rate": 0.2}),
-        ("logarithmic sqrt, soft", {"cutoff_time": 0.8}),
-        ("hold and steps, soft sqrt", {"factors": (1.0, 0.05, 1.0, 0.25, 0.0, 1.0)}),
-        ("hold and steps, langevin sqrt, soft", {"frozen": True}),
-        ("reversal, annealed soft sqrt, fixed delay", {"factors": (1.0, 1.0, 1.0, 0.5, 0.0, 1.0)}),
-    ],
-)
+@chosen(("name", "wrong"), WRONG, WRONG[:5])
 def test_another_model_fails(name, wrong):
     """Negative controls: contacts of a slightly different kind do not pass for those of the case."""
     c = CASES[name]

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from eqsim.cli.app import app
 from eqsim.fitting import posterior
 from eqsim.fitting.model import Problem
-from eqsim.fitting.section import Parameter
+from eqsim.fitting.section import NormalPrior, Parameter
 
 KEYS = ("thermal.kT", "thermal.attempt_frequency")
 MEAN, SD, UPPER = np.array([1.0, 3.0]), np.array([0.5, 2.0]), 4.0  # the second variable ends half a sd above its mean
@@ -79,7 +79,9 @@ def test_a_short_chain_has_no_intervals(line, monkeypatch):
 
 def test_priors_and_bounds(line):
     """The density is that of the likelihood, times a prior where there is one, and zero beyond the bounds."""
-    with_prior = replace(line, parameters=[line.parameters[0]._replace(prior=(0.0, 2.0)), line.parameters[1]])
+    with_prior = replace(
+        line, parameters=[line.parameters[0]._replace(prior=NormalPrior(0.0, 2.0)), line.parameters[1]]
+    )
     u = np.array([2.0, 1.0])
     likelihood = -0.5 * (((u - MEAN) / SD) ** 2).sum()
     assert line.density(u) == pytest.approx(likelihood, abs=1e-12)

@@ -1,5 +1,6 @@
 """Contacts followed through the segments of a programme: exact in time, the same bits on anything, the right laws."""
 
+import itertools
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -7,7 +8,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
-from cases import thinned
+from cases import chosen
 from kernels import compiled
 from scipy import integrate
 from test_programme_reference import HEALING, HOLDS, KINDS, STEPS
@@ -30,7 +31,7 @@ from eqsim import (
 from eqsim.engine.contacts import contacts
 from eqsim.laws.aging import Flow, Logarithmic
 from eqsim.laws.aging.along import crossing
-from eqsim.laws.aging.base import spend, spent
+from eqsim.laws.aging.base import Held, spend, spent
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.base import hazard, rate, stretch
 from eqsim.laws.barrier.pooled import Pooled
@@ -63,7 +64,20 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize(("name", "start"), thinned(3, LAWS, STARTS))
+@chosen(  # by default each kind of kernel once
+    ("name", "start"),
+    itertools.product(LAWS, STARTS),
+    [
+        ("mechanical sqrt", "fresh"),
+        ("mechanical uniform, fixed delay", "stationary"),
+        ("soft sqrt, exponential delay", "stationary"),
+        ("stiff sqrt", "fresh"),
+        ("annealed soft uniform, fixed delay", "fresh"),
+        ("logarithmic uniform", "fresh"),
+        ("identical", "stationary"),
+        ("table", "fresh"),
+    ],
+)
 def test_one_segment_has_the_bits_of_a_constant_drive(name, start):
     ensemble = Ensemble(count=3000, **LAWS[name])
     expected = trajectory(ensemble, Drive(0.1, 6.0, start), points=121, seed=3, replicas=2)
@@ -103,7 +117,16 @@ def scores(found, exact):
     return np.append(force, pinned)
 
 
-@pytest.mark.parametrize(("name", "start"), thinned(3, LAWS, STARTS))
+@chosen(  # by default what takes less than a second
+    ("name", "start"),
+    itertools.product(LAWS, STARTS),
+    [
+        ("mechanical sqrt", "fresh"),
+        ("mechanical uniform, fixed delay", "stationary"),
+        ("identical", "stationary"),
+        ("table", "fresh"),
+    ],
+)
 def test_agrees_with_the_renewal_equation(name, start):
     """|z| < 4.5 for force and pinned fraction at the ends of eight segments, 320 scores: false alarm 2e-3 together."""
     ensemble = Ensemble(count=15_000, **LAWS[name])
@@ -112,10 +135,14 @@ def test_agrees_with_the_renewal_equation(name, start):
     assert np.abs(scores(found, transient(ensemble, programme, 2001))).max() < 4.5
 
 
+SHORT_HOLD = Programme([*MIXED[:1], Segment(0.0, time=0.3, points=10), *MIXED[2:]], "stationary", 0.3)
+
+
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        ("soft uniform", Programme([*MIXED[:1], Segment(0.0, time=0.3, points=10), *MIXED[2:]], "stationary", 0.3)),
+        ("annealed soft uniform, fixed delay", SHORT_HOLD),
+        pytest.param("soft uniform", SHORT_HOLD, marks=pytest.mark.verification),
         pytest.param(
             "soft uniform",
             Programme([Segment(abs(s.velocity), s.distance, s.time, s.points) for s in MIXED], "fresh"),
@@ -229,7 +256,7 @@ def test_clocks_along_a_segment(barrier):
         rates = np.exp(law.log_w + np.nan_to_num(exponent, nan=-np.inf))
         hazards = integrate.cumulative_trapezoid(rates, s, initial=0.0)
         clock = rng.uniform(0.0, 1.5) * hazards[-1]
-        broke, left = follow(c.aging, c, (xi, stiffness, y, 0.0), moves, length, clock)
+        broke, left = follow(c.aging, c, Held(xi, stiffness, y, 0.0), moves, length, clock)
         slack = 1e-9 + 1e-9 * hazards[-1] + 2.0 * np.abs(np.diff(rates)).max() * s[1]
         if clock < hazards[-1] - slack:
             assert np.interp(broke, s, hazards) == pytest.approx(clock, rel=0, abs=slack)
@@ -240,7 +267,7 @@ def test_clocks_along_a_segment(barrier):
         elif clock > hazards[-1] + slack:
             assert broke == math.inf
             assert left == pytest.approx(clock - hazards[-1], rel=0, abs=slack)
-            assert passed(c.aging, c, (xi, stiffness, y, 0.0), moves, length) == pytest.approx(
+            assert passed(c.aging, c, Held(xi, stiffness, y, 0.0), moves, length) == pytest.approx(
                 hazards[-1], rel=0, abs=slack
             )
             seen["survived"] += 1
@@ -260,7 +287,7 @@ def test_first_crossing(law):
         s = np.linspace(0.0, length, 20_001)
         excess = xi * law.growth_at(age + s) - np.abs(y + moves * s)
         met = np.flatnonzero(excess <= 0)
-        at = find(law, (xi, y, age), moves, length)
+        at = find(law, Held(xi, 1.0, y, age), moves, length)
         if met.size:
             assert s[max(met[0] - 1, 0)] - 1e-12 <= at <= s[met[0]] + 1e-12
         else:  # a crossing between two instants of the grid is none

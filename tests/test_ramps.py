@@ -8,56 +8,35 @@ import pytest
 from kernels import compiled
 
 from eqsim import Aging, Delay, Ensemble, Thermal
-from eqsim.engine import recorder, simulate
+from eqsim.engine import recorder, segments
+from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import ROUNDS, Lanes, Lives
-from eqsim.engine.recorder import (
-    AREA,
-    BATCHES,
-    BREAKS,
-    ELAPSED,
-    PINNED,
-    STRETCH,
-    TRAVEL,
-    Columns,
-    Recorder,
-    Run,
-    Scales,
-    edge_after,
-    moments,
-)
-from eqsim.engine.simulate import Journey
-from eqsim.engine.stationary import extremes
+from eqsim.engine.recorder import Columns, Deposit, Recorder, Run, Scales, Window, edge_after, moments
+from eqsim.engine.segments import Span
+from eqsim.engine.stationary import Fresh, extremes
 from eqsim.laws.aging.base import growth
 from eqsim.laws.stiffness import kappa
 
-deposit, leave, record = compiled(recorder.deposit), compiled(recorder.leave), compiled(recorder.record)
+leave, leave_ramp, average = compiled(recorder.leave), compiled(recorder.leave_ramp), compiled(recorder.average)
 leave_ramps, leave_uniform_ramps = compiled(recorder.leave_ramps), compiled(recorder.leave_uniform_ramps)
-join_uniform_ramps, follow_growth = compiled(recorder.join_uniform_ramps), compiled(recorder.follow_growth)
-cross = compiled(simulate._cross)
+join_uniform_ramps, leave_span = compiled(recorder.join_uniform_ramps), compiled(segments.leave_span)
+cross_edges = compiled(segments.cross_edges)
 
 CONTACTS, DISTANCE, UNIT = 40, 10.0, 2.0**40  # fixed point: 1e-12, of numbers up to some hundred and thousand
 ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
+UNSTRESSED = contacts(Ensemble(), 1.0)
 
 
-def scales(uniform):
-    return Scales(np.array([1.0, *[UNIT] * 5]), np.array([UNIT, UNIT, UNIT, 1.0, UNIT, UNIT]), 1.0, 1.0, uniform)
+def scales(uniform, narrow=False):
+    return Scales(Deposit(1.0, *[UNIT] * 5), Window(UNIT, UNIT, UNIT, 1.0, UNIT, UNIT), 1.0, 1.0, uniform, narrow)
 
 
-def empty(run, uniform=False, narrow=False):
-    """A recorder of nothing yet."""
-    units, status = scales(uniform), np.zeros(2, np.int64)
-    sums = np.zeros((run.points + 1, 6), np.int64), np.zeros((BATCHES, 2, 6), np.int64)
-    return Recorder(run, units.deposits, units.batches, *sums, status, narrow)
-
-
-def columns(count):
-    return Columns(np.empty(count, np.int64), np.empty(count, np.int64), np.empty((5, count), np.int64))
-
-
-def one_lane(kind, **values):
-    """Arrays over a single lane."""
-    return kind(**{name: np.array([value]) for name, value in values.items()})
+def empty(run, uniform=False, narrow=False, size=4):
+    """A recorder of nothing yet, of up to `size` lives at once."""
+    total, index = Totals(run.points + 1, run.points, 1), np.zeros((8, size), np.int64)
+    found = Recorder.of(UNSTRESSED, run, scales(uniform, narrow), Fresh(), total)
+    return found._replace(columns=Columns(*index[:7], np.ones(size, np.int64), index[7]))
 
 
 def lives(uniform, delayed, early=0.0):
@@ -90,10 +69,11 @@ def compare(found, uniform, expected):
     np.testing.assert_allclose(force, expected[0], rtol=ROUNDING, atol=ROUNDING)
     np.testing.assert_array_equal(pinned, expected[1])
     # few contacts have a smaller sum of squares than the square of their sum: compare what was added up
-    total = np.cumsum(deposits[:-1], axis=0) / scales(uniform).deposits
+    units = scales(uniform).deposits._asdict()
+    total = Deposit(*(np.cumsum(deposits[name][:-1]) / unit for name, unit in units.items()))
     X = np.linspace(0.0, run.distance, run.points)
-    slope2, ramp2 = (total[:, 0], total[:, 1]) if uniform else (total[:, 4], total[:, 5])
-    np.testing.assert_allclose((slope2 * X + 2 * ramp2) * X + total[:, 2], expected[2], rtol=ROUNDING, atol=1e-8)
+    slope2, ramp2 = (total.count, total.force) if uniform else (total.slope2, total.ramp2)
+    np.testing.assert_allclose((slope2 * X + 2 * ramp2) * X + total.square, expected[2], rtol=ROUNDING, atol=1e-8)
     np.testing.assert_allclose(variance, np.maximum(expected[2] - expected[0] ** 2, 0.0), rtol=1e-7, atol=1e-6)
 
 
@@ -103,84 +83,84 @@ def test_no_sum_can_overflow(count, thermal):
     """If all contacts were the strongest there can be, and lived the longest life, no sum would reach 2^63; and no unit
     but that of counts is finer than it has to be by more than rounding down to a power of 2 can make it."""
     c = contacts(Ensemble(thermal=thermal), 0.1)
-    run = Run(DISTANCE, 2, True, False)
+    run = Run(DISTANCE, 2, stationary=True)
     xi, x = extremes(c)
     found, strong, reach = Scales.of(c, run, count, 3, 5.0), kappa(c.springs, xi), DISTANCE + x
     deposits = np.array([1.0, strong * reach, (strong * reach) ** 2, strong, strong**2, strong**2 * reach])
-    batches = np.array([strong * x * reach, reach, reach, 1.0, reach, reach])
+    windows = np.array([strong * x * reach, reach, reach, 1.0, reach, reach])
     most = max(strong * x, 5.0)
     for sums in (
-        count * deposits * found.deposits,
-        count * batches * found.batches,
+        count * deposits * np.array(found.deposits),
+        count * windows * np.array(found.windows),
         np.array([1, 3 * most * found.replica, 3 * most**2 * found.replica_square]),
     ):
         sizes = np.log2(sums)
         assert np.all(sizes < 63)
         assert np.sum(sizes > 60.9) >= sizes.size - 1
     assert found.narrow == (count > 1000)
-    assert not found.narrow or np.all(deposits * found.deposits <= 2.0**51)
+    assert not found.narrow or np.all(deposits * np.array(found.deposits) <= 2.0**51)
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 @pytest.mark.parametrize("early", [0.0, 2.0])
 def test_single_deposits(points, early):
-    run, rows = Run(DISTANCE, points, early > 0, False), lives(False, True, early)
+    run, rows = Run(DISTANCE, points), lives(False, True, early)
     found = empty(run)
     for stiffness, born, broke, _ in rows:
-        deposit(found, stiffness, born, born, broke)
+        leave_ramp(found, stiffness, born, born, broke)
     compare(found, False, seen(rows, run))
 
 
-def left(routine, points, narrow):
+def padded(rows):
+    """The columns of `lives`, with lives beyond the distance, so that they are a multiple of four."""
+    beyond = [1.0, 2 * DISTANCE, 2 * DISTANCE, 2 * DISTANCE]
+    return np.ascontiguousarray(np.vstack([rows, *[beyond] * (-len(rows) % 4)]).T)
+
+
+def side_by_side(uniform, points, narrow=False):
     """A recorder of what lives leave that are recorded side by side, and the lives."""
-    uniform = routine is leave_uniform_ramps
-    run, rows = Run(DISTANCE, points, False, False), lives(uniform, True)
-    rows = rows[: len(rows) // 4 * 4]  # four are recorded at a time
-    found, count = empty(run, uniform, narrow), len(rows)
-    stiffness, born, broke = (np.ascontiguousarray(rows[:, i]) for i in range(3))
+    run, rows = Run(DISTANCE, points), lives(uniform, True)
+    stiffness, born, broke, _ = padded(rows)
+    found = empty(run, uniform, narrow, born.size)
     if uniform:
-        leave_uniform_ramps(found, born, broke, columns(count), count)
+        leave_uniform_ramps(found, born, broke, born.size)
     else:
-        none = np.zeros((1, count))
-        of_rows = Lives((broke - born)[None], none, stiffness[None], none, none[0])
-        leave_ramps(found, born, broke, of_rows, 0, columns(count), count)
+        leave_ramps(found, born, broke, Lives.empty(UNSTRESSED)._replace(stiffness=stiffness[None]), 0, born.size)
     return found, rows
 
 
-def joined(points, narrow):
+def joined(points, narrow=False):
     """The same without delay, from the first birth of each contact on."""
-    run, rows = Run(DISTANCE, points, False, False), lives(True, False)[2:]
-    found = empty(run, True, narrow)
+    run, rows = Run(DISTANCE, points), lives(True, False)[2:]
+    _, born, broke, _ = padded(rows)
+    found = empty(run, True, narrow, born.size)
     for _ in range(CONTACTS):
         leave(found, 0, 1, 1.0, 0.0)
-    born, broke = (np.ascontiguousarray(rows[:, i]) for i in (1, 2))
-    join_uniform_ramps(found, born, broke, columns(len(rows)), len(rows))
+    join_uniform_ramps(found, born, broke, born.size)
     return found, rows
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 @pytest.mark.parametrize("uniform", [False, True])
 def test_deposits_side_by_side(points, uniform):
-    found, rows = left(leave_uniform_ramps if uniform else leave_ramps, points, False)
+    found, rows = side_by_side(uniform, points)
     compare(found, uniform, seen(rows, found.run))
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 def test_deposits_that_join(points):
-    found, rows = joined(points, False)
+    found, rows = joined(points)
     compare(found, True, seen(rows, found.run))
 
 
 @pytest.mark.parametrize(
-    "deposits",
-    [partial(left, leave_ramps), partial(left, leave_uniform_ramps), joined],
-    ids=["any", "uniform", "joined"],
+    "deposits", [partial(side_by_side, False), partial(side_by_side, True), joined], ids=["any", "uniform", "joined"]
 )
 def test_narrow_numbers_are_rounded_alike(deposits):
     """Numbers below 2^51, which those of these lives are, to the last bit."""
-    found, _ = deposits(101, True)
-    np.testing.assert_array_equal(found.deposits, deposits(101, False)[0].deposits)
-    assert np.abs(found.deposits).max() > 2.0**45
+    found, _ = deposits(101, narrow=True)
+    np.testing.assert_array_equal(found.deposits, deposits(101)[0].deposits)
+    assert np.abs(found.deposits.view(np.int64)).max() > 2.0**45
 
 
 def averages(rows, low, high, work=None):
@@ -199,23 +179,29 @@ def averages(rows, low, high, work=None):
     ])  # fmt: skip
 
 
+def in_window(found, batch, quarter):
+    """What a batch has left in a quarter, in the order of `averages`."""
+    return [found.windows[batch, quarter][name] / scale for name, scale in found.window_scales._asdict().items()]
+
+
 def test_records_of_quarters():
     """Of both quarters of the second half, batch by batch."""
-    run, rows = Run(DISTANCE, 2, True, False), lives(False, True, 2.0)
+    run, rows = Run(DISTANCE, 2), lives(False, True, 2.0)
     found = empty(run)
     for i, row in enumerate(rows):
         stiffness, born, broke, reborn = row
-        record(found, i % 3, stiffness, born, born, broke, reborn)
+        average(found, i % 3, stiffness, born, born, broke, reborn)
     for batch in range(3):
         for quarter, low in enumerate((5.0, 7.5)):
-            sums = found.batches[batch, quarter] / found.batch_scales
+            sums = in_window(found, batch, quarter)
             np.testing.assert_allclose(sums, averages(rows[batch::3], low, low + 2.5), rtol=ROUNDING, atol=ROUNDING)
 
 
 def test_edges():
-    run = Run(DISTANCE, 2, False, False)
+    run = Run(DISTANCE, 2)
     edges = {0.0: 5.0, 5.0: 5.0, 5.1: 7.5, 7.5: 7.5, 7.6: 10.0, 10.0: 10.0, 10.1: math.inf}
     assert {x: compiled(edge_after)(run, x) for x in edges} == edges
+    assert compiled(edge_after)(run._replace(averages=False), 5.0) == DISTANCE
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2])
@@ -223,27 +209,30 @@ def test_edges():
 def test_crossing_an_edge(edge, delay):
     """What was gathered since the last edge goes to the quarter before this one, if it is one of the second half; the
     life that crosses it is divided, and gathering begins anew. Without delay a contact is pinned all the time."""
-    c, found = contacts(Ensemble(delay=Delay(delay)), 1.0), empty(Run(DISTANCE, 2, False, False))
+    c, found = contacts(Ensemble(delay=Delay(delay)), 1.0), empty(Run(DISTANCE, 2))
+    lanes, lives, averaging, age = Lanes.empty(), Lives.empty(c), found.averaging, 3
     crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.3 + delay)
     stiffness, born, broke, reborn = crossing
-    x, age = broke - born, 3
-    before = {"since": born - 2.0, "mark": ROUNDS * age - 4, "distance": 1.5 + x}
-    before["work"] = 3.25 + 0.5 * stiffness * x**2
-    journey = one_lane(Journey, position=born, broke=broke, reborn=reborn, edge=edge, delay=[delay], **before)
-    lanes = one_lane(Lanes, contact=1, age=age, number=0, words=[0])
-    lives = one_lane(Lives, stretch=[x], clock=[math.inf], stiffness=[stiffness], birth=[0.0], root=0.0)
-    assert cross(c, found, lanes, lives, journey, (0, 0)) == (edge == DISTANCE)
-    assert not found.batches[0].any()
+    x = broke - born
+    lanes.contact[0], lanes.age[0], lanes.position[0] = 1, age, born
+    lives.travel[0, 0], lives.stiffness[0, 0] = x, stiffness
+    averaging.edge[0], averaging.broke[0], averaging.reborn[0] = edge, broke, reborn
+    averaging.since[0], averaging.lives[0] = born - 2.0, ROUNDS * age - 4
+    averaging.pinned[0], averaging.work[0] = 1.5 + x, 3.25 + 0.5 * stiffness * x**2
+    ended = edge == DISTANCE
+    assert cross_edges(found, c, lanes, lives, 0, 1) == ended
+    assert not found.windows[0].view(np.int64).any()
     pinned = 1.5 if delay else 2.0
     for quarter, low in enumerate((5.0, 7.5)):
         expected = averages(np.array([crossing]), low, low + 2.5)
         if low + 2.5 == edge:
             expected += [3.25, pinned, 2.0, 4, pinned, pinned]
-        sums = found.batches[1, quarter] / found.batch_scales
-        np.testing.assert_allclose(sums, expected, rtol=ROUNDING, atol=ROUNDING)
-    assert (journey.edge[0], journey.since[0]) == (edge_after(found.run, reborn), reborn)
-    assert (journey.mark[0], journey.work[0], journey.distance[0]) == (ROUNDS * age + 1, 0.0, 0.0)
-    assert (AREA, PINNED, ELAPSED, BREAKS, STRETCH, TRAVEL) == (0, 1, 2, 3, 4, 5)
+        np.testing.assert_allclose(in_window(found, 1, quarter), expected, rtol=ROUNDING, atol=ROUNDING)
+    goes_on = math.inf if ended else reborn
+    assert (averaging.edge[0], averaging.since[0]) == (edge_after(found.run, goes_on), goes_on)
+    assert averaging.reborn[0] == goes_on
+    assert (averaging.lives[0], averaging.work[0], averaging.pinned[0]) == (ROUNDS * age + 1, 0.0, 0.0)
+    assert found.lives[0] == 5
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
@@ -251,10 +240,10 @@ def test_forces_that_are_no_ramps(points):
     """A stiffness that follows the threshold along `flow`: its force at each point, its square, and its work in both
     quarters (to the 1e-8 of the table of work)."""
     c = contacts(Ensemble(aging=Aging("flow", 0.3, 3.0)), 1.0)
-    run, rows = Run(DISTANCE, points, True, False), lives(False, True, 2.0)
+    run, rows = Run(DISTANCE, points), lives(False, True, 2.0)
     found = empty(run)
     for stiffness, born, broke, _ in rows:
-        follow_growth(c, found, 0, stiffness, born, broke - born)
+        assert leave_span(c, found, 0, Span(stiffness, 0.0, 0.0, born, broke - born)) == 0.0  # no work is left
     stiffness = rows[:, 0]
     grown = np.vectorize(lambda x: growth(c.aging, max(x, 0.0)))
     compare(found, False, seen(rows, run, lambda x: stiffness * grown(x) * x))
@@ -262,4 +251,4 @@ def test_forces_that_are_no_ramps(points):
     work = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (lambda f: f[1:] + f[:-1])(grown(x) * x)))
     for quarter, low in enumerate((5.0, 7.5)):
         area = averages(rows, low, low + 2.5, lambda y: stiffness * np.interp(y, x, work))[0]
-        assert found.batches[0, quarter, AREA] / UNIT == pytest.approx(area, rel=1e-6, abs=0)
+        assert found.windows[0, quarter]["area"] / UNIT == pytest.approx(area, rel=1e-6, abs=0)

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import scipy.stats
-from cases import thinned
+from cases import chosen
 from reduced_cases import barrier_of
 from rows import BASIC, REFERENCE, ensemble_of
 from scipy import integrate, special
@@ -28,8 +28,8 @@ from eqsim import (
     trajectory,
 )
 from eqsim.engine.contacts import contacts as contacts_of
-from eqsim.engine.lanes import lives
-from eqsim.engine.langevin import step_error
+from eqsim.engine.langevin import STEP, step_error
+from eqsim.engine.sample import Source, lives
 from eqsim.master import annealed, quenched, velocities
 from eqsim.master import steady as master_steady
 from eqsim.master.closure import closure
@@ -40,16 +40,12 @@ from eqsim.numerics.streams import TRAJECTORY, key
 UNIFORM = {"stiffness_law": "uniform"}
 
 
-def some(rows):
-    """Those that take a while, of contacts whose births are self-consistent or whose thresholds fluctuate, by default
-    only one in three."""
-    slow = [row for row in rows if row.rule != "none" and (row.rule, row.disorder) != ("flow", "quenched")]
-    return [
-        pytest.param(row, marks=[pytest.mark.verification] if row in slow[1::3] + slow[2::3] else []) for row in rows
-    ]
+ROWS = list(REFERENCE.itertuples())
 
 
-@pytest.mark.parametrize("row", some(list(REFERENCE.itertuples())), ids=lambda row: row.id)
+@chosen(  # those of fluctuating thresholds are in test_fokker_planck.py, too
+    "row", ROWS, [row for row in ROWS if (row.rule, row.disorder) != ("langevin", "quenched")], ids=lambda row: row.id
+)
 def test_table(row):
     """Every row to 1e-8: its own accuracy is 1e-7, its figures are printed to 9 digits (5e-9). The Fokker-Planck
     equation: to the accuracy of the row and its own."""
@@ -70,7 +66,7 @@ AGED = {"thresholds": Gamma(1.0, 0.1), "stiffness_law": "uniform"}
     [
         ("annealed", "flow", [0.746793, 0.697612, 0.347086, 0.0986062]),
         ("quenched", "flow", [0.752253, 0.751955, 0.463275, 0.108048]),
-        ("quenched", "langevin", [0.228496, 0.462044, 0.333598, 0.100408]),
+        pytest.param("quenched", "langevin", [0.228496, 0.462044, 0.333598, 0.100408], marks=pytest.mark.verification),
     ],
 )
 def test_aging_rules(disorder, rule, values):
@@ -110,7 +106,11 @@ def test_errors_of_self_consistent_births():
     assert exact.stderr >= 0.999 * grown * velocities._ROUNDING * exact.value
 
 
-@pytest.mark.parametrize(("disorder", "stiffness_law"), thinned(3, ("quenched", "annealed"), ("sqrt", "uniform")))
+@chosen(
+    ("disorder", "stiffness_law"),
+    itertools.product(("quenched", "annealed"), ("sqrt", "uniform")),
+    [("quenched", "sqrt"), ("annealed", "uniform")],
+)
 def test_limits_of_aging(disorder, stiffness_law):
     """D -> 0 is no aging; D -> inf is the final law at once, k_i referring to newborns; langevin contacts let go."""
     given = {"thresholds": Gamma(0.5, 0.5), "thermal": Thermal(0.1), "stiffness_law": stiffness_law}
@@ -273,7 +273,7 @@ def test_fast_fluctuations():
         closed = special.gamma(4 / 3) * (3e4 / (4 * 2.5e6 * factor)) ** (1 / 3)
         assert (abs(found / closed - 1) < 1e-3) == right
     c, u = contacts_of(contacts, 1.0), np.random.default_rng(8).random((2, 1000))
-    stretch = lives(c, key(1, TRAJECTORY), 0, *u).travel
+    stretch = lives(c, Source(key(1, TRAJECTORY), 0, STEP), *u).travel
     allowed = math.hypot(4.5 * stretch.std() / math.sqrt(stretch.size), step_error(c.aging) * found)  # false alarm 1e-5
     assert abs(stretch.mean() - found) < allowed
     assert allowed < 0.15 * found
@@ -404,7 +404,7 @@ def test_transients_refine_as_stated(ensemble, velocity, monkeypatch):
         assert max(found) == pytest.approx(0.5, abs=0.1)
 
 
-@pytest.mark.parametrize(("ensemble", "velocity"), CASES)
+@chosen(("ensemble", "velocity"), CASES, CASES[::2])  # by default neither the hottest nor random delays
 def test_particles_follow_the_transient(ensemble, velocity):
     """The engine on 21 points (|z| < 4.5; with both observables and six cases 250 scores, false alarm 2e-3)."""
     drive = Drive(velocity, 6.1 * ensemble.thresholds.mean)
@@ -480,19 +480,19 @@ def trajectory_sample(ensemble, drive, runs):
     """F at five points of many independent ensembles: contacts of one large run, regrouped by their streams."""
     from eqsim.engine.blocks import Totals
     from eqsim.engine.contacts import contacts
+    from eqsim.engine.programme import constant_drive
     from eqsim.engine.recorder import Run, Scales, moments
     from eqsim.engine.stationary import stationary
-    from eqsim.engine.trajectory import ConstantDrive
     from eqsim.numerics.streams import TRAJECTORY, key
 
     c, n, unit = contacts(ensemble, drive.velocity), ensemble.count, ensemble.thresholds.scale
-    run = Run(drive.distance / unit, 5, True, False)
+    run = Run(drive.distance / unit, 5, stationary=True)
     scales = Scales.of(c, run, n, 1, 0.0)
     job = (c, stationary(c), run, scales, key(12, TRAJECTORY))
     drag = ensemble.eta * drive.velocity / ensemble.stiffness / unit
     forces = []
     for first in range(0, runs * n, n):
         total = Totals(6, 5, 1)
-        ConstantDrive(*job, 0.0).simulate(total, first, first + n)
-        forces.append(moments(total.deposits, scales, run, n, drag)[0] * unit)
+        constant_drive(*job, 0.0).simulate(total, first, first + n)
+        forces.append(moments(total.deposits, scales, run, n, drag).force * unit)
     return np.array(forces)

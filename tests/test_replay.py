@@ -106,8 +106,8 @@ def test_what_was_changed_is_found(made, tmp_path):
 
 
 def test_a_sweep_of_an_older_version(made, tmp_path, monkeypatch):
-    """Seeds are made from identities, and these from the code; a replay takes those of then."""
-    monkeypatch.setattr("eqsim.sweeps.plan.results_version", lambda: "later")
+    """Seeds are made from identities, and these from the version of results; a replay takes those of then."""
+    monkeypatch.setattr("eqsim.sweeps.plan.RESULTS_VERSION", 1000)
     done = call("replay", made["sweep"], "--json")
     assert json.loads(done.stdout)["differences"] == {}, done.output
     table = pq.read_table(made["sweep"])

@@ -8,14 +8,16 @@ import math
 import numpy as np
 import pytest
 import scipy.stats
+from cases import chosen
 
 from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, reference, trajectory
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
+from eqsim.engine.programme import constant_drive
 from eqsim.engine.recorder import Run, Scales, moments
 from eqsim.engine.scatter import births, known_variance, scatter
 from eqsim.engine.stationary import Fresh
-from eqsim.engine.trajectory import ConstantDrive, independent
+from eqsim.engine.trajectory import independent
 from eqsim.estimate import z_score
 from eqsim.master.transient import fluctuations, transient
 from eqsim.model.reduced import drag_of
@@ -44,7 +46,7 @@ def law(ensemble, v, distance):
     return [(s.X * unit, s.mean * unit, s.variance * unit**2) for s in found]
 
 
-@pytest.mark.parametrize("name", CASES)
+@chosen("name", CASES, ["late", "hot", "drag", "broad", "table"])
 def test_moments_of_the_law(name):
     """Mean and variance of a contact's force against the master equation, as good as they are taken for: 5 % of the
     variance (and of the force) in the transient, wherever it is; the stationary mean to 1e-3, the variance to 1e-2.
@@ -197,10 +199,10 @@ def test_a_transient_that_is_not_over():
 def test_many_contacts_know_their_errors(ensemble):
     """The errors of 100 000 ordinary contacts are those of the sample, to 2 %."""
     n, drag = 100_000, drag_of(ensemble, 1.0)
-    run = Run(8.0, 41, False, False)
+    run = Run(8.0, 41)
     c, total = contacts(ensemble, 1.0), Totals(42, 41, 1)
     scales = Scales.of(c, run, n, 1, drag)
-    ConstantDrive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(total, 0, n)
+    constant_drive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(total, 0, n)
     _, _, variance = moments(total.deposits, scales, run, n, drag)
     born = births(c)
     fresh, level = scatter(c, born, 8.0, drag), scatter(c, born, None, drag)

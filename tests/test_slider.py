@@ -26,8 +26,8 @@ from eqsim import (
     transient,
 )
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import ROUNDS, draw_life, draw_lives, empty_lanes, empty_lives
-from eqsim.laws.aging.base import spend
+from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, delay_after, draw_birth, draw_lives
+from eqsim.laws.aging.base import Held, spend
 from eqsim.master import slider
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
 from eqsim.master.programme import course_of, numerics_of
@@ -55,14 +55,17 @@ def pulled(ensemble, time, stage, points=41, velocity=0.1, **how):
     ids=["mechanical", "mechanical, n=2.5, exponential delay", "soft"],
 )
 def test_one_life_is_that_of_many(ensemble):
-    c, stream, lanes = contacts(ensemble, 1.0), key(3, TRAJECTORY), compiled(empty_lanes)()
-    lives = compiled(empty_lives)(c, ROUNDS)
-    lanes.contact[:], lanes.age[:] = np.arange(256) % 50, np.arange(256) // 50
-    compiled(draw_lives)(c.newborn, c, stream, lanes, lives, 256)
-    for i in range(0, 256, 5):
+    c, stream = contacts(ensemble, 1.0), key(3, TRAJECTORY)
+    lanes, lives = Lanes.empty(), Lives.empty(c)
+    lanes.contact[:], lanes.age[:] = np.arange(LANES) % 50, np.arange(LANES) // 50
+    compiled(draw_lives)(c.newborn, c, stream, lanes, lives, LANES)
+    for i in range(0, LANES, 5):
         for r in range(ROUNDS):
-            xi, _, clock, delay = compiled(draw_life)(c, stream, lanes.contact[i], ROUNDS * lanes.age[i] + r)
-            assert (xi, clock) == (lives.stretch[r, i], lives.clock[r, i])
+            life = stream, lanes.contact[i], ROUNDS * lanes.age[i] + r
+            drawn = lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
+            assert compiled(draw_birth)(c.newborn, c, *life) == drawn
+            delay = compiled(delay_after)(c, *life)
+            assert delay == lives.delay[r, i]
             assert delay > 0 if ensemble.delay.time else delay == 0
 
 
@@ -76,8 +79,8 @@ def test_slower_motion_is_another_pace(law):
         ours, theirs = contacts(ensemble, 1.0), contacts(ensemble, m)
         for y, age, clock in ((0.0, 0.0, 0.5), (0.4, 1.0, 1e-3), (-0.6, 0.8, 0.02), (-0.9, 2.0, 3.0)):
             for length in (0.1, 1.5):
-                a, left = go(ours.aging, ours, (1.2, 1.1, y, age), m, length / m, clock)
-                b, rest = go(theirs.aging, theirs, (1.2, 1.1, y, age * m), 1.0, length, clock)
+                a, left = go(ours.aging, ours, Held(1.2, 1.1, y, age), m, length / m, clock)
+                b, rest = go(theirs.aging, theirs, Held(1.2, 1.1, y, age * m), 1.0, length, clock)
                 assert m * a == b or m * a == pytest.approx(b, rel=1e-7, abs=1e-9)
                 assert left == pytest.approx(rest, rel=1e-7, abs=1e-9)
 
@@ -87,16 +90,16 @@ def test_slower_motion_is_another_pace(law):
 
 def twin(ensemble, stage, velocity, time, dt, records):
     """X at `records` instants by explicit steps of a damped slider at T = 0, every contact looked at in every step."""
-    c, stream, draw = contacts(ensemble, velocity), key(1, TRAJECTORY), compiled(draw_life)
+    c, stream, draw = contacts(ensemble, velocity), key(1, TRAJECTORY), compiled(draw_birth)
     n, tau = ensemble.count, ensemble.delay.time
-    xi = np.array([draw(c, stream, i, 0)[0] for i in range(n)])
+    xi = np.array([draw(c.newborn, c, stream, i, 0).threshold for i in range(n)])
     lives, birth, again, pinned = np.ones(n, int), np.zeros(n), np.full(n, math.inf), np.full(n, True)
     X, t, found, steps = 0.0, 0.0, [0.0], round(time / dt)
     for step in range(steps):
         for i in np.flatnonzero(pinned & (X - birth >= xi)):
             pinned[i], again[i] = False, t + tau
         for i in np.flatnonzero(again <= t):
-            xi[i], birth[i], pinned[i], again[i] = draw(c, stream, i, lives[i])[0], X, True, math.inf
+            xi[i], birth[i], pinned[i], again[i] = draw(c.newborn, c, stream, i, lives[i]).threshold, X, True, math.inf
             lives[i] += 1
         force = np.sum((X - birth)[pinned]) / n
         X += dt * (stage.stiffness * (velocity * t + stage.preload - X) - force) / stage.damping
@@ -138,15 +141,15 @@ def test_agrees_with_small_steps():
     ids=["stick-slip", "soft sqrt, mass, viscous", "quasi-static", "annealed"],
 )
 def test_energy_and_threads(ensemble, stage, monkeypatch):
-    """Work of the stage = stored + dissipated + what finite steps miss, to rounding; the latter is small. Two threads
-    leave the same bits."""
+    """Work of the stage = stored + dissipated + what finite steps miss, to rounding. The latter is below the tolerance
+    of the force, 1e-4, times the way; the mean force is more than 0.1. Two threads leave the same bits."""
     ensemble = replace(ensemble, count=6_000)
     found = pulled(ensemble, 150.0, stage, 61, 0.3)
     work, stored, dissipated, missing = found.energy.T
     assert np.abs(work - stored - dissipated - missing).max() < 1e-11 * max(work.max(), 1.0)
-    assert np.abs(missing).max() < 1e-2 * dissipated.max()
+    assert np.abs(missing).max() < 1e-3 * dissipated.max()
     assert dissipated.max() > 0.1
-    monkeypatch.setattr("eqsim.engine.slider._SHARE", 3)  # as if the contacts were many
+    monkeypatch.setattr("eqsim.engine.slider._BLOCKS_PER_THREAD", 3)  # as if the contacts were many
     same = pulled(ensemble, 150.0, stage, 61, 0.3, threads=2)
     assert same.columns().keys() == found.columns().keys()
     for name, column in found.columns().items():
@@ -169,6 +172,17 @@ def test_a_stiff_spring_is_a_rigid_slider():
     assert off[first].max() < 1e-4 + 6 * 3.5 / 2_000
     assert np.all(off <= 4.5 * np.hypot(rigid.force_stderr, stiff.force_stderr) + 1e-4)
     assert stiff.slips == ()
+
+
+def test_thresholds_grow_behind_a_stiff_spring():
+    """Contacts whose thresholds double are those of a rigid slider, and F differs as in the test above, with breaks at
+    up to 7."""
+    ensemble = Ensemble(count=2_000, aging=Aging("flow", 0.1, 2.0), **UNIFORM)
+    rigid, stiff = (
+        trajectory(ensemble, Programme([Segment(0.1, distance=4.0)], stage=stage), points=21)
+        for stage in (None, Stage(1e4))
+    )
+    assert np.abs(stiff.force - rigid.force).max() < 1e-4 + 6 * 7.0 / 2_000
 
 
 def test_nothing_holds_the_slider():
@@ -200,7 +214,7 @@ def test_mean_field_is_of_second_order():
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
     marks, speeds, at = slider._marks(np.array([0.0, 1.0]), course.ends, course.velocity)
-    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, 7.5, 0.0, math.nan, math.nan, False, False)
+    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, False, 7.5, 0.0, False, False)
 
     def rate(t, X):
         return (0.1 * (0.1 * t + 7.5 - X) - X * (1 + X * X) * np.exp(-X * X)) / 0.1
@@ -208,7 +222,7 @@ def test_mean_field_is_of_second_order():
     exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-12, atol=1e-13).y[0, -1]
     task = slider._Task(numerics_of(reduced, course, math.inf), spring, marks, speeds, at)
     found = (slider._solved(task, fine) for fine in (1, 4))
-    coarse, fine = (abs(values[6, -1] - exact) for values, _ in found)
+    coarse, fine = (abs(values.X[-1] - exact) for values, _ in found)
     assert coarse < 1e-5
     assert fine < coarse / 12
 
@@ -316,8 +330,8 @@ def test_stick_slip():
 def avalanches_one_by_one(n, kappa, until):
     """Sizes and places of avalanches by looking at all contacts for every break."""
     ensemble = Ensemble(count=n, **UNIFORM)
-    c, stream, draw = contacts(ensemble, 1.0), key(1, TRAJECTORY), compiled(draw_life)
-    xi = np.array([draw(c, stream, i, 0)[0] for i in range(n)])
+    c, stream, draw = contacts(ensemble, 1.0), key(1, TRAJECTORY), compiled(draw_birth)
+    xi = np.array([draw(c.newborn, c, stream, i, 0).threshold for i in range(n)])
     birth, lives, Y, found = np.zeros(n), np.ones(n, int), 0.0, []
     while True:
         i = int(np.argmin(birth + xi))
@@ -329,12 +343,13 @@ def avalanches_one_by_one(n, kappa, until):
             Y = needed
             found.append([X, 0])
         found[-1][1] += 1
-        birth[i], xi[i] = X, draw(c, stream, i, lives[i])[0]
+        birth[i], xi[i] = X, draw(c.newborn, c, stream, i, lives[i]).threshold
         lives[i] += 1
 
 
 @pytest.mark.parametrize("kappa", [2.0, 0.1])
-def test_avalanches_one_by_one(kappa):
+def test_avalanches_one_by_one(kappa, monkeypatch):
+    monkeypatch.setattr("eqsim.engine.avalanches._ROOM", 3)  # the kernel is called again
     expected = avalanches_one_by_one(40, kappa, 12.0)
     found = pulled(Ensemble(count=40, **UNIFORM), 12.0, Stage(kappa), 5, velocity=1.0).avalanches
     size = len(found["breaks"])

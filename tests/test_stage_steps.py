@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal, trajectory
-from eqsim.engine import slider
-from eqsim.engine.slider import Behind, Slider, _missed_by_steps, _seldom
+from eqsim.engine.slider import Behind, Slider
+from eqsim.engine.slider_runs import coarse_instants, step_error
 
 WARM = Ensemble(count=512, thermal=Thermal(0.1), delay=Delay(1.0), stiffness_law="uniform")
 COLD = replace(WARM, thermal=Thermal())
@@ -21,7 +21,7 @@ def fixed(stage, dt, replicas):
     for replica in range(replicas):
         with Slider(WARM, programme, 1, replica * WARM.count, 1) as pulled:
             pulled.longest = pulled.tolerance = 1e100
-            while pulled.state.s < 4.0:
+            while pulled.state.time < 4.0:
                 pulled.dt = dt
                 pulled.step(4.0, 1.0)
             found.append(pulled.state.X)
@@ -78,19 +78,19 @@ def test_behind_is_made_up_for_within_the_time_it_took():
     assert Behind().within(1.0)[:2] == (0.0, 0.0)
 
 
-def test_missed_by_steps_by_hand():
+def test_step_error_by_hand():
     """An error of first order: 1 in fine steps, 4 in coarse ones. One instant in four is recorded again; of neighbours
     the largest error counts, and scatter between replicas adds its standard error."""
     segment = np.array([0] * 9 + [1] * 3)
-    recorded = _seldom(segment)
+    recorded = coarse_instants(segment)
     assert list(recorded) == [0, 4, 8, 11]
-    fine = np.ones((1, 12, 1))
-    coarse = np.full((1, 4, 1), 4.0)
-    assert list(_missed_by_steps(fine, coarse, recorded)[:, 0]) == [0.0, *[1.0] * 11]
+    fine = np.ones((1, 12))
+    coarse = np.full((1, 4), 4.0)
+    assert list(step_error(fine, coarse, recorded)) == [0.0, *[1.0] * 11]
     coarse[0, 3] = 7.0
-    assert list(_missed_by_steps(fine, coarse, recorded)[:, 0]) == [0.0, *[1.0] * 4, *[2.0] * 7]
+    assert list(step_error(fine, coarse, recorded)) == [0.0, *[1.0] * 4, *[2.0] * 7]
     two = np.concatenate((coarse, coarse + 6.0))
-    found = _missed_by_steps(np.ones((2, 12, 1)), two, recorded)[2, 0]
+    found = step_error(np.ones((2, 12)), two, recorded)[2]
     assert found == pytest.approx(math.hypot(6.0, 3.0) / 3.0, rel=1e-12, abs=0)
 
 
@@ -98,7 +98,7 @@ def test_steps_wait_for_a_first_break():
     """Nothing has broken yet: the next step is as long as a break in all the time so far allows, not twice the last."""
     programme = Programme([Segment(0.0, time=100.0)], stage=Stage(0.1, preload=4.5, damping=0.1))
     with Slider(replace(WARM, count=1), programme, 1, 0, 1) as pulled:
-        while pulled.state.sums[slider.SQUARE] == 0.0 or pulled.state.s < 1e-3:
+        while pulled.state.sums.square == 0.0 or pulled.state.time < 1e-3:
             pulled.step(pulled.pull.ends[0], 0.0)
         if pulled.breaks.by_heat == 0.0:
             assert pulled.dt < 0.1 * pulled.breaks.waited

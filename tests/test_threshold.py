@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
+from cases import chosen
 from kernels import compiled
 
 from eqsim import Delta, Distribution, Drive, Ensemble, Gamma, InputError, Table, Thermal, reference, steady
@@ -54,7 +55,7 @@ def test_gamma_is_nakagami(n):
     np.testing.assert_array_equal(law.sf(np.array([-1.0, 0.0])), 1.0)
 
 
-@pytest.mark.parametrize("n", SHAPES)
+@chosen("n", SHAPES, [0.0, 2.7])
 def test_gamma_against_forty_digits(n):
     """P_c ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2), its moments and its tail, from the definition."""
     law = Gamma(n, 0.7)
@@ -186,7 +187,7 @@ def ks(sample, cdf):
     return scipy.stats.kstest(sample, cdf).pvalue
 
 
-@pytest.mark.parametrize("n", SHAPES)
+@chosen("n", SHAPES, [0.0, 2.7])
 def test_gamma_draws(n):
     """KS over 1e5 draws of the engine's streams, p > 1e-5 (false alarm of the whole file 2e-4); n + 0.05 (n+1) must
     fail."""
@@ -309,6 +310,21 @@ def test_laws_whose_tail_scipy_knows(frozen):
     both may be 0 there. Friction at T = 0 is <xi^2>/(2 <xi>)."""
     found = reference(Ensemble(Distribution(frozen), stiffness_law="uniform"), Drive(0.1)).friction
     assert abs(found.value - frozen.moment(2) / (2 * frozen.mean())) < 1e-9 + found.stderr
+
+
+@pytest.mark.parametrize("bins", [1, 3, 40, 1000])
+@pytest.mark.parametrize("place", [0.0, 1e-9, 1.0, 1e6])
+def test_bins_of_a_histogram_are_found(bins, place):
+    """To the last bit, of bins of very different widths; equal neighbours are one bin."""
+    rng = np.random.default_rng(bins)
+    widths = rng.exponential(size=bins) ** 3
+    edges = np.unique(place + np.cumsum(np.append(0.0, widths)))  # bins of no width are none
+    bins = edges.size - 1
+    counts = rng.permutation(np.arange(bins) % 7 + 1.0)
+    counts[1:][counts[1:] == counts[:-1]] = 0.0  # two of them in a row are one, too
+    law = Distribution(scipy.stats.rv_histogram((counts, edges), density=False))
+    jumps = np.append(True, np.append(np.diff(law.frozen.pdf(0.5 * (edges[1:] + edges[:-1]))) != 0.0, True))
+    np.testing.assert_array_equal(law.breakpoints, edges[jumps])
 
 
 def test_histogram_law_can_be_printed():

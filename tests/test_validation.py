@@ -313,7 +313,7 @@ def test_no_fluctuations_where_the_stationary_start_is_refused():
     hot = Ensemble(Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform")
     assert made(compared(Point(2, hot, hot, 2.2e-4, 1), Suite(3, 1), 1, 1)[3:]) == []
     warm = dataclasses.replace(hot, thermal=Thermal(0.1))
-    assert made(fluctuating(at(warm, 2.2e-4), (20, 2000))) != []
+    assert made(fluctuating(at(warm, 2.2e-4), 20, 2000)) != []
 
 
 def test_averages_that_call_themselves_unreliable_are_not_scored():

@@ -13,6 +13,7 @@ import math
 import numpy as np
 import pytest
 import scipy.stats
+from cases import chosen
 from scipy import integrate, special
 
 from eqsim import (
@@ -252,7 +253,7 @@ def chi_square(z):
     return min(scipy.stats.chi2.sf(np.sum(z**2), z.size), scipy.stats.chi2.cdf(np.sum(z**2), z.size))
 
 
-@pytest.mark.parametrize("name", SAMPLED)
+@chosen("name", SAMPLED, [name for name in SAMPLED if name != "lognormal 1.5, annealed"])  # which takes longest
 def test_steady_over_seeds(name):
     """30 seeds, all reliable: chi-square of the scores is neither too large nor too small (p > 1e-5 on either side, a
     false alarm of 2e-5 for each law)."""
@@ -297,7 +298,7 @@ def test_sampled_fluctuations_of_heavy_tails():
     heavy, light = (Ensemble(law) for law in (Pareto(5.6), Gamma()))
     for contacts, known in ((heavy, False), (light, True)):
         drive = Drive(0.1, distance=1.0)
-        found, exact = sampled(contacts, drive, 2, 5e4, (1, 1)), reference(contacts, Drive(0.1), variance=True)
+        found, exact = sampled(contacts, drive, 2, 5e4, 1, 1), reference(contacts, Drive(0.1), variance=True)
         assert found.reliable is known
         assert abs(found.covariance[0] - exact.force_variance.value) < 4.5 * found.stderr[0]
 

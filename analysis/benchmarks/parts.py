@@ -23,12 +23,15 @@ from rich.table import Table
 from analysis.benchmarks import tuned
 from analysis.benchmarks.cases import CASES, QUICK, VELOCITY, Case, Sizes
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, complete, draw_lives, empty_lanes, empty_lives, plain_sums
+from eqsim.engine.follow import follow
+from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, carry_lives, draw_lives
+from eqsim.engine.programme import constant_drive
 from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.stationary import Fresh
-from eqsim.engine.trajectory import ConstantDrive
+from eqsim.engine.steady import PlainSums
 from eqsim.laws.barrier.base import thermal
 from eqsim.numerics.streams import TRAJECTORY, Key, fill_words, key
+from eqsim.numerics.threads import current_stop
 
 OUT = Path(__file__).parents[1] / "out"
 PARTS = {"draw": "#4878a8", "threshold": "#e08a3c", "break": "#5a9a68", "record": "#b0b7bf"}
@@ -63,7 +66,7 @@ def drawn(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> Non
 def broken(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
         draw_lives(c.newborn, c, key, lanes, lives, LANES)
-        complete(c.aging, c, key, lanes, lives, LANES)
+        carry_lives(c.aging, c, key, lanes, lives, LANES)
         for i in range(LANES):
             lanes.age[i] += 1
 
@@ -71,8 +74,8 @@ def broken(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> No
 def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
     """eqsim's kernels, stripped and whole."""
     c, name = contacts(case.ensemble(sizes.contacts), VELOCITY, None), key(1, TRAJECTORY)
-    lanes, lives, rounds = empty_lanes(), empty_lives(c, ROUNDS), max(1, sizes.scalar_lives // (ROUNDS * LANES))
-    lanes.contact[:], lanes.age[:] = np.arange(LANES), 0
+    lanes, lives, rounds = Lanes.empty(), Lives.empty(c), max(1, sizes.scalar_lives // (ROUNDS * LANES))
+    lanes.contact[:] = np.arange(LANES)
 
     def stripped(kernel: Any) -> Work:
         def work() -> int:
@@ -81,16 +84,17 @@ def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
 
         return work
 
-    run = Run(sizes.distance, sizes.points, False, False)
-    job = ConstantDrive(c, Fresh(), run, Scales.of(c, run, sizes.contacts, 1, 0.0), name, 0.0)
+    run = Run(sizes.distance, sizes.points)
+    job = constant_drive(c, Fresh(), run, Scales.of(c, run, sizes.contacts, 1, 0.0), name, 0.0)
 
     def trajectory() -> int:
         total = job.totals(1)
         job.simulate(total, 0, sizes.contacts)
-        return int(total.status[0])
+        return int(total.lives[0])
 
     def steady() -> int:
-        plain_sums(c, name, 0, 0, rounds)
+        sums = PlainSums.empty(0, 0, rounds, current_stop())
+        follow(c, sums, name, 0, LANES, Lanes.empty(), Lives.empty(c))
         return ROUNDS * LANES * rounds
 
     bare = {"draw": words_only, "threshold": drawn, "break": broken}

@@ -11,7 +11,7 @@ from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
 from eqsim.errors import InputError, require_integer, require_package
 
 if TYPE_CHECKING:
-    from eqsim.fitting.design import Design
+    from eqsim.fitting.design import Design, Limits
 
 _ALLOW = "Fit also what the data cannot separate, with a warning."
 _VELOCITY = "Within these limits. Default: up to ten times beyond the velocities of the data."
@@ -92,8 +92,10 @@ class DesignOptions:
     velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
     temperature: Annotated[str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)] = None
 
-    def limits(self, name: str) -> tuple[float, float] | None:
-        """Of an option that is a range."""
+    def limits(self, name: str) -> "Limits | None":
+        """The ends of an option that is a range."""
+        from eqsim.fitting.design import Limits
+
         text = getattr(self, name)
         if text is None:
             return None
@@ -101,7 +103,7 @@ class DesignOptions:
             low, high = (float(part) for part in text.split(","))
         except ValueError:
             raise InputError(f"--{name} {text}: must be two numbers, LOW,HIGH") from None
-        return low, high
+        return Limits(low, high)
 
 
 def design(path: RunFilePath, options: DesignOptions, changes: Changes, *, shown: Shown) -> None:

@@ -21,7 +21,6 @@ from eqsim.cli.options import (
 )
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import terminal
-from eqsim.workflows import second
 
 if TYPE_CHECKING:
     from eqsim.estimate import Estimate
@@ -65,7 +64,6 @@ def run(
     shown: Shown,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
-    second.start_early()
     file = changes.load(path)
     from eqsim.io import storage
 

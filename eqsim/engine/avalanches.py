@@ -1,149 +1,204 @@
-"""A stage that pulls infinitely slowly at T = 0: one break after another, and which of them follow from each other.
+"""A stage that pulls infinitely slowly at T = 0: breaks one after another, and which of
+them make an avalanche.
 
-Without heat, delay, damping and mass the slider is always in balance, kappa (Y - X) = F(X), or slips until it is.
-Contacts break where X reaches X_birth + xi - y, y the stretch at birth, in the order of a queue; the stage has to be at
+Without heat, delay, damping and mass the slider is always in balance, kappa (Y - X) =
+F(X), or slips until it is. A contact breaks where X reaches X_birth + xi - y, with y its
+stretch at birth; the stage has to be at
 
     Y(X) = X + F(X)/kappa
 
-for that, and all breaks with Y(X) below what Y has been so far follow at once: an avalanche. F is linear in X between
-breaks, so nothing is approximate.
+for that. All breaks with Y(X) below the largest Y so far follow at once: an avalanche.
+F is linear in X between breaks, so nothing is approximate.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import draw_life
+from eqsim.engine.lanes import draw_birth
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import kernel, maker, routine
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import Key
 from eqsim.numerics.tables import Array
 
-# what is carried along, per contact: X, F, stiffness of all contacts, Y; where the avalanche that goes on has begun, at
-# how much force, and how many breaks it has; breaks so far; and energies: work of the stage, and what broken contacts
-# and slips have taken
-X, FORCE, STIFFNESS, Y, _BEGUN, _BEFORE, _SIZE, BREAKS, WORK, LOST, SLIPPED = range(11)
+_ROOM = 8192  # avalanches for each call of a kernel: so many that it costs nothing
+
+# Slider and stage; forces and energies are divided by the number of contacts.
+STATE = np.dtype(
+    [
+        ("X", np.float64),  # displacement of the slider
+        ("Y", np.float64),  # displacement of the stage
+        ("force", np.float64),
+        ("stiffness", np.float64),  # of all contacts
+        ("X_begun", np.float64),  # where the avalanche that goes on has begun
+        ("force_begun", np.float64),  # at which force
+        ("size", np.int64),  # its breaks so far; 0 if none goes on
+        ("breaks", np.int64),  # so far
+        ("work", np.float64),  # of the stage
+        ("lost", np.float64),  # energy lost by breaks
+        ("slipped", np.float64),  # energy set free by slips
+    ]
+)
+
+# An avalanche.
+EVENT = np.dtype(
+    [
+        ("Y", np.float64),  # of the stage
+        ("X", np.float64),  # of the slider at the first break
+        ("breaks", np.int64),
+        ("drop", np.float64),  # of the force
+        ("distance", np.float64),  # by which the slider moves
+    ]
+)
 
 
 class Queue(NamedTuple):
-    """Where contacts break next, a heap: positions and which contact, arrays (contacts,)."""
+    """Contacts, arrays (contacts,), and a heap of where they break next."""
 
-    at: Array
-    contact: Array
+    position: Array  # where a contact breaks, in the order of a heap
+    contact: Array  # which one
+    threshold: Array  # of each contact
+    lives: Array  # of each contact that have been drawn
 
 
 class Way(NamedTuple):
-    """Where the stage goes: the stiffness of its spring, how far, and a flag (1,) that ends it early once it is set."""
+    """Where the stage goes: stiffness of its spring, end, and a flag (1,) that stops it."""
 
     stiffness: float
     until: float
     stop: Array
 
 
-def queue_of(xi: Array, stretch: Array) -> Queue:
-    """Of contacts that are all pinned, of thresholds `xi` and signed stretches, the slider at 0."""
-    at = xi - stretch
-    order = np.argsort(at, kind="stable")
-    return Queue(at[order], order.astype(np.int64))
+def queue_of(threshold: Array, stretch: Array, lives: Array) -> Queue:
+    """Queue of contacts that are all pinned, with the slider at 0; arrays (contacts,)."""
+    position = threshold - stretch
+    order = np.argsort(position, kind="stable")
+    return Queue(position[order], order, threshold.copy(), lives.copy())
+
+
+def events_of(dtype: np.dtype[Any], kernel: Callable[..., tuple[int, bool]], *arguments: Any) -> Array:
+    """Join the events that `kernel(*arguments, events)` finds.
+
+    The kernel fills an array, and returns the number of events and whether it has come to
+    its end. Else the array is full, and the kernel is called again.
+    """
+    events = np.empty(_ROOM, dtype)
+    found = []
+    done = False
+    while not done:
+        count, done = kernel(*arguments, events)
+        found.append(events[:count].copy())
+    return np.concatenate(found)
 
 
 @routine
-def put_back(queue: Queue, at: float) -> None:
-    """Give the contact that is next another position, and restore the order."""
-    contact, i, n = queue.contact[0], 0, queue.at.size
+def put_back(heap: Array, contacts: Array, position: float) -> None:
+    """Give the contact that is next another position, and restore the order of the heap.
+
+    `heap` holds positions and `contacts` which contact each belongs to.
+    """
+    contact = contacts[0]
+    n = heap.size
+    i = 0
     while True:
         child = 2 * i + 1
         if child >= n:
             break
-        if child + 1 < n and queue.at[child + 1] < queue.at[child]:
+        if child + 1 < n and heap[child + 1] < heap[child]:
             child += 1
-        if queue.at[child] >= at:
+        if heap[child] >= position:
             break
-        queue.at[i], queue.contact[i] = queue.at[child], queue.contact[child]
+        heap[i] = heap[child]
+        contacts[i] = contacts[child]
         i = child
-    queue.at[i], queue.contact[i] = at, contact
+    heap[i] = position
+    contacts[i] = contact
 
 
 @routine
-def _move(now: Array, x: float) -> None:
-    """The slider to x, without a break on the way."""
-    now[FORCE] += now[STIFFNESS] * (x - now[X])
-    now[X] = x
+def _move(now: Any, x: float) -> None:
+    """Move the slider to x, without a break on the way."""
+    now.force += now.stiffness * (x - now.X)
+    now.X = x
 
 
 @routine
-def _rest(now: Array, stiffness: float) -> float:
-    """Where the slider is in balance if no contact breaks before."""
-    return now[X] + (stiffness * (now[Y] - now[X]) - now[FORCE]) / (stiffness + now[STIFFNESS])
-
-
-@maker
-def longer(events: Array) -> Array:
-    """A copy with twice as many rows."""
-    more = np.empty((2 * events.shape[0], events.shape[1]))
-    for i in range(events.shape[0]):
-        for k in range(events.shape[1]):
-            more[i, k] = events[i, k]
-    return more
-
-
-@routine
-def _slip(now: Array, stiffness: float, x: float) -> None:
-    """The slider to x while the stage stands still, and the energy that this sets free."""
-    x0, f0 = now[X], now[FORCE]
+def _slip(now: Any, stiffness: float, x: float) -> None:
+    """Move the slider to x while the stage stands still, and note the energy set free."""
+    x0 = now.X
+    force = now.force
     _move(now, x)
-    now[SLIPPED] += (stiffness * (now[Y] - 0.5 * (x0 + x)) - 0.5 * (f0 + now[FORCE])) * (x - x0)
+    spring = stiffness * (now.Y - 0.5 * (x0 + x))
+    now.slipped += (spring - 0.5 * (force + now.force)) * (x - x0)
 
 
 @routine
-def _break(c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Array) -> None:
-    """The next contact breaks, and is pinned again."""
-    i, each = queue.contact[0], 1.0 / queue.at.size
-    xi = p.xi[i]
-    k = kappa(c.springs, xi)
-    now[FORCE] -= k * xi * each
-    now[LOST] += 0.5 * k * xi * xi * each
-    p.xi[i], y, _, _ = draw_life(c, stream, first + i, p.lives[i])
-    stiffness = kappa(c.springs, p.xi[i])
-    p.lives[i] += 1
-    now[FORCE] += stiffness * y * each
-    now[LOST] -= 0.5 * stiffness * y * y * each
-    now[STIFFNESS] += (stiffness - k) * each
-    now[_SIZE] += 1.0
-    now[BREAKS] += 1.0
-    put_back(queue, queue.at[0] + p.xi[i] - y)
+def _break(laws: Contacts, stream: Key, first: int, queue: Queue, now: Any) -> None:
+    """Break the next contact, and pin it again."""
+    i = queue.contact[0]
+    each = 1.0 / queue.threshold.size
+    xi = queue.threshold[i]
+    stiffness = kappa(laws.springs, xi)
+    now.force -= stiffness * xi * each
+    now.lost += 0.5 * stiffness * xi * xi * each
+    born, y, _ = draw_birth(laws.newborn, laws, stream, first + i, queue.lives[i])
+    queue.threshold[i] = born
+    queue.lives[i] += 1
+    stiffness_born = kappa(laws.springs, born)
+    now.force += stiffness_born * y * each
+    now.lost -= 0.5 * stiffness_born * y * y * each
+    now.stiffness += (stiffness_born - stiffness) * each
+    now.size += 1
+    now.breaks += 1
+    put_back(queue.position, queue.contact, queue.position[0] + born - y)
 
 
 @kernel
-def load(c: Contacts, stream: Key, first: int, p: Any, queue: Queue, now: Array, way: Way) -> Array:
-    """Take the stage along its way, and `now` (11,) with it. Returns the avalanches that have ended on the way, of each
-    Y, X at its first break, breaks, drop of the force and displacement, shape (avalanches, 5)."""
-    rows, events, stiffness, until = 0, np.empty((64, 5)), way.stiffness, way.until
+def load(
+    laws: Contacts, stream: Key, first: int, queue: Queue, state: Array, way: Way, events: Array
+) -> tuple[int, bool]:
+    """Move the stage along its way, and note the avalanches that end (`EVENT`).
+
+    The first contact is number `first`; `state` (1,) is a `STATE`. Returns the number of
+    avalanches, and False if there are more than `events` has room for.
+    """
+    now = state[0]
+    rows = 0
     while way.stop[0] == 0:
-        at = queue.at[0]
-        needed = at + (now[FORCE] + now[STIFFNESS] * (at - now[X])) / stiffness
-        if needed <= now[Y]:
-            _slip(now, stiffness, at)
+        next_break = queue.position[0]
+        force = now.force + now.stiffness * (next_break - now.X)
+        needed = next_break + force / way.stiffness
+        if needed <= now.Y:
+            _slip(now, way.stiffness, next_break)
         else:
-            rest = now[X] + (stiffness * (now[Y] - now[X]) - now[FORCE]) / (stiffness + now[STIFFNESS])
-            if now[_SIZE] > 0.0:
-                _slip(now, stiffness, rest)
-                if rows == events.shape[0]:
-                    events = longer(events)
-                events[rows, 0], events[rows, 1], events[rows, 2] = now[Y], now[_BEGUN], now[_SIZE]
-                events[rows, 3], events[rows, 4] = now[_BEFORE] - now[FORCE], now[X] - now[_BEGUN]
+            net = way.stiffness * (now.Y - now.X) - now.force
+            rest = now.X + net / (way.stiffness + now.stiffness)
+            if now.size > 0:
+                if rows == events.size:
+                    return rows, False
+                _slip(now, way.stiffness, rest)
+                event = events[rows]
+                event.Y = now.Y
+                event.X = now.X_begun
+                event.breaks = now.size
+                event.drop = now.force_begun - now.force
+                event.distance = now.X - now.X_begun
                 rows += 1
-                now[_SIZE] = 0.0
-            elif rest > now[X]:  # at the start the spring may be stretched more than contacts hold
-                _slip(now, stiffness, rest)
-            target, force = min(needed, until), now[FORCE]
-            _move(now, now[X] + (target - now[Y]) * stiffness / (stiffness + now[STIFFNESS]))
-            now[WORK] += 0.5 * (force + now[FORCE]) * (target - now[Y])
-            now[Y] = target
-            if needed > until:
-                return events[:rows]
-            _move(now, at)
-            now[_BEGUN], now[_BEFORE] = at, now[FORCE]
-        _break(c, stream, first, p, queue, now)
-    return events[:rows]
+                now.size = 0
+            elif rest > now.X:  # the spring may begin with more force than contacts hold
+                _slip(now, way.stiffness, rest)
+            target = min(needed, way.until)
+            force = now.force
+            moved = (target - now.Y) * way.stiffness / (way.stiffness + now.stiffness)
+            _move(now, now.X + moved)
+            now.work += 0.5 * (force + now.force) * (target - now.Y)
+            now.Y = target
+            if needed > way.until:
+                break
+            _move(now, next_break)
+            now.X_begun = next_break
+            now.force_begun = now.force
+        _break(laws, stream, first, queue, now)
+    return rows, True

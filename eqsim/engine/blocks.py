@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from eqsim.engine.recorder import BATCHES, Moments
+from eqsim.engine.recorder import BATCHES, DEPOSIT, WINDOW, Moments
 from eqsim.model.drive import MOST_SERIES
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
@@ -22,21 +22,19 @@ class Totals:
     """Integer sums of one thread or share of the contacts, in `rows` for `points` instants; those of several simply add
     up. Of replicas the forces at these instants are noted, and one by one if they are `kept`."""
 
-    sums = ("deposits", "batches", "status", "replica_sum", "replica_square")
+    names = ("deposits", "windows", "counts", "replica_sum", "replica_square")
 
     def __init__(self, rows: int, points: int, replicas: int) -> None:
-        self.deposits = np.zeros((rows, 6), np.int64)
-        self.batches = np.zeros((BATCHES, 2, 6), np.int64)
-        self.status = np.zeros(2, np.int64)  # lives so far; anything but 0 stops the kernel
-        self.scratch = np.zeros_like(self.deposits) if replicas > 1 else self.deposits
+        self.deposits = np.zeros(rows, DEPOSIT)
+        self.scratch = np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits  # of the ensemble at hand
+        self.windows = np.zeros((BATCHES, 2), WINDOW)
+        self.counts = np.zeros(2, np.int64)
+        self.lives = self.counts[:1]
+        self.stop = self.counts[1:]  # anything but 0 stops the kernel
         self.replica_sum = np.zeros(points if replicas > 1 else 0, np.int64)
         self.replica_square = np.zeros_like(self.replica_sum)
         self.kept = replicas * self.replica_sum.size <= MOST_SERIES
         self.forces: list[tuple[int, Array]] = []  # with their replica
-
-    @property
-    def lives(self) -> int:
-        return int(self.status[0])
 
     def close_replica(self, job: "Job", contacts: int, replica: int) -> None:
         """Note the force of the ensemble just simulated, the `replica`, and clear the sums for the next one."""
@@ -47,8 +45,8 @@ class Totals:
         self.replica_square += np.rint(force**2 * square).astype(np.int64)
         if self.kept:
             self.forces.append((replica, force))
-        self.deposits += self.scratch
-        self.scratch[:] = 0
+        _integers(self.deposits)[...] += _integers(self.scratch)
+        _integers(self.scratch)[...] = 0
 
     def replica_std(self, job: "Job", replicas: int) -> Array | None:
         """Standard deviation of the force between replicas; None if there is one."""
@@ -64,12 +62,17 @@ class Totals:
 
     def add(self, other: "Totals") -> None:
         self.forces += getattr(other, "forces", [])  # those of workers stay there
-        for name in self.sums:
-            getattr(self, name)[...] += getattr(other, name)
+        for name in self.names:
+            _integers(getattr(self, name))[...] += _integers(getattr(other, name))
 
     def __getstate__(self) -> dict[str, Array]:
-        """What comes back from a worker: the sums, without scratch."""
-        return {name: getattr(self, name) for name in self.sums}
+        """What comes back from a worker: the sums alone."""
+        return {name: getattr(self, name) for name in self.names}
+
+
+def _integers(sums: Array) -> Array:
+    """The numbers of an array of integers, with names or without."""
+    return sums.view(np.int64)
 
 
 class Job(Protocol):
@@ -83,7 +86,7 @@ class Job(Protocol):
         """Sums of nothing yet."""
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
-        """Follow contacts first <= i < last and add up what they leave in `total.scratch` and the other sums."""
+        """Follow contacts first <= i < last and add up what they leave in its sums."""
 
     def moments(self, deposits: Array, contacts: int) -> Moments:
         """Mean force, pinned fraction and variance of the force at every instant."""
@@ -119,7 +122,7 @@ def _follow(job: Job, blocks: _Blocks, which: Iterable[int], total: Totals | Non
         total = job.totals(blocks.replicas)
         total.kept = False
     for i in which:
-        if total.status[1]:
+        if total.stop[0]:
             break
         job.simulate(total, blocks.edges[i], blocks.edges[i + 1])
         total.close_replica(job, blocks.contacts, i)
@@ -157,10 +160,10 @@ def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress
                     if executor:
                         totals[0].add(part)
                 if progress:
-                    progress(sum(total.lives for total in totals))
+                    progress(int(sum(total.lives[0] for total in totals)))
         except BaseException:
             for total in totals:
-                total.status[1] = 1
+                total.stop[0] = 1
             for future in running:
                 future.cancel()
             raise

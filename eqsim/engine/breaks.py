@@ -2,22 +2,21 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import LANES, ROUNDS, complete, draw_lives, empty_lanes, empty_lives
-from eqsim.engine.simulate import draw_delays
+from eqsim.engine.follow import admit, follow, note_lives
+from eqsim.engine.lanes import LANES, Lanes, Lives, idle_lanes
 from eqsim.engine.steady import settled
 from eqsim.engine.trajectory import check_run
 from eqsim.errors import InputError
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import kernel
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import ThreadPool
+from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.results import Drawn, Result
 
 _BLOCK = 4 * LANES  # contacts whose breaks are noted together, whoever does it
@@ -85,18 +84,18 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
         last = min(first + _BLOCK, count)
         size = int(_MARGIN * each * (last - first)) + 100
         while True:
-            rows = np.empty((size, 5))
-            size = note_breaks(c, distance, stream, first, last, rows)
-            if size <= len(rows):
-                return rows[:size]
+            listed = BreakList(distance, np.empty(size, BREAK), np.zeros(1, np.int64), current_stop())
+            follow(c, listed, stream, first, last, *idle_lanes(c, stream))
+            size = int(listed.number[0])
+            if size <= listed.rows.size:
+                return listed.rows[:size]
 
     with ThreadPool(max(1, threads)) as pool:
-        found = np.concatenate(list(pool.map(block, range(0, count, _BLOCK))))
-    contact = found[:, 0].astype(np.int64)
-    found = found[order := np.lexsort((contact, found[:, 1]))]
-    replica, contact = np.divmod(contact[order], ensemble.count)
-    X = found[:, 1] * unit
-    return Breaks(replica, contact, X / drive.velocity, X, found[:, 2] * unit, found[:, 3] * unit, found[:, 4])
+        rows = np.concatenate(list(pool.map(block, range(0, count, _BLOCK))))
+    rows = rows[np.lexsort((rows["contact"], rows["X"]))]
+    replica, contact = np.divmod(rows["contact"], ensemble.count)
+    X, stretch, travel = (rows[name] * unit for name in ("X", "stretch", "travel"))
+    return Breaks(replica, contact, X / drive.velocity, X, stretch, travel, rows["stiffness"].copy())
 
 
 def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> float:
@@ -112,33 +111,46 @@ def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> 
     return expected
 
 
-@kernel
-def note_breaks(c: Contacts, distance: float, stream: Key, first: int, last: int, found: Array) -> int:
-    """Contact, displacement, stretch, travel and stiffness of the breaks within the distance of contacts first <= i <
-    last, in rows of `found`, shape (rows, 5). How many there are; those for which there is no row are lost."""
-    lanes, lives = empty_lanes(), empty_lives(c, ROUNDS)
-    position, delay = np.zeros(LANES), np.full((ROUNDS, LANES), c.delay.mean)
-    count = 0
-    for begin in range(first, last, LANES):
-        for i in range(LANES):
-            lanes.contact[i], lanes.age[i], position[i] = begin + i, 0, 0.0 if begin + i < last else math.inf
-        going = True
-        while going:
-            draw_lives(c.newborn, c, stream, lanes, lives, LANES)
-            if c.delay.random > 0.0:
-                draw_delays(c.delay, stream, lanes, delay, LANES)
-            complete(c.aging, c, stream, lanes, lives, LANES)
-            going = False
-            for i in range(LANES):
-                for r in range(ROUNDS):
-                    broke = position[i] + lives.stretch[r, i]
-                    if broke <= distance:
-                        if count < found.shape[0]:
-                            found[count, 0], found[count, 1] = lanes.contact[i], broke
-                            found[count, 2] = lives.birth[r, i] + lives.stretch[r, i]
-                            found[count, 3], found[count, 4] = lives.stretch[r, i], lives.stiffness[r, i]
-                        count += 1
-                    position[i] = broke + delay[r, i]
-                going = going or position[i] <= distance
-                lanes.age[i] += 1
-    return count
+BREAK = np.dtype([("contact", np.int64), *((name, float) for name in ("X", "stretch", "travel", "stiffness"))])
+
+
+class BreakList(NamedTuple):
+    """A recorder of `engine.follow` that lists the breaks within a distance: an array of BREAK, shape (rows,), and how
+    many there are, shape (1,); those for which there is no row are lost."""
+
+    distance: float
+    rows: Array
+    number: Array
+    stop: Array
+    carries: bool = True
+
+
+@admit.register(BreakList)
+def _admit(recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int) -> bool:
+    lanes.contact[lane] = contact
+    lanes.age[lane] = 0
+    lanes.position[lane] = 0.0
+    return True
+
+
+@note_lives.register(BreakList)
+def _note_lives(
+    recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
+    ended, position = False, lanes.position
+    for i in range(active):
+        broke = position[i] + lives.travel[r, i]
+        if broke <= recorder.distance:
+            if recorder.number[0] < recorder.rows.size:
+                row = recorder.rows[recorder.number[0]]
+                row.contact = lanes.contact[i]
+                row.X = broke
+                row.stretch = lives.birth[r, i] + lives.travel[r, i]
+                row.travel = lives.travel[r, i]
+                row.stiffness = lives.stiffness[r, i]
+            recorder.number[0] += 1
+        position[i] = broke + lives.delay[r, i]
+        if position[i] > recorder.distance:
+            position[i] = math.inf
+            ended = True
+    return ended

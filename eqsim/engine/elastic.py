@@ -1,13 +1,17 @@
-"""Coupled blocks that a plate pulls infinitely slowly at T = 0: one break after another, each by a contact's own life.
+"""Coupled blocks that a plate pulls infinitely slowly at T = 0, break by break.
 
-Force and displacement of every block are linear between breaks (`model.elastic`), X_j = q D + Y_j with q = K_d/(K_d +
-n k), and a break of stretch xi at block i adds G_ji k xi to Y_j. So block j breaks next when the plate's share q D, the
-level, has risen to its threshold h_j = (where its next contact breaks) - Y_j: until the least of all the plate moves,
-and as long as one is below the level an avalanche goes on. Which of those breaks first makes no difference: F_j
-depends on the past through X_j alone, and breaks only ever move blocks forward (an Abelian sandpile).
+Force and displacement of every block are linear between breaks (`model.elastic`):
+X_j = q D + Y_j with q = K_d/(K_d + n k), and a break of stretch xi at block i adds
+G_ji k xi to Y_j. So block j breaks next when the share q D of the plate's displacement,
+the level, has risen to its threshold h_j: the position where its next contact breaks
+less Y_j. The plate moves until the level is the lowest threshold; an avalanche goes on
+while a threshold is below the level. The order of these breaks makes no difference: F_j
+depends on the past through X_j alone, and breaks only ever move blocks forward (an
+Abelian sandpile).
 
-Positions are whole multiples of a `unit` of some 1e-15 of the distance, so that what breaks add to Y_j adds up to the
-same bits in any order. One run belongs to one thread; threads share replicas.
+Positions are whole multiples of a `unit` of some 1e-15 of the distance, so that breaks
+add up to the same bits of Y_j in any order. A run belongs to one thread; threads share
+replicas.
 """
 
 import math
@@ -19,207 +23,270 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.engine.avalanches import Queue, longer, put_back
+from eqsim.engine.avalanches import events_of, put_back
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import draw_life
+from eqsim.engine.lanes import draw_birth
 from eqsim.engine.scatter import births, scatter
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
 from eqsim.model.drive import Drive, check_output
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, interruptibly
 from eqsim.results import Drawn, Result
 
-_SEGMENT = 32  # blocks whose least threshold is kept
-_BATCHES, _LONG = 16, 1.5  # of a run's second half, at most; and how long they are at least, in mean thresholds
-_ENOUGH = 8  # batches whose scatter says something about their mean
-_BETWEEN_PAUSES = 1e6  # breaks
-_MOST_RECORDS, _MOST_AVALANCHES = 20_000_000, 30_000_000  # kept in memory
+_SEGMENT = 32  # blocks whose lowest threshold is a leaf of the tree
+_BATCHES = 16  # of the second half of a run, at most, whose scatter tells the error
+_SHORTEST_BATCH = 1.5  # displacement of the plate, in mean thresholds
+_ENOUGH = 8  # batches or replicas whose scatter tells the error of their mean
+_BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
+_MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
+_MOST_AVALANCHES = 30_000_000  # of all replicas: some 2 GB of memory
+_ROUNDING = 6755399441055744.0  # 1.5 * 2^52, beside which only whole numbers are left
+
+# The run so far, and the avalanche that goes on.
+STATE = np.dtype(
+    [
+        ("level", np.float64),  # q D
+        ("block", np.int64),  # where the avalanche began
+        ("size", np.int64),  # its breaks so far; 0 if none goes on
+        ("blocks", np.int64),  # that it has broken contacts of
+        ("released", np.float64),  # sum of its stretches at breaking
+        ("avalanches", np.int64),  # so far, as all that follows
+        ("singles", np.int64),  # avalanches of one break
+        ("breaks", np.int64),
+        ("work", np.float64),  # sum of xi^2/2
+    ]
+)
+
+# An avalanche.
+EVENT = np.dtype(
+    [
+        ("level", np.float64),
+        ("block", np.int64),  # where it began
+        ("breaks", np.int64),
+        ("blocks", np.int64),  # with at least one of its breaks
+        ("released", np.float64),  # sum of stretches at breaking
+    ]
+)
+
+# A block at an instant.
+RECORD = np.dtype(
+    [
+        ("X", np.float64),
+        ("force", np.float64),
+        ("variance", np.float64),  # of the force of a contact, if they were independent
+        ("breaks", np.int64),  # so far
+    ]
+)
 
 
 class Blocks(NamedTuple):
-    """Where contacts break next, a heap for each block, and which contact that is, arrays (B, n); threshold and number
-    of lives of contacts (B n,). Of blocks, with room to a multiple of `_SEGMENT`: threshold `h`; and (B,): sums over
-    contacts of the positions of births and of their squares, breaks, and the last avalanche they were part of. `least`
-    is a tree of the least h, whose leaves are segments of blocks."""
+    """Contacts and blocks: B blocks of n contacts."""
 
-    at: Array
-    contact: Array
-    xi: Array
-    lives: Array
-    h: Array
-    births: Array
-    squares: Array
-    breaks: Array
-    seen: Array
-    least: Array
+    position: Array  # (B, n), a heap for each block: where contacts break next
+    contact: Array  # (B, n), which ones
+    xi: Array  # (B n,), thresholds of contacts
+    lives: Array  # (B n,), that have been drawn
+    h: Array  # thresholds of blocks, with room to a multiple of `_SEGMENT`
+    births: Array  # (B,), sum over contacts of the positions of their births
+    squares: Array  # (B,), of the squares of these
+    breaks: Array  # (B,), so far
+    last: Array  # (B,), avalanche that has broken contacts
+    tree: Array  # lowest thresholds, a binary tree from node 1 on
 
 
 class Response(NamedTuple):
-    """`Elastic.response`, how far it reaches in each of its rows, columns and rows of the lattice, whether its edges
-    are periodic, and the unit of positions."""
+    """The response of all blocks to a break, on their lattice."""
 
-    G: Array
-    reach: Array
-    nx: int
-    ny: int
+    G: Array  # `Elastic.response`
+    reach: Array  # of each row of G
+    nx: int  # columns
+    ny: int  # rows
     periodic: bool
-    unit: float
+    unit: float  # that positions are multiples of, a power of 2
 
 
-# what is carried along: the level q D; of the avalanche that goes on the block where it began, breaks, blocks and the
-# stretches that it has released; avalanches and breaks so far, avalanches of one break; and sum of xi^2/2
-LEVEL, _BEGAN, _SIZE, _BLOCKS, _RELEASED, AVALANCHES, BREAKS, SINGLE, WORK = range(9)
-
-
-@inlined
+@routine(inline=True)
 def _rounded(x: float, unit: float) -> float:
-    """The nearest multiple of a power of 2."""
-    big = unit * 6755399441055744.0  # 1.5 * 2^52
+    """Nearest multiple of a power of 2."""
+    big = unit * _ROUNDING
     return (x + big) - big
 
 
 @kernel
-def prepare(c: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> None:
-    """All contacts pinned, all blocks at 0. The first contact of all is `first`."""
-    n = b.at.shape[1]
-    for j in range(b.at.shape[0]):
-        for i in range(n):
-            contact = j * n + i
-            xi, _, _, _ = draw_life(c, stream, first + contact, 0)
-            b.xi[contact], b.lives[contact] = _rounded(xi, unit), 1
+def prepare(laws: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> None:
+    """Pin all contacts, of which the first is number `first`, with all blocks at 0."""
+    blocks, n = b.position.shape
+    for j in range(blocks):
+        for contact in range(j * n, (j + 1) * n):
+            xi = draw_birth(laws.newborn, laws, stream, first + contact, 0).threshold
+            b.xi[contact] = _rounded(xi, unit)
+            b.lives[contact] = 1
         order = np.argsort(b.xi[j * n : (j + 1) * n])
         for i in range(n):
-            b.at[j, i], b.contact[j, i] = b.xi[j * n + order[i]], j * n + order[i]
-        b.h[j] = b.at[j, 0]
-    leaves = b.least.size // 2
-    for s in range(b.h.size // _SEGMENT):
-        b.least[leaves + s] = b.h[s * _SEGMENT : (s + 1) * _SEGMENT].min()
+            b.contact[j, i] = j * n + order[i]
+            b.position[j, i] = b.xi[b.contact[j, i]]
+        b.h[j] = b.position[j, 0]
+    leaves = b.tree.size // 2
+    for segment in range(b.h.size // _SEGMENT):
+        begin = segment * _SEGMENT
+        b.tree[leaves + segment] = b.h[begin : begin + _SEGMENT].min()
     for node in range(leaves - 1, 0, -1):
-        b.least[node] = min(b.least[2 * node], b.least[2 * node + 1])
+        b.tree[node] = min(b.tree[2 * node], b.tree[2 * node + 1])
 
 
-@inlined
+@routine(inline=True)
 def _push(b: Blocks, r: Response, row: int, begin: int, end: int, offset: int, force: float, first: int) -> None:
-    """Move the blocks first + begin, ... of a row of the lattice by what row `row` of the response says from `offset`
-    on, and mend the tree. Loops over unsigned numbers vectorise: these do not count from the end."""
-    big = r.unit * 6755399441055744.0
-    start, shift = np.uint64(first + begin), np.uint64(offset + begin)
+    """Move blocks first + begin to first + end of a row of the lattice, and mend the tree.
+
+    The response of block first + k is `r.G[row, offset + k]`. Indices are unsigned, so
+    that numba does not look for ones that count from the end, and loops vectorise. Four
+    chains of minima do not wait for each other.
+    """
+    big = r.unit * _ROUNDING
+    start = np.uint64(first + begin)
+    shift = np.uint64(offset + begin)
     for k in range(np.uint64(end - begin)):
         b.h[start + k] -= (r.G[row, shift + k] * force + big) - big
-    leaves = b.least.size // 2
-    low, high = (first + begin) // _SEGMENT, (first + end - 1) // _SEGMENT
-    for s in range(low, high + 1):
-        at = np.uint64(s * _SEGMENT)
-        m0, m1, m2, m3 = b.h[at], b.h[at + np.uint64(1)], b.h[at + np.uint64(2)], b.h[at + np.uint64(3)]
-        for k in range(np.uint64(1), np.uint64(_SEGMENT // 4)):
-            j = at + np.uint64(4) * k
-            h0, h1, h2, h3 = b.h[j], b.h[j + np.uint64(1)], b.h[j + np.uint64(2)], b.h[j + np.uint64(3)]
-            m0, m1 = h0 if h0 < m0 else m0, h1 if h1 < m1 else m1
-            m2, m3 = h2 if h2 < m2 else m2, h3 if h3 < m3 else m3
-        m0, m2 = m1 if m1 < m0 else m0, m3 if m3 < m2 else m2
-        b.least[leaves + s] = m2 if m2 < m0 else m0
-    low, high, changed = (leaves + low) // 2, (leaves + high) // 2, True
+    leaves = b.tree.size // 2
+    low = (first + begin) // _SEGMENT
+    high = (first + end - 1) // _SEGMENT
+    for segment in range(low, high + 1):
+        j = np.uint64(segment * _SEGMENT)
+        m0 = b.h[j]
+        m1 = b.h[j + np.uint64(1)]
+        m2 = b.h[j + np.uint64(2)]
+        m3 = b.h[j + np.uint64(3)]
+        for _ in range(np.uint64(1), np.uint64(_SEGMENT // 4)):
+            j += np.uint64(4)
+            m0 = min(b.h[j], m0)
+            m1 = min(b.h[j + np.uint64(1)], m1)
+            m2 = min(b.h[j + np.uint64(2)], m2)
+            m3 = min(b.h[j + np.uint64(3)], m3)
+        b.tree[leaves + segment] = min(min(m0, m1), min(m2, m3))
+    low = (leaves + low) // 2
+    high = (leaves + high) // 2
+    changed = True
     while changed and low > 0:
         changed = False
         for node in range(low, high + 1):
-            one, other = b.least[2 * node], b.least[2 * node + 1]
-            least = other if other < one else one
-            changed |= least != b.least[node]
-            b.least[node] = least
-        low, high = low // 2, high // 2
+            lowest = min(b.tree[2 * node], b.tree[2 * node + 1])
+            changed |= lowest != b.tree[node]
+            b.tree[node] = lowest
+        low //= 2
+        high //= 2
 
 
-@inlined
+@routine(inline=True)
 def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
-    """Move all blocks by what a drop of the force at `block` makes, over n k."""
+    """Move all blocks after a drop of the force at `block`, which is divided by n k."""
     nx, ny = r.nx, r.ny
-    x, y = block % nx, block // nx
-    middle, around_x, around_y = r.G.shape[1] // 2, nx if r.periodic else 2 * nx, ny if r.periodic else 2 * ny
+    x = block % nx
+    y = block // nx
+    middle = r.G.shape[1] // 2
     far = r.G.shape[0] // 2
+    around_x = nx if r.periodic else 2 * nx
+    around_y = ny if r.periodic else 2 * ny
     for dy in range(-min(far, (around_y - 1) // 2), min(far, around_y // 2) + 1):
-        row, line = far + dy, y + dy
+        row = far + dy
+        line = y + dy
         if line < 0:
             line = line + ny if r.periodic else -1 - line
         elif line >= ny:
             line = line - ny if r.periodic else 2 * ny - 1 - line
-        first, reach = line * nx, r.reach[row]
-        left, right = min(reach, (around_x - 1) // 2), min(reach, around_x // 2)
-        _push(b, r, row, max(0, x - left), min(nx, x + right + 1), middle - x, force, first)
-        if x < left:  # around the ring, or the mirror image at the edge
-            if r.periodic:
-                _push(b, r, row, nx + x - left, nx, middle - x - nx, force, first)
+        left = min(r.reach[row], (around_x - 1) // 2)
+        right = min(r.reach[row], around_x // 2)
+        for image in range(-1, 2):  # around the ring, or mirrored at the edges
+            if image == 0 or r.periodic:
+                offset = middle - x + image * nx
+                begin = max(0, middle - left - offset)
+                end = min(nx, middle + right + 1 - offset)
             else:
-                _push(b, r, row, 0, left - x, middle + x + 1, force, first)
-        if x + right >= nx:
-            if r.periodic:
-                _push(b, r, row, 0, x + right + 1 - nx, middle - x + nx, force, first)
-            else:
-                _push(b, r, row, 2 * nx - 1 - x - right, nx, middle + x + 1 - 2 * nx, force, first)
+                offset = middle + x + 1 - (image + 1) * nx
+                begin = max(0, middle - right - offset)
+                end = min(nx, middle + left + 1 - offset)
+            if begin < end:
+                _push(b, r, row, begin, end, offset, force, line * nx)
 
 
-@inlined
+@routine(inline=True)
 def _lowest(b: Blocks) -> int:
-    """The block that breaks next."""
-    leaves = b.least.size // 2
-    node, least = 1, b.least[1]
+    """The block with the lowest threshold."""
+    leaves = b.tree.size // 2
+    lowest = b.tree[1]
+    node = 1
     while node < leaves:
-        node = 2 * node if b.least[2 * node] == least else 2 * node + 1
+        node = 2 * node if b.tree[2 * node] == lowest else 2 * node + 1
     j = (node - leaves) * _SEGMENT
-    while b.h[j] != least:
+    while b.h[j] != lowest:
         j += 1
     return j
 
 
 @kernel
-def load(c: Contacts, stream: Key, first: int, b: Blocks, r: Response, now: Array, until: float) -> Array:
-    """Raise the level to `until`, and `now` (9,) with it. Returns the avalanches on the way, of each the level, the
-    block where it began, breaks, blocks and the sum of stretches at breaking, shape (avalanches, 5)."""
-    rows, events, n = 0, np.empty((64, 5)), b.at.shape[1]
+def load(
+    laws: Contacts, stream: Key, first: int, b: Blocks, r: Response, state: Array, until: float, events: Array
+) -> tuple[int, bool]:
+    """Raise the level to `until`, and note the avalanches that end (`EVENT`).
+
+    The first contact of all is number `first`; `state` (1,) is a `STATE`. Returns the
+    number of avalanches, and False if there are more than `events` has room for.
+    """
+    now = state[0]
+    rows = 0
+    n = b.position.shape[1]
     while True:
-        least = b.least[1]
-        if least > now[LEVEL]:
-            if now[_SIZE] > 0.0:
-                if rows == events.shape[0]:
-                    events = longer(events)
-                for k in range(5):
-                    events[rows, k] = now[LEVEL + k]
+        lowest = b.tree[1]
+        if lowest > now.level:
+            if now.size > 0:
+                if rows == events.size:
+                    return rows, False
+                event = events[rows]
+                event.level = now.level
+                event.block = now.block
+                event.breaks = now.size
+                event.blocks = now.blocks
+                event.released = now.released
                 rows += 1
-                now[SINGLE] += now[_SIZE] == 1.0
-                now[_SIZE] = 0.0
-            if least > until:
-                now[LEVEL] = until
-                return events[:rows]
-            now[LEVEL], now[_BEGAN], now[_BLOCKS], now[_RELEASED] = least, _lowest(b), 0.0, 0.0
-            now[AVALANCHES] += 1.0
+                now.singles += now.size == 1
+                now.size = 0
+            if lowest > until:
+                now.level = until
+                return rows, True
+            now.level = lowest
+            now.block = _lowest(b)
+            now.blocks = 0
+            now.released = 0.0
+            now.avalanches += 1
         block = _lowest(b)
-        contact, at = b.contact[block, 0], b.at[block, 0]
+        contact = b.contact[block, 0]
+        position = b.position[block, 0]
         xi = b.xi[contact]
         b.births[block] += xi
-        b.squares[block] += xi * (2.0 * at - xi)
+        b.squares[block] += xi * (2.0 * position - xi)
         b.breaks[block] += 1
-        if b.seen[block] != now[AVALANCHES]:
-            b.seen[block] = now[AVALANCHES]
-            now[_BLOCKS] += 1.0
-        now[_SIZE] += 1.0
-        now[BREAKS] += 1.0
-        now[_RELEASED] += xi
-        now[WORK] += 0.5 * xi * xi
-        drawn, _, _, _ = draw_life(c, stream, first + contact, b.lives[contact])
+        if b.last[block] != now.avalanches:
+            b.last[block] = now.avalanches
+            now.blocks += 1
+        now.size += 1
+        now.breaks += 1
+        now.released += xi
+        now.work += 0.5 * xi * xi
+        drawn = draw_birth(laws.newborn, laws, stream, first + contact, b.lives[contact]).threshold
         b.xi[contact] = _rounded(drawn, r.unit)
         b.lives[contact] += 1
-        put_back(Queue(b.at[block], b.contact[block]), at + b.xi[contact])
-        b.h[block] += b.at[block, 0] - at
+        put_back(b.position[block], b.contact[block], position + b.xi[contact])
+        b.h[block] += b.position[block, 0] - position
         _spread(b, r, block, xi / n)
 
 
 @dataclass(frozen=True, repr=False)
 class ElasticTrajectory(Result):
-    """What coupled blocks do while the plate moves. Forces and displacements are means over blocks and replicas.
+    """Motion of coupled blocks while the plate moves, in the mean over blocks and replicas.
 
     Attributes
     ----------
@@ -228,38 +295,43 @@ class ElasticTrajectory(Result):
     X, force : ndarray, shape (points,)
         Mean displacement of the blocks, and F/(N k) (length).
     force_stderr : ndarray, shape (points,)
-        Of `force`: from the scatter between replicas; of a single ensemble, what independent contacts at the same
-        displacements would have.
+        Standard error of `force` from the scatter between replicas; of a single replica, that
+        of independent contacts at the same displacements.
     force_reliable : bool
-        Whether there are replicas enough (8): contacts at the same X do not know how far that is from those of others.
+        Whether replicas are enough (8). One replica does not show how far its X is from
+        that of others.
     force_replica_std, X_replica_std : ndarray, shape (points,), or None
         Standard deviations between replicas, if there are several.
     friction, size, single : Estimate
-        Over the second half of the plate's way, from batches of it: int F dX/Delta X of all blocks (length), breaks per
-        avalanche, and the fraction of avalanches that are a single break.
+        Averages over the second half of the plate's way, from batches: int F dX/Delta X of
+        all blocks (length), breaks per avalanche, and fraction of single breaks among them.
     avalanches : dict of ndarray
-        By column: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that broke, `drop` of
-        F/(N k) (length), and the `replica`.
+        Columns: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that
+        broke, `drop` of F/(N k) (length), and the `replica`.
     blocks : dict of ndarray
-        A row for each record of each block: `t`, `D`, `block`, its displacement `X`, its force `force` = F_j/(n k)
-        (lengths), `breaks` so far, and the `replica`.
+        Columns, with a row for each record of each block: `t`, `D`, `block`, its displacement
+        `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the `replica`.
     lives : int
-        Lives of contacts that were simulated.
+        Number of lives of contacts that were simulated.
     seed, engine_seconds, threads
-        How it was computed.
+        Seed of the random numbers, seconds that kernels took, and threads.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
-        "D", "force", "force_stderr", "displacement of the plate  D", "friction force  F/(N k)"
+        x="D",
+        y="force",
+        error="force_stderr",
+        x_label="displacement of the plate  D",
+        y_label="friction force  F/(N k)",
     )
-    D: Array
     t: Array
+    D: Array
     X: Array
     force: Array
     force_stderr: Array
-    force_reliable: bool
     force_replica_std: Array | None
     X_replica_std: Array | None
+    force_reliable: bool
     friction: Estimate
     size: Estimate
     single: Estimate
@@ -270,19 +342,16 @@ class ElasticTrajectory(Result):
     engine_seconds: float
     threads: int
 
-    def columns(self) -> dict[str, Array]:
-        """The arrays by name, standard deviations only if there are replicas."""
-        names = ("t", "D", "X", "force", "force_stderr", "force_replica_std", "X_replica_std")
-        return {name: column for name in names if (column := getattr(self, name)) is not None}
-
 
 def check_elastic(
-    ensemble: Ensemble, drive: Drive, output: tuple[int, int, int], max_lives: float
+    ensemble: Ensemble, drive: Drive, points: int, seed: int, replicas: int, max_lives: float
 ) -> tuple[Elastic, float]:
-    """The blocks of a run and its predicted lives; `output` holds points, seed and replicas. Raises InputError if
-    contacts are not those of the quasi-static model, or if it takes more than `max_lives` lives or too much memory."""
-    points, _, replicas = output
-    check_output(*output)
+    """Blocks of a run, and its predicted lives.
+
+    Raises InputError if contacts are not those of the quasi-static model, or if the run
+    takes more than `max_lives` lives or too much memory.
+    """
+    check_output(points, seed, replicas)
     elastic = drive.elastic
     if elastic is None:
         raise InputError("drive.elastic: is required, the blocks that the plate pulls")
@@ -320,22 +389,29 @@ def check_elastic(
     return elastic, lives
 
 
-class _Replica(NamedTuple):
-    """What an ensemble leaves: X, force, variance of the mean force at records (3, points); X_j, F_j and breaks of
-    blocks (3, points, B); sums at the ends of batches (batches + 1, 5) of int F dX, X, breaks, avalanches and single
-    breaks; avalanches as `load` has them; breaks."""
+class _Totals(NamedTuple):
+    """Sums over blocks until the ends of batches, or in batches: arrays (..., batches)."""
 
-    means: Array
-    blocks: Array
-    sums: Array
+    area: Array  # int F dX
+    X: Array
+    breaks: Array
     avalanches: Array
+    singles: Array
+
+
+class _Run(NamedTuple):
+    """What a replica leaves."""
+
+    records: Array  # `RECORD`, shape (points, B)
+    totals: _Totals
+    avalanches: Array  # `EVENT`
     breaks: int
 
 
 class _Interface(NamedTuple):
-    """Contacts and blocks as kernels see them; lengths in units of the threshold law's scale."""
+    """Contacts and blocks for kernels; lengths in units of the threshold law's scale."""
 
-    c: Contacts
+    laws: Contacts
     stream: Key
     contacts: int
     elastic: Elastic
@@ -346,19 +422,26 @@ class _Interface(NamedTuple):
 
 
 def _blocks_of(elastic: Elastic, n: int) -> Blocks:
-    """Room for the blocks."""
+    """Blocks of n contacts each, to be prepared."""
     B = elastic.count
     segments = -(-B // _SEGMENT)
     leaves = 1 << (segments - 1).bit_length()
     return Blocks(
-        at=np.empty((B, n)), contact=np.empty((B, n), np.int64), xi=np.empty(B * n), lives=np.empty(B * n, np.int64),
-        h=np.full(segments * _SEGMENT, math.inf), births=np.zeros(B), squares=np.zeros(B),
-        breaks=np.zeros(B, np.int64), seen=np.zeros(B), least=np.full(2 * leaves, math.inf),
-    )  # fmt: skip
+        position=np.empty((B, n)),
+        contact=np.empty((B, n), np.int64),
+        xi=np.empty(B * n),
+        lives=np.empty(B * n, np.int64),
+        h=np.full(segments * _SEGMENT, math.inf),
+        births=np.zeros(B),
+        squares=np.zeros(B),
+        breaks=np.zeros(B, np.int64),
+        last=np.zeros(B, np.int64),
+        tree=np.full(2 * leaves, math.inf),
+    )
 
 
 def _response_of(elastic: Elastic, distance: float) -> Response:
-    """For a plate that moves so far; 51 bits hold every position."""
+    """Response for a plate that moves by `distance`; 51 bits hold every position."""
     G = elastic.response()
     middle = G.shape[1] // 2
     reach = np.array([np.max(np.abs(np.flatnonzero(row) - middle), initial=0) for row in G])
@@ -366,30 +449,36 @@ def _response_of(elastic: Elastic, distance: float) -> Response:
     return Response(G, reach, *elastic.shape, elastic.edges == "periodic", unit)
 
 
-def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) -> _Replica:
-    """Follow one ensemble, and tell now and then how many breaks there were since."""
-    c, stream, count, elastic, response, levels, edges, pauses = interface
-    n, first = count // elastic.count, replica * count
-    b, now = _blocks_of(elastic, n), np.zeros(9)
-    prepare(c, stream, first, response.unit, b)
-    means, blocks, sums, events = [], [], [], []
+def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) -> _Run:
+    """Follow a replica. `told` is called now and then with the number of breaks since."""
+    laws, stream, count, elastic, response, levels, edges, pauses = interface
+    n = count // elastic.count
+    first = replica * count
+    b = _blocks_of(elastic, n)
+    prepare(laws, stream, first, response.unit, b)
+    state = np.zeros(1, STATE)
+    now = state[0]
+    records, totals, events = [], [], []
     for level in np.unique(np.concatenate((levels, edges, pauses))):
-        before = now[BREAKS]
-        events.append(load(c, stream, first, b, response, now, level))
-        told(int(now[BREAKS] - before))
-        X = b.at[:, 0] - b.h[: elastic.count] + level
+        before = int(now["breaks"])
+        events.append(events_of(EVENT, load, laws, stream, first, b, response, state, level))
+        told(int(now["breaks"]) - before)
+        X = b.position[:, 0] - b.h[: elastic.count] + level
         force = X - b.births / n
         if level in levels:
-            scatter_of = np.maximum(b.squares / n - (b.births / n) ** 2, 0.0)
-            means.append((X.mean(), force.mean(), scatter_of.mean() / count))
-            blocks.append((X, force, b.breaks.copy()))
+            record = np.empty(X.size, RECORD)
+            record["X"] = X
+            record["force"] = force
+            record["variance"] = np.maximum(b.squares / n - (b.births / n) ** 2, 0.0)
+            record["breaks"] = b.breaks
+            records.append(record)
         if level in edges:
             stored = 0.5 * (n * X**2 - 2.0 * X * b.births + b.squares)
-            area = (now[WORK] + stored.sum()) / n
-            sums.append((area, X.sum(), now[BREAKS], now[AVALANCHES], now[SINGLE]))
-    return _Replica(
-        np.array(means).T, np.array(blocks).swapaxes(0, 1), np.array(sums), np.concatenate(events), int(now[BREAKS])
-    )
+            area = (now["work"] + stored.sum()) / n
+            counts = (now[name] for name in ("breaks", "avalanches", "singles"))
+            totals.append((area, X.sum(), *counts))
+    batches = _Totals(*np.reshape(totals, (-1, 5)).T)
+    return _Run(np.array(records), batches, np.concatenate(events), int(now["breaks"]))
 
 
 def elastic_trajectory(
@@ -403,26 +492,26 @@ def elastic_trajectory(
     max_lives: float = 1e10,
     progress: Callable[[int], None] | None = None,
 ) -> ElasticTrajectory:
-    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, every avalanche break by break.
+    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, break by break.
 
     Parameters
     ----------
     ensemble : Ensemble
         N contacts of uniform stiffness at T = 0, without delay and aging.
     drive : Drive
-        Of the plate, with the blocks that it pulls; its velocity only tells time.
+        Drive of the plate, with the blocks that it pulls; its velocity only tells time.
     points : int
         Records, equidistant in D from 0.
     seed : int
-        Of the random numbers; the result depends on nothing else.
+        Seed of the random numbers.
     replicas : int
-        Independent ensembles.
+        Number of independent ensembles.
     threads : int
-        That share the replicas; they change no number.
+        Threads that share the replicas; they change no number.
     max_lives : float
-        Work that needs more lives of contacts is refused.
+        Most lives of contacts that may be simulated.
     progress : callable, optional
-        `progress(lives)` is told now and then how many lives have been simulated.
+        `progress(lives)` is called now and then with the lives simulated so far.
 
     Returns
     -------
@@ -431,115 +520,140 @@ def elastic_trajectory(
     Raises
     ------
     InputError
-        For contacts that heat or time breaks, contacts that cannot be divided among the blocks, arguments out of range,
-        and if more than `max_lives` lives are predicted.
+        For contacts that heat or time breaks, contacts that cannot be divided among the
+        blocks, arguments out of range, and more than `max_lives` predicted lives.
     """
-    elastic, _ = check_elastic(ensemble, drive, (points, seed, replicas), max_lives)
+    elastic, _ = check_elastic(ensemble, drive, points, seed, replicas, max_lives)
     unit, mean = ensemble.thresholds.scale, ensemble.thresholds.mean
-    distance, share = drive.over(ensemble), 1.0 - elastic.load  # of the plate's motion that blocks follow at once
+    distance = drive.over(ensemble)
+    share = 1.0 - elastic.load  # of the plate's motion that blocks follow at once
     levels = np.linspace(0.0, distance / unit * share, points)
-    batches = int(np.clip(0.5 * distance / mean / _LONG, 2, _BATCHES))
+    batches = int(np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _BATCHES))
     edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
-    c, count = contacts(ensemble, drive.velocity), ensemble.count
+    laws, count = contacts(ensemble, drive.velocity), ensemble.count
     pauses = np.linspace(0.0, levels[-1], 1 + math.ceil(count * distance / mean / _BETWEEN_PAUSES))
     response = _response_of(elastic, distance / unit)
-    interface = _Interface(c, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses)
+    interface = _Interface(laws, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses)
     nothing = interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0])
-    interruptibly(_simulate, nothing, 0, lambda _: None)  # compiles, so that seconds are those of the work
+    # Kernels are compiled here, so that seconds are those of the work.
+    interruptibly(_simulate, nothing, 0, lambda _: None)
     begin = time.perf_counter()
-    found = _all(interface, replicas, threads, progress)
+    runs = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin
     t = np.linspace(0.0, distance / drive.velocity, points)
     D = np.linspace(0.0, distance, points)
-    means = np.mean([one.means for one in found], axis=0)
-    spread = np.std([one.means for one in found], axis=0, ddof=1) * unit if replicas > 1 else None
-    stderr = np.sqrt(means[2]) * unit if spread is None else spread[1] / math.sqrt(replicas)
-    estimates = _estimates(found, unit)
-    over = _transient_is_over(c, means[0], (estimates[0].stderr or 0.0) / unit)
+    records = np.array([run.records for run in runs])
+    X, force = (records[name].mean(axis=2) for name in ("X", "force"))  # over blocks
+    X_std = force_std = None
+    stderr = np.sqrt(np.mean(records["variance"].mean(axis=2) / count, axis=0)) * unit
+    if replicas > 1:
+        X_std, force_std = (np.std(one, axis=0, ddof=1) * unit for one in (X, force))
+        stderr = force_std / math.sqrt(replicas)
+    X, force = X.mean(axis=0), force.mean(axis=0)
+    estimates = _estimates(runs, unit)
+    over = _transient_is_over(laws, X, (estimates[0].stderr or 0.0) / unit)
     friction, size, single = (replace(one, reliable=one.reliable and over) for one in estimates)
     return ElasticTrajectory(
         D=D,
         t=t,
-        X=means[0] * unit,
-        force=means[1] * unit,
+        X=X * unit,
+        force=force * unit,
         force_stderr=stderr,
         force_reliable=replicas >= _ENOUGH,
-        force_replica_std=None if spread is None else spread[1],
-        X_replica_std=None if spread is None else spread[0],
+        force_replica_std=force_std,
+        X_replica_std=X_std,
         friction=friction,
         size=size,
         single=single,
-        avalanches=_avalanches([one.avalanches for one in found], unit, share, (count, drive.velocity)),
-        blocks=_of_blocks([one.blocks for one in found], t, D, unit),
-        lives=count * replicas + sum(one.breaks for one in found),
+        avalanches=_avalanches(runs, unit, share, count, drive.velocity),
+        blocks=_of_blocks(records, t, D, unit),
+        lives=count * replicas + sum(run.breaks for run in runs),
         seed=seed,
         engine_seconds=seconds,
         threads=max(1, min(threads, replicas)),
     )
 
 
-def _all(interface: _Interface, replicas: int, threads: int, progress: Callable[[int], None] | None) -> list[_Replica]:
-    """Hand replicas to threads as they become free."""
-    done = [interface.contacts * replicas]
+def _all(interface: _Interface, replicas: int, threads: int, progress: Callable[[int], None] | None) -> list[_Run]:
+    """Hand replicas to threads as these become free."""
+    lives = interface.contacts * replicas
 
     def told(breaks: int) -> None:
-        done[0] += breaks
+        nonlocal lives
+        lives += breaks
         if pool.stop[0]:
             raise CancelledError
         if progress:
-            progress(done[0])
+            progress(lives)
 
     with ThreadPool(max(1, threads)) as pool:
         return list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
 
 
-def _estimates(found: list[_Replica], unit: float) -> tuple[Estimate, Estimate, Estimate]:
-    """Friction over displacement (in the user's unit of length), breaks per avalanche and the fraction of single
-    breaks, from batches."""
-    parts = np.stack([np.diff(one.sums, axis=0) for one in found])  # (replicas, batches, 5)
-    half = parts.shape[1] // 2
-    area, X, breaks, events, single = np.moveaxis(parts, 2, 0)
+def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estimate]:
+    """Estimate friction (length), breaks per avalanche and fraction of single breaks."""
+    batches = _Totals(*np.diff(np.stack([run.totals for run in runs], axis=1), axis=2))
+    half = batches.X.shape[1] // 2
+    breaks = int(batches.breaks.sum())
+
+    def halves(column: Array) -> Array:
+        return np.stack((column[:, :half].ravel(), column[:, -half:].ravel()), axis=1)
 
     def over(numerator: Array, denominator: Array) -> Estimate:
-        estimate = ratio(numerator.ravel(), denominator.ravel(), int(breaks.sum()))
-        top, bottom = (
-            np.stack((one[:, :half].ravel(), one[:, -half:].ravel()), axis=1) for one in (numerator, denominator)
-        )
-        enough = numerator.size >= _ENOUGH
-        return replace(estimate, reliable=estimate.reliable and enough and not drifts(top, bottom, 4.0))
+        estimate = ratio(numerator.ravel(), denominator.ravel(), breaks)
+        reliable = estimate.reliable and numerator.size >= _ENOUGH
+        reliable = reliable and not drifts(halves(numerator), halves(denominator), 4.0)
+        return replace(estimate, reliable=reliable)
 
-    return over(area * unit, X), over(breaks, events), over(single, events)
-
-
-def _transient_is_over(c: Contacts, X: Array, error: float) -> bool:
-    """Whether the fresh start, as the law expects it, moves the friction of the second half by less than half of its
-    `error`."""
-    born = births(c)
-    level, law = scatter(c, born, None, 0.0), scatter(c, born, float(X[-1]), 0.0)
-    late = law.at(np.linspace(X[X.size // 2], X[-1], 1025))
-    return bool(abs(np.mean(late.mean) - level.mean[0]) <= 0.5 * error + 1e-9 * level.mean[0])
+    return (
+        over(batches.area * unit, batches.X),
+        over(batches.breaks, batches.avalanches),
+        over(batches.singles, batches.avalanches),
+    )
 
 
-def _avalanches(found: list[Array], unit: float, share: float, run: tuple[int, float]) -> dict[str, Array]:
-    """Those of all replicas by column, in the user's units; `run` holds contacts and velocity. Force is lost by breaks,
-    and gained by the motion that they cause: a fraction `share` of the loss is left."""
-    count, velocity = run
-    level, block, breaks, blocks, released = np.concatenate(found).T
-    D = level * (unit / share)
+def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
+    """Whether the start moves the friction of the second half by less than half its error.
+
+    The answer is that for independent contacts, whose law is exact.
+    """
+    born = births(laws)
+    level = scatter(laws, born, None, 0.0)
+    late = scatter(laws, born, float(X[-1]), 0.0)
+    moments = late.at(np.linspace(X[X.size // 2], X[-1], 1025))
+    change = abs(np.mean(moments.mean) - level.mean[0])
+    return bool(change <= 0.5 * error + 1e-9 * level.mean[0])
+
+
+def _avalanches(runs: list[_Run], unit: float, share: float, count: int, velocity: float) -> dict[str, Array]:
+    """Avalanches of all replicas by column, in the user's units.
+
+    Force is lost by breaks and gained by the motion that they cause: a fraction `share`
+    of the loss is left.
+    """
+    events = np.concatenate([run.avalanches for run in runs])
+    sizes = [run.avalanches.size for run in runs]
+    D = events["level"] * (unit / share)
     return {
-        "t": D / velocity, "D": D, "block": block.astype(np.int64), "breaks": breaks.astype(np.int64),
-        "blocks": blocks.astype(np.int64), "drop": released * (unit * share / count),
-        "replica": np.repeat(np.arange(len(found)), [len(one) for one in found]),
-    }  # fmt: skip
+        "t": D / velocity,
+        "D": D,
+        "block": events["block"],
+        "breaks": events["breaks"],
+        "blocks": events["blocks"],
+        "drop": events["released"] * (unit * share / count),
+        "replica": np.repeat(np.arange(len(runs)), sizes),
+    }
 
 
-def _of_blocks(found: list[Array], t: Array, D: Array, unit: float) -> dict[str, Array]:
-    """Records of all blocks by column, in the user's units."""
-    _, points, blocks = found[0].shape
-    X, force, breaks = (np.concatenate([one[k].ravel() for one in found]) for k in range(3))
-    each = points * blocks
+def _of_blocks(records: Array, t: Array, D: Array, unit: float) -> dict[str, Array]:
+    """Records of all blocks, (replicas, points, B), by column in the user's units."""
+    replicas, points, blocks = records.shape
     return {
-        "t": np.tile(np.repeat(t, blocks), len(found)), "D": np.tile(np.repeat(D, blocks), len(found)),
-        "block": np.tile(np.arange(blocks), points * len(found)), "X": X * unit, "force": force * unit,
-        "breaks": breaks.astype(np.int64), "replica": np.repeat(np.arange(len(found)), each),
-    }  # fmt: skip
+        "t": np.tile(np.repeat(t, blocks), replicas),
+        "D": np.tile(np.repeat(D, blocks), replicas),
+        "block": np.tile(np.arange(blocks), points * replicas),
+        "X": records["X"].ravel() * unit,
+        "force": records["force"].ravel() * unit,
+        "breaks": records["breaks"].ravel(),
+        "replica": np.repeat(np.arange(replicas), points * blocks),
+    }

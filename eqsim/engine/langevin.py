@@ -31,7 +31,7 @@ from eqsim.engine.contacts import Contacts
 from eqsim.laws.aging import Langevin
 from eqsim.laws.barrier.base import height, height_slope, path_step, prefactor, thermal
 from eqsim.laws.stiffness import Springs, kappa
-from eqsim.numerics.compiled import inlined, routine, shared_maker
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.streams import Key, midpoints
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp, exp_less_one, log, quarter_sine
@@ -52,14 +52,6 @@ class Pinned(NamedTuple):
     springs: Springs
     aging: Langevin
     moves: float
-
-
-class Source(NamedTuple):
-    """Where the random numbers of paths come from: contacts from `first` on; and the accuracy of steps."""
-
-    key: Key
-    first: int
-    step: float
 
 
 class Path(NamedTuple):
@@ -92,7 +84,7 @@ def step_error(law: Langevin, step: float = STEP, time: float = 1.0) -> float:
     return STEP_ERROR * max(1.0, (0.25 * law.alpha * law.final2 * time / 100.0) ** 0.42) * (step / STEP) ** 2
 
 
-@inlined
+@routine(inline=True)
 def pinned(c: Contacts) -> Pinned:
     """The laws of steps at constant velocity."""
     return Pinned(c.barrier, c.springs, c.aging, 1.0)
@@ -101,7 +93,7 @@ def pinned(c: Contacts) -> Pinned:
 # ------------------------------------------------------------------------------------------------------- deviates
 
 
-@inlined
+@routine(inline=True)
 def normals_of(u: float, v: float) -> tuple[float, float]:
     """A normal deviate and the square of another from two uniforms (Box and Muller)."""
     square = -2.0 * log(u)
@@ -109,7 +101,7 @@ def normals_of(u: float, v: float) -> tuple[float, float]:
     return normal, max(square - normal * normal, 0.0)
 
 
-@inlined
+@routine(inline=True)
 def pairs_of(shape: float) -> int:
     """How many pairs of squares of normals there are in chi-square of 2 shape + 1 degrees of freedom; -1 if it is drawn
     in another way."""
@@ -117,7 +109,7 @@ def pairs_of(shape: float) -> int:
     return int(freedom) // 2 if freedom == math.floor(freedom) and freedom < 14.0 else -1
 
 
-@inlined
+@routine(inline=True)
 def times_uniforms(key: Key, contact: int, life: int, draw: int, product: float, count: int) -> float:
     """`product` times min(count, 4) further uniforms."""
     a, b, d, e = midpoints(key, contact, life, draw)
@@ -129,7 +121,7 @@ def times_uniforms(key: Key, contact: int, life: int, draw: int, product: float,
     return product * e if count > 3 else product
 
 
-@inlined
+@routine(inline=True)
 def chi_square(shape: float, square: float, product: float) -> float:
     """Chi-square of 2 shape + 1 degrees of freedom from the square of a normal, and the product of a uniform for every
     pair of squares."""
@@ -138,7 +130,7 @@ def chi_square(shape: float, square: float, product: float) -> float:
     return odd - 2.0 * log(product) if pairs > 0 else odd
 
 
-@inlined
+@routine(inline=True)
 def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u: float) -> float:
     """Chi-square of 2 shape + 1 degrees of freedom, or 0, which means to try again with another draw but the same
     uniform `u` (Marsaglia and Tsang, 2000, for the shape 1/2 + shape >= 1/2, raised by 1 if below 1)."""
@@ -154,7 +146,7 @@ def try_chi_square(key: Key, contact: int, life: int, draw: int, shape: float, u
     return 2.0 * third * cube * lift if taken else 0.0
 
 
-@inlined
+@routine(inline=True)
 def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> tuple[Any, Any, Any, Any]:
     """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a uniform, and the next draw."""
     a, b, product, passage = midpoints(key, contact, life, draw)
@@ -176,14 +168,14 @@ def random_step(key: Key, contact: int, life: int, draw: int, shape: float) -> t
 # ------------------------------------------------------------------------------------------ the physics of a step
 
 
-@inlined
+@routine(inline=True)
 def reaches(distance: float, spread: float, speed: float) -> float:
     """The h after which speed h + spread sqrt(h) = distance."""
     root = 2.0 * distance / (spread + math.sqrt(spread * spread + 4.0 * speed * distance))
     return root * root
 
 
-@inlined
+@routine(inline=True)
 def heat(c: Pinned, xi: float, x: float) -> float:
     """Thermal rate per displacement at stretch `x` of a contact of threshold `xi`, or x if that is more."""
     xi = max(xi, x)
@@ -191,7 +183,7 @@ def heat(c: Pinned, xi: float, x: float) -> float:
     return exp(c.barrier.log_w - height(c.barrier, xi, x, a)) * prefactor(c.barrier, xi, x)
 
 
-@inlined
+@routine(inline=True)
 def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> tuple[float, float]:
     """Threshold half-way through a step from `xi` to `end`, of which `along` is the component along the start, and its
     spread: the bridge of the (2n+2)-dimensional process, which pulls back within a relaxation time."""
@@ -201,7 +193,7 @@ def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> tupl
     return math.sqrt(square + (2.0 * c.aging.shape + 1.0) * spread2), math.sqrt(spread2)
 
 
-@inlined
+@routine(inline=True)
 def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) -> tuple[Any, Any, Any]:
     """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the thermal rate now, and the slope
     of the barrier over 2 kT with the threshold."""
@@ -229,7 +221,7 @@ def pace(c: Pinned, xi: float, x: float, left: float, most: float, step: float) 
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
 
 
-@inlined
+@routine(inline=True)
 def move(c: Pinned, xi: float, h: float, normal: float, square: float) -> tuple[float, float, float]:
     """The threshold after a step: its component along the start, itself, and the lost part of the correlation."""
     lost = -exp_less_one(max(-0.5 * c.aging.alpha * h, -700.0))
@@ -238,13 +230,13 @@ def move(c: Pinned, xi: float, h: float, normal: float, square: float) -> tuple[
     return along, math.sqrt(along * along + s2 * square), lost
 
 
-@inlined
+@routine(inline=True)
 def swerve_of(c: Pinned, variance: float, xi: float, gap: float, touch: float, ahead: float, end: float) -> float:
     """What the drift away from 0, (n + 1/2)/xi, does to ln of the chance to touch, to first order in `variance`."""
     return variance * (gap * ahead / (gap + ahead)) * (0.25 - c.aging.shape * c.aging.shape) / (xi * touch * end)
 
 
-@inlined
+@routine(inline=True)
 def pull_of(c: Pinned, variance: float, xi: float, gap: float, ahead: float, end: float) -> float:
     """What the drift towards 0 does to it."""
     both = gap + ahead
@@ -252,7 +244,7 @@ def pull_of(c: Pinned, variance: float, xi: float, gap: float, ahead: float, end
     return 0.5 * variance * dip * (xi * (2.0 - t) + end * (1.0 + t) - dip) / (3.0 * c.aging.final2 * c.aging.final2)
 
 
-@inlined
+@routine(inline=True)
 def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) -> bool:
     """Whether a threshold that went from `xi` to `end` has met the stretch in between; `passage` is a uniform. Some of
     these passages are yet to be `confirmed`.
@@ -330,7 +322,7 @@ def bessel_k(n: float, z: float) -> float:
     return width * total
 
 
-@inlined
+@routine(inline=True)
 def heats(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lost: float) -> tuple[float, float]:
     """Thermal rates half-way, averaged over the bridge, and at the end."""
     middle, spread = halfway(c, xi, along, end, lost)
@@ -339,7 +331,7 @@ def heats(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lo
     return between, heat(c, end, x + slid)
 
 
-@inlined
+@routine(inline=True)
 def work_of(c: Pinned, xi: float, x: float, h: float, end: float, along: float, lost: float, broke: bool) -> float:
     """Work done over k in a step, by Simpson's rule for the force; in one that was cut short the stiffness goes
     straight."""
@@ -350,13 +342,13 @@ def work_of(c: Pinned, xi: float, x: float, h: float, end: float, along: float, 
     return slid * (k0 * x + 4.0 * k01 * (x + 0.5 * slid) + k1 * (x + slid)) / 6.0
 
 
-@inlined
+@routine(inline=True)
 def hazard(h: float, rate: float, between: float, last: float) -> float:
     """Hazard of a step, by Simpson's rule."""
     return h * (rate + 4.0 * between + last) / 6.0
 
 
-@inlined
+@routine(inline=True)
 def whole_work(c: Pinned, x: float, work: float) -> float:
     """Work done over k in a life that ended at `x`: `work`, that of all steps, where the stiffness varies."""
     return work if c.springs.slope > 0.0 else 0.5 * c.springs.constant * x * x
@@ -379,7 +371,7 @@ def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]
     return h, x + c.moves * h, path.draw + 1
 
 
-@inlined
+@routine(inline=True)
 def cut_heats(c: Pinned, xi: float, x: float, h: float, end: float) -> tuple[float, float]:
     """`heats` of a step cut short by a passage, which is short."""
     middle, spread = 0.5 * (xi + end), 0.5 * math.sqrt(0.5 * c.aging.alpha * c.aging.final2 * h)
@@ -419,13 +411,13 @@ def burn(c: Pinned, path: Path, h: float, end: float, rates: Rates) -> tuple[Any
 # ------------------------------------------------------------------------------------------------ one path, or many
 
 
-@inlined
+@routine(inline=True)
 def moved(path: Path, draw: int, xi: float, x: float, left: float) -> Path:
     """A path after a step."""
     return Path(path.key, path.contact, path.life, draw, xi, x, left)
 
 
-@inlined
+@routine(inline=True)
 def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any, Any]:
     """One step, at most `most` long. Returns whether the contact broke, its path from there, the length of the step,
     and the work done over k where the stiffness varies."""
@@ -445,7 +437,7 @@ def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any
     return broke, moved(path, draw, end, x + c.moves * h, path.left - spent), h, work
 
 
-@inlined
+@routine(inline=True)
 def stride(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any, Any]:
     """`walk` of a stretch of either sign, in the direction of motion; a step ends where that is 0."""
     back = path.x < 0.0
@@ -457,44 +449,83 @@ def stride(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, A
 
 
 @routine
-def follow(c: Pinned, path: Path, length: float, step: float) -> tuple[Any, Any, Any]:
-    """Whether a contact breaks within a `length` of time, its path from there or from the end, and after how long."""
-    broke, elapsed = False, 0.0
+def follow(c: Pinned, path: Path, length: float, step: float) -> tuple[Any, Any, Any, Any]:
+    """Whether a contact breaks within a `length` of time, its path from there or from the end, after how long, and the
+    work done over k until then where the stiffness varies."""
+    broke, elapsed, total = False, 0.0, 0.0
     while not broke and elapsed < length:
-        broke, path, h, _ = stride(c, path, length - elapsed, step)
+        broke, path, h, work = stride(c, path, length - elapsed, step)
         elapsed += h
-    return broke, path, elapsed
-
-
-@routine
-def life(c: Pinned, path: Path, step: float) -> Any:
-    """Stretch at breaking and work done over k of a contact at its birth."""
-    total, broke = 0.0, False
-    while not broke:
-        broke, path, _, work = walk(c, path, math.inf, step)
         total += work
-    return path.x, whole_work(c, path.x, total)
+    return broke, path, elapsed, total
+
+
+class Paths(NamedTuple):
+    """Lives to be followed, arrays (n,): contact and number of each life, threshold at birth and clock at breaking; and
+    what they come to: stretch at breaking, and int (k_i/k) x dx until then."""
+
+    contact: Array
+    number: Array
+    threshold: Array
+    clock: Array
+    travel: Array
+    work: Array
 
 
 class Walkers(NamedTuple):
-    """Paths that advance side by side, arrays (WALKERS,): which one each is, its stream of random numbers, and the
-    deviates of its next step with `u`, uniforms of theirs."""
+    """Paths that advance side by side, arrays (WALKERS,).
 
-    at: Array
+    Attributes
+    ----------
+    number, contact, life, draw : ndarray of int
+        Which of the `Paths` each is, -1 if none; its stream of random numbers.
+    xi, x, left, work : ndarray
+        Where it is: threshold, stretch, rest of the clock, work so far.
+    h, rate, slope, along, end, lost, between, last, spent : ndarray
+        Its step, as in `walk`.
+    normal, square, passage, u : ndarray
+        Deviates of the step.
+    broke : ndarray of bool
+    special : ndarray of int
+        Which of them need more than the usual.
+    """
+
+    number: Array
     contact: Array
     life: Array
     draw: Array
+    xi: Array
+    x: Array
+    left: Array
+    work: Array
+    h: Array
+    rate: Array
+    slope: Array
+    along: Array
+    end: Array
+    lost: Array
+    between: Array
+    last: Array
+    spent: Array
     normal: Array
     square: Array
     passage: Array
     u: Array
+    broke: Array
+    special: Array
+
+    @classmethod
+    def empty(cls) -> "Walkers":
+        """None on their way."""
+        whole, real = np.zeros((5, WALKERS), np.int64), np.zeros((17, WALKERS))
+        return cls._make((*whole[:4], *real, np.zeros(WALKERS, np.bool_), whole[4]))
 
 
 @routine
 def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
     """`random_step` of many paths."""
-    contact, life, draw, u = walkers.contact, walkers.life, walkers.draw, walkers.u
-    normal, square, passage = walkers.normal, walkers.square, walkers.passage
+    contact, life, draw = walkers.contact, walkers.life, walkers.draw
+    normal, square, passage, u = walkers.normal, walkers.square, walkers.passage, walkers.u
     for i in range(count):
         normal[i], square[i], u[i], passage[i] = midpoints(key, contact[i], life[i], draw[i])
         draw[i] += 1
@@ -518,48 +549,62 @@ def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
         square[i] = chi_square(shape, square[i], u[i])
 
 
-@shared_maker
-def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, stretches: Array, works: Array) -> None:
-    """`life` of many contacts' lives `numbers`, to the same bits: `stretches` at breaking in the place of thresholds at
-    birth, and `works` in the place of clocks.
+@routine
+def begin_paths(w: Walkers, paths: Paths, lanes: int, count: int, begun: int, laws: Pinned) -> tuple[int, int]:
+    """Note the ends of broken paths among the first `count` of `w.special`, and begin others in their lanes: the number
+    of lanes in use, and of paths begun."""
+    for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
+        i = w.special[j]
+        if not w.broke[i]:
+            continue
+        done = w.number[i]
+        if done >= 0:
+            paths.travel[done] = w.x[i]
+            paths.work[done] = whole_work(laws, w.x[i], w.work[i])
+        if begun < paths.threshold.size:
+            w.number[i], w.contact[i], w.life[i], w.draw[i] = begun, paths.contact[begun], paths.number[begun], 0
+            w.xi[i], w.x[i], w.left[i], w.work[i] = paths.threshold[begun], 0.0, paths.clock[begun], 0.0
+            begun += 1
+        else:
+            lanes -= 1
+            w.number[i], w.contact[i], w.life[i], w.draw[i] = (
+                w.number[lanes],
+                w.contact[lanes],
+                w.life[lanes],
+                w.draw[lanes],
+            )
+            w.xi[i], w.x[i], w.left[i], w.work[i] = w.xi[lanes], w.x[lanes], w.left[lanes], w.work[lanes]
+    return lanes, begun
+
+
+@routine
+def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None:
+    """Follow lives from birth to breaking, the same bits as by `follow`.
 
     Paths advance side by side, one loop for each part of a step, and where one has ended the next begins.
     """
-    at, contact, life = np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64), np.empty(WALKERS, np.int64)
-    draw, special = np.empty(WALKERS, np.int64), np.arange(WALKERS)
-    scratch = np.zeros((16, WALKERS))
-    xi, x, left, work = scratch[0], scratch[1], scratch[2], scratch[3]  # where paths are
-    h, rate, slope, along = scratch[4], scratch[5], scratch[6], scratch[7]  # their steps
-    end, lost, between, last = scratch[8], scratch[9], scratch[10], scratch[11]
-    passage, broke, spent, u = scratch[12], scratch[13], scratch[14], scratch[15]
-    walkers = Walkers(at, contact, life, draw, along, end, passage, u)
-    begun, lanes = 0, min(WALKERS, stretches.size)
-    count, at[:], broke[:] = lanes, -1, 1.0  # idle lanes count as broken
+    xi, x, left, work, h, rate, slope = w.xi, w.x, w.left, w.work, w.h, w.rate, w.slope
+    along, end, lost, between, last, spent = w.along, w.end, w.lost, w.between, w.last, w.spent
+    passage, broke, special = w.passage, w.broke, w.special
+    lanes = min(WALKERS, paths.threshold.size)
+    for i in range(WALKERS):
+        w.number[i] = -1
+        broke[i] = True  # as idle lanes are
+        special[i] = i
+        spent[i] = 0.0
+    begun, count = 0, lanes
     while True:
-        for j in range(count - 1, -1, -1):  # from the end, so that no broken path fills a gap
-            i = special[j]
-            if broke[i] == 0.0:
-                continue
-            if at[i] >= 0:
-                stretches[at[i]], works[at[i]] = x[i], whole_work(c, x[i], work[i])
-            if begun < stretches.size:
-                at[i], contact[i], life[i], draw[i] = begun, contacts[begun], numbers[begun], 0
-                xi[i], x[i], left[i], work[i] = stretches[begun], 0.0, works[begun], 0.0
-                begun += 1
-            else:
-                lanes -= 1
-                at[i], contact[i], life[i], draw[i] = at[lanes], contact[lanes], life[lanes], draw[lanes]
-                xi[i], x[i], left[i], work[i] = xi[lanes], x[lanes], left[lanes], work[lanes]
+        lanes, begun = begin_paths(w, paths, lanes, count, begun, c)
         if lanes == 0:
             return
 
         for i in range(lanes):
             h[i], rate[i], slope[i] = pace(c, xi[i], x[i], left[i], math.inf, step)
-        draw_steps(key, c.aging.shape, walkers, lanes)
+        draw_steps(key, c.aging.shape, w, lanes)
         for i in range(lanes):
-            along[i], end[i], lost[i] = move(c, xi[i], h[i], along[i], end[i])
+            along[i], end[i], lost[i] = move(c, xi[i], h[i], w.normal[i], w.square[i])
         for i in range(lanes):
-            broke[i] = 1.0 if meets(c, xi[i], x[i], h[i], end[i], passage[i]) else 0.0
+            broke[i] = meets(c, xi[i], x[i], h[i], end[i], passage[i])
         if thermal(c.barrier):
             for i in range(lanes):
                 between[i], last[i] = heats(c, xi[i], x[i], h[i], end[i], along[i], lost[i])
@@ -569,24 +614,26 @@ def lives(c: Pinned, key: Key, step: float, contacts: Array, numbers: Array, str
         count = 0
         for i in range(lanes):
             special[count] = i
-            count += broke[i] > 0.0 or spent[i] > _SCATTERS or spent[i] >= left[i]
+            count += broke[i] or spent[i] > _SCATTERS or spent[i] >= left[i]
         for j in range(count):
             i = special[j]
-            path = Path(key, contact[i], life[i], draw[i], xi[i], x[i], left[i])
-            if broke[i] > 0.0 and not confirmed(c, xi[i], x[i], h[i], end[i], passage[i]):
-                broke[i] = 0.0
-            if broke[i] > 0.0:
-                h[i], end[i], draw[i] = meeting(c, path, h[i], end[i])
+            path = Path(key, w.contact[i], w.life[i], w.draw[i], xi[i], x[i], left[i])
+            if broke[i] and not confirmed(c, xi[i], x[i], h[i], end[i], passage[i]):
+                broke[i] = False
+            if broke[i]:
+                h[i], end[i], w.draw[i] = meeting(c, path, h[i], end[i])
             if thermal(c.barrier):
-                if broke[i] > 0.0:
+                if broke[i]:
                     between[i], last[i] = cut_heats(c, xi[i], x[i], h[i], end[i])
                 rates = Rates(rate[i], between[i], last[i], slope[i])
-                now = moved(path, draw[i], xi[i], x[i], left[i])
-                burnt, h[i], end[i], spent[i], draw[i] = burn(c, now, h[i], end[i], rates)
+                now = moved(path, w.draw[i], xi[i], x[i], left[i])
+                burnt, h[i], end[i], spent[i], w.draw[i] = burn(c, now, h[i], end[i], rates)
                 if burnt:
-                    broke[i] = 1.0
+                    broke[i] = True
 
         for i in range(lanes if c.springs.slope > 0.0 else 0):
-            work[i] += work_of(c, xi[i], x[i], h[i], end[i], along[i], lost[i], broke[i] > 0.0)
+            work[i] += work_of(c, xi[i], x[i], h[i], end[i], along[i], lost[i], broke[i])
         for i in range(lanes):
-            xi[i], x[i], left[i] = end[i], x[i] + h[i], left[i] - spent[i]
+            x[i] += h[i]
+            xi[i] = end[i]
+            left[i] -= spent[i]

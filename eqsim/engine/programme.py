@@ -10,15 +10,18 @@ import numpy as np
 
 from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import typical_lives
+from eqsim.engine.follow import follow
+from eqsim.engine.lanes import idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales, moments
+from eqsim.engine.recorder import Extent, Moments, Run, Scales, moments, recorded_alone, recorder_for
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
+from eqsim.engine.sample import typical_lives
 from eqsim.engine.scatter import RARE, Scatter, births, known_variance, pinned_variance, scatter
-from eqsim.engine.segments import Leg, Population, begin_stationary, follow, waits_at_rest
-from eqsim.engine.stationary import Stationary, stationary
+from eqsim.engine.segments import Population, begin_stationary, waits_at_rest
+from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.errors import InputError, require_number, under
 from eqsim.laws.aging.langevin import MOST_ALPHA
+from eqsim.laws.newborn import Stretched
 from eqsim.model import reduced
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
@@ -28,7 +31,7 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import interruptibly
 
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
-_MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 100 bytes each
+_MOST_PULLED = 20_000_000  # contacts with a stage, all of which are kept at once, 120 bytes each
 _LEVELS = 5  # velocities, at most, whose steady states say how forces scatter
 
 
@@ -64,11 +67,10 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
                 require_number("4 rate hold / x_star_final^2", relaxations, least=0, most=MOST_ALPHA)
 
 
-class _Step(NamedTuple):
+class Step(NamedTuple):
     """A segment: its contacts, and where what they leave is recorded, from row `row` of all deposits on."""
 
     contacts: Contacts
-    leg: Leg
     run: Run
     scales: Scales
     drag: float
@@ -76,13 +78,22 @@ class _Step(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """A `blocks.Job` along a programme: its segments, the contacts and tables of a stationary start if it has one, and
-    the stream of random numbers."""
+    """A `blocks.Job` along one segment after another, a drive at constant velocity being one of them.
 
-    steps: tuple[_Step, ...]
-    before: Contacts | None
-    stationary: Stationary
+    Attributes
+    ----------
+    steps : tuple of Step
+    start : Fresh or Stationary
+    stream : Key
+        Of random numbers.
+    before : Contacts or None
+        Those of a stationary start of a programme.
+    """
+
+    steps: tuple[Step, ...]
+    start: Fresh | Stationary
     stream: Key
+    before: Contacts | None = None
 
     @property
     def replica_scales(self) -> tuple[float, float]:
@@ -97,26 +108,38 @@ class Steps(NamedTuple):
         return Totals(rows, rows - 2 * len(self.steps) + 1, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
-        for begin in range(first, max(last, first + 1), _TOGETHER):  # none at all compile kernels
-            population = Population.fresh(min(_TOGETHER, last - begin))
-            if self.before is not None:
-                begin_stationary(self.before, self.stationary, self.stream, begin, population)
+        handed_on = len(self.steps) > 1 or self.before is not None or self.steps[0].run.moves == 0
+        kind = recorder_for(recorded_alone(step.contacts, step.run) for step in self.steps)
+        together = _TOGETHER if handed_on else max(last - first, 1)
+        for begin in range(first, max(last, first + 1), together):  # none at all compile kernels
+            end, start = min(begin + together, last), self._start(begin, min(together, last - begin), handed_on)
             for step in self.steps:
-                if total.status[1]:
+                recorder = kind.of(step.contacts, step.run, step.scales, start, total, step.row)
+                follow(step.contacts, recorder, self.stream, begin, end, *idle_lanes(step.contacts, self.stream))
+                if total.stop[0]:
                     return
-                rows = total.scratch[step.row : step.row + step.run.points + 1]
-                scales = step.scales
-                sums = (rows, total.batches, total.status)
-                recorder = Recorder(step.run, scales.deposits, scales.batches, *sums, scales.narrow)
-                follow(step.contacts, step.leg, recorder, self.stream, begin, population)
+
+    def _start(self, first: int, contacts: int, handed_on: bool) -> Fresh | Stationary | Population:
+        """How contacts come in, if they are `handed_on` from one segment to another or not."""
+        if not handed_on:
+            return self.start
+        population = Population.fresh(first, contacts)
+        if self.before is not None:
+            begin_stationary(self.before, self.start, self.stream, population)
+        return population
 
     def moments(self, deposits: Array, contacts: int) -> Moments:
         parts = []
         for step in self.steps:
             found = moments(deposits[step.row :], step.scales, step.run, contacts, step.drag)
             later = slice(1 if step.row else 0, None)  # a segment begins where another has ended
-            parts.append(Moments(step.leg.sign * found.force[later], found.pinned[later], found.variance[later]))
+            parts.append(Moments(step.run.sign * found.force[later], found.pinned[later], found.variance[later]))
         return Moments(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def constant_drive(c: Contacts, start: Fresh | Stationary, run: Run, scales: Scales, stream: Key, drag: float) -> Steps:
+    """The job of a drive at constant velocity: a programme of one segment."""
+    return Steps((Step(c, run, scales, drag, 0),), start, stream)
 
 
 def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int, seed: int) -> Steps:
@@ -129,7 +152,7 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
     carried, usual = (known.stretch, known.typical_force) if known else (0.0, 0.0)
     elapsed = carried / pace if before else 0.0  # the longest that contacts may have been pinned
     extents: dict[float, Extent] = {}  # by pace: recorded drives have thousands of segments
-    steps: list[_Step] = []
+    steps: list[Step] = []
     row = 0
     for index, leg in enumerate(legs):
         c = contacts(ensemble, leg.pace)
@@ -138,7 +161,13 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         here = here[0 if index else 1 :]
         times = np.append(0.0, (grid.t[here] - begin) * (leg.pace / unit)) if leg.sign == 0 else np.empty(0)
         first = before is None and index == 0 and leg.sign != 0  # no stretch is beyond what has been slid
-        run = Run(leg.length if leg.sign else 0.0, here.size + 1, not first, False)
+        goes_on = before is not None and index == 0 and (leg.pace, leg.sign) == (pace, 1)
+        run = Run(
+            leg.length, here.size + 1, not first, averages=False, moves=abs(leg.sign), sign=float(leg.sign or 1),
+            ratio=leg.pace / pace, goes_on=goes_on, last=index + 1 == len(legs), instants=times,
+        )  # fmt: skip
+        if isinstance(c.newborn, Stretched):
+            c = c._replace(newborn=c.newborn._replace(sign=run.sign))
         drag = drag_of(ensemble, leg.pace) * abs(leg.sign)
         elapsed += leg.length / leg.pace
         grown = float(c.aging.growth_at(np.array(elapsed * leg.pace))) if index else 1.0
@@ -151,14 +180,10 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, replicas: int
         scales = Scales.within(extent, run, count, replicas, drag, carried, usual)
         if leg.sign and not index:
             carried = max(carried, min(extent.stretch, run.distance) if first else extent.stretch)
-        goes_on = before is not None and index == 0 and (leg.pace, leg.sign) == (pace, 1)
-        last = index + 1 == len(legs)
-        moves = Leg(abs(leg.sign), float(leg.sign or 1), leg.length, leg.pace / pace, goes_on, last, times)
-        steps.append(_Step(c, moves, run, scales, drag, row))
+        steps.append(Step(c, run, scales, drag, row))
         row += run.points + 1  # the last of which is beyond the grid
         pace = leg.pace
-    table = stationary(before) if before else Stationary()
-    return Steps(tuple(steps), before, table, key(seed, TRAJECTORY))
+    return Steps(tuple(steps), stationary(before) if before else Fresh(), key(seed, TRAJECTORY), before)
 
 
 def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
@@ -175,12 +200,13 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
 def along(
     ensemble: Ensemble,
     programme: Programme,
-    recorded: tuple[int, int, int],
+    points: int,
+    seed: int,
+    replicas: int,
     threads: Threads,
     progress: Progress | None,
 ) -> ProgrammeTrajectory:
-    """`trajectory.trajectory` of a programme; `recorded` holds points, seed and replicas."""
-    points, seed, replicas = recorded
+    """`trajectory.trajectory` of a programme."""
     grid, unit, count = programme.grid(points), ensemble.thresholds.scale, ensemble.count * replicas
     job = steps_of(ensemble, programme, grid, replicas, seed)
     interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
@@ -209,7 +235,7 @@ def along(
         pinned_stderr=pinned_stderr,
         force_replica_std=None if std is None else std * unit,
         force_replicas=None if every is None else every * unit,
-        lives=total.lives,
+        lives=int(total.lives[0]),
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
         threads=workers_of(threads),
@@ -218,11 +244,11 @@ def along(
     )
 
 
-def _step_bias(steps: tuple[_Step, ...]) -> float:
+def _step_bias(steps: tuple[Step, ...]) -> float:
     """What steps of fluctuating thresholds cost, relative, where that is more than usual, as at constant velocity."""
     if not steps[0].contacts.aging.fluctuates:
         return 0.0
-    times = ((step.contacts.aging, 1.0 if step.leg.moves else step.leg.length) for step in steps)
+    times = ((step.contacts.aging, 1.0 if step.run.moves else step.run.length) for step in steps)
     return max(step_error(law, time=time) for law, time in times) - STEP_ERROR
 
 

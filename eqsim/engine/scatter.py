@@ -24,7 +24,8 @@ import numpy as np
 from scipy import special
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import lives, spread
+from eqsim.engine.langevin import STEP
+from eqsim.engine.sample import Source, lives, spread
 from eqsim.numerics.streams import key
 from eqsim.numerics.tables import Array
 
@@ -66,7 +67,7 @@ def births(c: Contacts) -> Births:
             s, spacing = np.linspace(*_RANGE, clocks, retstep=True)
             v, clock_share = _uniforms(s + spacing * (spread(rows)[:, None] - 0.5))
             u, v, share = np.repeat(u, clocks), v.ravel(), (share[:, None] * clock_share).ravel()
-    found = lives(c, key(0, 0), 0, u, v)
+    found = lives(c, Source(key(0, 0), 0, STEP), u, v)
     # of contacts born unstressed the mean along a life, in which it may change
     stiffness = found.stiffness if found.birth.any() else 2.0 * found.work / found.travel**2
     return Births(share, stiffness, found.travel, found.birth)

@@ -1,12 +1,10 @@
-"""One kernel for every segment of a programme: contacts come in as the last segment left them, and are handed on.
+"""Contacts along a segment at constant velocity, and what they leave there on a grid and in averages.
 
-Along a segment at constant velocity a contact that comes in goes on with what its exponential clock has left, and the
-lives that begin there are those of a constant drive at that speed (`engine.simulate`), in a mirror where the slider
-moves back. In a hold stretches stay what they are, and time is displacement at the pace of another segment.
-Thresholds that fluctuate are followed step by step, with one step that ends where the segment does.
-
-Stretches of a `Population` count in the direction X. Each segment has a recorder of its own, whose origin is where the
-segment begins, so that forces do not cancel over long distances.
+A contact comes in as a start or the segment before left it, and goes on with what its exponential clock has left; the
+lives that begin in the segment are drawn and carried by `engine.follow`, in a mirror where the slider moves back; and
+where another segment follows, its state at the end is handed on. In a hold stretches stay what they are, and time is
+displacement at the pace of another segment. Thresholds that fluctuate are followed step by step, with a step that ends
+where the segment does. Each segment has an origin of its own, so that forces do not cancel over long distances.
 """
 
 import math
@@ -16,375 +14,569 @@ import numpy as np
 
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Lives, draw_lives, empty_lanes, empty_lives, spread
+from eqsim.engine.follow import admit, move_lane, note_lives
+from eqsim.engine.lanes import ROUNDS, Lanes, Lives, delay_of_the_first
 from eqsim.engine.recorder import (
-    Columns,
+    BATCHES,
+    OneByOne,
     Recorder,
-    empty_columns,
-    follow_path,
+    Run,
+    Together,
+    average,
+    edge_after,
+    fixed,
+    instant,
     join_uniform_ramps,
-    joined,
     leave,
     leave_force,
+    leave_pinned,
+    leave_ramp,
     leave_ramps,
     leave_uniform_ramps,
+    point_at,
 )
-from eqsim.engine.simulate import advance, draw_delays
+from eqsim.engine.sample import spread, typical_uniforms
 from eqsim.engine.stationary import Stationary, snapshot
 from eqsim.laws.aging import Langevin
-from eqsim.laws.aging.base import growth, spend, spent, stiffness_varies
+from eqsim.laws.aging.base import Held, growth, spend, spent, stiffness_varies
+from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.barrier.base import thermal
-from eqsim.laws.delay import delay_draw
-from eqsim.laws.newborn import born_stretched, newborn_draw
+from eqsim.laws.delay import residual_delay_draw
+from eqsim.laws.newborn import newborn_draw
 from eqsim.laws.stiffness import kappa
-from eqsim.numerics.compiled import by_law, inlined, kernel, routine
+from eqsim.laws.threshold import threshold_draw
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
-from eqsim.numerics.tables import Array, search
+from eqsim.numerics.tables import Array
 
 _SEEN = 100.0  # relaxations after which a threshold at rest has seen all there is
+_ATTEMPTS = 32000  # cycles that are tried for a snapshot; one in e^32 contacts finds none
 
 
 class Population(NamedTuple):
     """Contacts between two segments, arrays (contacts,). Times are displacements at the pace of the segment before.
 
-    `rest` is the time until a contact is pinned, -1 of those that are. Of these: threshold `xi` and `stiffness` k_i/k
-    at birth, signed `stretch`, what the exponential `clock` has left, for how long they have been pinned (`age`) and
-    the `delay` after the break; and how long a contact of a stationary start is still pinned if the motion goes on
-    (`pinned`). `lives` is ROUNDS times how often lives were drawn. Where thresholds fluctuate `xi` is the one now,
-    `life` says which life this is and `draw` which of its random numbers comes next; stiffness, `pinned` and `age` do
-    not count."""
+    Attributes
+    ----------
+    pinned : ndarray of bool
+    wait : ndarray
+        Of detached contacts: the time until they are pinned.
+    threshold, stiffness : ndarray
+        Of pinned ones, as all that follow: at birth; where thresholds fluctuate, the one now.
+    stretch : ndarray
+        In the direction X.
+    clock : ndarray
+        What the exponential clock has left.
+    age : ndarray
+        For how long they have been pinned.
+    still : ndarray
+        For how long a contact of a stationary start is still pinned if the motion goes on.
+    delay : ndarray
+        After the break.
+    lives : ndarray of int
+        ROUNDS times how often lives were drawn.
+    life, draw : ndarray of int
+        Where thresholds fluctuate: which life this is, and which of its random numbers comes next.
+    first : int
+        Number of the first contact.
+    """
 
-    rest: Array
-    xi: Array
+    pinned: Array
+    wait: Array
+    threshold: Array
     stiffness: Array
     stretch: Array
     clock: Array
-    pinned: Array
     age: Array
+    still: Array
     delay: Array
     lives: Array
     life: Array
     draw: Array
+    first: int
 
     @classmethod
-    def fresh(cls, contacts: int) -> "Population":
+    def fresh(cls, first: int, contacts: int) -> "Population":
         """All of them about to be pinned for the first time."""
-        rest, xi, stiffness, stretch, clock, pinned, age, delay = np.zeros((8, contacts))
-        return cls(rest, xi, stiffness, stretch, clock, pinned, age, delay, *np.zeros((3, contacts), np.int64))
+        real, whole = np.zeros((8, contacts)), np.zeros((3, contacts), np.int64)
+        return cls._make((np.zeros(contacts, np.bool_), *real, *whole, first))
 
 
-class Leg(NamedTuple):
-    """What a kernel needs to know of a segment: 1 if the slider moves and 0 in a hold; the direction of X in which
-    stretches are positive; length (time at its pace) and pace over that of the segment before; whether a stationary
-    start goes on in it; whether it is the last one; and instants of a hold (points + 1,) from its beginning on."""
+class Span(NamedTuple):
+    """A life in a segment: its stiffness at birth, its stretch in the direction of motion and its age where it `begins`
+    there, and its travel from there on, or time in a hold."""
 
-    moves: int
-    sign: float
-    length: float
-    ratio: float
-    goes_on: bool
-    last: bool
-    times: Array
+    stiffness: float
+    stretch: float
+    age: float
+    begins: float
+    travel: float
 
 
-@kernel
-def begin_stationary(c: Contacts, stationary: Stationary, key: Key, first: int, p: Population) -> None:
-    """Fill a population with contacts from `first` on, as a snapshot of the steady state of `c` finds them."""
-    for i in range(p.rest.size):
-        contact = first + i
-        p.lives[i] = ROUNDS
-        rest, xi, y, age, length, clock = snapshot(c.newborn, c, stationary, key, contact, uniforms(key, contact, 0, 0))
-        if rest >= 0.0:
-            p.rest[i] = rest
-            continue
-        stiffness = kappa(c.springs, xi)
-        left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), 1, age), 0.0)
-        p.rest[i], p.xi[i], p.stiffness[i], p.stretch[i] = -1.0, xi, stiffness, y + age
-        p.clock[i], p.age[i], p.pinned[i] = left, age, length - age
-        p.delay[i] = delay_of_the_first(c, key, contact)
+# ----------------------------------------------------------------------------------------- how contacts come in
 
 
-@inlined
-def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
-    """After the life in which a stationary start finds a contact."""
-    return delay_draw(c.delay, uniforms(key, contact, 0, 65535)[0])
+@admit.register(Recorder)
+@admit.register(Together)
+@admit.register(OneByOne)
+def _admit(recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int) -> bool:
+    run, averaging = recorder.run, recorder.averaging
+    x, age = enter(recorder.start, c, recorder, key, contact)
+    if x > run.length:
+        return False
+    lanes.contact[lane] = contact
+    lanes.age[lane] = age
+    lanes.position[lane] = x
+    averaging.edge[lane] = edge_after(run, x)
+    averaging.since[lane] = x
+    averaging.lives[lane] = ROUNDS * age
+    averaging.work[lane] = 0.0
+    averaging.pinned[lane] = 0.0
+    if recorder.joined:
+        leave(recorder, point_at(run, x), 1, 1.0, x)
+    return True
 
 
-@kernel
-def follow(c: Contacts, leg: Leg, recorder: Recorder, key: Key, first: int, p: Population) -> None:
-    """Follow contacts from `first` on through a segment at whose pace they are `c`, and add up what they leave."""
-    position, source = np.empty(p.rest.size), langevin.Source(key, first, langevin.STEP)
-    for i in range(p.rest.size):
-        position[i] = go_on(c.aging, c, leg, recorder, source, p, i)
-    lanes, lives, columns = empty_lanes(), empty_lives(c, ROUNDS), empty_columns()
-    xi, clock = np.empty((ROUNDS, LANES)), np.empty((ROUNDS, LANES))
-    at, broke, delay = np.full(LANES, math.inf), np.empty(LANES), np.full((ROUNDS, LANES), c.delay.mean)
-    which = np.empty(LANES, np.int64)
-    alone = leg.moves == 0 or stiffness_varies(c.aging, c.springs) or cut_short(c.aging, leg)
-    alone = alone or born_stretched(c.newborn)
-    contact, age = lanes.contact, lanes.age
-    active: Any = np.int64(0)  # typed: a literal 0 would be compiled for itself
-    upcoming: Any = np.int64(0)
-    while True:
-        if 2 * active <= LANES:
-            while active < LANES and upcoming < position.size:
-                if position[upcoming] <= leg.length:
-                    which[active], contact[active], age[active] = (
-                        upcoming,
-                        first + upcoming,
-                        p.lives[upcoming] // ROUNDS,
-                    )
-                    at[active] = position[upcoming]
-                    if not alone and joined(c, recorder):
-                        leave(recorder, index_of(leg, recorder, at[active]), 1, 1.0, at[active])
-                    active += 1
-                upcoming += 1
-        if active == 0 or recorder.status[1] != 0:
-            return
-        full = min(LANES, (active + 31) // 32 * 32)
-        draw_lives(c.newborn, c, key, lanes, lives, full)
-        if c.delay.random > 0.0:
-            draw_delays(c.delay, key, lanes, delay, full)
-        for r in range(ROUNDS):
-            for i in range(full):
-                xi[r, i], clock[r, i] = lives.stretch[r, i], lives.clock[r, i]
-            if born_stretched(c.newborn):
-                for i in range(full):
-                    lives.birth[r, i] *= leg.sign  # from here on in the direction of motion
-        if leg.moves != 0:
-            advance(c.aging, c, key, lanes, lives, alone, (active, full))
-        for r in range(ROUNDS):
-            if alone:
-                for i in range(active):
-                    if at[i] <= leg.length:
-                        drawn = xi[r, i], clock[r, i], lives.stretch[r, i], lives.birth[r, i]
-                        place = which[i], ROUNDS * age[i] + r, at[i]
-                        broke[i] = live(c.aging, c, leg, recorder, source, p, drawn, place)
-            else:
-                _record(c, recorder, at, broke, lives, r, columns, full)
-            for i in range(active):
-                if at[i] <= leg.length:
-                    recorder.status[0] += 1
-                    if broke[i] + delay[r, i] > leg.length:
-                        parts = xi[r, i], clock[r, i], delay[r, i], lives.birth[r, i]
-                        hand_on(c.aging, c, leg, p, which[i], parts, at[i], broke[i])
-                        p.lives[which[i]] = ROUNDS * (age[i] + 1)
-                    at[i] = broke[i] + delay[r, i]
-        for i in range(active):
-            age[i] += 1
-        for i in range(active - 1, -1, -1):
-            if at[i] > leg.length:
-                active -= 1
-                which[i], contact[i], age[i], at[i] = which[active], contact[active], age[active], at[active]
-                at[active] = math.inf
-
-
-@routine
-def index_of(leg: Leg, recorder: Recorder, s: float) -> int:
-    """The first instant of a segment at or after `s`; beyond the last one if there is none."""
-    run = recorder.run
-    if leg.moves == 0:
-        return search(leg.times, s, False)
-    return math.ceil(min(s * ((run.points - 1) / run.distance), float(run.points)))
-
-
-@routine
-def _leave_life(
-    c: Contacts, leg: Leg, recorder: Recorder, stiffness: float, y: float, age: float, span: tuple[float, float]
-) -> None:
-    """What a contact leaves that is pinned for a `span` of a segment, with stretch `y` and `age` at its beginning."""
-    run = recorder.run
-    start, end = index_of(leg, recorder, span[0]), index_of(leg, recorder, span[1])
-    if not stiffness_varies(c.aging, c.springs):
-        if start < end and start < run.points:
-            born = span[0] - y if leg.moves != 0 else -y
-            leave(recorder, start, 1, stiffness, born)
-            if end < run.points:
-                leave(recorder, end, -1, stiffness, born)
-        return
-    step = run.distance / (run.points - 1)
-    for j in range(start, min(end, run.points)):
-        s = j * step if leg.moves != 0 else leg.times[j]
-        elapsed = max(s - span[0], 0.0)
-        leave_force(recorder, j, stiffness * growth(c.aging, age + elapsed) * (y + elapsed * leg.moves))
-        recorder.deposits[j, 0] += 1
-        if j + 1 < run.points:
-            recorder.deposits[j + 1, 0] -= 1
+@move_lane.register(Recorder)
+@move_lane.register(Together)
+@move_lane.register(OneByOne)
+def _move_lane(recorder: Recorder, source: int, target: int) -> None:
+    averaging = recorder.averaging
+    averaging.edge[target] = averaging.edge[source]
+    averaging.since[target] = averaging.since[source]
+    averaging.lives[target] = averaging.lives[source]
+    averaging.work[target] = averaging.work[source]
+    averaging.pinned[target] = averaging.pinned[source]
 
 
 @by_law
-def cut_short(law: Any, leg: Leg) -> bool:
-    """Whether lives that begin along a segment are followed to its end only, not to where they would break."""
-    return False
+def enter(start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
+    """Take a contact through what it comes in with, by the type of the start: where its next life begins, infinity if
+    that is in a later segment; and how often lives of it were drawn."""
+    return 0.0, 0
+
+
+@enter.register(Stationary)
+def _enter_stationary(start: Stationary, c: Contacts, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
+    return found_at_start(c.aging, c, start, recorder, key, contact), 1
 
 
 @by_law
-def go_on(law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population, i: int) -> float:
-    """Take a contact through the segment up to the end of what it came in with; where its next life begins, or infinity
-    if that is in a later segment."""
-    if p.rest[i] >= 0.0:
-        return _wait(leg, p, i)
-    y, age, delay = leg.sign * p.stretch[i], p.age[i] * leg.ratio, p.delay[i] * leg.ratio
-    contact = p.xi[i], p.stiffness[i], y, age
-    if leg.goes_on:
-        broke, left = p.pinned[i], 0.0
-        if broke > leg.length:
-            left = max(p.clock[i] - spent(c.aging, c, contact, leg.moves, leg.length), 0.0)
+def found_at_start(law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int) -> float:
+    """Record what a snapshot of the stationary state finds at X = 0, by the law of aging. Where that contact is pinned
+    again."""
+    batch, seen = contact % BATCHES, snapshot(c.newborn, c, start, key, contact)
+    if not seen.pinned:
+        average(recorder, batch, 0.0, 0.0, 0.0, 0.0, seen.wait)
+        return seen.wait
+    span = Span(kappa(c.springs, seen.threshold), seen.stretch, 0.0, -seen.age, seen.length)
+    broke, reborn = seen.length - seen.age, seen.length - seen.age + delay_of_the_first(c, key, contact)
+    stiffness = leave_span(c, recorder, batch, span)
+    average(recorder, batch, stiffness, -seen.age - seen.stretch, -seen.age, broke, reborn)
+    return reborn
+
+
+@found_at_start.register(Langevin)
+def _path_at_start(law: Langevin, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int) -> float:
+    """Try cycles of life and delay, each begun at a uniform time before X = 0 within the longest one, until one is
+    still under way: a cycle is found in proportion to its length (derived). An exponential delay counts as a fixed one
+    of the same mean: what is left of it is exponential again."""
+    batch, delay = contact % BATCHES, c.delay.mean
+    born, broke, reborn = 0.0, 0.0, 0.0
+    for attempt in range(_ATTEMPTS):
+        rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
+        age = (start.longest + delay) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
+        xi, number = threshold_draw(c.thresholds, rank), 2**32 - 1 - attempt
+        path = langevin.Path(key, contact, number, np.int64(0), xi, 0.0, -math.log(tick))
+        ends, _ = leave_path(langevin.pinned(c), recorder, batch, path, -age)
+        if ends + delay > 0.0:
+            born, broke, reborn = -age, ends, ends + delay_of_the_first(c, key, contact)
+            if ends <= 0.0:
+                rest = residual_delay_draw(c.delay, uniforms(key, contact, 0, 0)[1])
+                broke, reborn = 0.0, rest if c.delay.random > 0.0 else ends + delay
+            break
+    average(recorder, batch, c.springs.constant, born, born, broke, reborn)
+    return reborn
+
+
+@enter.register(Population)
+def _enter_between(start: Population, c: Contacts, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
+    run, i = recorder.run, contact - start.first
+    lives, reborn = start.lives[i] // ROUNDS, start.wait[i] * run.ratio
+    if start.pinned[i]:
+        start.delay[i] *= run.ratio
+        broke = go_on(c.aging, c, recorder, key, start, i)
+        if broke == math.inf:
+            return math.inf, lives
+        start.pinned[i] = False
+        reborn = broke + start.delay[i]
+    start.wait[i] = reborn - run.length
+    return (reborn if reborn <= run.length else math.inf), lives
+
+
+@by_law
+def go_on(law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int) -> float:
+    """Take a pinned contact through the segment, by the law of aging: where it breaks. Infinity if it does not; then
+    its state at the end is noted."""
+    run, stiffness = recorder.run, p.stiffness[i]
+    y, age = run.sign * p.stretch[i], p.age[i] * run.ratio
+    contact = Held(p.threshold[i], stiffness, y, age)
+    if run.goes_on:
+        broke, left = p.still[i], 0.0
+        if broke > run.length:
+            left = max(p.clock[i] - spent(law, c, contact, run.moves, run.length), 0.0)
     else:
-        broke, left = spend(c.aging, c, contact, leg.moves, leg.length, p.clock[i])
-    _leave_life(c, leg, recorder, p.stiffness[i], y, age, (0.0, broke))
-    if broke > leg.length:
-        p.stretch[i] = leg.sign * (y + leg.moves * leg.length)
-        p.clock[i], p.age[i], p.delay[i] = left, age + leg.length, delay
-        return math.inf
-    p.rest[i] = broke + delay - leg.length
-    return broke + delay if broke + delay <= leg.length else math.inf
+        broke, left = spend(law, c, contact, run.moves, run.length, p.clock[i])
+    leave_span(c, recorder, 0, Span(stiffness, y, age, 0.0, broke))
+    if broke <= run.length:
+        return broke
+    p.stretch[i] = run.sign * (y + run.moves * run.length)
+    p.clock[i] = left
+    p.age[i] = age + run.length
+    return math.inf
 
 
-@routine
-def _wait(leg: Leg, p: Population, i: int) -> float:
-    """`go_on` of a detached contact."""
-    rest = p.rest[i] * leg.ratio
-    p.rest[i] = rest - leg.length
-    return rest if rest <= leg.length else math.inf
-
-
-@by_law
-def live(
-    law: Any, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population,
-    drawn: tuple[float, float, float, float], place: tuple[int, int, float],
-) -> float:  # fmt: skip
-    """Record a life on its own, `drawn` as threshold, clock, travel unless in a hold, and stretch at birth in the
-    direction of motion, in its `place`: whose it is, which of its lives, and where that begins. Where it ends."""
-    (xi, clock, stretch, y), (_, _, born) = drawn, place
-    stiffness = kappa(c.springs, xi)
-    if leg.moves != 0:
-        broke = born + stretch
-    else:
-        spent, _ = spend(c.aging, c, (xi, stiffness, y, 0.0), 0, leg.length - born, clock)
-        broke = born + spent
-    _leave_life(c, leg, recorder, stiffness, y, 0.0, (born, broke))
+@go_on.register(Langevin)
+def _path_goes_on(law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int) -> float:
+    run = recorder.run
+    laws = langevin.Pinned(c.barrier, c.springs, law, float(run.moves))
+    path = langevin.Path(key, p.first + i, p.life[i], p.draw[i], p.threshold[i], run.sign * p.stretch[i], p.clock[i])
+    broke, path = leave_path(laws, recorder, 0, path, 0.0)
+    if broke == math.inf:
+        keep_path(p, run, path)
     return broke
 
 
-@inlined
-def _record(
-    c: Contacts, recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, columns: Columns, count: int
-) -> None:
-    """Record round r of the lives of all lanes; where they end."""
-    stretch = lives.stretch
-    for i in range(count):
-        broke[i] = born[i] + stretch[r, i]
-    if joined(c, recorder):
-        join_uniform_ramps(recorder, born, broke, columns, count)
-    elif c.springs.slope == 0.0:
-        leave_uniform_ramps(recorder, born, broke, columns, count)
+# --------------------------------------------------------------------------------------- what lives leave there
+
+
+@routine(inline=True)
+def note_together(
+    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
+    """Record the lives of all lanes at once. A contact's lives come in order of position, so what they leave in
+    averages is added up on the way, and noted when a life crosses the edge of a window."""
+    averaging, position = recorder.averaging, lanes.position
+    broke, reborn, edge = averaging.broke, averaging.reborn, averaging.edge
+    work, pinned = averaging.work, averaging.pinned
+    travel, stiffness, delay = lives.travel, lives.stiffness, lives.delay
+    for i in range(full):
+        work[i] += 0.5 * stiffness[r, i] * travel[r, i] * travel[r, i]
+        broke[i] = position[i] + travel[r, i]
+    if recorder.joined:
+        for i in range(full):
+            reborn[i] = broke[i]
+        join_uniform_ramps(recorder, position, broke, full)
     else:
-        leave_ramps(recorder, born, broke, lives, r, columns, count)
+        for i in range(full):
+            pinned[i] += travel[r, i]
+            reborn[i] = broke[i] + delay[r, i]
+        if c.springs.slope == 0.0:
+            leave_uniform_ramps(recorder, position, broke, full)
+        else:
+            leave_ramps(recorder, position, broke, lives, r, full)
+    crossing = 0
+    for i in range(active):
+        crossing += reborn[i] > edge[i]
+    ended = crossing > 0 and cross_edges(recorder, c, lanes, lives, r, active)
+    for i in range(active):
+        position[i] = reborn[i]
+    return ended
+
+
+@routine(inline=True)
+def cross_edges(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int) -> bool:
+    """Note what contacts whose lives cross the edge of a window have left in it, and these lives; whether any has come
+    to the end of the segment."""
+    run, averaging, scales, ended = recorder.run, recorder.averaging, recorder.window_scales, False
+    edge, broke, reborn, position = averaging.edge, averaging.broke, averaging.reborn, lanes.position
+    for i in range(active):
+        if reborn[i] <= edge[i]:
+            continue
+        batch, number = lanes.contact[i] % BATCHES, ROUNDS * lanes.age[i] + r
+        x, stiffness = lives.travel[r, i], lives.stiffness[r, i]
+        if run.averages and edge[i] > 0.5 * run.length:
+            window = recorder.windows[batch, 0 if edge[i] < run.length else 1]
+            elapsed = position[i] - averaging.since[i]
+            pinned = elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x  # to the last bit
+            window.area += fixed(averaging.work[i] - 0.5 * stiffness * x * x, scales.area)
+            window.pinned += fixed(pinned, scales.pinned)
+            window.elapsed += fixed(elapsed, scales.elapsed)
+            window.breaks += number - averaging.lives[i]
+            window.stretch += fixed(pinned, scales.stretch)
+            window.travel += fixed(pinned, scales.travel)
+        if run.averages:
+            average(recorder, batch, stiffness, position[i], position[i], broke[i], reborn[i])
+        recorder.lives[0] += number + 1 - averaging.lives[i]
+        if reborn[i] > run.length:
+            hand_on(recorder.start, c, recorder, lanes, lives, r, i, broke[i])
+            reborn[i] = math.inf
+            ended = True
+        edge[i] = edge_after(run, reborn[i])
+        averaging.since[i] = reborn[i]
+        averaging.lives[i] = number + 1
+        averaging.work[i] = 0.0
+        averaging.pinned[i] = 0.0
+    return ended
+
+
+@routine
+def note_alone(
+    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
+    """Record the lives of the lanes one by one."""
+    run, position, ended = recorder.run, lanes.position, False
+    for i in range(active):
+        born = position[i]
+        if born > run.length:
+            continue
+        number = ROUNDS * lanes.age[i] + r
+        batch = (lanes.contact[i] + number * run.batch_by_life) % BATCHES
+        path = langevin.Path(
+            key, lanes.contact[i], number, np.int64(0), lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
+        )
+        stiffness, broke = leave_life(c.aging, c, recorder, batch, path, born, lives.travel[r, i])
+        reborn = broke + lives.delay[r, i]
+        if run.averages and reborn > 0.5 * run.length:
+            average(recorder, batch, stiffness, born - lives.birth[r, i], born, broke, reborn)
+        recorder.lives[0] += 1
+        if reborn > run.length:
+            hand_on(recorder.start, c, recorder, lanes, lives, r, i, broke)
+            reborn = math.inf
+            ended = True
+        position[i] = reborn
+    return ended
+
+
+@note_lives.register(Recorder)
+def _note_either(
+    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
+    if recorder.alone:
+        return note_alone(recorder, c, key, lanes, lives, r, active, full)
+    return note_together(recorder, c, key, lanes, lives, r, active, full)
+
+
+note_lives.register(Together)(note_together)
+note_lives.register(OneByOne)(note_alone)
+
+
+@by_law
+def leave_life(
+    law: Any, c: Contacts, recorder: Recorder, batch: int, drawn: langevin.Path, born: float, travel: float
+) -> tuple[float, float]:
+    """Record a life that begins at `born` as `drawn`, by the law of aging, and is carried over `travel` unless in a
+    hold. The stiffness whose work is yet to be averaged, and where the life ends."""
+    stiffness = kappa(c.springs, drawn.xi)
+    if recorder.run.moves == 0:
+        contact = Held(drawn.xi, stiffness, drawn.x, 0.0)
+        travel = time_in_hold(recorder.start, c, contact, recorder.run.length - born, drawn.left)
+    stiffness = leave_span(c, recorder, batch, Span(stiffness, drawn.x, 0.0, born, travel))
+    return stiffness, born + travel
+
+
+@by_law
+def time_in_hold(start: Any, c: Contacts, contact: Held, longest: float, clock: float) -> float:
+    """How long a contact is pinned in a hold, or infinity if that is longer than it lasts; by the type of the start, as
+    only programmes have holds."""
+    return math.inf
+
+
+@time_in_hold.register(Population)
+def _time_in_hold(start: Population, c: Contacts, contact: Held, longest: float, clock: float) -> float:
+    return spend(c.aging, c, contact, 0, longest, clock)[0]
+
+
+@leave_life.register(Langevin)
+def _leave_drawn_path(
+    law: Langevin, c: Contacts, recorder: Recorder, batch: int, drawn: langevin.Path, born: float, travel: float
+) -> tuple[float, float]:
+    laws = langevin.Pinned(c.barrier, c.springs, law, float(recorder.run.moves))
+    broke, path = leave_path(laws, recorder, batch, drawn, born)
+    if broke == math.inf:
+        keep_path(recorder.start, recorder.run, path)
+    return c.springs.constant, broke
+
+
+@routine
+def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float:
+    """Record the force of a contact that is pinned for a span of a segment; the stiffness whose work is yet to be
+    averaged, 0 where that is done."""
+    run, begins, stiffness = recorder.run, span.begins, span.stiffness
+    if not stiffness_varies(c.aging, c.springs):
+        origin = begins - span.stretch if run.moves != 0 else -span.stretch
+        leave_ramp(recorder, stiffness, origin, begins, begins + span.travel)
+        return stiffness
+    for j in range(point_at(run, begins), min(point_at(run, begins + span.travel), run.points)):
+        elapsed = max(instant(run, j) - begins, 0.0)
+        x = span.stretch + elapsed * run.moves
+        leave_force(recorder, j, stiffness * growth(c.aging, span.age + elapsed) * x)
+    leave_pinned(recorder, begins, begins + span.travel)
+    for quarter in range(2 if run.averages else 0):
+        low = max(run.length * (0.5 + 0.25 * quarter) - begins, 0.0)
+        high = min(run.length * (0.75 + 0.25 * quarter) - begins, span.travel)
+        if high > low:
+            until = work_of(c.aging, c.aging_table, c.springs, stiffness, high)
+            before = work_of(c.aging, c.aging_table, c.springs, stiffness, low)
+            recorder.windows[batch, quarter].area += fixed(until - before, recorder.window_scales.area)
+    return 0.0
+
+
+@routine
+def leave_path(
+    laws: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, begins: float
+) -> tuple[float, langevin.Path]:
+    """Follow the path of a contact whose threshold fluctuates, from `begins` on, and record it. Where it breaks, or
+    infinity if that is in a later segment, and its path there. It may be on its way, stretched at the beginning."""
+    run = recorder.run
+    if laws.springs.slope == 0.0:
+        y, stiffness = path.x, laws.springs.constant
+        longest = math.inf if run.averages else run.length - begins
+        broken, path, travel, _ = langevin.follow(laws, path, longest, langevin.STEP)
+        ends = begins + travel if broken else math.inf
+        if broken and not run.averages:
+            ends = min(ends, run.length)
+        leave_ramp(recorder, stiffness, begins - y if run.moves != 0 else -y, begins, ends)
+        return ends, path
+    if run.moves == 0:
+        return leave_path_at_rest(laws, recorder, path, begins)
+    return leave_stiffening_path(laws, recorder, batch, path, begins)
+
+
+@routine
+def leave_path_at_rest(
+    laws: langevin.Pinned, recorder: Recorder, path: langevin.Path, begins: float
+) -> tuple[float, langevin.Path]:
+    """`leave_path` in a hold, of a contact whose stiffness follows its threshold: steps end at the instants that are
+    recorded."""
+    run, now = recorder.run, begins
+    for j in range(point_at(run, begins), run.points):
+        broken, path, elapsed, _ = langevin.follow(laws, path, run.instants[j] - now, langevin.STEP)
+        if broken:
+            return min(now + elapsed, run.length), path
+        now = run.instants[j]
+        leave_force(recorder, j, kappa(laws.springs, path.xi) * path.x)
+        recorder.deposits[j].count += 1
+        recorder.deposits[j + 1].count -= 1
+    return math.inf, path
+
+
+@routine
+def leave_stiffening_path(
+    laws: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, begins: float
+) -> tuple[float, langevin.Path]:
+    """`leave_path` of a contact whose stiffness follows its threshold: steps end at grid points and at edges of windows
+    of averages. It is not followed beyond the last one."""
+    run = recorder.run
+    step, quarters, y = run.length / (run.points - 1), 0.25 * run.length, path.x
+    s, broken, j = 0.0, False, point_at(run, begins)  # travel so far, which the stretch may not resolve
+    window = max(2, math.floor(begins / quarters) + 1)  # the next edge of a window is at window * quarters
+    while not broken:
+        if j < run.points and j * step - begins <= s:
+            leave_force(recorder, j, kappa(laws.springs, path.xi) * path.x)
+            j += 1
+            continue
+        if window * quarters - begins <= s:
+            window += 1
+            continue
+        if window > 4 and j >= run.points:
+            break
+        stop = window * quarters - begins
+        if j < run.points:
+            stop = min(stop, j * step - begins)
+        broken, path, h, work = langevin.stride(laws, path, stop - s, langevin.STEP)
+        if run.averages and 2 < window < 5:
+            recorder.windows[batch, window - 3].area += fixed(work, recorder.window_scales.area)
+        reached = not broken and s + h >= stop * (1.0 - 1e-15)
+        s = stop if reached else s + h
+        path = langevin.moved(path, path.draw, path.xi, y + s if reached else path.x, path.left)
+    ends = begins + s if broken and begins + s <= run.length else math.inf
+    leave_pinned(recorder, begins, ends)
+    return ends, path
+
+
+# -------------------------------------------------------------------------------------------- how they are handed on
 
 
 @by_law
 def hand_on(
-    law: Any, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float, float], born: float,
-    broke: float,
-) -> None:  # fmt: skip
-    """Note where a contact is at the end of the segment, whose last life was `drawn` as threshold, clock, delay and
-    stretch at birth in the direction of motion."""
-    xi, clock, delay, y = drawn
-    if broke <= leg.length:
-        p.rest[i] = broke + delay - leg.length
+    start: Any, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int, broke: float
+) -> None:
+    """Note the state of a contact whose life of round r in lane i is the last one in a segment, for the next one, by
+    the type of the start."""
+
+
+@hand_on.register(Population)
+def _hand_on(
+    start: Population, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int, broke: float
+) -> None:
+    run, contact = recorder.run, lanes.contact[i] - start.first
+    if run.last:
         return
-    stiffness, age = kappa(c.springs, xi), leg.length - born
-    left = max(clock - spent(c.aging, c, (xi, stiffness, y, 0.0), leg.moves, age), 0.0)
-    p.rest[i], p.xi[i], p.stiffness[i], p.clock[i], p.age[i], p.delay[i] = -1.0, xi, stiffness, left, age, delay
-    p.stretch[i] = leg.sign * (y + leg.moves * age)
+    start.lives[contact] = ROUNDS * (lanes.age[i] + 1)
+    start.delay[contact] = lives.delay[r, i]
+    start.pinned[contact] = broke > run.length
+    start.wait[contact] = broke + lives.delay[r, i] - run.length
+    if broke > run.length:
+        keep_life(c.aging, c, recorder, lanes, lives, r, i)
 
 
-# ------------------------------------------------------------------------------------- thresholds that fluctuate
+@by_law
+def keep_life(law: Any, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int) -> None:
+    """Note the state at the end of the segment of a contact that is pinned, by the law of aging."""
+    run, p, contact = recorder.run, recorder.start, lanes.contact[i] - recorder.start.first
+    xi, y, age = lives.threshold[r, i], lives.birth[r, i], run.length - lanes.position[i]
+    stiffness = kappa(c.springs, xi)
+    passed = spent(law, c, Held(xi, stiffness, y, 0.0), run.moves, age)
+    p.threshold[contact] = xi
+    p.stiffness[contact] = stiffness
+    p.stretch[contact] = run.sign * (y + run.moves * age)
+    p.clock[contact] = max(lives.clock[r, i] - passed, 0.0)
+    p.age[contact] = age
 
 
-@cut_short.register(Langevin)
-def _cut_short(law: Langevin, leg: Leg) -> bool:
-    return not leg.last
+@keep_life.register(Langevin)
+def _keep_no_life(law: Langevin, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int) -> None:
+    pass  # its path is kept where it ends
 
 
-@go_on.register(Langevin)
-def _go_on_path(
-    law: Langevin, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population, i: int
-) -> float:
-    if p.rest[i] >= 0.0:
-        return _wait(leg, p, i)
-    p.delay[i] *= leg.ratio
-    path = langevin.Path(
-        source.key, source.first + i, p.life[i], p.draw[i], p.xi[i], leg.sign * p.stretch[i], p.clock[i]
-    )
-    broke = _along(c, leg, recorder, p, path, (i, 0.0))
-    if broke == math.inf:
-        return math.inf
-    p.rest[i] = broke + p.delay[i] - leg.length
-    return broke + p.delay[i] if p.rest[i] <= 0.0 else math.inf
+@by_law
+def keep_path(start: Any, run: Run, path: langevin.Path) -> None:
+    """Note where a path is at the end of a segment, for the next one, by the type of the start."""
 
 
-@live.register(Langevin)
-def _live_path(
-    law: Langevin, c: Contacts, leg: Leg, recorder: Recorder, source: langevin.Source, p: Population,
-    drawn: tuple[float, float, float, float], place: tuple[int, int, float],
-) -> float:  # fmt: skip
-    (xi, clock, _, _), (i, life, born) = drawn, place
-    path = langevin.Path(source.key, source.first + i, life, np.int64(0), xi, 0.0, clock)
-    return _along(c, leg, recorder, p, path, (i, born))
+@keep_path.register(Population)
+def _keep_path(start: Population, run: Run, path: langevin.Path) -> None:
+    i = path.contact - start.first
+    start.threshold[i] = path.xi
+    start.stretch[i] = run.sign * path.x
+    start.clock[i] = path.left
+    start.life[i] = path.life
+    start.draw[i] = path.draw
 
 
-@hand_on.register(Langevin)
-def _hand_on_path(
-    law: Langevin, c: Contacts, leg: Leg, p: Population, i: int, drawn: tuple[float, float, float, float], born: float,
-    broke: float,
-) -> None:  # fmt: skip
-    p.delay[i] = drawn[2]  # the rest is noted where its path ends
-    p.rest[i] = broke + drawn[2] - leg.length if broke <= leg.length else -1.0
+# ------------------------------------------------------------------------------------------------ stationary starts
 
 
-@routine
-def _along(
-    c: Contacts, leg: Leg, recorder: Recorder, p: Population, path: langevin.Path, place: tuple[int, float]
-) -> float:
-    """Follow and record a path; `place`: whose it is, and from where on. Where it breaks; infinity if it comes to the
-    end of the segment, and its state there is noted."""
-    (i, begin), y = place, path.x
-    laws = langevin.Pinned(c.barrier, c.springs, c.aging, float(leg.moves))
-    broken = False
-    if c.springs.slope == 0.0:
-        broken, path, elapsed = langevin.follow(laws, path, leg.length - begin, langevin.STEP)
-        broke = min(begin + elapsed, leg.length) if broken else math.inf
-        _leave_life(c, leg, recorder, c.springs.constant, y, 0.0, (begin, broke))
-    elif leg.moves == 0:
-        broke, path = _hold(laws, leg, recorder, path, begin)
-    else:
-        elapsed, path = follow_path(laws, recorder, 0, path, begin)
-        broke = begin + elapsed if begin + elapsed <= leg.length else math.inf
-    if broke == math.inf:
-        p.rest[i], p.xi[i], p.stretch[i], p.clock[i] = -1.0, path.xi, leg.sign * path.x, path.left
-        p.life[i], p.draw[i] = path.life, path.draw
-    return broke
-
-
-@routine
-def _hold(
-    c: langevin.Pinned, leg: Leg, recorder: Recorder, path: langevin.Path, begin: float
-) -> tuple[float, langevin.Path]:
-    """Follow and record a path in a hold whose stiffness follows its threshold: when it breaks, or infinity, and the
-    path there. Steps end at the instants that are recorded."""
-    at = begin
-    for j in range(index_of(leg, recorder, begin), recorder.run.points):
-        broke, path, elapsed = langevin.follow(c, path, leg.times[j] - at, langevin.STEP)
-        if broke:
-            return min(at + elapsed, leg.length), path
-        at = leg.times[j]
-        leave_force(recorder, j, kappa(c.springs, path.xi) * path.x)
-        recorder.deposits[j, 0] += 1
-        if j + 1 < recorder.run.points:
-            recorder.deposits[j + 1, 0] -= 1
-    return math.inf, path
+@kernel
+def begin_stationary(c: Contacts, stationary: Stationary, key: Key, p: Population) -> None:
+    """Fill a population as a snapshot of the steady state of `c` finds its contacts."""
+    for i in range(p.wait.size):
+        contact = p.first + i
+        seen = snapshot(c.newborn, c, stationary, key, contact)
+        p.lives[i] = ROUNDS
+        p.pinned[i] = seen.pinned
+        p.wait[i] = seen.wait
+        if seen.pinned:
+            stiffness = kappa(c.springs, seen.threshold)
+            passed = spent(c.aging, c, Held(seen.threshold, stiffness, seen.stretch, 0.0), 1, seen.age)
+            p.threshold[i] = seen.threshold
+            p.stiffness[i] = stiffness
+            p.stretch[i] = seen.stretch + seen.age
+            p.clock[i] = max(seen.clock - passed, 0.0)
+            p.age[i] = seen.age
+            p.still[i] = seen.length - seen.age
+            p.delay[i] = delay_of_the_first(c, key, contact)
 
 
 # ---------------------------------------------------------------------------------------------- how long lives last
@@ -393,35 +585,33 @@ def _hold(
 def waits_at_rest(c: Contacts, most: float) -> Array:
     """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares of thresholds and of clocks;
     where thresholds fluctuate roughly, and at 16 x 16."""
-    shares = 16 if c.aging.fluctuates else 64
-    share = (np.arange(shares) + 0.5) / shares
-    u, v = (grid.ravel() for grid in np.meshgrid(share, share))
-    found = np.empty(u.size)
-    fill_waits(c, u, v, spread(u.size), most, found)
-    return np.minimum(found, most)
+    u, v = typical_uniforms(c)
+    waits = np.empty(u.size)
+    fill_waits(c, u, v, spread(u.size), most, waits)
+    return np.minimum(waits, most)
 
 
 @kernel
-def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, most: float, found: Array) -> None:
+def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, most: float, waits: Array) -> None:
     """The kernel of `waits_at_rest`; longer lives may be infinite."""
     for i in range(u.size):
-        born = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
-        found[i] = wait_at_rest(c.aging, c, born, -math.log(v[i]), most, i)
+        xi, y = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
+        waits[i] = wait_at_rest(c.aging, c, Held(xi, kappa(c.springs, xi), y, 0.0), -math.log(v[i]), most, i)
 
 
 @by_law
-def wait_at_rest(law: Any, c: Contacts, born: tuple[float, float], clock: float, most: float, i: int) -> float:
-    """How long a life lasts at rest of a contact `born` with threshold and stretch; path i where those fluctuate.
-    Infinite, or anything longer, if it is more than `most`."""
-    return spend(law, c, (born[0], kappa(c.springs, born[0]), born[1], 0.0), 0, most, clock)[0]
+def wait_at_rest(law: Any, c: Contacts, contact: Held, clock: float, most: float, i: int) -> float:
+    """How long a life lasts at rest, by the law of aging; path i where thresholds fluctuate. Infinite, or anything
+    longer, if it is more than `most`."""
+    return spend(law, c, contact, 0, most, clock)[0]
 
 
 @wait_at_rest.register(Langevin)
-def _path_at_rest(law: Langevin, c: Contacts, born: tuple[float, float], clock: float, most: float, i: int) -> float:
+def _path_at_rest(law: Langevin, c: Contacts, contact: Held, clock: float, most: float, i: int) -> float:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
-    key = (np.uint64(0), np.uint64(0))
-    path = langevin.Path(key, i, np.int64(0), np.int64(0), born[0], 0.0, clock)
-    broke, path, elapsed = langevin.follow(laws, path, min(_SEEN / law.alpha, most), langevin.STEP)
+    key = Key(np.uint64(0), np.uint64(0))
+    path = langevin.Path(key, i, np.int64(0), np.int64(0), contact.threshold, 0.0, clock)
+    broke, path, elapsed, _ = langevin.follow(laws, path, min(_SEEN / law.alpha, most), langevin.STEP)
     return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion

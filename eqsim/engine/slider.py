@@ -1,233 +1,272 @@
-"""A slider that a stage pulls through a spring: all contacts, exactly, along X(t) made of short straight pieces.
+"""A slider that a stage pulls through a spring, in short steps at constant velocity.
 
-In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of all pinned contacts, and rho and r what breaks
-add to it by motion, per dX, and by heat, per time, as in the last breaks (derived, of second order). Without a mass
+In each step the force F of the contacts is first estimated as
+
+    F + (A + rho) dX + r dt,
+
+with A the stiffness of all pinned contacts, and rho and r the changes of F by breaks per
+displacement and per time, which are known from the last breaks (derived, of second order
+in the step). The equation of motion without a mass
 
     eta X' = kappa (Y - X) - F
 
-has a closed form then; with one forces are balanced in the middle of the step, or, where the slider's own vibration is
-faster than a step, at its end. Then every contact is followed along the piece, so F is exact for the X(t) that was
-found. What the estimate missed of F has left the slider where it would not be otherwise, and at another velocity; the
-next step makes up for both (`Behind`). Without that the slider would be of first order in the step, as rho and r lag
-behind by as many breaks as they are means of.
+has a closed solution for this estimate. With a mass, forces are balanced in the middle of
+the step, or at its end where the slider's own vibration is faster than a step. Then every
+contact is followed along the straight piece of X(t), so that F is exact for this X(t).
+The next step makes up for the displacement and the velocity that the estimate has missed
+(`Behind`). Without this the error would be of first order in the step, since rho and r
+lag behind by the breaks that they are means of.
 
-Steps are so short that the estimate misses F by less than the tolerance, beyond the scatter of the breaks themselves,
-and none is longer than the root of it; a slip takes as many steps as it needs. Where neither damping nor mass holds the
-slider back it takes place at an instant. Every ensemble is followed a second time, in steps four times as long, and
-what that changes tells how much the finite step may be wrong (`_missed_by_steps`).
+A step is so short that its estimate misses F by less than the tolerance, beyond the
+scatter of the breaks themselves, and that its displacement is at most the root of the
+tolerance. Slips take as many steps as they need. Where neither damping nor mass limits
+the velocity, a slip takes no time.
 
-Lengths are in units of the threshold law's scale, time is displacement at the pace of `model.reduced.Pull`.
+Lengths are in units of the threshold law's scale; time is displacement at the pace of
+`model.reduced.Pull`.
 """
 
-import functools
 import itertools
 import math
-import time
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
-from eqsim.engine import avalanches
-from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import delay_after, draw_one
-from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
-from eqsim.engine.scatter import pinned_variance
-from eqsim.engine.segments import Population, begin_stationary, delay_of_the_first
+from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
+from eqsim.engine.segments import Population, begin_stationary
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging import Unaged
-from eqsim.laws.aging.base import growth, spend, stiffness_varies
+from eqsim.laws.aging.base import Held, growth, spend, stiffness_varies
 from eqsim.laws.barrier import Mechanical
 from eqsim.laws.stiffness import kappa
-from eqsim.model.drive import Grid, Programme
+from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
 from eqsim.model.slip import least_slip, width_of
-from eqsim.numerics.compiled import apart, inlined, kernel
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
-_BLOCK = 512  # contacts whose sums are added up before those of others: the same bits whoever adds them
-_SHARE = 20  # blocks that a thread must have: to wake it takes as long as they do
-_TOGETHER = 1 << 16  # contacts that a stationary start draws at once
-_BREAKS = 30.0  # that say at what rate contacts break
-_FIRST = 1e-6  # first step, of the first segment
-_HALVINGS = 30  # of a step, after which what nothing holds back slips at an instant
-_SHORTEST = 1e-200  # the shortest step of what damping or mass hold back
-_INSTANT = 1e-40  # time of a piece that takes none, over its displacement: heat and age do nothing in it at any pace
-_FEW_REPLICAS = 8  # whose scatter tells the error of their mean
-_NOISE = 2.0  # standard errors of what breaks in a step that no shorter step would make better
-_COARSER = 4  # how many times as long the steps of the second run are, and how many of its instants it records one of
+_BLOCK = 512  # contacts summed first: sets the last bits, for any number of threads
+_BLOCKS_PER_THREAD = 20  # at least: waking a thread takes as long as following them
+_DRAWN_AT_ONCE = 1 << 16  # contacts of a stationary start, which bounds its memory
+_MEMORY = 30.0  # breaks over which rho and r are averaged
+_FIRST_STEP = 1e-6  # as a share of the first segment
+_HALVINGS = 30  # of a step, until a slider without damping and mass slips at an instant
+_SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
+_INSTANT = 1e-40  # duration over displacement of a slip that heat and age do nothing in
+_NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
+_AT_THRESHOLD = 1.0 - 1e-9  # share of a threshold from which on breaks are by motion
 
-# sums over contacts at the end of a piece: pinned, stiffness, force, its square, stored energy; and of the breaks in
-# it: force by motion and by heat, its square, energy, and how many
-PINNED, STIFFNESS, FORCE, SQUARE, STORED, MOTION, HEAT, SCATTER, LOST, BREAKS = range(10)
+# The state of a contact between two steps: 56 bytes.
+CONTACT = np.dtype(
+    [
+        ("time_to_pinning", np.float64),  # of a detached contact
+        ("time_since_birth", np.float64),  # of a pinned contact, as all that follows
+        ("threshold", np.float64),  # at birth
+        ("stretch", np.float64),  # in the direction of X
+        ("clock", np.float64),  # the rest of the exponential clock
+        ("lives", np.int64),  # that have been drawn
+        ("pinned", np.bool_),
+        ("began_stationary", np.bool_),  # in the life that a start has found
+    ],
+    align=True,
+)
 
 
-class Followed(NamedTuple):
-    """Contacts between two steps, arrays (contacts,), 40 bytes each. `time` is that until a contact is pinned, and of
-    those that are minus that since (-0 at birth). Of these: threshold `xi` at birth, signed `stretch`, what the
-    exponential `clock` has left. `lives` is how many were drawn, and below 0 in the life in which a stationary start
-    finds a contact."""
+class Sums(NamedTuple):
+    """Sums over contacts at the end of a piece, and over their breaks along it."""
 
-    time: Array
-    xi: Array
-    stretch: Array
-    clock: Array
-    lives: Array
+    pinned: float  # number of pinned contacts
+    stiffness: float
+    force: float
+    square: float  # of forces
+    stored: float  # elastic energy
+    by_motion: float  # force of breaks at thresholds, less that of births after them
+    by_heat: float  # the same of breaks below thresholds
+    scatter: float  # squares of the forces at breaking
+    lost: float  # energy of broken contacts, less that of newborn ones
+    breaks: float
 
-    @classmethod
-    def fresh(cls, contacts: int) -> "Followed":
-        """All of them about to be pinned for the first time."""
-        time, xi, stretch, clock = np.zeros((4, contacts))
-        return cls(time, xi, stretch, clock, np.zeros(contacts, np.int64))
+
+_SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
 class Piece(NamedTuple):
-    """How long a piece takes, at how many times the pace the slider moves, and in which direction."""
+    """A straight piece of X(t): its duration, speed over the pace, and direction (1, -1)."""
 
-    length: float
-    moves: float
-    sign: float
+    duration: float
+    speed: float
+    direction: float
 
 
 @kernel
-def advance(
-    c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, blocks: tuple[int, int], sums: Array
-) -> None:
-    """Follow the contacts of some blocks along a piece; `sums` (all blocks, 10). The first of all is `first`."""
-    for block in range(blocks[0], blocks[1]):
-        total = sums[block]
-        total[:] = 0.0
-        own = slice(block * _BLOCK, (block + 1) * _BLOCK)  # whose places count from 0, which no index is below
-        some = Followed(p.time[own], p.xi[own], p.stretch[own], p.clock[own], p.lives[own])
-        for i in range(some.time.size):
-            _follow(c, piece, stream, first + block * _BLOCK, some, i, total)
-        _add(c, some, total)
+def advance(laws: Contacts, piece: Piece, stream: Key, first: int, population: Array, sums: Array) -> None:
+    """Follow contacts along a piece, and add up each block of them.
+
+    `population` holds records of type `CONTACT`, of contacts from `first` on; `sums`
+    holds a record of type `_SUMS` for each block, which are 0 before.
+    """
+    for block in range(sums.size):
+        begin = block * _BLOCK
+        for i in range(begin, min(begin + _BLOCK, population.size)):
+            contact = population[i]
+            _follow(laws, piece, stream, first + i, contact, sums[block])
+            _add(laws, contact, sums[block])
 
 
-@inlined
-def _follow(c: Contacts, piece: Piece, stream: Key, first: int, p: Followed, i: int, total: Array) -> None:
-    """Follow contact i along a piece."""
-    left, by_motion = piece.length, False
+@routine(inline=True)
+def _follow(laws: Contacts, piece: Piece, stream: Key, number: int, contact: Any, sums: Any) -> None:
+    """Follow contact `number` along a piece."""
+    left = piece.duration
+    by_motion = False
     while True:
-        if math.copysign(1.0, p.time[i]) > 0.0:
-            if p.time[i] > left:
-                p.time[i] -= left
+        if not contact.pinned:
+            if contact.time_to_pinning > left:
+                contact.time_to_pinning -= left
                 return
-            left -= p.time[i]
-            lives = abs(p.lives[i])
-            p.xi[i], born, p.clock[i] = draw_one(c.newborn, c, stream, first + i, lives)
-            p.stretch[i], p.time[i], p.lives[i] = born, -0.0, lives + 1
-            if born != 0.0:  # it brings a force and energy
-                brought = kappa(c.springs, p.xi[i]) * born
-                total[MOTION if by_motion else HEAT] -= brought
-                total[LOST] -= 0.5 * brought * born
-        y, before, stiffness = piece.sign * p.stretch[i], -p.time[i], kappa(c.springs, p.xi[i])
-        contact = p.xi[i], stiffness, y, before
-        broke, clock = spend(c.aging, c, contact, piece.moves, left, p.clock[i])
+            left -= contact.time_to_pinning
+            xi, born, clock = draw_birth(laws.newborn, laws, stream, number, contact.lives)
+            contact.threshold = xi
+            contact.stretch = born
+            contact.clock = clock
+            contact.time_since_birth = 0.0
+            contact.lives += 1
+            contact.pinned = True
+            contact.began_stationary = False
+            if born != 0.0:
+                force = kappa(laws.springs, xi) * born
+                if by_motion:
+                    sums.by_motion -= force
+                else:
+                    sums.by_heat -= force
+                sums.lost -= 0.5 * force * born
+        y = piece.direction * contact.stretch
+        stiffness = kappa(laws.springs, contact.threshold)
+        life = Held(contact.threshold, stiffness, y, contact.time_since_birth)
+        broke, clock = spend(laws.aging, laws, life, piece.speed, left, contact.clock)
         if broke > left:
             break
-        x, age = y + piece.moves * broke, before + broke
-        grown = growth(c.aging, age)
-        force = stiffness * (grown if stiffness_varies(c.aging, c.springs) else 1.0) * x * piece.sign
-        by_motion = abs(x) >= p.xi[i] * grown * (1.0 - 1e-9)
-        total[MOTION if by_motion else HEAT] += force
-        total[SCATTER] += force * force
-        total[LOST] += 0.5 * force * x * piece.sign
-        total[BREAKS] += 1.0
-        p.time[i] = _delay(c, stream, first + i, p.lives[i])
+        x = y + piece.speed * broke
+        grown = growth(laws.aging, contact.time_since_birth + broke)
+        if stiffness_varies(laws.aging, laws.springs):
+            stiffness *= grown
+        force = stiffness * x * piece.direction
+        by_motion = abs(x) >= contact.threshold * grown * _AT_THRESHOLD
+        if by_motion:
+            sums.by_motion += force
+        else:
+            sums.by_heat += force
+        sums.scatter += force * force
+        sums.lost += 0.5 * force * x * piece.direction
+        sums.breaks += 1.0
+        contact.time_to_pinning = _delay(laws, stream, number, contact)
+        contact.pinned = False
         left = max(left - broke, 0.0)
-    p.clock[i] = clock
-    p.time[i] -= left
-    p.stretch[i] = piece.sign * (y + piece.moves * left)
+    contact.clock = clock
+    contact.time_since_birth += left
+    contact.stretch = piece.direction * (y + piece.speed * left)
 
 
-@apart
-def _delay(c: Contacts, stream: Key, contact: int, lives: int) -> float:
-    """After the life of which a contact knows how many were drawn."""
-    if lives < 0 and c.delay.random > 0.0:
-        return delay_of_the_first(c, stream, contact)
-    return delay_after(c, stream, contact, abs(lives) - 1)
+@routine
+def _delay(laws: Contacts, stream: Key, number: int, contact: Any) -> float:
+    """Delay after the life of contact `number` that has just ended."""
+    if contact.began_stationary:
+        return delay_of_the_first(laws, stream, number)
+    return delay_after(laws, stream, number, contact.lives - 1)
 
 
-@inlined
-def _add(c: Contacts, p: Followed, total: Array) -> None:
-    """Add up what contacts are at the end of a piece."""
-    pinned, stiffness, force, square, stored = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(p.time.size):
-        held = 1.0 if math.copysign(1.0, p.time[i]) < 0.0 else 0.0
-        own = held * kappa(c.springs, p.xi[i])
-        if stiffness_varies(c.aging, c.springs):
-            own *= growth(c.aging, max(-p.time[i], 0.0))
-        pull = own * p.stretch[i]
-        pinned, stiffness, force = pinned + held, stiffness + own, force + pull
-        square, stored = square + pull * pull, stored + 0.5 * pull * p.stretch[i]
-    total[PINNED], total[STIFFNESS], total[FORCE] = pinned, stiffness, force
-    total[SQUARE], total[STORED] = square, stored
+@routine(inline=True)
+def _add(laws: Contacts, contact: Any, sums: Any) -> None:
+    """Add a contact at the end of a piece."""
+    if not contact.pinned:
+        return
+    stiffness = kappa(laws.springs, contact.threshold)
+    if stiffness_varies(laws.aging, laws.springs):
+        stiffness *= growth(laws.aging, contact.time_since_birth)
+    force = stiffness * contact.stretch
+    sums.pinned += 1.0
+    sums.stiffness += stiffness
+    sums.force += force
+    sums.square += force * force
+    sums.stored += 0.5 * force * contact.stretch
 
 
 class State(NamedTuple):
-    """Between two steps: time, displacement of slider and stage, velocity of the slider, sums over contacts (10,) per
-    contact; and the work so far of the stage, against damping, what broken contacts have lost, and what estimates of F
-    have missed."""
+    """Slider and stage between two steps; sums and energies are per contact."""
 
-    s: float
-    X: float
-    Y: float
-    V: float
-    sums: Array
-    stage: float = 0.0
-    damped: float = 0.0
-    lost: float = 0.0
-    missed: float = 0.0
+    time: float
+    X: float  # of the slider
+    Y: float  # of the stage
+    V: float  # velocity of the slider
+    sums: Sums
+    work: float = 0.0  # of the stage so far
+    damped: float = 0.0  # energy taken by damping so far
+    lost: float = 0.0  # energy taken by breaks so far
+    missed: float = 0.0  # energy missed so far, since F is taken for its estimate
 
 
 class Behind(NamedTuple):
-    """How much farther and faster the slider would be had estimates not missed F so far; to be made up for within the
-    time `over` (derived, to the first order in what was missed)."""
+    """What the slider would be ahead in `distance` and `velocity` had no estimate missed F.
+
+    To be made up for within the time `over` (derived, of first order in the missed F).
+    """
 
     distance: float = 0.0
     velocity: float = 0.0
     over: float = 0.0
 
     def within(self, dt: float) -> "Behind":
-        """Return the share that a step of dt makes up for. What was missed in a longer step takes as long as that, so
-        that the displacement of a step vanishes with dt."""
+        """Share that a step of dt makes up for.
+
+        What a longer step has missed takes as long as that step, so that the displacement
+        vanishes with dt.
+        """
         share = min(1.0, dt / self.over) if self.over > 0.0 else 0.0
         return Behind(share * self.distance, share * self.velocity, self.over)
 
 
-class _Breaks:
-    """How fast breaks change F, by motion (rho) and by heat (r), as the last `_BREAKS` of them say, or those of the
-    last step where there are more."""
+class BreakRates:
+    """Change of F by breaks, per displacement (rho) and per time (r).
 
-    def __init__(self, least: float) -> None:
-        self.least, self.sign = least, 1.0
-        self.moved = self.waited = self.by_motion = self.by_heat = 0.0
+    Means over the last `_MEMORY` breaks, or over those of the last step where these are
+    more; rho is never taken over less than `shortest`.
+    """
 
-    def add(self, dX: float, dt: float, sums: Array, contacts: int) -> None:
-        kept, sign = math.exp(-sums[BREAKS] * contacts / _BREAKS), math.copysign(1.0, dX)
-        if sign != self.sign:
-            self.sign, self.moved, self.by_motion = sign, 0.0, 0.0
-        self.moved, self.by_motion = kept * self.moved + abs(dX), kept * self.by_motion + sign * sums[MOTION]
-        self.waited, self.by_heat = kept * self.waited + dt, kept * self.by_heat + sums[HEAT]
+    def __init__(self, shortest: float) -> None:
+        self.shortest = shortest
+        self.direction = 1.0
+        self.moved = 0.0
+        self.waited = 0.0
+        self.by_motion = 0.0
+        self.by_heat = 0.0
+
+    def add(self, dX: float, dt: float, sums: Sums, count: int) -> None:
+        """Take account of a step of `count` contacts."""
+        kept = math.exp(-sums.breaks * count / _MEMORY)
+        direction = math.copysign(1.0, dX)
+        if direction != self.direction:
+            self.direction = direction
+            self.moved = 0.0
+            self.by_motion = 0.0
+        self.moved = kept * self.moved + abs(dX)
+        self.by_motion = kept * self.by_motion + direction * sums.by_motion
+        self.waited = kept * self.waited + dt
+        self.by_heat = kept * self.by_heat + sums.by_heat
 
     @property
     def rho(self) -> float:
-        return -self.by_motion / max(self.moved, self.least)
+        return -self.by_motion / max(self.moved, self.shortest)
 
     @property
     def r(self) -> float:
         return -self.by_heat / self.waited if self.waited > 0.0 else 0.0
 
 
-def _relaxed(forces: tuple[float, float, float], damping: float, dt: float) -> float:
-    """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from X = 0; `forces` are these."""
-    net, gain, stiffness = forces
+def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: float) -> float:
+    """Displacement X(dt) from damping X' = net + gain t - stiffness X and X(0) = 0."""
     if damping == 0.0:
         return (net + gain * dt) / stiffness if stiffness > 0.0 else math.inf
     w = -stiffness * dt / damping
@@ -239,54 +278,82 @@ def _relaxed(forces: tuple[float, float, float], damping: float, dt: float) -> f
 
 
 class Slider:
-    """The contacts of an ensemble from `first` on and the slider they hold, pulled by the stage of `programme`."""
+    """A slider on the contacts of an ensemble, pulled by the stage of a programme.
+
+    Contacts are number `first` and the following ones. Steps are `longer` times as long as
+    the tolerance of the stage asks for.
+    """
 
     def __init__(
-        self, ensemble: Ensemble, programme: Programme, seed: int, first: int, threads: int, longer: int = 1
+        self,
+        ensemble: Ensemble,
+        programme: Programme,
+        seed: int,
+        first: int,
+        threads: int,
+        longer: int = 1,
     ) -> None:
-        """`longer` is how many times as long as usual steps are."""
-        assert programme.stage is not None
-        self.pull, unit, law = pull_of(ensemble, programme), ensemble.thresholds.scale, ensemble.thresholds
-        self.c, self.drag = contacts(ensemble, self.pull.pace), drag_of(ensemble, self.pull.pace)
-        self.stream, self.first, self.count = key(seed, TRAJECTORY), first, ensemble.count
-        self.population = Followed.fresh(ensemble.count)
-        blocks = -(-ensemble.count // _BLOCK)
-        threads = max(1, min(threads, blocks // _SHARE))
-        self.shares = [(i * blocks // threads, (i + 1) * blocks // threads) for i in range(threads)]
+        stage = programme.stage
+        assert stage is not None
+        law = ensemble.thresholds
+        unit = law.scale
+        self.pull = pull_of(ensemble, programme)
+        self.laws = contacts(ensemble, self.pull.pace)
+        self.drag = drag_of(ensemble, self.pull.pace)
+        self.stream = key(seed, TRAJECTORY)
+        self.first = first
+        self.count = ensemble.count
+        self.population = np.zeros(self.count, CONTACT)
+        blocks = -(-self.count // _BLOCK)
+        self.block_sums = np.zeros((blocks, len(Sums._fields)))
+        records = self.block_sums.view(_SUMS)[:, 0]
+        threads = max(1, min(threads, blocks // _BLOCKS_PER_THREAD))
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
-        self.found = np.zeros((blocks, 10))
+        ends = [blocks * i // threads for i in range(threads + 1)]
+        self.shares = [
+            (first + low * _BLOCK, self.population[low * _BLOCK : high * _BLOCK], records[low:high])
+            for low, high in itertools.pairwise(ends)
+        ]  # what each thread advances
         self.least_slip = least_slip(law) / unit
-        self.longest = longer * math.sqrt(programme.stage.tolerance) * width_of(law) / unit
-        self.tolerance = longer**2 * programme.stage.tolerance * law.mean / unit
-        self.waits = not (isinstance(self.c.barrier, Mechanical) and isinstance(self.c.aging, Unaged))
-        self.acceleration, self.behind = 0.0, Behind()
-        self.breaks, self.dt = _Breaks(0.1 * self.longest), _FIRST * self.pull.ends[0]
-        stretch, speed = (programme.stage.preload or 0.0) / unit, 0.0
+        self.longest = longer * math.sqrt(stage.tolerance) * width_of(law) / unit
+        self.tolerance = longer**2 * stage.tolerance * law.mean / unit
+        mechanical = isinstance(self.laws.barrier, Mechanical)
+        self.waits = not (mechanical and isinstance(self.laws.aging, Unaged))
+        self.acceleration = 0.0
+        self.behind = Behind()
+        self.breaks = BreakRates(0.1 * self.longest)
+        self.dt = _FIRST_STEP * self.pull.ends[0]
+        speed = 0.0
         if programme.start == "stationary" and programme.velocity:
-            before, speed = contacts(ensemble, programme.velocity), programme.velocity / self.pull.pace
-            self._begin(before, speed)
+            speed = programme.velocity / self.pull.pace
+            self._begin_stationary(contacts(ensemble, programme.velocity), speed)
         sums = self._follow(Piece(0.0, 0.0, 1.0))
-        if speed and programme.stage.preload is None:
-            stretch = (sums[FORCE] + self._damping(sums) * speed) / self.pull.stiffness
+        stretch = (stage.preload or 0.0) / unit
+        if speed and stage.preload is None:
+            stretch = (sums.force + self._damping(sums) * speed) / self.pull.stiffness
         self.state = State(0.0, 0.0, stretch, speed, sums)
-        durations = np.diff(self.pull.ends, prepend=0.0)
-        self.loaded = durations * self.pull.speeds  # by how far the stage moves in each segment
-        self.quasi_static = bool(
-            isinstance(self.c.barrier, Mechanical) and isinstance(self.c.aging, Unaged) and self.c.delay.mean == 0.0
-            and self.pull.damping == self.pull.mass == 0.0 and min(self.pull.speeds) >= 0.0
-            and self.pull.stiffness * stretch >= sums[FORCE] * (1.0 - 1e-12)
-        )  # fmt: skip
+        # Whether the slider is always in balance, or slips at an instant, and only ever
+        # forwards, so that one break after the other can be followed.
+        self.quasi_static = (
+            not self.waits
+            and self.laws.delay.mean == 0.0
+            and self.pull.damping == self.pull.mass == 0.0
+            and min(self.pull.speeds) >= 0.0
+            and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)
+        )
 
-    def _begin(self, before: Contacts, speed: float) -> None:
-        """The contacts as a snapshot of the steady state at a speed finds them."""
-        found, p = stationary(before), self.population
-        for first in range(0, self.count, _TOGETHER):
-            some = slice(first, min(first + _TOGETHER, self.count))
-            part = Population.fresh(some.stop - first)
-            begin_stationary(before, found, self.stream, self.first + first, part)
-            p.time[some] = np.where(part.rest < 0.0, -part.age, part.rest) / speed
-            p.xi[some], p.stretch[some], p.clock[some] = part.xi, part.stretch, part.clock
-            p.lives[some] = np.where(part.rest < 0.0, -part.lives, part.lives)
+    def _begin_stationary(self, before: Contacts, speed: float) -> None:
+        """Put contacts into the steady state of a speed, at which their laws are `before`."""
+        law = stationary(before)
+        for begin in range(0, self.count, _DRAWN_AT_ONCE):
+            drawn = self.population[begin : begin + _DRAWN_AT_ONCE]
+            snapshot = Population.fresh(self.first + begin, drawn.size)
+            begin_stationary(before, law, self.stream, snapshot)
+            drawn["began_stationary"] = snapshot.pinned
+            drawn["time_to_pinning"] = snapshot.wait / speed
+            drawn["time_since_birth"] = snapshot.age / speed
+            for name in ("pinned", "threshold", "stretch", "clock", "lives"):
+                drawn[name] = getattr(snapshot, name)
 
     def __enter__(self) -> "Slider":
         return self
@@ -295,341 +362,173 @@ class Slider:
         if self.pool:
             self.pool.__exit__(*error)
 
-    def _damping(self, sums: Array) -> float:
-        """Of the slider and of all detached contacts."""
-        return self.pull.damping + self.drag * (1.0 - float(sums[PINNED]))
+    def _damping(self, sums: Sums) -> float:
+        """Damping of the slider and of all detached contacts."""
+        return self.pull.damping + self.drag * (1.0 - sums.pinned)
 
-    def _follow(self, piece: Piece) -> Array:
-        """Sums per contact after a piece."""
-
-        def follow(share: tuple[int, int]) -> None:
-            advance(self.c, piece, self.stream, self.first, self.population, share, self.found)
-
-        others = [self.pool.submit(follow, share) for share in self.shares[1:]] if self.pool else []
-        follow(self.shares[0])
-        for other in others:
+    def _follow(self, piece: Piece) -> Sums:
+        """Follow all contacts along a piece. Returns sums divided by their number."""
+        self.block_sums.fill(0.0)
+        moved = self.laws, piece, self.stream
+        mine, *others = self.shares
+        waiting = [self.pool.submit(advance, *moved, *share) for share in others] if self.pool else []
+        advance(*moved, *mine)
+        for other in waiting:
             other.result()
-        return np.asarray(self.found.sum(axis=0) / self.count)
+        return Sums(*(self.block_sums.sum(axis=0) / self.count).tolist())
 
-    def _held(self, dt: float) -> tuple[float, float, float]:
-        """Stiffness of spring, contacts and breaks against a displacement in a step of dt; with a mass what holds the
-        slider, force per displacement, and the share of the step after which forces are balanced."""
-        pull, sums = self.pull, self.state.sums
-        elastic = pull.stiffness + float(sums[STIFFNESS])
-        if pull.mass == 0.0:
-            return elastic + self.breaks.rho, math.nan, math.nan
-        theta = 0.5 if dt * dt * elastic < pull.mass else 1.0
-        elastic += self.breaks.rho
-        return elastic, pull.mass / (theta * dt * dt) + self._damping(sums) / dt + 0.5 * elastic, theta
+    @property
+    def _elastic(self) -> float:
+        """Stiffness of spring, contacts and breaks against a displacement."""
+        return self.pull.stiffness + self.state.sums.stiffness + self.breaks.rho
+
+    def _implicit(self, dt: float) -> tuple[float, float]:
+        """Share theta of a step of dt after which forces on the mass are balanced, and the
+        force per displacement in the step that inertia, damping and springs ask for."""
+        elastic = self.pull.stiffness + self.state.sums.stiffness
+        theta = 0.5 if dt * dt * elastic < self.pull.mass else 1.0
+        inertia = self.pull.mass / (theta * dt * dt)
+        damping = self._damping(self.state.sums) / dt
+        return theta, inertia + damping + 0.5 * self._elastic
 
     def _estimate(self, dt: float, speed: float) -> tuple[float, float]:
-        """Displacement in a step, infinite where the slider is unstable and nothing holds it, and velocity then."""
-        now, pull, damping, behind = self.state, self.pull, self._damping(self.state.sums), self.behind.within(dt)
-        elastic, held, theta = self._held(dt)
-        net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE]) - elastic * behind.distance
+        """Displacement in a step of dt, and the velocity at its end.
+
+        The displacement is infinite where the slider is unstable and nothing limits it.
+        """
+        now, pull, behind = self.state, self.pull, self.behind.within(dt)
+        elastic = self._elastic
+        net = pull.stiffness * (now.Y - now.X) - now.sums.force - elastic * behind.distance
         gain = pull.stiffness * speed - self.breaks.r
         if pull.mass == 0.0:
-            dX = behind.distance + _relaxed((net, gain, elastic), damping, dt)
+            damping = self._damping(now.sums)
+            dX = behind.distance + _relaxed(net, gain, elastic, damping, dt)
             return dX, dX / dt
+        theta, held = self._implicit(dt)
         V = now.V + behind.velocity
-        moved = (net + 0.5 * gain * dt + pull.mass / (theta * dt) * V) / held if held > 0.0 else math.inf
+        impulse = net + 0.5 * gain * dt + pull.mass / (theta * dt) * V
+        moved = impulse / held if held > 0.0 else math.inf
         return behind.distance + moved, V + (moved / dt - V) / theta
 
     def _fall_behind(self, dt: float, missed: float) -> Behind:
-        """Return what is left to make up for after a step of dt whose estimate missed F by `missed` at the end and, in
-        the mean, in proportion to the time before."""
-        elastic, held, theta = self._held(dt)
+        """What is left to make up for after a step of dt whose estimate missed F.
+
+        F was `missed` at the end of the step, and before in proportion to time in the mean.
+        """
         if self.pull.mass == 0.0:
-            distance, velocity = _relaxed((0.0, -missed / dt, elastic), self._damping(self.state.sums), dt), 0.0
+            damping = self._damping(self.state.sums)
+            distance = _relaxed(0.0, -missed / dt, self._elastic, damping, dt)
+            velocity = 0.0
         else:
+            theta, held = self._implicit(dt)
             distance = -0.5 * missed / held
             velocity = distance / (theta * dt)
         if not math.isfinite(distance):
             return Behind()
         before, made_up = self.behind, self.behind.within(dt)
         return Behind(
-            before.distance - made_up.distance + distance, before.velocity - made_up.velocity + velocity,
+            before.distance - made_up.distance + distance,
+            before.velocity - made_up.velocity + velocity,
             max(dt, before.over - dt),
-        )  # fmt: skip
+        )
 
     def step(self, until: float, speed: float) -> State:
-        """One step, not beyond a time, while the stage moves at `speed`."""
-        now, left = self.state, until - self.state.s
+        """Make one step, not beyond the time `until`, while the stage moves at `speed`."""
+        now = self.state
+        left = until - now.time
         dt = left if 1.2 * self.dt >= left else self.dt
         dX, V = self._estimate(dt, speed)
-        least = _SHORTEST if self.pull.damping or self.pull.mass else 0.5**_HALVINGS * dt
-        while abs(dX) > 1.5 * self.longest and dt > least:
+        limited = self.pull.damping or self.pull.mass
+        shortest = _SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
+        while abs(dX) > 1.5 * self.longest and dt > shortest:
             dt *= 0.5
             dX, V = self._estimate(dt, speed)
         if abs(dX) > 1.5 * self.longest:
             return self._slip()
         sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
-        change = float(now.sums[STIFFNESS] + self.breaks.rho) * dX + self.breaks.r * dt
-        missed = float(sums[FORCE] - now.sums[FORCE] - change)
-        made_up, behind = self.behind.within(dt), self._fall_behind(dt, missed)
-        given = (self._damping(now.sums) * made_up.distance + self.pull.mass * made_up.velocity) / dt
-        self._account(dt, dX, speed * dt, V, sums, float(now.sums[FORCE]) + 0.5 * change - given)
+        change = (now.sums.stiffness + self.breaks.rho) * dX + self.breaks.r * dt
+        missed = sums.force - now.sums.force - change
+        made_up = self.behind.within(dt)
+        behind = self._fall_behind(dt, missed)
+        momentum = self._damping(now.sums) * made_up.distance + self.pull.mass * made_up.velocity
+        force = now.sums.force + 0.5 * change - momentum / dt
+        self._account(dt, dX, speed * dt, V, sums, force)
         self.behind = behind
-        off = max(abs(missed) - _NOISE * math.sqrt(sums[SCATTER] / self.count), 0.0)
-        if self.pull.mass:  # what forces miss as the acceleration changes
-            acceleration, elastic = (V - now.V) / dt, self.pull.stiffness + float(sums[STIFFNESS])
-            off = max(off, 4.0 * dt * dt * abs(acceleration - self.acceleration) * elastic)
-            self.acceleration = acceleration
-        grown = dt * min(max(0.9 * math.sqrt(self.tolerance / off), 0.3), 2.0) if off > 0.0 else 2.0 * dt
-        self.dt = max(grown, self.dt) if dt == left and off < self.tolerance else grown
         self.breaks.add(dX, dt, sums, self.count)
-        self.dt = min(self.dt, self._until_a_break())
+        self.dt = min(self._next_step(dt, dt == left, missed, now), self._until_a_break())
         if dt == left:
-            self.state = self.state._replace(s=until)
+            self.state = self.state._replace(time=until)
         return self.state
 
-    def _until_a_break(self) -> float:
-        """The longest step that heat allows. A time without a break says no more than that the rate of breaks is about
-        one in that time; as many may move the slider by as much as a step may."""
+    def _next_step(self, dt: float, cut: bool, missed: float, before: State) -> float:
+        """Length of the next step that the tolerance allows after one of dt.
+
+        `missed` is the error of the estimate of F; `before` the state before the step,
+        which is `cut` if it was not as long as it might have been.
+        """
         sums = self.state.sums
-        if not self.waits or sums[SQUARE] <= 0.0:
+        noise = _NOISE * math.sqrt(sums.scatter / self.count)
+        error = max(abs(missed) - noise, 0.0)
+        if self.pull.mass:  # the change of the acceleration makes forces miss the balance
+            acceleration = (self.state.V - before.V) / dt
+            elastic = self.pull.stiffness + sums.stiffness
+            jump = abs(acceleration - self.acceleration)
+            error = max(error, 4.0 * dt * dt * jump * elastic)
+            self.acceleration = acceleration
+        factor = 2.0
+        if error > 0.0:
+            factor = min(max(0.9 * math.sqrt(self.tolerance / error), 0.3), 2.0)
+        if cut and error < self.tolerance:
+            return max(dt * factor, self.dt)
+        return dt * factor
+
+    def _until_a_break(self) -> float:
+        """Longest step in which so few contacts break by heat that their estimate holds.
+
+        A time without a break tells no more than that the rate of breaks is about one in
+        that time. A step may have as many as move the slider by the longest displacement.
+        """
+        sums = self.state.sums
+        if not self.waits or sums.square <= 0.0:
             return math.inf
-        force = math.sqrt(sums[SQUARE] / sums[PINNED]) / self.count  # of a contact, as a share of F
-        elastic = self.pull.stiffness + float(sums[STIFFNESS])
+        force = math.sqrt(sums.square / sums.pinned) / self.count  # of a contact
+        elastic = self.pull.stiffness + sums.stiffness
         return 1.5 * self.longest * elastic * self.breaks.waited / force
 
     def _slip(self) -> State:
-        """A piece that takes no time, towards balance."""
-        now, pull = self.state, self.pull
-        net = pull.stiffness * (now.Y - now.X) - float(now.sums[FORCE])
-        held = pull.stiffness + float(now.sums[STIFFNESS]) + self.breaks.rho
-        size = min(self.longest, max(abs(net) / held, 1e-6 * self.longest)) if held > 0.0 else self.longest
-        dX, dt = math.copysign(size, net), _INSTANT * size
+        """Move towards balance in a piece that takes no time."""
+        now = self.state
+        net = self.pull.stiffness * (now.Y - now.X) - now.sums.force
+        elastic = self._elastic
+        size = self.longest
+        if elastic > 0.0:
+            size = min(size, max(abs(net) / elastic, 1e-6 * size))
+        dX = math.copysign(size, net)
+        dt = _INSTANT * size
         sums = self._follow(Piece(dt, 1.0 / _INSTANT, math.copysign(1.0, net)))
-        work = float(sums[STORED] - now.sums[STORED] + sums[LOST])
+        work = sums.stored - now.sums.stored + sums.lost
         self._account(dt, dX, 0.0, 0.0, sums, work / dX)
         self.behind = Behind()
         self.breaks.add(dX, dt, sums, self.count)
         return self.state
 
-    def _account(self, dt: float, dX: float, dY: float, V: float, sums: Array, force: float) -> None:
-        """Take a step in which F is taken for `force` in the mean, and note where its energy goes: to damping what is
-        left of the work of the spring."""
+    def _account(self, dt: float, dX: float, dY: float, V: float, sums: Sums, force: float) -> None:
+        """Take a step in which F is taken for `force` in the mean.
+
+        Damping takes what is left of the work of the spring.
+        """
         now, pull = self.state, self.pull
-        mean = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
-        damped = (mean - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)
-        lost = float(sums[LOST])
-        missed = force * dX - float(sums[STORED] - now.sums[STORED]) - lost
+        spring = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
+        damped = (spring - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)
+        missed = force * dX - (sums.stored - now.sums.stored) - sums.lost
         self.state = State(
-            now.s + dt, now.X + dX, now.Y + dY, V, sums, now.stage + mean * dY, now.damped + damped, now.lost + lost,
+            now.time + dt,
+            now.X + dX,
+            now.Y + dY,
+            V,
+            sums,
+            now.work + spring * dY,
+            now.damped + damped,
+            now.lost + sums.lost,
             now.missed + missed,
-        )  # fmt: skip
-
-
-class _Replica(NamedTuple):
-    """What an ensemble leaves at the instants of a grid, shape (points, 10), and how it slips."""
-
-    values: Array
-    slips: list[Slip]
-    lives: int
-    avalanches: Array | None
-
-
-# columns of `_Replica.values`; `_BEHIND` is by how much X is wrong at an instant as the last steps missed F
-_X, _STAGE, _FRICTION, _BOUND, _VARIANCE, _WORK, _KEPT, _TAKEN, _MISSING, _BEHIND = range(10)
-
-
-def _row(slider: Slider, now: State, before: float) -> tuple[float, ...]:
-    """Of a state; `before` is what was stored at the beginning."""
-    pull, sums, stretch = slider.pull, now.sums, now.Y - now.X
-    stored = 0.5 * pull.stiffness * stretch**2 + 0.5 * pull.mass * now.V**2 + float(sums[STORED])
-    force, pinned = float(sums[FORCE]), float(sums[PINNED])
-    friction = force + slider.drag * (1.0 - pinned) * now.V
-    variance = max(float(sums[SQUARE]) - force**2, 0.0) / slider.count
-    taken, behind = now.lost + now.damped, slider.behind.distance
-    return now.X, now.Y, friction, pinned, variance, now.stage, stored - before, taken, now.missed, behind
-
-
-def _simulate(slider: Slider, instants: Array, replica: int, before: int, progress: Progress | None) -> _Replica:
-    """Pull a slider through its programme; `instants` (points,) are recorded. Lives `before` are others'."""
-    stored = _row(slider, slider.state, 0.0)[_KEPT]
-    rows, course, lives = [_row(slider, slider.state, stored)], [slider.state[:3]], float(slider.count)
-    at = 1
-    for end, speed in zip(slider.pull.ends, slider.pull.speeds, strict=True):
-        while at < instants.size and instants[at] <= end * (1.0 + 1e-12):
-            until = min(float(instants[at]), end)
-            while slider.state.s < until:
-                now = slider.step(until, speed)
-                course.append(now[:3])
-                lives += now.sums[BREAKS] * slider.count
-                if progress and (len(course) % 64 == 0 or now.sums[BREAKS] > 1000.0):
-                    progress(before + int(lives))
-            rows.append(_row(slider, slider.state, stored))
-            at += 1
-    values = np.array(rows)
-    return _Replica(values, _slips(slider, values, np.array(course), replica), round(lives), None)
-
-
-def _slips(slider: Slider, values: Array, course: Array, replica: int) -> list[Slip]:
-    """Of a course, shape (steps, 3) of time, X and Y: larger ones than contacts make at any X by chance."""
-    (s, X, Y), pull = course.T, slider.pull
-    noise = 6.0 * math.sqrt(values[:, _VARIANCE].max())
-    least = max(slider.least_slip * pull.stiffness, noise)
-    return slips_of(s, X, pull.stiffness * (Y - X), least, max(map(abs, pull.speeds)), replica)
-
-
-def _quasi_static(slider: Slider, instants: Array, replica: int, before: int, progress: Progress | None) -> _Replica:
-    """`_simulate` by `engine.avalanches`."""
-    p, pull, start = slider.population, slider.pull, slider.state
-    stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *slider.loaded]))
-    queue, now = avalanches.queue_of(p.xi, p.stretch), np.zeros(11)
-    now[[avalanches.FORCE, avalanches.STIFFNESS, avalanches.Y]] = start.sums[FORCE], start.sums[STIFFNESS], start.Y
-    rows, events, stored = [], [], 0.0
-    with ThreadPool(1) as thread:
-        for j, stage in enumerate(stages):
-            way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
-            of = slider.c, slider.stream, slider.first
-            events.append(thread.submit(avalanches.load, *of, p, queue, now, way).result())
-            x, force = now[avalanches.X], now[avalanches.FORCE]
-            xi = p.xi[queue.contact]
-            stiffness, stretch = kappa(slider.c.springs, xi), x - queue.at + xi
-            variance = max(float(np.mean((stiffness * stretch) ** 2)) - force**2, 0.0) / slider.count
-            kept = 0.5 * pull.stiffness * (stage - x) ** 2 + 0.5 * float(np.mean(stiffness * stretch**2))
-            work, taken = now[avalanches.WORK], now[avalanches.LOST] + now[avalanches.SLIPPED]
-            stored = kept if j == 0 else stored
-            rows.append(
-                (x, stage, force, 1.0, variance, work, kept - stored, taken, work - (kept - stored) - taken, 0.0)
-            )
-            if progress:
-                progress(before + int(now[avalanches.BREAKS]))
-    values, found = np.array(rows), np.concatenate(events)
-    ends = np.interp(found[:, 0], stages, instants)  # of avalanches, and the moments before
-    course = np.stack((ends, found[:, 1], found[:, 0])), np.stack((ends, found[:, 1] + found[:, 4], found[:, 0]))
-    steps = np.stack(course, axis=2).reshape(3, -1).T
-    found[:, 0] = ends
-    lives = slider.count + round(now[avalanches.BREAKS])
-    return _Replica(values, _slips(slider, values, steps, replica) if len(steps) else [], lives, found)
-
-
-def _seldom(segment: Array) -> Array:
-    """Which instants of a grid, whose segments are `segment` (points,), the second run records: one in `_COARSER`,
-    counted from the end of each segment."""
-    ends = np.flatnonzero(np.append(np.diff(segment) != 0, True))
-    from_end = ends[segment] - np.arange(segment.size)
-    recorded = from_end % _COARSER == 0
-    recorded[0] = True
-    return np.flatnonzero(recorded)
-
-
-def _missed_by_steps(fine: Array, coarse: Array, recorded: Array) -> Array:
-    """Bound the error of finite steps in the mean over replicas: (points, values) from what they left, shape
-    (replicas, points, values), and left in steps four times as long at the instants `recorded`.
-
-    An error of the first order in the step is four times as large there, and a third of the difference; one of a higher
-    order is less than that. The difference has a scatter, and may vanish by chance, at an instant too: its standard
-    error is added, and of neighbouring instants the largest counts.
-    """
-    changed = coarse - fine[:, recorded]
-    missed, replicas = np.mean(changed, axis=0), len(changed)
-    if replicas > 1:
-        missed = np.hypot(missed, np.std(changed, axis=0, ddof=1) / math.sqrt(replicas))
-    missed = ndimage.maximum_filter1d(np.abs(missed) / (_COARSER - 1), 3, axis=0)
-    after = np.searchsorted(recorded, np.arange(fine.shape[1]))
-    found = np.maximum(missed[np.maximum(after - 1, 0)], missed[after])
-    found[0] = 0.0
-    return np.asarray(found)
-
-
-def _joined(found: list[Array | None], per_time: float, unit: float) -> dict[str, Array] | None:
-    """The avalanches of all replicas by column, in the user's units."""
-    parts = [np.column_stack((one, np.full(len(one), index))) for index, one in enumerate(found) if one is not None]
-    if not parts:
-        return None
-    t, X, breaks, drop, distance, replica = np.concatenate(parts).T
-    return {
-        "t": t / per_time, "X": X * unit, "breaks": breaks.astype(np.int64), "drop": drop * unit,
-        "distance": distance * unit, "replica": replica.astype(np.int64),
-    }  # fmt: skip
-
-
-def _still(progress: Progress, lives: int, _: int) -> None:
-    """Progress of a second run, whose lives do not count."""
-    progress(lives)
-
-
-def pulled(
-    ensemble: Ensemble,
-    programme: Programme,
-    recorded: tuple[int, int, int],
-    threads: Threads,
-    progress: Progress | None,
-) -> SliderTrajectory:
-    """`trajectory.trajectory` of a slider that a stage pulls; `recorded` holds points, seed and replicas."""
-    points, seed, replicas = recorded
-    grid, unit, pull = programme.grid(points), ensemble.thresholds.scale, pull_of(ensemble, programme)
-    instants, per_time = grid.t * (pull.pace / unit), pull.pace / unit
-    begin, found, coarse, lives = 0.0, [], [], 0
-    workers, recorded_again = 1 if isinstance(threads, tuple) else workers_of(threads), _seldom(grid.segment)
-    for replica in range(replicas):
-        first = replica * ensemble.count
-        with Slider(ensemble, programme, seed, first, workers) as slider:
-            begin = begin or time.perf_counter()  # when kernels are compiled
-            follow = _quasi_static if slider.quasi_static else _simulate
-            found.append(follow(slider, instants, replica, lives, progress))
-        lives += found[-1].lives
-        if follow is _simulate:
-            still = None if progress is None else functools.partial(_still, progress, lives)
-            with Slider(ensemble, programme, seed, first, workers, _COARSER) as slider:
-                coarse.append(_simulate(slider, instants[recorded_again], replica, 0, still))
-    every = np.array([one.values for one in found])
-    values = np.mean(every, axis=0)
-    spread = np.std(every, axis=0, ddof=1) if replicas > 1 else None
-    missed = np.zeros((grid.t.size, 3))
-    if coarse:
-        shown = [_X, _FRICTION, _BOUND]
-        missed = _missed_by_steps(
-            every[:, :, shown], np.array([one.values[:, shown] for one in coarse]), recorded_again
         )
-        missed[:, 0] += np.abs(values[:, _BEHIND])
-        missed[:, 1] += np.abs(values[:, _BEHIND])  # contacts are no stiffer than 1 each in the mean
-    stderr = np.sqrt(values[:, _VARIANCE] if spread is None else spread[:, _FRICTION] ** 2 / replicas)
-    stderr_X = np.zeros(grid.t.size) if spread is None else spread[:, _X] / math.sqrt(replicas)
-    of_pinned = pinned_variance(values[:, _BOUND], ensemble.count, ensemble.delay.time > 0)
-    stderr_pinned = np.sqrt(of_pinned) if spread is None else spread[:, _BOUND] / math.sqrt(replicas)
-    stderr_X, stderr, stderr_pinned = np.hypot(np.stack((stderr_X, stderr, stderr_pinned)), missed.T)
-    X, force = values[:, _X] * unit, values[:, _FRICTION] * unit
-
-    def in_units(replicas: list[_Replica]) -> tuple[Slip, ...]:
-        return tuple(
-            replace(
-                s, t=s.t / per_time, X=s.X * unit, drop=s.drop * unit, duration=s.duration / per_time,
-                distance=s.distance * unit,
-            )
-            for s in itertools.chain.from_iterable(one.slips for one in replicas)
-        )  # fmt: skip
-
-    reliable = replicas >= _FEW_REPLICAS
-    segments = shown_by(
-        programme, Grid(grid.t, X, grid.segment), force, stderr * unit, reliable, X_stderr=stderr_X * unit
-    )
-    return SliderTrajectory(
-        X=X,
-        t=grid.t,
-        force=force,
-        force_stderr=stderr * unit,
-        force_reliable=reliable,
-        pinned=values[:, _BOUND],
-        pinned_stderr=stderr_pinned,
-        force_replica_std=None if spread is None else spread[:, _FRICTION] * unit,
-        force_replicas=None if spread is None else every[:, :, _FRICTION] * unit,
-        lives=lives,
-        seed=seed,
-        engine_seconds=time.perf_counter() - begin,
-        threads=workers,
-        segment=grid.segment,
-        segments=segments,
-        stage=values[:, _STAGE] * unit,
-        spring=pull.stiffness * (values[:, _STAGE] - values[:, _X]) * unit,
-        X_stderr=stderr_X * unit,
-        X_replica_std=None if spread is None else spread[:, _X] * unit,
-        X_replicas=None if spread is None else every[:, :, _X] * unit,
-        energy=values[:, [_WORK, _KEPT, _TAKEN, _MISSING]] * unit**2,
-        slips=in_units(found),
-        coarser_slips=in_units(coarse) if coarse else None,
-        avalanches=_joined([one.avalanches for one in found], per_time, unit),
-    )

@@ -17,7 +17,8 @@ import numpy as np
 from scipy import integrate, interpolate
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import lives
+from eqsim.engine.langevin import STEP
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.steady import Proposal
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import end, life, whole_hazard
@@ -26,7 +27,7 @@ from eqsim.laws.delay import residual_delay_draw
 from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds, threshold_draw
-from eqsim.numerics.compiled import by_law, inlined, kernel
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table, search
@@ -100,7 +101,7 @@ def _longest(c: Contacts) -> float:
     proposal = Proposal.of(c)
     p, q = np.random.default_rng(0).random((2, 2**15))
     (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
-    stretch = lives(c, key_of(0, 0), 0, u, v).travel
+    stretch = lives(c, Source(key_of(0, 0), 0, STEP), u, v).travel
     order = np.argsort(-stretch)
     stretch, weight = stretch[order], (weight * clock_weight)[order]
     beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(weight)  # time spent beyond each of these lives
@@ -159,7 +160,7 @@ def whole_lives(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
     """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically, `hazard` with their integrated
     hazards until then."""
     for i in range(xi.size):
-        ends[i], hazard[i] = whole_hazard(c.aging, c.barrier, c.springs, xi[i])
+        ends[i], hazard[i] = whole_hazard(c.aging, c, xi[i])
 
 
 @kernel
@@ -173,28 +174,37 @@ def thresholds(law: Thresholds, u: Array, xi: Array) -> None:
 def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
     """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show `clock`."""
     for i in range(xi.size):
-        stretch[i] = life(c.aging, c.barrier, c.barrier_table, c.springs, xi[i], clock[i])
+        stretch[i] = life(c.aging, c, xi[i], clock[i])
+
+
+class Seen(NamedTuple):
+    """A contact of the stationary state: whether it is pinned, and if not for how long it waits; if it is, threshold
+    and stretch at birth, its travel until now, `age`, which may be less than the resolution of a stretch, and until it
+    breaks, `length`, and its exponential clock."""
+
+    pinned: bool
+    wait: float
+    threshold: float
+    stretch: float
+    age: float
+    length: float
+    clock: float
 
 
 @by_law
-def snapshot(
-    law: Any, c: Contacts, s: Stationary, key: Key, contact: int, u: tuple[float, float]
-) -> tuple[float, float, float, float, float, float]:
-    """A contact of the stationary state, from uniforms `u` for its state and its remaining delay: that delay, -1 if it
-    is pinned; and then its threshold and stretch at birth, travel until now and until it breaks, and exponential
-    clock. Travel may be less than the resolution of a stretch."""
-    if u[0] >= s.pinned:
-        return residual_delay_draw(c.delay, u[1]), 0.0, 0.0, 0.0, 0.0, 0.0
-    xi, x, ends, clock = found_pinned(c, s, key, contact, u[1])
-    return -1.0, xi, 0.0, x, ends, clock
+def snapshot(law: Any, c: Contacts, s: Stationary, key: Key, contact: int) -> Seen:
+    """What a snapshot of the stationary state finds, by the law of births."""
+    u_state, u_rest = uniforms(key, contact, 0, 0)
+    if u_state >= s.pinned:
+        return Seen(False, residual_delay_draw(c.delay, u_rest), 0.0, 0.0, 0.0, 0.0, 0.0)
+    xi, x, ends, clock = found_pinned(c, s, key, contact, u_rest)
+    return Seen(True, 0.0, xi, 0.0, x, ends, clock)
 
 
 @snapshot.register(Stretched)
-def _try_cycles(
-    law: Stretched, c: Contacts, s: Stationary, key: Key, contact: int, u: tuple[float, float]
-) -> tuple[float, float, float, float, float, float]:
-    """A cycle of life and delay is found in proportion to its length (derived), so cycles are tried, each begun at a
-    uniform time before now within the longest one, until one is still under way."""
+def _try_cycles(law: Stretched, c: Contacts, s: Stationary, key: Key, contact: int) -> Seen:
+    """Try cycles of life and delay, each begun at a uniform time before now within the longest one, until one is still
+    under way: a cycle is found in proportion to its length (derived)."""
     for attempt in range(32000):
         rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
         birth, part = uniforms(key, contact, 0, 2 * attempt + 2)
@@ -202,14 +212,15 @@ def _try_cycles(
         xi, y = newborn_draw(law, c.thresholds, rank, birth)
         length = travel(c, xi, kappa(c.springs, xi), y, clock)
         if length > age:
-            return -1.0, xi, y, age, length, clock
+            return Seen(True, 0.0, xi, y, age, length, clock)
         if length + c.delay.mean > age:
-            rest = residual_delay_draw(c.delay, u[1]) if c.delay.random > 0.0 else length + c.delay.mean - age
-            return rest, 0.0, 0.0, 0.0, 0.0, 0.0
-    return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # one in e^32
+            u_rest = uniforms(key, contact, 0, 0)[1]
+            rest = residual_delay_draw(c.delay, u_rest) if c.delay.random > 0.0 else length + c.delay.mean - age
+            return Seen(False, rest, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # one in e^32
 
 
-@inlined
+@routine(inline=True)
 def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -> tuple[Any, Any, Any, Any]:
     """Threshold at birth, stretch now, stretch at breaking and exponential clock of a pinned contact of the stationary
     state."""
@@ -232,7 +243,7 @@ def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -
             log_envelope = -(u_stretch / plateau - 1.0)
             x = m * math.exp(-log_envelope)
         clock = -math.log(u_clock) - log_envelope
-        ends = life(c.aging, c.barrier, c.barrier_table, c.springs, xi, clock)
+        ends = life(c.aging, c, xi, clock)
         if ends > x:
             return xi, x, ends, clock
         draw += 1

@@ -36,12 +36,15 @@ import numpy as np
 from scipy import integrate, interpolate
 
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Sample, lives, plain_sums, rough_stretch, squared
+from eqsim.engine.follow import admit, follow, note_lives
+from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, idle_lanes, life_work
 from eqsim.engine.langevin import STEP, step_error
+from eqsim.engine.sample import Sample, Source, lives, rough_stretch, square_of
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier.pooled import Pooled
+from eqsim.laws.delay import Waits
 from eqsim.laws.newborn import DeltaBirths, Stretched
 from eqsim.laws.threshold import Smooth
 from eqsim.model.drive import Drive, require_drive
@@ -52,7 +55,7 @@ from eqsim.numerics.sobol import Sobol
 from eqsim.numerics.streams import STEADY, Key, key, name_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
-from eqsim.numerics.vector_math import exp
+from eqsim.numerics.vector_math import exp, third
 
 RANDOMISATIONS = 32
 _FIRST, _BLOCK = 2**11, 2**15  # lives of a randomisation at the first attempt; lives handled at a time
@@ -182,7 +185,7 @@ def steady(
         lowered = tables_of_squares + (0.0 if divergence else _unmet(c, proposal, count))
         of_squares = math.hypot(lowered, others)
         covered = proposal is None or proposal.covered
-        result = _averages(c, sums, (drag, unit), size, covered, (hidden, of_squares))
+        result = _averages(c, sums, drag, unit, size, covered, Unseen(hidden, of_squares))
         if divergence:
             result = (*result[:-1], infinite(count))
         error = _relative(result)
@@ -421,8 +424,74 @@ def _randomise(job: _Job, c: Contacts, size: int) -> Array:
 def _plainly(c: Contacts, stream: Key, index: int, size: int, stop: Array) -> Array:
     """`_randomise` by `size` independent lives of contacts of their own."""
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
-    plain, most = plain_sums(c, stream, index * LANES, rounds, 2 * rounds, stop)
-    return np.array([[*(plain[:4] / size), np.max(most / plain[[4, 1]]), 0.0]])  # that of squares: see `_unmet`
+    sums = PlainSums.empty(index * LANES, rounds, 2 * rounds, stop)
+    without = c._replace(delay=Waits(c.delay.mean, 0.0))  # no sum depends on a delay
+    follow(without, sums, stream, sums.first, sums.first + LANES, *idle_lanes(without, stream))
+    work, travel, square, birth, size_of_work = (np.cumsum(part)[-1] for part in sums.parts())  # one after the other
+    largest = max(sums.most_work.max() / size_of_work, sums.most_travel.max() / travel)
+    return np.array([[work / size, travel / size, square / size, birth / size, largest, 0.0]])  # see `_unmet`
+
+
+class PlainSums(NamedTuple):
+    """A recorder of `engine.follow` that adds up plainly drawn lives: those of the LANES contacts from `first` on, from
+    the age `begin` up to `end`, ROUNDS lives each time.
+
+    Sums and largest values are those of each lane, arrays (LANES,): a single sum would have to wait for every addition.
+    They are work over k, travel, square of the force along it, stretch at birth and |work|, and the largest |work| and
+    travel.
+    """
+
+    first: int
+    begin: int
+    end: int
+    stop: Array
+    work: Array
+    travel: Array
+    square: Array
+    birth: Array
+    size: Array
+    most_work: Array
+    most_travel: Array
+    carries: bool = True
+
+    @classmethod
+    def empty(cls, first: int, begin: int, end: int, stop: Array) -> "PlainSums":
+        """Sums of nothing."""
+        return cls(first, begin, end, stop, *np.zeros((7, LANES)))
+
+    def parts(self) -> tuple[Array, ...]:
+        """The sums."""
+        return self.work, self.travel, self.square, self.birth, self.size
+
+
+@admit.register(PlainSums)
+def _admit(recorder: PlainSums, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int) -> bool:
+    lanes.contact[lane] = contact
+    lanes.age[lane] = recorder.begin
+    lanes.position[lane] = 0.0
+    return recorder.begin < recorder.end
+
+
+@note_lives.register(PlainSums)
+def _note_lives(
+    recorder: PlainSums, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+) -> bool:
+    work, travel, square, birth, size = recorder.work, recorder.travel, recorder.square, recorder.birth, recorder.size
+    most_work, most_travel = recorder.most_work, recorder.most_travel
+    for i in range(active):
+        w, s = life_work(c.aging, c, lives, r, i), lives.travel[r, i]
+        y, k = lives.birth[r, i], lives.stiffness[r, i]
+        work[i] += w
+        travel[i] += s
+        square[i] += k * k * s * (y * y + s * (y + third(s)))
+        birth[i] += y
+        size[i] += abs(w)
+        most_work[i] = max(most_work[i], abs(w))
+        most_travel[i] = max(most_travel[i], s)
+    ended = r + 1 == ROUNDS and lanes.age[0] + 1 == recorder.end
+    for i in range(active if ended else 0):
+        lanes.position[i] = math.inf
+    return ended
 
 
 def _sequences(job: _Job, dimensions: int, size: int, groups: list[range]) -> Iterator[Sobol]:
@@ -451,7 +520,7 @@ def _weighted(job: _Job, c: Contacts, stream: Key, sobol: Sobol, numbers: range,
         points = sobol.points(first, block).reshape(2 + third, -1)
         u, weight = job.proposal.threshold.draw(points[0])
         v, clock_weight = job.proposal.clock.draw(points[1])
-        found = lives(c, stream, numbers[first], u, v, job.step, points[2] if third else None)
+        found = lives(c, Source(stream, numbers[first], job.step), u, v, points[2] if third else None)
         add_weighted(found, weight, clock_weight, sums)
     with np.errstate(invalid="ignore"):  # squares of broad laws overflow
         shares = sums[:, 5:] / sums[:, [4, 1, 2]]
@@ -470,7 +539,7 @@ def add_weighted(found: Sample, weight: Array, clock_weight: Array, sums: Array)
             w, s, y = weight[i] * clock_weight[i], found.travel[i], found.birth[i]
             one, way = w * found.work[i], w * s
             work, travel, birth, size = work + one, travel + way, birth + w * y, size + abs(one)
-            two = w * squared(found.stiffness[i], s, y)
+            two = w * square_of(found.stiffness[i], s, y)
             square += two
             most_work, most_travel = max(most_work, abs(one)), max(most_travel, abs(way))
             most_square = max(most_square, two)
@@ -525,9 +594,9 @@ def _births_vary(c: Contacts) -> bool:
 def _typical(c: Contacts, u: Array, v: Array) -> Sample:
     """Lives from uniforms of thresholds and clocks, in the mean over births: root mean squares, with the sign lost."""
     if not _births_vary(c):
-        return lives(c, key(0, STEADY), 0, u, v)
+        return lives(c, Source(key(0, STEADY), 0, STEP), u, v)
     births = [np.full(u.size, (i + 0.5) / 16) for i in range(16)]
-    found = [lives(c, key(0, STEADY), 0, u, v, birth=birth) for birth in births]
+    found = [lives(c, Source(key(0, STEADY), 0, STEP), u, v, birth) for birth in births]
     return Sample(*(np.sqrt(np.mean([part[j] ** 2 for part in found], axis=0)) for j in range(4)))
 
 
@@ -543,14 +612,21 @@ def _relative(found: tuple[Estimate, ...]) -> float:
     return max(relative)
 
 
+class Unseen(NamedTuple):
+    """Relative errors that the scatter of randomisations does not show: of the means over lives, and of that of
+    squares."""
+
+    means: float
+    squares: float
+
+
 def _averages(
-    c: Contacts, sums: Array, units: tuple[float, float], size: int, covered: bool, unseen: tuple[float, float]
+    c: Contacts, sums: Array, drag: float, unit: float, size: int, covered: bool, unseen: Unseen
 ) -> tuple[Estimate, ...]:
-    """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`; `units` are eta v/k and the unit
-    of length, `unseen` relative errors of the means over lives, and of that of squares, that do not show in their
-    scatter."""
+    """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`; `drag` is eta v/k and `unit` that
+    of length."""
     reliable = covered and float(sums[:, 4].max()) < _DOMINANT
-    (drag, unit), delay, (hidden, of_squares) = units, c.delay.mean, unseen
+    delay, (hidden, of_squares) = c.delay.mean, unseen
     work, travel, square, birth = sums[:, :4].T
     cycle = travel + delay
     friction = float((work.mean() + drag * delay) / cycle.mean())

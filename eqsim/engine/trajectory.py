@@ -1,6 +1,6 @@
 """Force of an ensemble on a grid of slider displacements, event driven: cost O(lives) + O(points), memory O(points).
 
-Contacts do not act on each other, so each is followed on its own from start to end (`engine.simulate`), by any thread
+Contacts do not act on each other, so each is followed on its own from start to end (`engine.follow`), by any thread
 or any worker of an executor.
 """
 
@@ -8,41 +8,27 @@ import math
 import time
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, overload
+from typing import overload
 
 import numpy as np
 
-from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
+from eqsim.engine.blocks import Progress, Threads, simulate_all, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import rough_stretch, typical_lives
 from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.programme import along, check_programme, cycles
-from eqsim.engine.recorder import (
-    AREA,
-    BATCHES,
-    BREAKS,
-    ELAPSED,
-    PINNED,
-    STRETCH,
-    TRAVEL,
-    Moments,
-    Recorder,
-    Run,
-    Scales,
-    moments,
-)
+from eqsim.engine.programme import along, check_programme, constant_drive, cycles
+from eqsim.engine.recorder import BATCHES, Run, Scales, Window
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
+from eqsim.engine.sample import rough_stretch, typical_lives
 from eqsim.engine.scatter import ENOUGH, RARE, Births, Scatter, births, known_variance, pinned_variance, scatter
-from eqsim.engine.simulate import simulate
-from eqsim.engine.slider import pulled
-from eqsim.engine.stationary import Fresh, Stationary, stationary
+from eqsim.engine.slider_runs import pulled
+from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, Estimate, drifts, infinite, known, ratio
 from eqsim.model.drive import Drive, Programme, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import interruptibly
 
@@ -150,19 +136,19 @@ def trajectory(
     expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
     progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.stage:
-        return pulled(ensemble, drive, (points, seed, replicas), threads, progress)
+        return pulled(ensemble, drive, points, seed, replicas, threads, progress)
     if isinstance(drive, Programme):
-        return along(ensemble, drive, (points, seed, replicas), threads, progress)
+        return along(ensemble, drive, points, seed, replicas, threads, progress)
     workers = workers_of(threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
     count = ensemble.count * replicas
-    run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", count < BATCHES)
+    run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", batch_by_life=count < BATCHES)
     table = stationary(c) if run.stationary else Fresh()
     drag = drag_of(ensemble, drive.velocity)
     scales = Scales.of(c, run, count, replicas, drag)
-    job = ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag)
+    job = constant_drive(c, table, run, scales, key(seed, TRAJECTORY), drag)
     interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
@@ -182,7 +168,7 @@ def trajectory(
     force_variance = force_variance + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
     std, every = total.replica_std(job, replicas), total.replica_forces()
-    second_half = _second_half(total.batches / scales.batches, total.lives, count, drag)
+    second_half = _second_half(_in_units(total.windows, scales.windows), int(total.lives[0]), count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
     second_half += (infinite(count) if ensemble.divergence else _force_variance(variance, level, run, count, noise),)
     friction, pinned_fraction = second_half[:2]
@@ -207,37 +193,11 @@ def trajectory(
                 for one, size, seen in zip(second_half, units, enough, strict=True)
             )
         ),
-        lives=total.lives,
+        lives=int(total.lives[0]),
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
         threads=workers,
     )
-
-
-class ConstantDrive(NamedTuple):
-    """A `blocks.Job` at constant velocity."""
-
-    contacts: Contacts
-    start: Fresh | Stationary
-    run: Run
-    scales: Scales
-    stream: Key
-    drag: float
-
-    @property
-    def replica_scales(self) -> tuple[float, float]:
-        return self.scales.replica, self.scales.replica_square
-
-    def totals(self, replicas: int) -> Totals:
-        return Totals(self.run.points + 1, self.run.points, replicas)
-
-    def simulate(self, total: Totals, first: int, last: int) -> None:
-        sums = (total.scratch, total.batches, total.status)
-        recorder = Recorder(self.run, self.scales.deposits, self.scales.batches, *sums, self.scales.narrow)
-        simulate(self.contacts, self.start, recorder, self.stream, first, last)
-
-    def moments(self, deposits: Array, contacts: int) -> Moments:
-        return moments(deposits, self.scales, self.run, contacts, self.drag)
 
 
 @lru_cache(maxsize=32)
@@ -285,11 +245,15 @@ def independent(c: Contacts, born: Births, drag: float) -> tuple[tuple[float, ..
     )  # fmt: skip
 
 
-def _second_half(batches: Array, lives: int, contacts: int, drag: float) -> tuple[Estimate, ...]:
+def _in_units(windows: Array, scales: Window) -> Window:
+    """Sums over batches and quarters as numbers."""
+    return Window(*(windows[name] / scale for name, scale in scales._asdict().items()))
+
+
+def _second_half(sums: Window, lives: int, contacts: int, drag: float) -> tuple[Estimate, ...]:
     """Averages over the second half of the distance; unreliable if its two quarters differ by more than 4 sigma, or
     fewer contacts broke in it than there are batches."""
-    columns = (AREA, PINNED, ELAPSED, BREAKS, STRETCH, TRAVEL)
-    area, pinned, elapsed, breaks, stretch, travel = (batches[:, :, column] for column in columns)
+    area, pinned, elapsed, breaks, stretch, travel = sums
     seen = breaks.sum()
     enough = seen >= BATCHES and (contacts >= BATCHES or seen >= 4 * BATCHES)
 

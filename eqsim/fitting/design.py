@@ -20,6 +20,13 @@ _VELOCITIES, _TEMPERATURES = 41, 7  # candidates
 _BEYOND = 10.0  # how far velocities may be beyond those of the data, by default
 
 
+class Limits(NamedTuple):
+    """The smallest and the largest value that may be measured at."""
+
+    low: float
+    high: float
+
+
 class Step(NamedTuple):
     """A measurement of friction: where, and the standard deviation of the key's variable that is expected after it and
     all before it."""
@@ -57,8 +64,8 @@ def design(
     fitted: Path,
     key: str,
     count: int = 4,
-    velocities: tuple[float, float] | None = None,
-    temperatures: tuple[float, float] | None = None,
+    velocities: Limits | None = None,
+    temperatures: Limits | None = None,
 ) -> Design:
     """The next measurements of friction for a key, one after the other, each the best given those before.
 
@@ -72,8 +79,8 @@ def design(
         A free key.
     count : int
         How many measurements.
-    velocities, temperatures : tuple of float, optional
-        Limits; by default velocities up to ten times beyond those of the data, and the temperatures of the data.
+    velocities, temperatures : Limits, optional
+        By default velocities up to ten times beyond those of the data, and the temperatures of the data.
 
     Returns
     -------
@@ -126,9 +133,7 @@ def _best(fitted: Path, prepared: Prepared) -> Array:
     return np.clip(u, prepared.problem.low, prepared.problem.high)
 
 
-def _candidates(
-    prepared: Prepared, velocities: tuple[float, float] | None, temperatures: tuple[float, float] | None
-) -> tuple[Array, Array]:
+def _candidates(prepared: Prepared, velocities: Limits | None, temperatures: Limits | None) -> tuple[Array, Array]:
     """Velocities and temperatures, arrays (candidates,); the run file's temperature without a column of them."""
     table = prepared.table
     measured = [dict(row.changes).get("drive.velocity") for row in table.rows]
@@ -136,15 +141,15 @@ def _candidates(
     if velocities is None:
         if not known.size:
             raise InputError("--velocity: is required, as the data have no column drive.velocity")
-        velocities = float(known.min()) / _BEYOND, float(known.max()) * _BEYOND
+        velocities = Limits(float(known.min()) / _BEYOND, float(known.max()) * _BEYOND)
     if temperatures is not None and prepared.fit.temperature is None:
         raise InputError("--temperature: not allowed without fit.temperature, the column of temperatures")
-    limits = temperatures or (float(table.temperatures.min()), float(table.temperatures.max()))
-    for name, pair in (("--velocity", velocities), ("--temperature", limits)):
-        for end in pair:
-            require_number(name, end, above=0)
-        if pair[0] > pair[1]:
-            raise InputError(f"{name} {pair[0]:g},{pair[1]:g}: the first must not be larger than the second")
+    limits = temperatures or Limits(float(table.temperatures.min()), float(table.temperatures.max()))
+    for name, (low, high) in (("--velocity", velocities), ("--temperature", limits)):
+        require_number(name, low, above=0)
+        require_number(name, high, above=0)
+        if low > high:
+            raise InputError(f"{name} {low:g},{high:g}: the first must not be larger than the second")
     v = np.geomspace(*velocities, _VELOCITIES if velocities[0] < velocities[1] else 1)
     T = np.linspace(*limits, _TEMPERATURES if limits[0] < limits[1] else 1)
     return np.tile(v, T.size), np.repeat(T, v.size)

@@ -18,9 +18,10 @@ from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
 from eqsim.fitting.record import Correlation, correlated, read_record, record_problem, search
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
+from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.numerics.tables import Array
-from eqsim.sweeps.plan import results_version
+from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.workers import Workers
 
 REJECTED = 1e-3  # p below which a model is rejected
@@ -280,8 +281,10 @@ def fit(
 
 
 def _identity(file: RunFile, prepared: Prepared, every: list[Array]) -> str:
-    """Of a fit: a digest of what its numbers depend on."""
-    parts = [results_version(), file.model_dump_json(), prepared.table.sha256]
+    """A digest of what the numbers of a fit depend on, and of the release of eqsim, whose
+    pickled objects are kept."""
+    release = storage.versions()["eqsim"]
+    parts = [release, str(RESULTS_VERSION), file.model_dump_json(), prepared.table.sha256]
     digest = hashlib.sha256(" ".join(parts).encode() + np.array(every).tobytes())
     return digest.hexdigest()[:16]
 

@@ -268,7 +268,7 @@ class Problem:
         return sum(one.prior is not None for one in self.parameters)
 
     def _prior(self, u: Array) -> Array:
-        known = [(x - one.prior[0]) / one.prior[1] for x, one in zip(u, self.parameters, strict=True) if one.prior]
+        known = [(x - one.prior.mean) / one.prior.sd for x, one in zip(u, self.parameters, strict=True) if one.prior]
         return np.array(known)
 
     def jacobian(self, u: Array) -> Array:
@@ -290,7 +290,7 @@ class Problem:
                 column = (at_ends[1] - at_ends[0]) / (ends[1] - ends[0])
             columns.append(column / self.sigma)
         matrix = self.white(np.array(columns).T)
-        extra = [np.eye(u.size)[i] / one.prior[1] for i, one in enumerate(self.parameters) if one.prior]
+        extra = [np.eye(u.size)[i] / one.prior.sd for i, one in enumerate(self.parameters) if one.prior]
         return np.vstack((matrix, *extra)) if extra else matrix
 
     def given(self, u: Array) -> Array:

@@ -204,11 +204,11 @@ def _text(value: Any) -> str:
 def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
     """What is printed of each key."""
     for one in result.intervals:
-        yield one.key, f"{one.estimate:.4g}", _range(one.intervals["68"]), _range(one.intervals["95"]), one.status
+        yield one.key, f"{one.estimate:.4g}", _range(*one.intervals["68"]), _range(*one.intervals["95"]), one.status
 
 
-def _range(ends: tuple[float | None, float | None]) -> str:
-    low, high = ends
+def _range(low: float | None, high: float | None) -> str:
+    """An interval as text; None where it is open."""
     digits = 3
     if low is not None and high is not None and high > low:  # so many that the width shows
         digits = min(max(digits, 2 - math.floor(math.log10((high - low) / max(abs(low), abs(high))))), 12)
@@ -258,7 +258,7 @@ def drawn(sampled: Posterior) -> Iterator[str]:
     yield f"posterior, flat in each key's variable between its bounds where it has no prior ({long}, worth"
     yield f"{sampled.effective:.0f} independent draws: the 2.5 % beyond an end are known to {100 * sampled.doubt:.1f}):"
     for key, one in sampled.intervals.items():
-        yield f"  {key}: median {one['median']:.4g}, 68 % {_range(one['68'])}, 95 % {_range(one['95'])}"
+        yield f"  {key}: median {one['median']:.4g}, 68 % {_range(*one['68'])}, 95 % {_range(*one['95'])}"
 
 
 def quality(name: str, good: Goodness) -> str:

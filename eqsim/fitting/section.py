@@ -65,6 +65,13 @@ class Fit(_Section):
     free: dict[str, Free] = Field(default_factory=dict)
 
 
+class NormalPrior(NamedTuple):
+    """Mean and standard deviation of a normal prior of a parameter's variable."""
+
+    mean: float
+    sd: float
+
+
 class Parameter(NamedTuple):
     """What is fitted.
 
@@ -76,8 +83,8 @@ class Parameter(NamedTuple):
         The variable in which it is fitted is ln x ("log"), ln(1 + x) ("log1p") or x ("linear").
     low, high : float
         Bounds of it, and `start`, in that variable.
-    prior : tuple of float, optional
-        Mean and standard deviation of a normal prior of that variable.
+    prior : NormalPrior, optional
+        Of that variable.
     linear : bool
         Whether what is measured is linear in it.
     """
@@ -87,7 +94,7 @@ class Parameter(NamedTuple):
     low: float
     high: float
     start: float
-    prior: tuple[float, float] | None = None
+    prior: NormalPrior | None = None
     linear: bool = False
 
     def value(self, u: Any) -> Any:
@@ -216,7 +223,7 @@ def _parameter(key: str, field: str, value: float, free: Free, linear: bool) -> 
         normal = free.prior.normal
         if len(normal) != 2 or not all(map(math.isfinite, normal)) or not normal[1] > 0:
             raise InputError(f"{field}.prior.normal = {shown(normal)}: must be [mean, sd] with sd > 0")
-        prior = normal[0], normal[1]
+        prior = NormalPrior(*normal)
     return Parameter(key, free.transform, low, high, variable(free.transform, value), prior, linear)
 
 

@@ -419,10 +419,10 @@ def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) ->
 
 
 @styled
-def fronts_figure(run: "ElasticTrajectory", shape: tuple[int, int], caption: Caption) -> Figure:
-    """Of the first replica, in space and time: displacement of each block beyond the mean, and breaks between records;
-    of a sheet along its middle row, and the whole sheet at the end."""
-    nx, ny = shape
+def fronts_figure(run: "ElasticTrajectory", nx: int, ny: int, caption: Caption) -> Figure:
+    """Draw the first replica in space and time: how far each block is beyond the mean, and
+    breaks between records; of a sheet of `ny` rows of `nx` blocks along its middle row, and
+    the whole sheet at the end."""
     figure = Figure(figsize=(10, 4.6 if ny == 1 else 8.4), layout="constrained")
     panels = figure.subplots(2 if ny > 1 else 1, 2, squeeze=False)
     X, breaks = _in_space(run, "X"), _in_space(run, "breaks")
@@ -430,17 +430,18 @@ def fronts_figure(run: "ElasticTrajectory", shape: tuple[int, int], caption: Cap
     beyond, active = X - X.mean(axis=1, keepdims=True), np.diff(breaks, axis=0)
     across = "block" if ny == 1 else f"block of row {ny // 2}"
     label = with_unit("$X$ beyond the mean of all blocks", unit_text(caption.units, LENGTH, unknown=False))
-    _image(panels[0, 0], beyond[:, row], (0, nx, 0.0, run.D[-1]), label, spread=True)
-    _image(panels[0, 1], active[:, row], (0, nx, 0.0, run.D[-1]), "breaks between two records")
+    _image(panels[0, 0], beyond[:, row], nx, run.D[-1], label, spread=True)
+    _image(panels[0, 1], active[:, row], nx, run.D[-1], "breaks between two records")
     for axes in panels[0]:
         axes.set(xlabel=across, ylabel=caption.length("displacement of the plate  $D$"))
     if ny > 1:
-        _image(panels[1, 0], beyond[-1].reshape(ny, nx), (0, nx, 0, ny), label + ", at the end", spread=True)
+        _image(panels[1, 0], beyond[-1].reshape(ny, nx), nx, ny, label + ", at the end", spread=True)
         force = _in_space(run, "force")[-1].reshape(ny, nx)
         _image(
             panels[1, 1],
             force,
-            (0, nx, 0, ny),
+            nx,
+            ny,
             with_unit("force $F / (n k)$, at the end", unit_text(caption.units, LENGTH, unknown=False)),
         )
         for axes in panels[1]:
@@ -456,16 +457,16 @@ def _in_space(run: "ElasticTrajectory", name: str) -> Array:
     return np.asarray(run.blocks[name][: points * blocks].reshape(points, blocks))
 
 
-def _image(
-    axes: Axes, values: Array, extent: tuple[float, float, float, float], label: str, spread: bool = False
-) -> None:
-    """Values in space and time, or in space, thinned to what can be seen."""
+def _image(axes: Axes, values: Array, width: float, height: float, label: str, spread: bool = False) -> None:
+    """Draw values over space and time, or over space, thinned to what can be seen; `width`
+    and `height` are those of all values in the units of the axes."""
     step = [max(1, -(-size // _MOST_ROWS)) for size in values.shape]
     values = values[:: step[0], :: step[1]]
     limit = float(np.abs(values).max(initial=0.0)) or 1.0
     look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
     if not spread:  # a few large values would leave all others in the dark
         look = {"cmap": "magma", "vmin": values.min(), "vmax": float(np.quantile(values, _BRIGHTEST)) or 1.0}
+    extent = (0.0, width, 0.0, height)
     image = axes.imshow(values, origin="lower", aspect="auto", extent=extent, interpolation="nearest", **look)
     axes.figure.colorbar(image, ax=axes, label=label, extend="neither" if spread else "max")
 

@@ -9,7 +9,7 @@ import math
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 import pydantic
@@ -676,20 +676,25 @@ def read_drive(path: Path) -> list[Segment]:
     return _of_file(_recorded, f"file = {path}", path)
 
 
-def _of_file(read: Callable[[Path, str, tuple[int, int] | None], Result], field: str, path: Path) -> Result:
+class _Stamp(NamedTuple):
+    """What tells whether a file has changed."""
+
+    modified: int
+    size: int
+
+
+def _of_file(read: Callable[[Path, str, _Stamp | None], Result], field: str, path: Path) -> Result:
     """What a reader makes of a file, remembered for as long as that stays as it is."""
     try:
         found = path.stat()
-        stamp = (found.st_mtime_ns, found.st_size)
+        stamp = _Stamp(found.st_mtime_ns, found.st_size)
     except (OSError, ValueError):  # the reader says why
         stamp = None
     return read(path, field, stamp)
 
 
 @functools.lru_cache(maxsize=8)
-def _thresholds(
-    path: Path, field: str, stamp: tuple[int, int] | None, column: str | None = None, scale: float = 1.0
-) -> Table:
+def _thresholds(path: Path, field: str, stamp: _Stamp | None, column: str | None = None, scale: float = 1.0) -> Table:
     """All points of a sweep share it."""
     values = []
     for line, text in _column_of_thresholds(csv.read(path, field), column):
@@ -717,27 +722,36 @@ def _column_of_thresholds(sheet: csv.Sheet, column: str | None) -> Iterator[tupl
         yield line, cells[index]
 
 
+class _Instant(NamedTuple):
+    """A row of a recorded drive."""
+
+    t: float
+    X: float
+
+
 @functools.lru_cache(maxsize=8)
-def _recorded(path: Path, field: str, stamp: tuple[int, int] | None) -> list[Segment]:
+def _recorded(path: Path, field: str, stamp: _Stamp | None) -> list[Segment]:
+    """Segments between the instants of a recorded drive. Raises InputError."""
     segments: list[Segment] = []
-    before: tuple[float, float] | None = None
+    before: _Instant | None = None
     sheet = csv.read(path, field)
     columns = sheet.index("t"), sheet.index("X")
     for line, cells in sheet.rows():
         texts = [cells[index] for index in columns]
-        here, (t, X) = f"{field}, line {line}", map(csv.value_of, texts)
-        if not (math.isfinite(t) and math.isfinite(X)):
+        here = f"{field}, line {line}"
+        now = _Instant(*map(csv.value_of, texts))
+        if not all(map(math.isfinite, now)):
             raise InputError(f"{here}: {', '.join(texts)[:40]!r} must be finite numbers")
         if before is None:
-            if t != 0 or X != 0:
-                raise InputError(f"{here}: t = {t:g}, X = {X:g}; the first instant must be t = 0, X = 0")
+            if now != (0.0, 0.0):
+                raise InputError(f"{here}: t = {now.t:g}, X = {now.X:g}; the first instant must be t = 0, X = 0")
         else:
-            elapsed = t - before[0]
+            elapsed = now.t - before.t
             if not elapsed > 0:
-                raise InputError(f"{here}: t = {t:g} must be later than the {before[0]:g} before it")
+                raise InputError(f"{here}: t = {now.t:g} must be later than the {before.t:g} before it")
             with under(here):
-                segments.append(Segment((X - before[1]) / elapsed, time=elapsed))
-        before = t, X
+                segments.append(Segment((now.X - before.X) / elapsed, time=elapsed))
+        before = now
     if not segments:
         raise InputError(f"{field}: needs two instants at least")
     return segments

@@ -152,14 +152,14 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
     if silent or not console.is_terminal:
         yield lambda *_: None
         return
-    from numba.core import event
-
-    compiling: list[float] = []  # since when; kernels compile those that they call
+    from eqsim.numerics.kernel_folder import compiling_since
 
     class Doing(TextColumn):
         def render(self, task: Any) -> Any:
-            long = compiling and time.monotonic() - compiling[0] > _COMPILING
-            return super().render(task) if not long else Text("compiling kernels, once for these laws")
+            begin = compiling_since()
+            if begin is None or time.monotonic() - begin <= _COMPILING:
+                return super().render(task)
+            return Text("compiling kernels, once for these laws")
 
     shown = Progress(
         Doing("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
@@ -167,13 +167,6 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
     )  # fmt: skip
     task = shown.add_task(title, total=None, rate="0")
     begin: list[float] = []
-
-    class Compiling(event.Listener):  # type: ignore[misc]
-        def on_start(self, _: Any) -> None:
-            compiling.append(time.monotonic())
-
-        def on_end(self, _: Any) -> None:
-            compiling.pop()
 
     def progress(done: int, total: float) -> None:
         now = time.perf_counter()
@@ -185,5 +178,5 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
         description = title if unit == "lives" else f"{title} {done}/{total:.0f}"
         shown.update(task, completed=done, total=total, description=description, rate=count(speed))
 
-    with shown, event.install_listener("numba:compile", Compiling()):
+    with shown:
         yield progress

@@ -10,15 +10,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.errors import NOT_NEGATIVE, require_choice, require_number
-from eqsim.numerics.compiled import inlined
+from eqsim.laws.law import Law
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import log
 
 
-class Fixed(NamedTuple):
+class _Mean(NamedTuple):
+    mean: float
+
+
+class Fixed(_Mean, Law):
     """Every delay is `mean`."""
 
-    mean: float
+    __slots__ = ()
 
     def cdf(self, t: Any) -> Array:
         """P(delay <= t)."""
@@ -53,10 +58,10 @@ class Fixed(NamedTuple):
         return Waits(self.mean, 0.0)
 
 
-class Exponential(NamedTuple):
+class Exponential(_Mean, Law):
     """Delays are exponential with mean `mean`; methods are those of `Fixed`."""
 
-    mean: float
+    __slots__ = ()
 
     def cdf(self, t: Any) -> Array:
         return -np.expm1(-np.maximum(t, 0.0) / self.mean) if self.mean else np.where(np.asarray(t) >= 0, 1.0, 0.0)
@@ -138,13 +143,13 @@ class Waits(NamedTuple):
         return Exponential(self.mean) if self.random else Fixed(self.mean)
 
 
-@inlined
+@routine(inline=True)
 def delay_draw(law: Waits, u: float) -> float:
     """A delay from a uniform u in (0, 1)."""
     return law.mean - law.random - law.random * log(u)
 
 
-@inlined
+@routine(inline=True)
 def residual_delay_draw(law: Waits, u: float) -> float:
     """The rest of a delay in the stationary state, where all of it is random or none, from a uniform u in (0, 1)."""
     return (law.mean - law.random) * u - law.random * math.log(u)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.errors import InputError, require_choice, require_number
+from eqsim.laws.law import Law
 from eqsim.laws.threshold import Gamma, ThresholdLaw, Thresholds, threshold_draw
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
@@ -35,11 +36,15 @@ _RAREST = 470.0  # -ln J_c of a threshold that counts as the greatest
 _FIRST_OCTAVE = -40  # of stretches over the scale of the thresholds; below, hardly a threshold is passed
 
 
-class DeltaBirths(NamedTuple):
-    """All births at `stretch`."""
-
+class _Stretch(NamedTuple):
     stretch: float
     table: Array = NO_TABLE
+
+
+class DeltaBirths(_Stretch, Law):
+    """All births at `stretch`."""
+
+    __slots__ = ()
 
     @property
     def mean(self) -> float:
@@ -60,12 +65,16 @@ class DeltaBirths(NamedTuple):
         return float(self.stretch > y)
 
 
-class UniformBirths(NamedTuple):
-    """From `low` to `high`; methods are those of `DeltaBirths`."""
-
+class _Bounds(NamedTuple):
     low: float
     high: float
     table: Array = NO_TABLE
+
+
+class UniformBirths(_Bounds, Law):
+    """Births from `low` to `high`; methods are those of `DeltaBirths`."""
+
+    __slots__ = ()
 
     @property
     def mean(self) -> float:
@@ -82,11 +91,15 @@ class UniformBirths(NamedTuple):
         return min(max((self.high - y) / (self.high - self.low), 0.0), 1.0)
 
 
-class ExponentialBirths(NamedTuple):
-    """Positive, of this mean; methods are those of `DeltaBirths`."""
-
+class _Mean(NamedTuple):
     mean: float
     table: Array = NO_TABLE
+
+
+class ExponentialBirths(_Mean, Law):
+    """Positive births of this mean; methods are those of `DeltaBirths`."""
+
+    __slots__ = ()
 
     @property
     def range(self) -> tuple[float, float]:
@@ -99,13 +112,17 @@ class ExponentialBirths(NamedTuple):
         return math.exp(-max(y, 0.0) / self.mean)
 
 
-class NormalBirths(NamedTuple):
-    """Of this mean and standard deviation; methods are those of `DeltaBirths`. `table`: |z| of a normal deviate against
-    -ln P(|Z| > |z|)."""
-
+class _MeanAndWidth(NamedTuple):
     mean: float
     std: float
     table: Array
+
+
+class NormalBirths(_MeanAndWidth, Law):
+    """Births of this mean and standard deviation; methods are those of `DeltaBirths`. `table`: |z| of a normal deviate
+    against -ln P(|Z| > |z|)."""
+
+    __slots__ = ()
 
     @property
     def range(self) -> tuple[float, float]:
@@ -122,6 +139,7 @@ class NormalBirths(NamedTuple):
 BirthLaw = DeltaBirths | UniformBirths | ExponentialBirths | NormalBirths
 
 
+# It has no parameters, and a solve asks for it ten times.
 @functools.cache
 def _deviates() -> Array:
     """|z| against e = -ln P(|Z| > |z|), for |z| up to 12."""
@@ -209,7 +227,7 @@ class Newborn:
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """What names random streams: texts and numbers as they were given, lengths to be divided by a unit."""
+        """The name of random streams: texts and numbers as they were given, lengths to be divided by a unit."""
         return self.law, self.of, *(getattr(self, name) for name in _NUMBERS[self.law])
 
     def reduced(self, unit: float) -> Any:
@@ -256,20 +274,22 @@ class Unstressed(NamedTuple):
     most: float = 0.0
 
     def reach(self, xi: float) -> float:
-        """As that of `Stretched`."""
+        """The greatest |y|, as in `Stretched`."""
         return 0.0
 
 
 class Stretched(NamedTuple):
     """For kernels: a law of births; whether it is one of fractions of the threshold; whether a threshold has to be
-    above |y|, or above y only; the stretch that births beyond it, as good as none, count as; and -ln J_c(|y|) against
-    |y|, an empty table where that is sought in the thresholds' own."""
+    above |y|, or above y only; the stretch that births beyond it, as good as none, count as; -ln J_c(|y|) against |y|,
+    an empty table where that is sought in the thresholds' own; and the direction of motion, in which stretches of
+    contacts count that are followed along a segment."""
 
     law: Any
     of_threshold: bool
     two_sided: bool
     most: float
     ranks: Array
+    sign: float = 1.0
 
     def reach(self, xi: float) -> float:
         """The greatest |y| of contacts whose thresholds are at most `xi`."""
@@ -290,6 +310,7 @@ def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> St
     return Stretched(law, False, two_sided, top if not thresholds.steps.size else math.inf, ranks)
 
 
+# It takes 0.6 ms, and sweeps and replicas ask for it again; 32 tables of 100 kB are 3 MB.
 @functools.lru_cache(maxsize=32)
 def _ranks(n: float) -> Array:
     """-ln J_c of a gamma law against the stretch."""

@@ -4,7 +4,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 StiffnessLaw = Literal["sqrt", "uniform"]
@@ -26,7 +26,7 @@ class Springs(NamedTuple):
     slope: float
 
 
-@inlined
+@routine(inline=True)
 def kappa(springs: Springs, xi: float) -> float:
     """k_i/k of a contact of threshold `xi`."""
     return springs.constant + springs.slope * xi

@@ -17,12 +17,13 @@ from scipy import special
 
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.laws.kinks import density_kinks
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
-FIRST_OCTAVE, LAST_OCTAVE = -54, 9
+FIRST_OCTAVE = -54
+LAST_OCTAVE = 9
 NO_STEPS: Array = np.empty(0)
 
 # moments over strong contacts, in e = -ln J_c(xi)
@@ -37,14 +38,14 @@ _TAIL_NODES, _TAIL_WEIGHTS = special.roots_legendre(12)
 
 
 class ThresholdLaw(Protocol):
-    """What the rest of eqsim asks of a law of thresholds; lengths are in the user's unit."""
+    """The interface of a law of thresholds; lengths are in the user's unit."""
 
     def __hash__(self) -> int:
         """Laws are immutable; their tables are remembered."""
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """What names random streams: a length that was given, then the law's name and numbers in units of it; nothing
+        """The name of random streams: a length that was given, then the law's name and numbers in units of it; nothing
         that takes more than products and ratios to compute."""
 
     @property
@@ -179,7 +180,7 @@ class Gamma:
 
 
 class _Discrete:
-    """What laws of finitely many equally likely thresholds share."""
+    """Properties that laws of finitely many equally likely thresholds share."""
 
     steps: Array
 
@@ -285,11 +286,11 @@ class Table(_Discrete):
 
 
 class Smooth:
-    """What laws with a density share: their draws come from a table of the quantile function."""
+    """Properties that laws with a density share: their draws come from a table of the quantile function."""
 
     steps: Array = NO_STEPS
     breakpoints: Array = NO_STEPS
-    support: tuple[float, float] = (0.0, math.inf)
+    support = (0.0, math.inf)
     scale: float
 
     @property
@@ -326,18 +327,18 @@ class Smooth:
     def drawn_to(self) -> float:
         """A bound on the relative error of averages over thresholds drawn from `table`, up to the work xi^3 of the sqrt
         law: where the density jumps, a cell of the table is smooth and the law is not."""
-        first, third = self._drawn_to((1, 3), 40.0)
+        first, third = self._drawn_to(1, 3, rarest=40.0)
         return first + third
 
     @functools.cached_property
     def squares_drawn_to(self) -> tuple[float, float]:
         """The same of mean squares of forces, that is of xi^3 (uniform stiffness) and of xi^5 (the sqrt law), to which
         thresholds contribute that are far rarer."""
-        third, fifth = self._drawn_to((3, 5), RAREST)
+        third, fifth = self._drawn_to(3, 5, rarest=RAREST)
         return third, fifth
 
-    def _drawn_to(self, powers: tuple[int, int], rarest: float) -> list[float]:
-        """Mean absolute errors of powers of drawn thresholds, over the means of these powers."""
+    def _drawn_to(self, *powers: int, rarest: float) -> list[float]:
+        """Mean absolute errors of powers of drawn thresholds, over the means of these powers, for e up to `rarest`."""
         edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
         matter = (edges[:-1] > 1e-6) & (edges[:-1] < rarest)
         e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
@@ -350,6 +351,30 @@ class Smooth:
 _SAME = 1e-6  # of the scale, how far a kink may be that is another; nearer to an infinite end a density is rounded
 
 
+# Points between which the bins of a histogram are sought, in equal steps and in equal shares.
+_SEEN = 4097
+
+
+def _bins(histogram: Any) -> Array:
+    """Find where the density of an `rv_histogram` jumps, to the last bit, and the ends of its support.
+
+    SciPy does not tell its bins. They are found by bisection between points whose densities differ. Only bins that are
+    both narrower and less likely than 1/4096 may be hidden between two points of equal density.
+    """
+    low, high = histogram.support()
+    x = np.append(np.linspace(low, high, _SEEN), histogram.ppf(np.linspace(0.0, 1.0, _SEEN)))
+    x = np.unique(np.append(x, np.nextafter(low, -np.inf)))
+    left, right = x[:-1], x[1:]
+    while True:
+        differ = histogram.pdf(left) != histogram.pdf(right)
+        left, right = left[differ], right[differ]
+        apart = np.nextafter(left, np.inf) < right
+        if not apart.any():
+            return np.union1d(right, [low, high])
+        middle = np.where(apart, left + 0.5 * (right - left), right)
+        left, right = np.append(left, middle), np.append(middle, right)
+
+
 class Distribution(Smooth):
     """Any continuous `scipy.stats` distribution of positive thresholds.
 
@@ -358,8 +383,8 @@ class Distribution(Smooth):
     frozen : scipy.stats frozen distribution
         With a finite mean cube (the work of a contact under the sqrt law).
     breakpoints : array_like, optional
-        Where its density jumps inside the support (a histogram's are known). Next to these draws are interpolated,
-        which the error bars of `steady` count, up to some 1e-3 across a gap.
+        Where its density jumps inside the support (those of an `rv_histogram` are found). Next to these draws are
+        interpolated, which the error bars of `steady` count, up to some 1e-3 across a gap.
 
     Raises
     ------
@@ -368,6 +393,8 @@ class Distribution(Smooth):
     """
 
     def __init__(self, frozen: Any, breakpoints: Any = None) -> None:
+        from scipy import stats  # takes long to import, but who has a distribution has imported it
+
         try:
             least, scalar = frozen.ppf(0.0), np.ndim(frozen.pdf(1.0)) == 0
         except (AttributeError, TypeError):
@@ -387,9 +414,9 @@ class Distribution(Smooth):
             third = math.inf
         require_number("threshold distribution: <xi^3>", third, above=0)
         self.scale, self.rms = self.mean, math.sqrt(second)
-        self.breakpoints = np.asarray(
-            getattr(frozen, "_hbins", NO_STEPS) if breakpoints is None else breakpoints, float
-        )
+        if breakpoints is None:
+            breakpoints = _bins(frozen) if isinstance(frozen, stats.rv_histogram) else NO_STEPS
+        self.breakpoints = np.asarray(breakpoints, float)
 
     def _third_diverges(self) -> bool:
         """True if <xi^3> diverges, as far as SciPy knows the tail: an isf that fails is refused where it is needed."""
@@ -435,8 +462,8 @@ class Distribution(Smooth):
         return np.union1d(super().kinks, inside[new])
 
     def inverse_survival(self, e: Any) -> Array:
-        """As in `ThresholdLaw`. Raises InputError where SciPy's isf fails far out in the tail: where it is not finite,
-        or beyond all that the density and the survival function know."""
+        """The quantile function of `ThresholdLaw`. Raises InputError where SciPy's isf fails far out in the tail: where
+        it is not finite, or beyond all that the density and the survival function know."""
         e = np.asarray(e, float)
         with np.errstate(all="ignore"):
             xi = np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
@@ -557,6 +584,7 @@ class Thresholds(NamedTuple):
     exponentials: int
 
 
+# It takes 2 ms, of SciPy's laws up to seconds; 32 tables of 130 kB are 4 MB.
 @functools.lru_cache(maxsize=32)
 def for_kernels(law: ThresholdLaw) -> Thresholds:
     """The law for kernels, remembered: sweeps over velocity and temperature share it."""
@@ -564,14 +592,14 @@ def for_kernels(law: ThresholdLaw) -> Thresholds:
     return Thresholds(law.table(), law.steps / law.scale, exponentials)
 
 
-@inlined
+@routine(inline=True)
 def exponential_threshold(p: float) -> float:
     """xi/x_* of a gamma law with n = 0 or 1 from the product of n + 1 uniforms, without a table: -ln p is the sum of as
     many exponential variables."""
     return math.sqrt(-log(p))
 
 
-@inlined
+@routine(inline=True)
 def threshold_draw(law: Thresholds, u: float) -> float:
     """A threshold from a uniform u in (0, 1), the fraction of contacts that exceed it."""
     if law.steps.size > 0:

@@ -28,49 +28,68 @@ from eqsim.numerics.tables import Array
 
 METHOD = "published master equation"
 
-_MOST_STEPS, _SMOOTH = 1000, 1e-10
+# Different thresholds of a discrete law at most, to bound time.
+_MOST_STEPS = 1000
+# What interpolation of the rate may miss.
+_SMOOTH = 1e-10
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
-# panels in x: the first rise by this factor and end where this is -ln J_c; where splits fall; the errors that end
-# refinement; the narrowest, relative to their right end, and the most; the least error quoted
-_RISE, _LAW = 5.0, np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
-_PIECES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])  # crowded, as the trouble is mostly at one end
-_RESOLVED, _STEP, _MOST_PANELS, _ROUNDING = 2e-12, 1e-14, 1500, 1e-11
+# The factor by which the first panels in x rise.
+_RISE = 5.0
+# -ln J_c where the first panels end.
+_LAW = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
+# Where a panel is split: crowded, as the trouble is mostly at one end.
+_PIECES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
+# The relative error that ends refinement.
+_RESOLVED = 2e-12
+# The narrowest panel, relative to its right end.
+_STEP = 1e-14
+# Panels at most.
+_MOST_PANELS = 1500
+# The least relative error that is quoted.
+_ROUNDING = 1e-11
 
-# the rate: exponents of barriers where its panels end, distances from the ends of the support, nodes; hazards (in
-# logarithms) and survivals out of sight, nodes at once
+# Exponents of the barrier where panels of the rate end.
 _EXPONENTS = np.array([1e-3, 0.05, 0.5, 2.0, 5.0, 10.0, 18.0, 28.0, 45.0, 80.0, 140.0])
+# Distances from the ends of the support where panels of the rate end.
 _NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
+# Nodes of a panel of the rate.
 _ORDER = 10
-_UNSEEN, _DEAD, _AT_ONCE = -45.0, 1e-20, 1000
-_rule = functools.cache(np.polynomial.legendre.leggauss)
+# The logarithm of a hazard that is out of sight.
+_UNSEEN = -45.0
+# A survival that is out of sight.
+_DEAD = 1e-20
+# Stretches whose rate is found at once, to bound memory.
+_AT_ONCE = 1000
+# Two orders are used. A rule takes 0.25 ms, and a solve of 30 ms asks for ten.
+_rule = functools.lru_cache(maxsize=4)(np.polynomial.legendre.leggauss)
 
 
-def stationary(s: Reduced) -> Moments:
+def stationary(contacts: Reduced) -> Moments:
     """Moments of the lives of annealed contacts at kT > 0. Raises InputError for a discrete law of more than 1000
     thresholds."""
-    if s.law.steps.size:
-        return _of_steps(s)
+    if contacts.law.steps.size:
+        return _of_steps(contacts)
     p, (parts, errors) = refined(
-        lambda left, right, _: _integrals(s, left, right),
+        lambda left, right, _: _integrals(contacts, left, right),
         _judged,
-        _first_edges(s),
+        _first_edges(contacts),
         pieces=_PIECES,
         most=_MOST_PANELS,
     )
     # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
     alive, onward = _alive(p), _onward(parts)
     seen = alive > _DEAD
-    better = hazard_rate(s, 0.5 * (p.left + p.right)[seen], _ORDER + 4) * (p.right - p.left)[seen]
+    better = hazard_rate(contacts, 0.5 * (p.left + p.right)[seen], _ORDER + 4) * (p.right - p.left)[seen]
     missed = np.abs(2.0 * _Integrals(*p.values).middle[seen] - better)
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
-    total, rarest = parts.sum(axis=1), alive[-1] * beyond(s)
+    total, rarest = parts.sum(axis=1), alive[-1] * beyond(contacts)
     error = errors.sum(axis=1) + _ROUNDING * total + rarest
     return Moments(*(total + rarest).tolist(), *error.tolist())
 
 
 class _Integrals(NamedTuple):
-    """Of panels of 0 < x < inf, each array of shape (panels,).
+    """Integrals over panels of 0 < x < inf, each array of shape (panels,).
 
     Delta U gained inside; with exp(-Delta U) = 1 at the left end, the integrals of E_P and of
     x exp(-Delta U) E[kappa; xi > x], but for thresholds beyond the panel, for which the latter is `carried`, the
@@ -91,28 +110,28 @@ class _Integrals(NamedTuple):
     middle: Array
 
 
-def _integrals(s: Reduced, left: Array, right: Array) -> Array:
+def _integrals(contacts: Reduced, left: Array, right: Array) -> Array:
     """`_Integrals` as rows."""
     half = 0.5 * (right - left)[:, None]
     x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
-    hazard = half * hazard_rate(s, x.ravel()).reshape(x.shape)
+    hazard = half * hazard_rate(contacts, x.ravel()).reshape(x.shape)
     # where the panel is too wide for its polynomial, that may be negative
     alive = half * np.exp(-np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0))
-    J = s.law.sf(x * s.law.scale)
+    J = contacts.law.sf(x * contacts.law.scale)
     stiff, heavier = J, np.zeros_like(J)
-    if s.stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
-        heavier = half * J / s.rms
+    if contacts.stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
+        heavier = half * J / contacts.rms
         inside = heavier @ ClenshawCurtis.weights
-        stiff = x * J / s.rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
+        stiff = x * J / contacts.rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
     integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
     values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
     tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
     return np.vstack((values, tails, hazard[:, hazard.shape[1] // 2]))
 
 
-def _alive(p: Panels) -> Array:
+def _alive(panels: Panels) -> Array:
     """exp(-Delta U) at the left end of each panel."""
-    return np.exp(-np.append(0.0, p.values[0, :-1].cumsum()))
+    return np.exp(-np.append(0.0, panels.values[0, :-1].cumsum()))
 
 
 def _onward(parts: Array) -> Array:
@@ -120,58 +139,60 @@ def _onward(parts: Array) -> Array:
     return parts[:, ::-1].cumsum(axis=1)[:, ::-1]
 
 
-def _judged(p: Panels) -> tuple[Array, tuple[Array, Array]]:
+def _judged(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
     """Which panels are too rough; what each adds to C and work, and to their errors, both of shape (2, panels)."""
-    of, alive = _Integrals(*p.values), _alive(p)
+    of, alive = _Integrals(*panels.values), _alive(panels)
     heavier = np.append(of.heavier[:0:-1].cumsum()[::-1], 0.0)
     carried = alive * of.carried
     parts = np.array([alive * of.stretch, alive * of.work + heavier * carried])
     errors = of.hazard_tail * _onward(parts)
     errors[0] += alive * of.stretch_tail
     errors[1] += alive * (of.work_tail + heavier * of.carried_tail) + of.heavier_tail * carried.cumsum()
-    rough = (errors > _RESOLVED * parts.sum(axis=1)[:, None]).any(axis=0) & (p.right - p.left > _STEP * p.right)
+    rough = (errors > _RESOLVED * parts.sum(axis=1)[:, None]).any(axis=0) & (
+        panels.right - panels.left > _STEP * panels.right
+    )
     return rough, (parts, errors)
 
 
-def _first_edges(s: Reduced) -> Array:
+def _first_edges(contacts: Reduced) -> Array:
     """Ends of the first panels: from lives of newborn contacts to where no threshold is left."""
-    law = s.law
+    law = contacts.law
     marks = np.append(law.inverse_survival(_LAW), law.breakpoints) / law.scale
     marks = marks[(marks > 0) & np.isfinite(marks)]
     top = marks.max()
     least, greatest = (edge / law.scale for edge in law.support)
-    newborn = hazard_rate(s, np.zeros(1))[0]
-    first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(s.barrier.b))
+    newborn = hazard_rate(contacts, np.zeros(1))[0]
+    first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(contacts.barrier.b))
     rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
     edges = np.unique(np.concatenate(([0.0, least, min(greatest, top)], marks, rising)))
     return edges[edges <= min(greatest, top)]
 
 
-def hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
+def hazard_rate(contacts: Reduced, y: Array, order: int = _ORDER) -> Array:
     """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled` (temper11, temper12), to about 1e-13 for gamma
     laws and 1e-10 for most others.
 
     In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds, and with panels next to the
     ends of the support besides those next to y.
     """
-    law, barrier, b, rms = s.law, s.barrier, s.barrier.b, s.rms
+    law, barrier, b, rms = contacts.law, contacts.barrier, contacts.barrier.b, contacts.rms
     least, greatest = law.support[0] / law.scale, law.support[1] / law.scale
     upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
     ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
-    far = np.cbrt(_EXPONENTS * rms / b) if s.stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
+    far = np.cbrt(_EXPONENTS * rms / b) if contacts.stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
     nodes, weights = _rule(order)
     found = np.empty(y.size)
 
     def contact(x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
         """Arguments of the barrier at stretch x and threshold x + root^2."""
         xi = x + root**2
-        return root**2, root**2 + 2.0 * x, xi, b * kappa_of(s, xi)
+        return root**2, root**2 + 2.0 * x, xi, b * kappa_of(contacts, xi)
 
     for start in range(0, y.size, _AT_ONCE):
         at = y[start : start + _AT_ONCE, None]
         origin = np.maximum(at, least)
         with np.errstate(divide="ignore", over="ignore"):
-            near = barrier.width(_EXPONENTS, origin, np.maximum(b * kappa_of(s, origin), 1e-300))
+            near = barrier.width(_EXPONENTS, origin, np.maximum(b * kappa_of(contacts, origin), 1e-300))
         layer = np.concatenate((origin + np.minimum(near, far), np.broadcast_to(ends, (at.size, ends.size))), axis=1)
         edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
         with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
@@ -187,16 +208,16 @@ def hazard_rate(s: Reduced, y: Array, order: int = _ORDER) -> Array:
     return found
 
 
-def survivors(s: Reduced, x: Array) -> Array:
+def survivors(contacts: Reduced, x: Array) -> Array:
     """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x > 0, shape (3, n).
 
     For a smooth law x has to begin near 0 and to rise by small factors, up to where nothing survives.
     """
-    law = s.law
+    law = contacts.law
     if law.steps.size:
-        xi, share, kappa = _few_steps(s)
+        xi, share, kappa = _few_steps(contacts)
         with np.errstate(divide="ignore"):
-            log_dU = np.log(_pooled_hazard(s, xi, share, kappa, x)) + s.barrier.log_w
+            log_dU = np.log(_pooled_hazard(contacts, xi, share, kappa, x)) + contacts.barrier.log_w
         dU = np.exp(np.minimum(log_dU, 7.0))
         above = np.searchsorted(xi, x, side="right")
         means = [np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above] for power in range(3)]
@@ -208,17 +229,17 @@ def survivors(s: Reduced, x: Array) -> Array:
     at = np.append(x[0], inner)
 
     def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
-        return np.log1p(y * hazard_rate(s, y))
+        return np.log1p(y * hazard_rate(contacts, y))
 
     rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
     dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
     J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
     means = [J, J, J]
-    if s.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
+    if contacts.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
         for p in (1, 2):
             cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
             beyond_x = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(law, float(x[-1]), p)
-            means[p] = (x**p * J + beyond_x) / s.rms**p
+            means[p] = (x**p * J + beyond_x) / contacts.rms**p
     return np.exp(-dU) * np.array(means)
 
 
@@ -234,34 +255,34 @@ def _above(law: ThresholdLaw, x: float, power: int) -> float:
     return float(means_above(law, x, log_values)[0][0])
 
 
-def _few_steps(s: Reduced) -> tuple[Array, Array, Array]:
+def _few_steps(contacts: Reduced) -> tuple[Array, Array, Array]:
     """`different_steps`. Raises InputError if there are too many."""
-    found = different_steps(s)
+    found = different_steps(contacts)
     if found[0].size > _MOST_STEPS:
         count = found[0].size
         raise InputError(f"thresholds: {count} different values; the annealed reference takes at most {_MOST_STEPS}")
     return found
 
 
-def _pooled_hazard(s: Reduced, xi: Array, share: Array, kappa: Array, x: Array) -> Array:
+def _pooled_hazard(contacts: Reduced, xi: Array, share: Array, kappa: Array, x: Array) -> Array:
     """G of a discrete law, a mean of closed forms."""
     G = np.zeros(x.size)
-    for own, part, a in zip(xi, share, s.barrier.b * kappa, strict=True):
+    for own, part, a in zip(xi, share, contacts.barrier.b * kappa, strict=True):
         k = np.searchsorted(x, own)
-        G[:k] += part * np.exp(s.barrier.log_hazard(x[:k], own, a))
-        G[k:] += part * np.exp(s.barrier.log_hazard(own, own, a))
+        G[:k] += part * np.exp(contacts.barrier.log_hazard(x[:k], own, a))
+        G[k:] += part * np.exp(contacts.barrier.log_hazard(own, own, a))
     return G
 
 
-def _of_steps(s: Reduced) -> Moments:
+def _of_steps(contacts: Reduced) -> Moments:
     """Discrete thresholds: E_P drops at each of them, after a layer in which attempts on it succeed."""
-    edge = panels_between_steps(s)
+    edge = panels_between_steps(contacts)
 
     def integrate(order: int) -> Array:
         nodes, weights = _rule(order)
         half = 0.5 * np.diff(edge)[:, None]
         x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
-        survive, stiff, _ = survivors(s, x)
+        survive, stiff, _ = survivors(contacts, x)
         return (half * weights).ravel() @ np.stack((survive, stiff * x), axis=1)
 
     fine, coarse = integrate(8), integrate(5)

@@ -33,16 +33,39 @@ from eqsim.numerics.tables import Array
 
 METHOD = "characteristic equation"
 
-FINE, COARSE, SCAN = (128, 8.2), (64, 7.4), (24, 8.2)  # panels, and the range of thresholds in deviates
+
+class Nodes(NamedTuple):
+    """How finely a law is resolved: panels, and the range of thresholds in normal deviates, on either side."""
+
+    panels: int
+    reach: float
+
+
+FINE = Nodes(128, 8.2)
+# Another number of panels and another range than FINE, so that the difference tells the error of either.
+COARSE = Nodes(64, 7.4)
+# Fewest panels, for scans.
+SCAN = Nodes(24, 8.2)
 _NODES, _WEIGHTS = special.roots_legendre(8)
 _SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])  # of (1 - exp(-z)(1 + z))/z^2
-_AT_ONCE = 2**21  # terms, to bound memory
-_PHASE, _FIRST, _MOST = 0.05, 6.0, 100_000  # scan: step in phase over a cycle, first range in 1/threshold, points
-_FAINT = 1e-4  # part of the largest Z below which no border is looked for
-# of Newton's method; the relative step that ends it, after which a root is good to its square, or to rounding; and how
-# small the equation is there
-_ROUNDS, _SETTLED, _FOUND = 25, 1e-8, 1e-9
-_LEFT = 4.0  # decays faster than so many per cycle are not looked for
+# Terms that are summed at once, to bound memory.
+_AT_ONCE = 2**21
+# The step of the scan in phase over a cycle.
+_PHASE = 0.05
+# The first range of the scan in 1/threshold.
+_FIRST = 6.0
+# Points of the scan at most.
+_MOST = 100_000
+# Share of the largest Z below which no border is looked for.
+_FAINT = 1e-4
+# Rounds of Newton's method.
+_ROUNDS = 25
+# The relative step that ends it, after which a root is good to its square, or to rounding.
+_SETTLED = 1e-8
+# How small the equation is at a root, relative to its terms.
+_FOUND = 1e-9
+# Decays faster than so many per cycle are not looked for.
+_LEFT = 4.0
 
 
 class Births(NamedTuple):
@@ -53,19 +76,19 @@ class Births(NamedTuple):
     kappa: Array
 
 
-def births_of(s: Reduced, nodes: tuple[int, float]) -> Births:
+def births_of(contacts: Reduced, nodes: Nodes) -> Births:
     """Nodes that stand for the law; of a discrete one all its thresholds."""
-    if s.law.steps.size:
-        return Births(*different_steps(s))
-    panels, sigma = nodes
-    kinks = _kinks(s.law)
-    edges = np.union1d(np.linspace(-sigma, sigma, panels + 1), kinks[np.abs(kinks) < sigma])
+    if contacts.law.steps.size:
+        return Births(*different_steps(contacts))
+    kinks = _kinks(contacts.law)
+    even = np.linspace(-nodes.reach, nodes.reach, nodes.panels + 1)
+    edges = np.union1d(even, kinks[np.abs(kinks) < nodes.reach])
     half = 0.5 * np.diff(edges)[:, None]
     z = (edges[:-1, None] + half * (1.0 + _NODES)).ravel()
     share = (half * _WEIGHTS).ravel() * np.exp(-0.5 * z**2)
     low, high = -special.log_ndtr(-z), -np.log1p(-special.ndtr(np.minimum(z, 0.0)))
-    xi = np.asarray(s.law.inverse_survival(np.where(z < 0, high, low))) / s.law.scale
-    return Births(xi, share / share.sum(), kappa_of(s, xi))
+    xi = np.asarray(contacts.law.inverse_survival(np.where(z < 0, high, low))) / contacts.law.scale
+    return Births(xi, share / share.sum(), kappa_of(contacts, xi))
 
 
 def _kinks(law: ThresholdLaw) -> Array:
@@ -74,8 +97,8 @@ def _kinks(law: ThresholdLaw) -> Array:
 
 
 class Loop(NamedTuple):
-    """What answers to a perturbation: contacts, their delays, the viscous force of a detached contact, and the damping
-    and the mass of the slider; damping also by contacts that are detached in the mean."""
+    """The loop that answers to a perturbation: contacts, their delays, the viscous force of a detached contact, and the
+    damping and the mass of the slider; damping also by contacts that are detached in the mean."""
 
     births: Births
     delay: Fixed | Exponential
@@ -111,16 +134,16 @@ class Loop(NamedTuple):
         return np.asarray(self.mass * p**2 + self.damping * p + stiffness + self.response(p))
 
 
-def loop_of(s: Reduced, pull: Pull, nodes: tuple[int, float]) -> Loop:
+def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
     """Raises InputError for identical contacts with a fixed delay."""
-    delay = s.delay
-    if isinstance(delay, Fixed) and s.law.steps.size and np.ptp(s.law.steps) == 0.0:
+    delay = contacts.delay
+    if isinstance(delay, Fixed) and contacts.law.steps.size and np.ptp(contacts.law.steps) == 0.0:
         raise InputError("thresholds: identical contacts with a fixed delay stay in step; no steady state")
-    births = births_of(s, nodes)
+    births = births_of(contacts, nodes)
     C = float(births.share @ births.xi)
     beta = 1.0 / (C + delay.mean)
-    damping = pull.damping + s.drag * beta * delay.mean
-    return Loop(births, delay, s.drag, beta, damping, pull.mass)
+    damping = pull.damping + contacts.drag * beta * delay.mean
+    return Loop(births, delay, contacts.drag, beta, damping, pull.mass)
 
 
 class Border(NamedTuple):

@@ -43,15 +43,27 @@ from eqsim.model.reduced import reduced
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
-_LEAST_CELLS, _MOST_CELLS = 500, 2000  # of the coarser grid
-_CELL, _AGING = 0.015, 0.1  # a cell in units of the shortest mean life, and of the displacement in which contacts age
-_SETTLED = 30.0  # longest mean lives after which a fresh start is forgotten
-_LAWS, _INTERPOLATION = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300), 1e-11
-_FLOOR = 1e-7  # relative, of the pooled rate and its spline
-_FORGOTTEN = 1e-20  # weight of an age that no longer matters
-_LEAST_J = 1e-13  # below, a sum of shares of both signs is all rounding
+# Fewest and most cells of the coarser grid.
+_LEAST_CELLS = 500
+_MOST_CELLS = 2000
+# A cell in units of the shortest mean life.
+_CELL = 0.015
+# A cell in units of the displacement in which contacts age.
+_AGING = 0.1
+# Longest mean lives after which a fresh start is forgotten.
+_SETTLED = 30.0
+# Numbers of laws that are tried, until interpolation between them misses less than `_INTERPOLATION`.
+_LAWS = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
+_INTERPOLATION = 1e-11
+# Relative error of the pooled rate and its spline.
+_FLOOR = 1e-7
+# Weight of an age that no longer matters.
+_FORGOTTEN = 1e-20
+# J below which a sum of shares of both signs is all rounding.
+_LEAST_J = 1e-13
 _NODES, _WEIGHTS = special.roots_legendre(3)
-_SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS  # on the unit interval
+# The same on the unit interval.
+_SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 
 
 @dataclass(frozen=True, repr=False)

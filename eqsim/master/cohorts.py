@@ -5,18 +5,18 @@ A cohort is the births of a step, spread evenly over it in time and displacement
 |x|/g so far, of which the law of thresholds says how many it has broken mechanically, and a thermal survival.
 """
 
-import functools
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.laws.delay import Waits
-from eqsim.numerics.compiled import by_law, inlined, kernel, maker, routine
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.tables import Array, search
 from eqsim.numerics.vector_math import exp, exp_less_one
 
-_GONE = 1e-15  # pinned shares that do not count
+# Cohorts with a smaller pinned share are dropped.
+NEGLIGIBLE_SHARE = 1e-15
 
 
 class Pool(NamedTuple):
@@ -30,7 +30,7 @@ class Pool(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """By what factor thresholds have grown, at ages in equal ratios from `first` on; `newborn` at age 0."""
+    """The factor by which thresholds have grown, at ages in equal ratios from `first` on; `newborn` at age 0."""
 
     first: float
     per_ratio: float
@@ -40,29 +40,59 @@ class Growth(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """What a cohort needs to know."""
+    """Contacts for kernels: thresholds, their growth, and delays."""
 
     pool: Pool
     growth: Growth
     delay: Waits
 
 
-KEPT, DROPPED, JOINED = range(3)  # what becomes of a cohort at the end of a step
+# What becomes of a cohort at the end of a step: it goes on, is dropped, or is joined to the one before.
+KEPT = 0
+DROPPED = 1
+JOINED = 2
 
 
 class Choices(NamedTuple):
-    """What a solve decided: where in `fates` those of the cohorts of a step begin, array (edges + 1,), the fates, and
-    in how many trials the force was balanced, array (edges,): -1 - n where the slider moved in no time, by the longest
-    displacement halved n times at most. If they are `given`, another solve repeats them, which makes it a smooth
-    function of parameters. Without arrays nothing is noted."""
+    """Decisions of a solve, so that another one may repeat them, which makes it a smooth function of parameters.
+
+    Attributes
+    ----------
+    first : ndarray, shape (edges + 1,)
+        Where in `fates` those of the cohorts of a step begin.
+    fates : ndarray
+        KEPT, DROPPED or JOINED.
+    trials : ndarray, shape (edges,)
+        In how many trials the force was balanced.
+    instant : ndarray, shape (edges,)
+        Whether the slider moved in no time.
+    halvings : ndarray, shape (edges,)
+        How often the longest displacement was halved then.
+    given : bool
+        Whether these choices are to be repeated. Otherwise they are noted, if there is room.
+    """
 
     first: Array
     fates: Array
     trials: Array
+    instant: Array
+    halvings: Array
     given: bool
 
 
-NO_CHOICES = Choices(np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros(0, np.int64), False)
+def unmade_choices(edges: int, fates: int) -> Choices:
+    """Room for the choices of a solve."""
+    return Choices(
+        first=np.zeros(edges + 1, np.int64),
+        fates=np.zeros(fates, np.int8),
+        trials=np.zeros(edges, np.int64),
+        instant=np.zeros(edges, np.bool_),
+        halvings=np.zeros(edges, np.int64),
+        given=False,
+    )
+
+
+NO_CHOICES = unmade_choices(0, 0)
 
 
 class Path(NamedTuple):
@@ -80,54 +110,80 @@ class Path(NamedTuple):
     stop: Array
 
 
+class History(NamedTuple):
+    """Means over all contacts: elastic force, pinned share, mean square of the elastic force, and breaks so far, per
+    contact, at the edges of steps, arrays (edges,)."""
+
+    force: Array
+    pinned: Array
+    square: Array
+    breaks: Array
+
+
+class Step(NamedTuple):
+    """Time and displacement at the beginning and the end of a step."""
+
+    t0: float
+    X0: float
+    t1: float
+    X1: float
+
+
 # ----------------------------------------------------------------------------------------------------------- cohorts
 
-# columns of a cohort: births at the two edges and in the mean, in X and t; the greatest |x|/g so far of the contacts
-# born at both edges; births times thermal survival; and what is pinned, E[k_i/k; pinned], E[(k_i/k)^2; pinned]
-_X0, _X1, _XM, _T0, _T1, _TM, _Y0, _Y1, _A, _S, _K1, _K2 = range(12)
+# A row of a structured array, whose fields are attributes in kernels.
+Row = Any
+
+# A cohort. Its births are those of a step, of which `first` and `last` mean the first and the last one, and `mean` the
+# mean over contacts that are pinned. `weakest` is the greatest |x|/g so far, below which no threshold at birth is left;
+# `unbroken` are births less those that heat broke, whatever their threshold; `pinned` is the share of all contacts that
+# is pinned and of this cohort, and `stiffness` and `stiffness2` are E[k_i/k; pinned] and E[(k_i/k)^2; pinned].
+_BIRTHS = "X_first X_last X_mean t_first t_last t_mean"
+_LEFT = "weakest_first weakest_last unbroken pinned stiffness stiffness2"
+COHORT = np.dtype([(field, np.float64) for field in f"{_BIRTHS} {_LEFT}".split()], align=True)
 
 
 class Population(NamedTuple):
-    """All cohorts, shape (rows, columns above), and the rows in use, from the oldest cohort on, and then the others."""
+    """All cohorts, an array (rows,) of COHORT, and the rows in use, from the oldest cohort on, and then the others."""
 
     cohorts: Array
     order: Array
 
 
-@inlined
+@routine(inline=True)
 def grown_by(growth: Growth, age: float) -> float:
-    """By what factor thresholds have grown at an age."""
+    """The factor by which thresholds have grown at an age."""
     if growth.values.size == 0:
         return 1.0
     if age <= growth.first:
         return growth.newborn + (growth.values[0] - growth.newborn) * max(age, 0.0) / growth.first
-    at = min(math.log(age / growth.first) * growth.per_ratio, growth.values.size - 1.000001)
-    i = int(at)
-    return growth.values[i] + (at - i) * (growth.values[i + 1] - growth.values[i])
+    steps = min(math.log(age / growth.first) * growth.per_ratio, growth.values.size - 1.000001)
+    i = int(steps)
+    return growth.values[i] + (steps - i) * (growth.values[i + 1] - growth.values[i])
 
 
 @routine
-def _pooled(pool: Pool, p: int, low: float, high: float) -> float:
+def _pooled(pool: Pool, power: int, low: float, high: float) -> float:
     """E[(k_i/k)^p; xi > y] in the mean over low < y < high."""
     i = search(pool.y, high, True) - 1
     if i >= pool.y.size - 1:
-        above, top = 0.0, pool.total[p, pool.y.size - 1]
+        above, top = 0.0, pool.total[power, pool.y.size - 1]
     else:
         u = high - pool.y[i]
-        slope = (pool.above[p, i + 1] - pool.above[p, i]) / (pool.y[i + 1] - pool.y[i])
-        above = pool.above[p, i] + slope * u
-        top = pool.total[p, i] + u * (pool.above[p, i] + 0.5 * slope * u)
+        slope = (pool.above[power, i + 1] - pool.above[power, i]) / (pool.y[i + 1] - pool.y[i])
+        above = pool.above[power, i] + slope * u
+        top = pool.total[power, i] + u * (pool.above[power, i] + 0.5 * slope * u)
     if high - low <= 1e-9 * high:
         return above
     i = search(pool.y, low, True) - 1
     if i >= pool.y.size - 1:
         return 0.0
     u = low - pool.y[i]
-    slope = (pool.above[p, i + 1] - pool.above[p, i]) / (pool.y[i + 1] - pool.y[i])
-    return (top - pool.total[p, i] - u * (pool.above[p, i] + 0.5 * slope * u)) / (high - low)
+    slope = (pool.above[power, i + 1] - pool.above[power, i]) / (pool.y[i + 1] - pool.y[i])
+    return (top - pool.total[power, i] - u * (pool.above[power, i] + 0.5 * slope * u)) / (high - low)
 
 
-@inlined
+@routine(inline=True)
 def mean_exponential(low: float, high: float) -> float:
     """Mean of e^-E while E goes evenly between two values."""
     d = max(abs(high - low), 1e-200)
@@ -138,256 +194,289 @@ def mean_exponential(low: float, high: float) -> float:
 def _log_pooled_rate(pool: Pool, x: float) -> float:
     i = min(search(pool.y, x, True), pool.y.size - 1) - 1  # y begins with 0
     width = pool.y[i + 1] - pool.y[i]
-    part = min(max((x - pool.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
-    return pool.log_rate[i] + part * (pool.log_rate[i + 1] - pool.log_rate[i])
+    u = min(max((x - pool.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
+    return pool.log_rate[i] + u * (pool.log_rate[i + 1] - pool.log_rate[i])
 
 
 @routine
-def _hazard(c: Contacts, dt: float, x0: float, x1: float) -> float:
+def _hazard(contacts: Contacts, dt: float, x0: float, x1: float) -> float:
     """Integrated hazard in a step between two stretches."""
-    low, high = -_log_pooled_rate(c.pool, x0), -_log_pooled_rate(c.pool, x1)
+    low, high = -_log_pooled_rate(contacts.pool, x0), -_log_pooled_rate(contacts.pool, x1)
     return dt * mean_exponential(low, high) if min(low, high) < 700.0 else 0.0
 
 
 @routine
-def _weigh(c: Contacts, cohort: Array, age: float) -> None:
-    """What of a cohort is pinned."""
-    g = grown_by(c.growth, age) if c.growth.varies else 1.0
-    low, high = min(cohort[_Y0], cohort[_Y1]), max(cohort[_Y0], cohort[_Y1])
-    cohort[_S] = cohort[_A] * _pooled(c.pool, 0, low, high)
-    cohort[_K1] = cohort[_A] * _pooled(c.pool, 1, low, high) * g
-    cohort[_K2] = cohort[_A] * _pooled(c.pool, 2, low, high) * g * g
+def _weigh(contacts: Contacts, cohort: Row, age: float) -> None:
+    """Find what of a cohort is pinned."""
+    g = grown_by(contacts.growth, age) if contacts.growth.varies else 1.0
+    low = min(cohort.weakest_first, cohort.weakest_last)
+    high = max(cohort.weakest_first, cohort.weakest_last)
+    cohort.pinned = cohort.unbroken * _pooled(contacts.pool, 0, low, high)
+    cohort.stiffness = cohort.unbroken * _pooled(contacts.pool, 1, low, high) * g
+    cohort.stiffness2 = cohort.unbroken * _pooled(contacts.pool, 2, low, high) * g * g
+
+
+@routine(inline=True)
+def _strained(growth: Growth, weakest: float, x: float, age: float) -> float:
+    """The greatest |x|/g so far, once a contact of this age has stretch x."""
+    return max(weakest, abs(x) / grown_by(growth, age))
 
 
 @routine
-def _advance(c: Contacts, cohort: Array, step: tuple[float, float, float, float]) -> None:
-    """A cohort over a step (t, X at its beginning, t, X at its end)."""
-    t0, X0, t1, X1 = step
-    cohort[_Y0] = max(cohort[_Y0], abs(X1 - cohort[_X0]) / grown_by(c.growth, t1 - cohort[_T0]))
-    cohort[_Y1] = max(cohort[_Y1], abs(X1 - cohort[_X1]) / grown_by(c.growth, t1 - cohort[_T1]))
-    cohort[_A] *= exp(-_hazard(c, t1 - t0, abs(X0 - cohort[_XM]), abs(X1 - cohort[_XM])))
-    _weigh(c, cohort, t1 - cohort[_TM])
+def _advance(contacts: Contacts, cohort: Row, step: Step) -> None:
+    """Carry a cohort over a step."""
+    first, last = cohort.weakest_first, cohort.weakest_last
+    cohort.weakest_first = _strained(contacts.growth, first, step.X1 - cohort.X_first, step.t1 - cohort.t_first)
+    cohort.weakest_last = _strained(contacts.growth, last, step.X1 - cohort.X_last, step.t1 - cohort.t_last)
+    before, after = abs(step.X0 - cohort.X_mean), abs(step.X1 - cohort.X_mean)
+    cohort.unbroken *= exp(-_hazard(contacts, step.t1 - step.t0, before, after))
+    _weigh(contacts, cohort, step.t1 - cohort.t_mean)
+
+
+class Ages(NamedTuple):
+    """Survivors, at the end of a step, of births spread evenly over it: their share, and their mean age and mean square
+    age in units of the step."""
+
+    share: float
+    age: float
+    age2: float
+
+
+@routine(inline=True)
+def ages_of_survivors(hazard: float) -> Ages:
+    """Ages of those left where the integrated hazard grows evenly with age up to `hazard`."""
+    rest = 1.0 / (exp(hazard) - 1.0) if hazard > 0.02 else 0.0
+    age = 1.0 / hazard - rest if hazard > 0.02 else 0.5 - hazard / 12.0
+    age2 = 2.0 / hazard**2 - (1.0 + 2.0 / hazard) * rest if hazard > 0.02 else 1.0 / 3.0 - hazard / 12.0
+    return Ages(mean_exponential(0.0, hazard), age, age2)
 
 
 @routine
-def _bear(c: Contacts, cohort: Array, step: tuple[float, float, float, float]) -> None:
-    """The births of a step, as if there were one, at its end."""
-    t0, X0, t1, X1 = step
-    x = abs(X1 - X0)
-    cohort[_X0], cohort[_X1], cohort[_XM] = X0, X1, 0.5 * (X0 + X1)
-    cohort[_T0], cohort[_T1], cohort[_TM] = t0, t1, 0.5 * (t0 + t1)
-    cohort[_Y0], cohort[_Y1] = x / grown_by(c.growth, t1 - t0), 0.0
-    y = min(_hazard(c, t1 - t0, 0.0, x), 700.0)
-    # mean survival, and age in units of the step of those left, in the mean and in the mean square
-    cohort[_A], rest = mean_exponential(0.0, y), 1.0 / (exp(y) - 1.0) if y > 0.02 else 0.0
-    u1 = 1.0 / y - rest if y > 0.02 else 0.5 - y / 12.0
-    u2 = 2.0 / y**2 - (1.0 + 2.0 / y) * rest if y > 0.02 else 1.0 / 3.0 - y / 12.0
-    _weigh(c, cohort, 0.5 * (t1 - t0))
-    cohort[_K1] *= 2.0 * u1  # as if all were at the middle, and spread evenly
-    cohort[_K2] *= 3.0 * u2
+def _bear(contacts: Contacts, cohort: Row, step: Step) -> None:
+    """Treat the births of a step as one birth at its end."""
+    dt, x = step.t1 - step.t0, abs(step.X1 - step.X0)
+    cohort.X_first = step.X0
+    cohort.X_last = step.X1
+    cohort.X_mean = 0.5 * (step.X0 + step.X1)
+    cohort.t_first = step.t0
+    cohort.t_last = step.t1
+    cohort.t_mean = 0.5 * (step.t0 + step.t1)
+    cohort.weakest_first = x / grown_by(contacts.growth, dt)
+    cohort.weakest_last = 0.0
+    left = ages_of_survivors(min(_hazard(contacts, dt, 0.0, x), 700.0))
+    cohort.unbroken = left.share
+    _weigh(contacts, cohort, 0.5 * dt)
+    cohort.stiffness *= 2.0 * left.age  # as if all were at the middle, and spread evenly
+    cohort.stiffness2 *= 3.0 * left.age2
 
 
-@inlined
+@routine(inline=True)
 def noted(choices: Choices, m: int, i: int, fate: int) -> None:
     """Keep the fate of cohort i in step m, if there is room."""
     if not choices.given and m + 1 < choices.first.size:
-        at = choices.first[m] + i
-        if at < choices.fates.size:
-            choices.fates[at] = fate
-        choices.first[m + 1] = at + 1
+        index = choices.first[m] + i
+        if index < choices.fates.size:
+            choices.fates[index] = fate
+        choices.first[m + 1] = index + 1
 
 
-@routine
-def _alike(c: Contacts, path: Path, one: Array, two: Array, now: float) -> bool:
-    """Whether two cohorts may be joined: of the same direction and about as dense in X, and together not too wide in X,
-    as thresholds have grown, in |x|/g and in time per age."""
-    if (
-        two[_T1] - one[_T0] > path.share * (now - two[_T1])
-        or max(one[_Y0], two[_Y1]) - min(one[_Y0], two[_Y1]) > path.width
-    ):
-        return False
-    if abs(two[_X1] - one[_X0]) > path.width * grown_by(c.growth, now - two[_T1]):
-        return False
-    first, second = (one[_X1] - one[_X0]) * two[_S], (two[_X1] - two[_X0]) * one[_S]
+@routine(inline=True)
+def densities_alike(first: float, second: float) -> bool:
+    """Whether two numbers have the same sign, and differ by a factor 2 at most."""
     return not (first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first))
 
 
 @routine
-def _join(one: Array, two: Array) -> None:
+def _alike(contacts: Contacts, path: Path, older: Row, newer: Row, now: float) -> bool:
+    """Whether two cohorts may be joined: of the same direction and about as dense in X, and together not too wide in X,
+    as thresholds have grown, in |x|/g and in time per age."""
+    widest = max(older.weakest_first, newer.weakest_last) - min(older.weakest_first, newer.weakest_last)
+    if newer.t_last - older.t_first > path.share * (now - newer.t_last) or widest > path.width:
+        return False
+    if abs(newer.X_last - older.X_first) > path.width * grown_by(contacts.growth, now - newer.t_last):
+        return False
+    first = (older.X_last - older.X_first) * newer.pinned
+    return densities_alike(first, (newer.X_last - newer.X_first) * older.pinned)
+
+
+@routine
+def _join(older: Row, newer: Row) -> None:
     """Join a cohort to the one before."""
-    both = one[_S] + two[_S]
-    for column in (_XM, _TM):
-        one[column] = (one[_S] * one[column] + two[_S] * two[column]) / both
-    one[_X1], one[_T1], one[_Y1] = two[_X1], two[_T1], two[_Y1]
-    for column in (_A, _S, _K1, _K2):
-        one[column] += two[column]
+    both = older.pinned + newer.pinned
+    older.X_mean = (older.pinned * older.X_mean + newer.pinned * newer.X_mean) / both
+    older.t_mean = (older.pinned * older.t_mean + newer.pinned * newer.t_mean) / both
+    older.X_last = newer.X_last
+    older.t_last = newer.t_last
+    older.weakest_last = newer.weakest_last
+    older.unbroken += newer.unbroken
+    older.pinned += newer.pinned
+    older.stiffness += newer.stiffness
+    older.stiffness2 += newer.stiffness2
 
 
-@inlined
-def _broken_by(t: Array, broken: Array, last: int, at: float, before: float) -> float:
-    """Breaks up to a time, not after t[last], from `before` per unit time before 0."""
-    if at <= 0.0:
-        return before * at
-    i = min(search(t, at, True), last) - 1
-    return broken[i] + (broken[i + 1] - broken[i]) * (at - t[i]) / (t[i + 1] - t[i])
+@routine(inline=True)
+def _broken_by(path: Path, breaks: Array, last: int, t: float, rate: float) -> float:
+    """Breaks up to a time, not after edge `last`, from `rate` per unit time before 0."""
+    if t <= 0.0:
+        return rate * t
+    i = min(search(path.t, t, True), last) - 1
+    return breaks[i] + (breaks[i + 1] - breaks[i]) * (t - path.t[i]) / (path.t[i + 1] - path.t[i])
 
 
-@inlined
-def due_births(delay: Waits, t: Array, found: Array, m: int, before: float) -> tuple[float, float]:
+@routine(inline=True)
+def _due_births(delay: Waits, path: Path, history: History, m: int, rate: float) -> tuple[float, float]:
     """Births of step m: those of contacts that are detached already, and the breaks per unit time in the step times
     which those that break in it."""
-    tau, dt, detached = delay.mean, t[m] - t[m - 1], 1.0 - found[1, m - 1]
+    tau, t0, t1 = delay.mean, path.t[m - 1], path.t[m]
+    dt, detached = t1 - t0, 1.0 - history.pinned[m - 1]
     if tau == 0.0:
         return 0.0, dt
     if delay.random > 0.0:
         return -detached * math.expm1(-dt / tau), dt + tau * math.expm1(-dt / tau)
-    until = _broken_by(t, found[3], m - 1, min(t[m] - tau, t[m - 1]), before)
-    return until - _broken_by(t, found[3], m - 1, t[m - 1] - tau, before), max(dt - tau, 0.0)
+    until = _broken_by(path, history.breaks, m - 1, min(t1 - tau, t0), rate)
+    return until - _broken_by(path, history.breaks, m - 1, t0 - tau, rate), max(dt - tau, 0.0)
 
 
-@inlined
-def _scale(cohort: Array, births: float) -> None:
+@routine(inline=True)
+def births_in(delay: Waits, path: Path, history: History, m: int, rate: float, pinned: float, newborn: float) -> float:
+    """Note the breaks of step m and return its births: `pinned` is left of those that were pinned before, and the share
+    `newborn` of the births."""
+    dt = path.t[m] - path.t[m - 1]
+    due, later = _due_births(delay, path, history, m, rate)
+    broken = 1.0 - newborn
+    breaks = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
+    history.breaks[m] = history.breaks[m - 1] + breaks * dt
+    return due + breaks * later
+
+
+@routine(inline=True)
+def _scale(cohort: Row, births: float) -> None:
     """Make a cohort of one contact one of `births`."""
-    for column in (_A, _S, _K1, _K2):
-        cohort[column] *= births
+    cohort.unbroken *= births
+    cohort.pinned *= births
+    cohort.stiffness *= births
+    cohort.stiffness2 *= births
+
+
+@routine
+def numbered(rows: int) -> Array:
+    """The numbers of all rows."""
+    order = np.zeros(rows, np.int64)
+    for i in range(rows):
+        order[i] = i
+    return order
 
 
 # what kernels ask of contacts of any kind, which are the first argument, or of their population
 
 
-@functools.partial(by_law, makes_arrays=True)
-def empty(c: Any, rows: int) -> Any:
+@by_law(makes_arrays=True)
+def empty(contacts: Any, rows: int) -> Any:
     """A population of none, with so many rows."""
-    return _rows(Population(np.zeros((0, 12)), np.zeros(0, np.int64)), rows)
+    return Population(np.zeros(rows, COHORT), numbered(rows))
 
 
-@functools.partial(by_law, makes_arrays=True)
-def with_room(p: Any, rows: int) -> Any:
+@by_law(makes_arrays=True)
+def with_room(population: Any, rows: int) -> Any:
     """A copy that has so many rows."""
-    return _rows(p, rows)
-
-
-@by_law
-def begin(c: Any, path: Path, p: Any) -> tuple[int, float]:
-    """What there is at first: contacts all born now, or a steady state, that is one life in steps, each of which is
-    there at the same time; returns how many cohorts, and births per unit time before."""
-    return _begun(c, path, p)
-
-
-@by_law
-def advance_all(c: Any, path: Path, p: Any, found: Array, m: int, before: tuple[int, float]) -> int:
-    """All cohorts over step m, and its births, after how many cohorts and births per unit time before; returns how many
-    cohorts there are now."""
-    return _advanced(c, path, p, found, m, before)
-
-
-@by_law
-def observe(p: Any, count: int, X: float, found: Array, m: int) -> float:
-    """Add up what `march` finds, but for the breaks, into column m; returns the stiffness of all pinned contacts."""
-    return _observed(p, count, X, found, m)
-
-
-@maker
-def _rows(p: Population, rows: int) -> Population:
-    cohorts, order = np.zeros((rows, p.cohorts.shape[1])), np.zeros(rows, np.int64)
-    for i in range(rows):
-        order[i] = i
-    for i in range(p.order.size):
-        order[i] = p.order[i]
-        for column in range(cohorts.shape[1]):
-            cohorts[i, column] = p.cohorts[i, column]
+    cohorts, order = np.zeros(rows, COHORT), numbered(rows)
+    for i in range(population.order.size):
+        order[i] = population.order[i]
+        cohorts[i] = population.cohorts[i]
     return Population(cohorts, order)
 
 
-@routine
-def _begun(c: Contacts, path: Path, p: Population) -> tuple[int, float]:
+@by_law(makes_arrays=True)
+def begin(contacts: Any, path: Path, population: Any) -> tuple[int, float]:
+    """Fill a population with what there is at first: contacts all born now, or a steady state, that is one life in
+    steps, each of which is there at the same time; returns how many cohorts, and births per unit time before."""
     if path.cohorts == 0:
-        p.cohorts[0, _A] = 1.0
-        _weigh(c, p.cohorts[0], 0.0)
+        population.cohorts[0].unbroken = 1.0
+        _weigh(contacts, population.cohorts[0], 0.0)
         return 1, 0.0
-    dt, cycle, count = path.width / path.velocity, c.delay.mean, 0
-    step = -dt, -path.width, 0.0, 0.0
+    dt, cycle, count = path.width / path.velocity, contacts.delay.mean, 0
+    step = Step(-dt, -path.width, 0.0, 0.0)
     for i in range(path.cohorts):
+        cohort = population.cohorts[i]
         if i == 0:
-            _bear(c, p.cohorts[0], step)
+            _bear(contacts, cohort, step)
         else:
-            for column in range(p.cohorts.shape[1]):
-                p.cohorts[i, column] = p.cohorts[i - 1, column]
-            for column in (_X0, _X1, _XM):
-                p.cohorts[i, column] -= path.width
-            for column in (_T0, _T1, _TM):
-                p.cohorts[i, column] -= dt
-            _advance(c, p.cohorts[i], step)
-        cycle += p.cohorts[i, _S] * dt
+            population.cohorts[i] = population.cohorts[i - 1]
+            cohort.X_first -= path.width
+            cohort.X_last -= path.width
+            cohort.X_mean -= path.width
+            cohort.t_first -= dt
+            cohort.t_last -= dt
+            cohort.t_mean -= dt
+            _advance(contacts, cohort, step)
+        cycle += cohort.pinned * dt
         count += 1
-        if p.cohorts[i, _S] < _GONE and not path.choices.given:
+        if cohort.pinned < NEGLIGIBLE_SHARE and not path.choices.given:
             break
     for i in range(count):
-        _scale(p.cohorts[i], dt / cycle)
-        p.order[i] = count - 1 - i
+        _scale(population.cohorts[i], dt / cycle)
+        population.order[i] = count - 1 - i
     return count, 1.0 / cycle
 
 
-@routine
-def _advanced(c: Contacts, path: Path, p: Population, found: Array, m: int, start: tuple[int, float]) -> int:
-    (count, rate), pinned = start, 0.0
-    step, dt = (path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), path.t[m] - path.t[m - 1]
+@by_law(makes_arrays=True)
+def advance_all(contacts: Any, path: Path, population: Any, history: History, m: int, count: int, rate: float) -> int:
+    """Carry all cohorts, `count` of them, over step m, and add its births, where `rate` is births per unit time before
+    the path began; returns how many cohorts there are now."""
+    step, pinned = Step(path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), 0.0
     for i in range(count):
-        j = p.order[i]
-        _advance(c, p.cohorts[j], step)
-        pinned += p.cohorts[j, _S]
-    new = p.order[count]
-    _bear(c, p.cohorts[new], step)
-    due, later = due_births(c.delay, path.t, found, m, rate)
-    broken = 1.0 - p.cohorts[new, _S]
-    breaks = (found[1, m - 1] - pinned + due * broken) / (dt - later * broken)
-    _scale(p.cohorts[new], due + breaks * later)
-    found[3, m] = found[3, m - 1] + breaks * dt
+        cohort = population.cohorts[population.order[i]]
+        _advance(contacts, cohort, step)
+        pinned += cohort.pinned
+    new = population.cohorts[population.order[count]]
+    _bear(contacts, new, step)
+    _scale(new, births_in(contacts.delay, path, history, m, rate, pinned, new.pinned))
     kept = 0
     for i in range(count + 1):  # drop cohorts that are gone, and join those that hardly differ
-        j, fate = p.order[i], KEPT
-        one, before = p.cohorts[j], p.cohorts[p.order[max(kept - 1, 0)]]
+        j, fate = population.order[i], KEPT
+        cohort, before = population.cohorts[j], population.cohorts[population.order[max(kept - 1, 0)]]
         if path.choices.given:
             fate = path.choices.fates[path.choices.first[m] + i]
-        elif one[_S] < _GONE:
+        elif cohort.pinned < NEGLIGIBLE_SHARE:
             fate = DROPPED
-        elif kept > 1 and _alike(c, path, before, one, path.t[m]):
+        elif kept > 1 and _alike(contacts, path, before, cohort, path.t[m]):
             fate = JOINED
         noted(path.choices, m, i, fate)
         if fate == JOINED:
-            _join(before, one)
+            _join(before, cohort)
         if fate == KEPT:
-            p.order[i], p.order[kept] = p.order[kept], j
+            population.order[i], population.order[kept] = population.order[kept], j
             kept += 1
     return kept
 
 
-@routine
-def _observed(p: Population, count: int, X: float, found: Array, m: int) -> float:
+@by_law(makes_arrays=True)
+def observe(population: Any, count: int, X: float, history: History, m: int) -> float:
+    """Add up the force, the pinned share and the mean square of a population at edge m; returns the stiffness of all
+    pinned contacts."""
     stiffness = 0.0
     for i in range(count):
-        cohort = p.cohorts[p.order[i]]
-        x = X - cohort[_XM]
-        found[0, m] += x * cohort[_K1]
-        found[1, m] += cohort[_S]
-        stiffness += cohort[_K1]
-        found[2, m] += (x * x + (cohort[_X1] - cohort[_X0]) ** 2 / 12.0) * cohort[_K2]
+        cohort = population.cohorts[population.order[i]]
+        x, width = X - cohort.X_mean, cohort.X_last - cohort.X_first
+        history.force[m] += x * cohort.stiffness
+        history.pinned[m] += cohort.pinned
+        stiffness += cohort.stiffness
+        history.square[m] += (x * x + width**2 / 12.0) * cohort.stiffness2
     return stiffness
 
 
 @kernel
-def march(c: Any, path: Path) -> Array:
-    """Elastic force, pinned, mean square of the elastic force, and all breaks so far at the edges of the steps, shape
-    (4, edges)."""
-    found = np.zeros((4, path.t.size))
-    p = empty(c, 256 + path.cohorts)
-    count, rate = begin(c, path, p)
-    observe(p, count, path.X[0], found, 0)
+def march(contacts: Any, path: Path) -> History:
+    """Follow contacts along a path."""
+    rows, population = np.zeros((4, path.t.size)), empty(contacts, 256 + path.cohorts)
+    history = History(rows[0], rows[1], rows[2], rows[3])
+    count, rate = begin(contacts, path, population)
+    observe(population, count, path.X[0], history, 0)
     for m in range(1, path.t.size):
         if path.stop[0] != 0:
             break
-        if count == p.order.size:
-            p = with_room(p, 2 * count)
-        count = advance_all(c, path, p, found, m, (count, rate))
-        observe(p, count, path.X[m], found, m)
-    return found
+        if count == population.order.size:
+            population = with_room(population, 2 * count)
+        count = advance_all(contacts, path, population, history, m, count, rate)
+        observe(population, count, path.X[m], history, m)
+    return history

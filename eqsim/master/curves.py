@@ -1,4 +1,4 @@
-"""What the stationary state looks like inside, for any law of thresholds: densities of stretches and breaking rates.
+"""The inside of the stationary state, for any law of thresholds: densities of stretches and breaking rates.
 
 P, U, H, dU and E_P are those of the published master equation (Braun and Peyrard, 2011), which describes annealed
 contacts; `eqsim.master.closed_forms.Published` has their closed forms for n = 1, soft barriers and uniform stiffness.

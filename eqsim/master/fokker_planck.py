@@ -54,13 +54,27 @@ _B_ERROR = _B - (
     [4586570599 / 29645900160, 0.0, 178811875 / 945068544, 814220225 / 1159782912, -3700637 / 11593932, 61727 / 225920]
 )
 
-_CELL, _RATIOS = 0.04, (2.0, 1.5, 1.0)  # dz of the finest grid and, in its units, of the three
-_WIDE = 1.0  # y beyond which cells grow no further
-_CROWD, _BLEND = 0.3, 0.4  # more cells where the thermal front may be, per e-fold of the rate; blur of that region
-_LEAST_GAP, _LEAST_MOBILITY = 1e-14, 1e-12  # smaller ones change nothing that could be seen
-_TOLERANCE = 1e-6  # error of S and of a tenth of u per step
-_FALL, _STRIDE = 0.04, 0.01  # most of S, and of the longest life, in a step: the values are to be interpolated
-_NEGLIGIBLE = 1e-11  # share of what is left in stretch and work
+# dz of the finest grid.
+_CELL = 0.04
+# dz of the three grids over that of the finest.
+_RATIOS = (2.0, 1.5, 1.0)
+# y beyond which cells grow no further.
+_WIDE = 1.0
+# More cells where the thermal front may be, per e-fold of the rate.
+_CROWD = 0.3
+# By how much that region is blurred, in ln y.
+_BLEND = 0.4
+# A smaller gap, and a smaller mobility, change nothing that could be seen.
+_LEAST_GAP = 1e-14
+_LEAST_MOBILITY = 1e-12
+# Error of S and of a tenth of u per step.
+_TOLERANCE = 1e-6
+# The largest fall of S in a step, and the longest step over the longest life, as values are to be interpolated.
+_FALL = 0.04
+_STRIDE = 0.01
+# Share of what is left in stretch and work, where a life ends.
+_NEGLIGIBLE = 1e-11
+# Steps at most, of some hundreds that are usual.
 _MOST_STEPS = 20_000
 
 
@@ -87,28 +101,29 @@ class Survival(NamedTuple):
     work_error: float
 
 
-def stationary(s: Reduced) -> Moments:
+def stationary(contacts: Reduced) -> Moments:
     """Moments of the lives of quenched contacts whose thresholds fluctuate."""
-    found = survival(s)
+    found = survival(contacts)
     return Moments(found.stretch, found.work, found.stretch_error, found.work_error)
 
 
-def survivors(s: Reduced, x: Array) -> Array:
+def survivors(contacts: Reduced, x: Array) -> Array:
     """The `values` of `Survival` at x > 0, shape (3, n)."""
-    found = survival(s)
+    found = survival(contacts)
     values = CubicSpline(np.log(found.x[1:]), found.values[:, 1:], axis=1)
     return np.where(x > found.x[-1], 0.0, values(np.log(np.clip(x, found.x[1], found.x[-1]))))
 
 
-def survival(s: Reduced) -> Survival:
+def survival(contacts: Reduced) -> Survival:
     """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law), remembered:
     the solution takes a second. A mobility D_v below 1e-12 counts as 1e-12."""
-    if not isinstance(s.aging, Langevin):
-        raise TypeError(f"these thresholds do not fluctuate: {s.aging}")
-    return _survival(s.aging, s.stiffness, s.barrier)
+    if not isinstance(contacts.aging, Langevin):
+        raise TypeError(f"these thresholds do not fluctuate: {contacts.aging}")
+    return _survival(contacts.aging, contacts.stiffness, contacts.barrier)
 
 
-@functools.lru_cache(maxsize=16, typed=True)  # tuples of different laws may be equal
+# A solution takes 0.6 s or more, and a transient asks for it four times; 16 of them are a few MB.
+@functools.lru_cache(maxsize=16)
 def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Survival:
     life = _Life(aging, stiffness, barrier)
     coarse, middle, fine = (_Grid(life, cells * _CELL) for cells in _RATIOS)
@@ -258,22 +273,24 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
     """u from x = 0 on: by steps that end at `stops`, or of controlled error until nothing that matters is left."""
     u, matrix = np.ones(grid.y.size), life.matrix(0.0, grid)
     matrix[0, 0] = 0.0  # it belongs to the boundary, where u = 0
-    slope = matrix.sum(axis=0)
-    path, values, totals = [0.0], [life.survivors(0.0, grid, u)], [np.zeros(2)]
+    state = _State(u, matrix.sum(axis=0), life.survivors(0.0, grid, u))
+    path, values, totals = [0.0], [state.survivors], [np.zeros(2)]
     h = 1e-10 * min(life.end, math.exp(-life.barrier.log_w))
     for _ in range(_MOST_STEPS):
         x = path[-1]
         h = min(h, life.end - x) if stops is None else stops[len(path)] - x
-        step = _step(life, grid, x, h, (u, slope, values[-1]))
+        step = _step(life, grid, x, h, state)
         if stops is None:
             # u never grows, neither in the mean nor anywhere, so that errors at most add up
             error = np.abs(step.u_error)
             sizes = (
-                life.survivors(x + h, grid, error) / step.survivors,
+                life.survivors(x + h, grid, error) / step.end.survivors,
                 np.abs(step.gain_error) / (totals[-1] + step.gain),
-                [0.1 * error.max() / step.u.max()],
+                [0.1 * error.max() / step.end.u.max()],
             )
-            size = np.append(np.concatenate(sizes) / _TOLERANCE, ((values[-1][0] - step.survivors[0]) / _FALL) ** 4)
+            size = np.append(
+                np.concatenate(sizes) / _TOLERANCE, ((state.survivors[0] - step.end.survivors[0]) / _FALL) ** 4
+            )
             worst = max(float(np.where(size >= 0.0, size, np.inf).max()), 1e-9)
             following = h * min(5.0, max(0.1, 0.9 * worst**-0.25))
             if worst > 1.0:
@@ -282,37 +299,43 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
             h, after = min(following, _STRIDE * life.end), x + h
         else:
             after = stops[len(path)]
-        u, slope = step.u, step.slope
+        state = step.end
         path.append(after)
-        values.append(step.survivors)
+        values.append(state.survivors)
         totals.append(totals[-1] + step.gain)
-        left = step.survivors[:2] * (life.end - after, life.end**2)
+        left = state.survivors[:2] * (life.end - after, life.end**2)
         if (np.all(left < _NEGLIGIBLE * totals[-1]) or after >= life.end) if stops is None else len(path) == stops.size:
             return _March(np.array(path), np.array(values).T, np.array(totals).T)
     raise ArithmeticError(f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}")
 
 
-class _Step(NamedTuple):
-    """u, du/dx and `survivors` after a step, stretch and work gained, and the estimated errors of u and of these."""
+class _State(NamedTuple):
+    """u, du/dx and `survivors` at a stretch."""
 
     u: Array
     slope: Array
     survivors: Array
+
+
+class _Step(NamedTuple):
+    """The state after a step, stretch and work gained in it, and the estimated errors of u and of these."""
+
+    end: _State
     gain: Array
     u_error: Array
     gain_error: Array
 
 
-def _step(life: _Life, grid: _Grid, x: float, h: float, start: tuple[Array, Array, Array]) -> _Step:
-    """From u, du/dx and `survivors` at x to x + h."""
-    u, slope, survivors = start
-    slopes, alive, at = np.empty((6, u.size)), np.empty((6, 3)), x + _C * h
-    slopes[0], alive[0] = slope, survivors
+def _step(life: _Life, grid: _Grid, x: float, h: float, start: _State) -> _Step:
+    """Solve from x to x + h."""
+    slopes, alive, stages = np.empty((6, start.u.size)), np.empty((6, 3)), x + _C * h
+    slopes[0], alive[0] = start.slope, start.survivors
     for i in range(1, 6):
-        known = u + h * (_A[i, :i] @ slopes[:i])
-        lower, main, upper = life.matrix(at[i], grid) * (-_GAMMA * h)
-        stage = linalg.lapack.dgtsv(lower[1:], 1.0 + main, upper[:-1], known)[3]
-        slopes[i] = (stage - known) / (_GAMMA * h)
-        alive[i] = life.survivors(at[i], grid, stage)
-    rates = alive[:, :2] * np.stack((np.ones(6), at), axis=1)
-    return _Step(stage, slopes[-1], alive[-1], h * (_B @ rates), h * (_B_ERROR @ slopes), h * (_B_ERROR @ rates))
+        known = start.u + h * (_A[i, :i] @ slopes[:i])
+        lower, main, upper = life.matrix(stages[i], grid) * (-_GAMMA * h)
+        u = linalg.lapack.dgtsv(lower[1:], 1.0 + main, upper[:-1], known)[3]
+        slopes[i] = (u - known) / (_GAMMA * h)
+        alive[i] = life.survivors(stages[i], grid, u)
+    rates = alive[:, :2] * np.stack((np.ones(6), stages), axis=1)
+    end = _State(u, slopes[-1], alive[-1])
+    return _Step(end, h * (_B @ rates), h * (_B_ERROR @ slopes), h * (_B_ERROR @ rates))

@@ -23,29 +23,48 @@ from eqsim.master.cohorts import (
     DROPPED,
     JOINED,
     KEPT,
+    NEGLIGIBLE_SHARE,
     Growth,
+    History,
     Path,
+    Row,
     advance_all,
+    ages_of_survivors,
     begin,
-    due_births,
+    births_in,
+    densities_alike,
     empty,
     grown_by,
     mean_exponential,
     noted,
+    numbered,
     observe,
     with_room,
 )
-from eqsim.numerics.compiled import inlined, maker, routine
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import exp
 
-_GONE, _NONE, _ALL = 1e-15, -36.0, 3.6  # pinned shares that do not count; ln z where as few are broken, and left
-_MOST, _UNSEEN = 1e12, 640.0  # z up to which it is followed, and -ln of what it grows by in a step that is nothing
-_FIRST, _LAST, _PER_UNIT = -40.0, 6.0, 64  # ln z below which nothing is broken and above which all are; of the table
-_FLAT = 0.03  # differences of ln z that are taken for larger: misses 1e-5 of what is about to break
-_AT_ONCE = 1e-11  # share of the whole time between births of about the same age
-_STRAIGHT = 0.01  # by how much E may be off the straight line of a step; halves of it come in from half of that on
-_PARTS = 12  # of the births of a step where thresholds grow
+# ln z below which heat has broken next to nothing of a cell and a stratum: exp(-36) = 2e-16.
+_NONE_BROKEN = -36.0
+# ln z above which it has left next to nothing: exp(-exp(3.6)) = 1e-16.
+_ALL_BROKEN = 3.6
+# z up to which it is followed.
+_LARGEST_Z = 1e12
+# -ln of what z grows by in a step that counts as nothing.
+_UNSEEN = 640.0
+# The table of W: ln z where it begins, which is 0 there, and where it ends, and knots per unit of ln z.
+_FIRST = -40.0
+_LAST = 6.0
+_PER_UNIT = 64
+# Differences of ln z that are taken for larger ones, which misses 1e-5 of what is about to break.
+_FLAT = 0.03
+# Share of the whole time between births of about the same age.
+_AT_ONCE = 1e-11
+# By how much E may be off the straight line of a step; halves of the step come in from half of that on.
+_STRAIGHT = 0.01
+# Parts of the births of a step where thresholds grow.
+_PARTS = 12
 
 
 class Strata(NamedTuple):
@@ -63,7 +82,7 @@ class Strata(NamedTuple):
 
 
 class Fronts(NamedTuple):
-    """What is known of contacts: strata, laws, and the table of W."""
+    """Contacts for kernels: strata, laws, and the table of W."""
 
     strata: Strata
     growth: Growth
@@ -73,21 +92,44 @@ class Fronts(NamedTuple):
     table: Array
 
 
-# columns of a cell: its older edge in X and t, the greatest |x|/g so far of contacts born there; births, their mean X;
-# what is pinned, E[k_i/k; pinned], E[(k_i/k)^2; pinned]
-_X, _T, _Y, _B, _XM, _S, _K1, _K2 = range(8)
+# A cell: the births between two edges of steps. `X` and `t` are those of its older edge, and `weakest` the greatest
+# |x|/g so far of contacts born there; `X_mean` is the mean over its `births`; the others are as in
+# `master.cohorts.COHORT`.
+_FIELDS = "X t weakest births X_mean pinned stiffness stiffness2"
+CELL = np.dtype([(field, np.float64) for field in _FIELDS.split()], align=True)
+
+
+class Edge(NamedTuple):
+    """Where births end: time, displacement, and the greatest |x|/g so far of contacts born there."""
+
+    t: float
+    X: float
+    weakest: float
+
+
+class Scratch(NamedTuple):
+    """For each node, arrays (nodes,): ln z at the older and the newer edge of a cell; and of births, the share that is
+    left, its age and square age, and z of a part of them before."""
+
+    older: Array
+    newer: Array
+    share: Array
+    age: Array
+    age2: Array
+    before: Array
 
 
 class Cells(NamedTuple):
-    """All cells, shape (rows, columns above), z at their older edges, shape (rows, nodes), and the rows in use, from
-    the oldest on, and then the others; and scratch, shape (4, nodes)."""
+    """All cells, an array (rows,) of CELL; z at their older edges, shape (rows, nodes); and the rows in use, from the
+    oldest on, and then the others."""
 
     cells: Array
     z: Array
     order: Array
-    scratch: Array
+    scratch: Scratch
 
 
+# It has no parameters, and takes 1.3 ms: a third of a short solve.
 @functools.cache
 def table_of_w() -> Array:
     """W and its slope at y = _FIRST, ..., _LAST, shape (knots, 2)."""
@@ -104,14 +146,14 @@ def table_of_w() -> Array:
     return np.ascontiguousarray(np.stack((np.append(0.0, np.cumsum(parts)) + math.exp(_FIRST), slope(y)), axis=1))
 
 
-@inlined
+@routine(inline=True)
 def _w(table: Array, y: float) -> float:
     """W; beyond the table its slope goes on as y + gamma."""
-    at = (min(y, _LAST) - _FIRST) * _PER_UNIT
-    if at <= 0.0:
+    steps = (min(y, _LAST) - _FIRST) * _PER_UNIT
+    if steps <= 0.0:
         return 0.0
-    i = min(int(at), table.shape[0] - 2)
-    u, h = at - i, 1.0 / _PER_UNIT
+    i = min(int(steps), table.shape[0] - 2)
+    u, h = steps - i, 1.0 / _PER_UNIT
     f0, d0, f1, d1 = table[i, 0], table[i, 1] * h, table[i + 1, 0], table[i + 1, 1] * h
     w = f0 + u * (d0 + u * (3.0 * (f1 - f0) - 2.0 * d0 - d1 + u * (2.0 * (f0 - f1) + d0 + d1)))
     beyond = y - min(y, _LAST)
@@ -128,24 +170,26 @@ def _broken(table: Array, middle: float, by_threshold: float, by_birth: float) -
 
 
 @routine
-def _thermal(c: Fronts, z: Array, ages: tuple[float, float], xs: tuple[float, float], dt: float) -> None:
-    """Add to z of all nodes what it grows by in a step: ages and stretches of the contacts at its beginning and end."""
-    g0, g1, x0, x1 = grown_by(c.growth, ages[0]), grown_by(c.growth, ages[1]), abs(xs[0]), abs(xs[1])
-    gm, xm, s, b = 0.5 * (g0 + g1), 0.5 * abs(xs[0] + xs[1]), c.strata, c.barrier.b
-    limit = c.barrier.log_w + math.log(dt) + _UNSEEN
+def _thermal(contacts: Fronts, z: Array, age0: float, age1: float, x0: float, x1: float, dt: float) -> None:
+    """Add to z of all nodes what it grows by in a step `dt` between two ages and stretches of the contacts."""
+    g0, g1 = grown_by(contacts.growth, age0), grown_by(contacts.growth, age1)
+    gm, xm = 0.5 * (g0 + g1), 0.5 * abs(x0 + x1)
+    x0, x1 = abs(x0), abs(x1)
+    strata, b, log_w = contacts.strata, contacts.barrier.b, contacts.barrier.log_w
+    limit = log_w + math.log(dt) + _UNSEEN
     for k in range(z.size):
-        if z[k] > _MOST:
+        if z[k] > _LARGEST_Z:
             continue
-        xi, stiff = s.nodes[k], kappa(c.springs, s.nodes[k])
+        xi, stiff = strata.nodes[k], kappa(contacts.springs, strata.nodes[k])
         a0, a1 = b * stiff, b * stiff
-        if c.growth.varies:
-            a0, a1 = b * kappa(c.springs, xi * g0), b * kappa(c.springs, xi * g1)
-        low, high = height(c.barrier, xi * g0, x0, a0), height(c.barrier, xi * g1, x1, a1)
+        if contacts.growth.varies:
+            a0, a1 = b * kappa(contacts.springs, xi * g0), b * kappa(contacts.springs, xi * g1)
+        low, high = height(contacts.barrier, xi * g0, x0, a0), height(contacts.barrier, xi * g1, x1, a1)
         if min(low, high) > limit:  # stronger contacts are safer
             break
-        middle = height(c.barrier, xi * gm, xm, 0.5 * (a0 + a1))
-        p = dt * prefactor(c.barrier, max(xi * gm, xm), xm)
-        halves, log_w = min(max(2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHT - 1.0, 0.0), 1.0), c.barrier.log_w
+        middle = height(contacts.barrier, xi * gm, xm, 0.5 * (a0 + a1))
+        p = dt * prefactor(contacts.barrier, max(xi * gm, xm), xm)
+        halves = min(max(2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHT - 1.0, 0.0), 1.0)
         if halves < 1.0:
             z[k] += p * (1.0 - halves) * mean_exponential(low - log_w, high - log_w)
         if halves > 0.0:
@@ -153,19 +197,19 @@ def _thermal(c: Fronts, z: Array, ages: tuple[float, float], xs: tuple[float, fl
             z[k] += 0.5 * p * halves * both
 
 
-@inlined
+@routine(inline=True)
 def _copy(values: Array, to: Array) -> None:
     for k in range(values.size):
         to[k] = values[k]
 
 
-@inlined
+@routine(inline=True)
 def _logarithms(z: Array, y: Array) -> None:
     for k in range(z.size):
         y[k] = math.log(max(z[k], 1e-300))
 
 
-@inlined
+@routine(inline=True)
 def _below(left: float, right: float, y: float) -> float:
     """int_0^y of the share of a stratum above y."""
     if y <= left:
@@ -175,7 +219,7 @@ def _below(left: float, right: float, y: float) -> float:
     return y - 0.5 * (y - left) ** 2 / (right - left)
 
 
-@inlined
+@routine(inline=True)
 def _unbroken(left: float, right: float, low: float, high: float) -> float:
     """Share of a stratum above y, in the mean over low < y < high."""
     if high - low > 1e-9 * high:
@@ -184,233 +228,224 @@ def _unbroken(left: float, right: float, low: float, high: float) -> float:
 
 
 @routine
-def _weigh(c: Fronts, cell: Array, high_y: float, y: Array, newer: Array, g: float) -> None:
-    """What of a cell is pinned, with ln z at its older and newer edge, and the greatest |x|/g at the newer."""
-    s, n, k1, k2 = c.strata, 0.0, 0.0, 0.0
-    low, high = min(cell[_Y], high_y), max(cell[_Y], high_y)
-    for k in range(s.left.size):
-        if s.right[k] <= low and s.left[k] < high:
+def _weigh(contacts: Fronts, cell: Row, weakest: float, older: Array, newer: Array, g: float) -> None:
+    """Find what of a cell is pinned, with ln z at its older and newer edge, and the greatest |x|/g so far at the newer
+    one, `weakest`."""
+    strata, pinned, stiffness, stiffness2 = contacts.strata, 0.0, 0.0, 0.0
+    low, high = min(cell.weakest, weakest), max(cell.weakest, weakest)
+    for k in range(strata.left.size):
+        if strata.right[k] <= low and strata.left[k] < high:
             continue
-        i, j = s.low[k], s.high[k]
-        least, most = min(y[j], newer[j]), max(y[i], newer[i])  # stronger contacts are safer
-        if least > _ALL:
+        weak0, strong0 = older[strata.low[k]], older[strata.high[k]]
+        weak1, strong1 = newer[strata.low[k]], newer[strata.high[k]]
+        least, most = min(strong0, strong1), max(weak0, weak1)  # stronger contacts are safer
+        if least > _ALL_BROKEN:
             continue
         left = 1.0
-        if most > _NONE:
-            middle = 0.25 * (y[i] + y[j] + newer[i] + newer[j])
-            by_threshold, by_birth = (
-                0.5 * (y[j] + newer[j] - y[i] - newer[i]),
-                0.5 * (newer[i] + newer[j] - y[i] - y[j]),
-            )
-            left = 1.0 - _broken(c.table, middle, by_threshold, by_birth)
-        elif s.left[k] >= high:  # none of the stronger either
-            n, k1, k2 = n + s.above[0, k], k1 + s.above[1, k], k2 + s.above[2, k]
+        if most > _NONE_BROKEN:
+            middle = 0.25 * (weak0 + strong0 + weak1 + strong1)
+            by_threshold = 0.5 * (strong0 + strong1 - weak0 - weak1)
+            by_birth = 0.5 * (weak1 + strong1 - weak0 - strong0)
+            left = 1.0 - _broken(contacts.table, middle, by_threshold, by_birth)
+        elif strata.left[k] >= high:  # none of the stronger either
+            pinned += strata.above[0, k]
+            stiffness += strata.above[1, k]
+            stiffness2 += strata.above[2, k]
             break
-        left *= _unbroken(s.left[k], s.right[k], low, high)
-        n, k1, k2 = n + left * s.share[0, k], k1 + left * s.share[1, k], k2 + left * s.share[2, k]
-    if c.growth.varies:
-        k1, k2 = k1 * g, k2 * g * g
-    cell[_S], cell[_K1], cell[_K2] = cell[_B] * n, cell[_B] * k1, cell[_B] * k2
+        left *= _unbroken(strata.left[k], strata.right[k], low, high)
+        pinned += left * strata.share[0, k]
+        stiffness += left * strata.share[1, k]
+        stiffness2 += left * strata.share[2, k]
+    if contacts.growth.varies:
+        stiffness, stiffness2 = stiffness * g, stiffness2 * g * g
+    cell.pinned = cell.births * pinned
+    cell.stiffness = cell.births * stiffness
+    cell.stiffness2 = cell.births * stiffness2
 
 
 @routine
-def _bear(c: Fronts, cell: Array, z: Array, scratch: Array, dt: float) -> None:
-    """The births of a step, as if there were one, at its end: z of those at its beginning, which grows evenly in each
+def _bear(contacts: Fronts, cell: Row, z: Array, scratch: Scratch, dt: float) -> None:
+    """Treat the births of a step as one birth at its end: find z of those at its beginning, which grows evenly in each
     of a number of parts by age, and what is pinned. Where thresholds grow, a part is twice as long as that before."""
-    x, parts = 2.0 * abs(cell[_XM] - cell[_X]), _PARTS if c.growth.values.size else 1
-    n, u1, u2 = (
-        scratch[0],
-        scratch[1],
-        scratch[2],
-    )  # of those left at nodes E[1], E[u] and E[u^2], u the age over dt
+    x, parts = 2.0 * abs(cell.X_mean - cell.X), _PARTS if contacts.growth.values.size else 1
+    share, age, age2 = scratch.share, scratch.age, scratch.age2  # E[1], E[u], E[u^2] of those left, u the age over dt
     for k in range(z.size):
-        z[k], n[k], u1[k], u2[k] = 0.0, 0.0, 0.0, 0.0
+        z[k], share[k], age[k], age2[k] = 0.0, 0.0, 0.0, 0.0
     u = 0.0
     for part in range(parts):
         after = 0.5 ** (parts - 1 - part)
         width = after - u
-        _copy(z, scratch[3])
-        _thermal(c, z, (u * dt, after * dt), (u * x, after * x), width * dt)
+        _copy(z, scratch.before)
+        _thermal(contacts, z, u * dt, after * dt, u * x, after * x, width * dt)
         for k in range(z.size):
-            before = scratch[3, k]
+            before = scratch.before[k]
             if before > 700.0:
                 continue
-            y = min(z[k] - before, 700.0)
-            # mean survival in the part, and where in it those left are, in the mean and in the mean square
-            here, rest = exp(-before) * mean_exponential(0.0, y) * width, 1.0 / (exp(y) - 1.0) if y > 0.02 else 0.0
-            v1 = 1.0 / y - rest if y > 0.02 else 0.5 - y / 12.0
-            v2 = 2.0 / y**2 - (1.0 + 2.0 / y) * rest if y > 0.02 else 1.0 / 3.0 - y / 12.0
-            n[k] += here
-            u1[k] += here * (u + width * v1)
-            u2[k] += here * (u * u + 2.0 * u * width * v1 + width * width * v2)
+            left = ages_of_survivors(min(z[k] - before, 700.0))
+            here = exp(-before) * left.share * width
+            share[k] += here
+            age[k] += here * (u + width * left.age)
+            age2[k] += here * (u * u + 2.0 * u * width * left.age + width * width * left.age2)
         u = after
-    s, g = c.strata, grown_by(c.growth, 0.5 * dt) if c.growth.varies else 1.0
-    cell[_Y] = x / grown_by(c.growth, dt)
-    cell[_S], cell[_K1], cell[_K2] = 0.0, 0.0, 0.0
-    for k in range(s.left.size):
-        i, j = s.low[k], s.high[k]
-        left = 0.5 * _unbroken(s.left[k], s.right[k], 0.0, cell[_Y])
-        cell[_S] += left * s.share[0, k] * (n[i] + n[j])
-        cell[_K1] += left * s.share[1, k] * 2.0 * g * (u1[i] + u1[j])  # as if all were at the middle, and spread evenly
-        cell[_K2] += left * s.share[2, k] * 3.0 * g * g * (u2[i] + u2[j])
+    strata, g = contacts.strata, grown_by(contacts.growth, 0.5 * dt) if contacts.growth.varies else 1.0
+    cell.weakest = x / grown_by(contacts.growth, dt)
+    cell.pinned, cell.stiffness, cell.stiffness2 = 0.0, 0.0, 0.0
+    for k in range(strata.left.size):
+        i, j = strata.low[k], strata.high[k]
+        unbroken = 0.5 * _unbroken(strata.left[k], strata.right[k], 0.0, cell.weakest)
+        cell.pinned += unbroken * strata.share[0, k] * (share[i] + share[j])
+        # as if all were at the middle, and spread evenly
+        cell.stiffness += unbroken * strata.share[1, k] * 2.0 * g * (age[i] + age[j])
+        cell.stiffness2 += unbroken * strata.share[2, k] * 3.0 * g * g * (age2[i] + age2[j])
 
 
 @routine
-def _alike(c: Fronts, path: Path, one: Array, two: Array, newer: tuple[float, float, float], now: float) -> bool:
-    """Whether two cells may be joined: of the same direction and about as dense in X, and together not too wide in X,
-    as thresholds have grown, in |x|/g and in time per age; `newer` is the newer edge, X, t and |x|/g."""
-    if newer[1] - one[_T] > path.share * (now - newer[1]) + _AT_ONCE or abs(one[_Y] - newer[2]) > path.width:
+def _alike(contacts: Fronts, path: Path, older: Row, newer: Row, edge: Edge, now: float) -> bool:
+    """Whether two cells may be joined, the newer of which ends at `edge`: of the same direction and about as dense in
+    X, and together not too wide in X, as thresholds have grown, in |x|/g and in time per age."""
+    if edge.t - older.t > path.share * (now - edge.t) + _AT_ONCE or abs(older.weakest - edge.weakest) > path.width:
         return False
-    if abs(newer[0] - one[_X]) > path.width * grown_by(c.growth, now - newer[1]):
+    if abs(edge.X - older.X) > path.width * grown_by(contacts.growth, now - edge.t):
         return False
-    first, second = (two[_X] - one[_X]) * two[_B], (newer[0] - two[_X]) * one[_B]
-    return not (first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first))
+    return densities_alike((newer.X - older.X) * newer.births, (edge.X - newer.X) * older.births)
 
 
 @routine
-def _join(one: Array, two: Array, newer: float) -> None:
-    """Join a cell to the one before; `newer` is the newer edge in X."""
-    both = one[_B] + two[_B]
-    one[_XM] = (one[_B] * one[_XM] + two[_B] * two[_XM]) / both if both > 0.0 else 0.5 * (one[_X] + newer)
-    for column in (_B, _S, _K1, _K2):
-        one[column] += two[column]
-
-
-@maker
-def _rows(p: Cells, rows: int) -> Cells:
-    """A copy that has so many rows."""
-    cells, z = np.zeros((rows, p.cells.shape[1])), np.zeros((rows, p.z.shape[1]))
-    order = np.zeros(rows, np.int64)
-    for i in range(rows):
-        order[i] = i
-    for i in range(p.order.size):
-        order[i] = p.order[i]
-        for column in range(cells.shape[1]):
-            cells[i, column] = p.cells[i, column]
-        for k in range(z.shape[1]):
-            z[i, k] = p.z[i, k]
-    return Cells(cells, z, order, p.scratch)
+def _join(older: Row, newer: Row, X: float) -> None:
+    """Join a cell, which ends at `X`, to the one before."""
+    both = older.births + newer.births
+    mean = (older.births * older.X_mean + newer.births * newer.X_mean) / both if both > 0.0 else 0.5 * (older.X + X)
+    older.X_mean = mean
+    older.births += newer.births
+    older.pinned += newer.pinned
+    older.stiffness += newer.stiffness
+    older.stiffness2 += newer.stiffness2
 
 
 @with_room.register(Cells)
-def _with_room(p: Cells, rows: int) -> Cells:
-    return _rows(p, rows)
+def _with_room(population: Cells, rows: int) -> Cells:
+    cells, z, order = np.zeros(rows, CELL), np.zeros((rows, population.z.shape[1])), numbered(rows)
+    for i in range(population.order.size):
+        order[i] = population.order[i]
+        cells[i] = population.cells[i]
+        _copy(population.z[i], z[i])
+    return Cells(cells, z, order, population.scratch)
 
 
 @empty.register(Fronts)
-def _empty(c: Fronts, rows: int) -> Cells:
-    nodes = c.strata.nodes.size
-    return _rows(Cells(np.zeros((0, 8)), np.zeros((0, nodes)), np.zeros(0, np.int64), np.zeros((4, nodes))), rows)
+def _empty(contacts: Fronts, rows: int) -> Cells:
+    nodes = contacts.strata.nodes.size
+    scratch = Scratch(
+        np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(nodes)
+    )
+    return Cells(np.zeros(rows, CELL), np.zeros((rows, nodes)), numbered(rows), scratch)
 
 
 @routine
-def _placed(cell: Array, edge: tuple[float, float], newer: tuple[float, float]) -> None:
-    """The births between two edges, (t, X) each."""
-    cell[_T], cell[_X], cell[_Y], cell[_B], cell[_XM] = edge[0], edge[1], 0.0, 1.0, 0.5 * (edge[1] + newer[1])
+def _place(cell: Row, t: float, X: float, newer_X: float) -> None:
+    """Begin a cell at an edge."""
+    cell.t = t
+    cell.X = X
+    cell.weakest = 0.0
+    cell.births = 1.0
+    cell.X_mean = 0.5 * (X + newer_X)
 
 
 @begin.register(Fronts)
-def _begin(c: Fronts, path: Path, p: Cells) -> tuple[int, float]:
-    return _begun(c, path, p)
-
-
-@routine
-def _begun(c: Fronts, path: Path, p: Cells) -> tuple[int, float]:
-    y, newer, one = p.scratch[0], p.scratch[1], p.cells
+def _begin(contacts: Fronts, path: Path, population: Cells) -> tuple[int, float]:
+    older, newer = population.scratch.older, population.scratch.newer
     if path.cohorts == 0:
-        _placed(one[0], (0.0, 0.0), (0.0, 0.0))
-        _logarithms(p.z[0], y)
-        _weigh(c, one[0], 0.0, y, y, grown_by(c.growth, 0.0))
+        _place(population.cells[0], 0.0, 0.0, 0.0)
+        _logarithms(population.z[0], older)
+        _weigh(contacts, population.cells[0], 0.0, older, older, grown_by(contacts.growth, 0.0))
         return 1, 0.0
-    dt, width, cycle, count = path.width / path.velocity, path.width, c.delay.mean, 0
+    dt, width, cycle, count = path.width / path.velocity, path.width, contacts.delay.mean, 0
     for i in range(path.cohorts):
-        _placed(one[i], (-(i + 1) * dt, -(i + 1) * width), (-i * dt, -i * width))
+        cell = population.cells[i]
+        _place(cell, -(i + 1) * dt, -(i + 1) * width, -i * width)
         if i == 0:
-            _bear(c, one[0], p.z[0], p.scratch, dt)
-            _logarithms(p.z[0], newer)
+            _bear(contacts, cell, population.z[0], population.scratch, dt)
+            _logarithms(population.z[0], newer)
         else:
-            _copy(p.z[i - 1], p.z[i])
-            _thermal(c, p.z[i], (i * dt, (i + 1) * dt), (i * width, (i + 1) * width), dt)
-            one[i, _Y] = max(one[i - 1, _Y], (i + 1) * width / grown_by(c.growth, (i + 1) * dt))
-            _logarithms(p.z[i], y)
-            _weigh(c, one[i], one[i - 1, _Y], y, newer, grown_by(c.growth, (i + 0.5) * dt))
-            _copy(y, newer)
-        cycle += one[i, _S] * dt
+            weakest = population.cells[i - 1].weakest
+            _copy(population.z[i - 1], population.z[i])
+            _thermal(contacts, population.z[i], i * dt, (i + 1) * dt, i * width, (i + 1) * width, dt)
+            cell.weakest = max(weakest, (i + 1) * width / grown_by(contacts.growth, (i + 1) * dt))
+            _logarithms(population.z[i], older)
+            _weigh(contacts, cell, weakest, older, newer, grown_by(contacts.growth, (i + 0.5) * dt))
+            _copy(older, newer)
+        cycle += cell.pinned * dt
         count += 1
-        if one[i, _S] < _GONE and not path.choices.given:
+        if cell.pinned < NEGLIGIBLE_SHARE and not path.choices.given:
             break
     for i in range(count):
-        _scale(one[i], dt / cycle)
-        p.order[i] = count - 1 - i
+        _scale(population.cells[i], dt / cycle)
+        population.order[i] = count - 1 - i
     return count, 1.0 / cycle
 
 
-@inlined
-def _scale(cell: Array, births: float) -> None:
+@routine(inline=True)
+def _scale(cell: Row, births: float) -> None:
     """Make a cell of one contact one of `births`."""
-    for column in (_B, _S, _K1, _K2):
-        cell[column] *= births
+    cell.births *= births
+    cell.pinned *= births
+    cell.stiffness *= births
+    cell.stiffness2 *= births
 
 
 @advance_all.register(Fronts)
-def _advance_all(c: Fronts, path: Path, p: Cells, found: Array, m: int, before: tuple[int, float]) -> int:
-    return _advanced(c, path, p, found, m, before)
-
-
-@routine
-def _advanced(c: Fronts, path: Path, p: Cells, found: Array, m: int, before: tuple[int, float]) -> int:
-    (count, rate), pinned = before, 0.0
+def _advance_all(
+    contacts: Fronts, path: Path, population: Cells, history: History, m: int, count: int, rate: float
+) -> int:
     t0, X0, t1, X1 = path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]
-    dt, y, newer, new = t1 - t0, p.scratch[0], p.scratch[1], p.order[count]
-    _placed(p.cells[new], (t0, X0), (t1, X1))
-    _bear(c, p.cells[new], p.z[new], p.scratch, dt)
-    _logarithms(p.z[new], newer)
-    high, after = p.cells[new, _Y], t0
+    dt, older, newer = t1 - t0, population.scratch.older, population.scratch.newer
+    row, pinned = population.order[count], 0.0
+    new = population.cells[row]
+    _place(new, t0, X0, X1)
+    _bear(contacts, new, population.z[row], population.scratch, dt)
+    _logarithms(population.z[row], newer)
+    weakest, newer_t = new.weakest, t0
     for i in range(count - 1, -1, -1):
-        cell, z = p.cells[p.order[i]], p.z[p.order[i]]
-        _thermal(c, z, (t0 - cell[_T], t1 - cell[_T]), (X0 - cell[_X], X1 - cell[_X]), dt)
-        cell[_Y] = max(cell[_Y], abs(X1 - cell[_X]) / grown_by(c.growth, t1 - cell[_T]))
-        _logarithms(z, y)
-        _weigh(c, cell, high, y, newer, grown_by(c.growth, t1 - 0.5 * (cell[_T] + after)))
-        _copy(y, newer)
-        high, after = cell[_Y], cell[_T]
-        pinned += cell[_S]
-    due, later = due_births(c.delay, path.t, found, m, rate)
-    broken = 1.0 - p.cells[new, _S]
-    breaks = (found[1, m - 1] - pinned + due * broken) / (dt - later * broken)
-    _scale(p.cells[new], due + breaks * later)
-    found[3, m] = found[3, m - 1] + breaks * dt
+        cell, z = population.cells[population.order[i]], population.z[population.order[i]]
+        _thermal(contacts, z, t0 - cell.t, t1 - cell.t, X0 - cell.X, X1 - cell.X, dt)
+        cell.weakest = max(cell.weakest, abs(X1 - cell.X) / grown_by(contacts.growth, t1 - cell.t))
+        _logarithms(z, older)
+        _weigh(contacts, cell, weakest, older, newer, grown_by(contacts.growth, t1 - 0.5 * (cell.t + newer_t)))
+        _copy(older, newer)
+        weakest, newer_t = cell.weakest, cell.t
+        pinned += cell.pinned
+    _scale(new, births_in(contacts.delay, path, history, m, rate, pinned, new.pinned))
     kept = 0
     for i in range(count + 1):  # drop cells that are gone, and join those that hardly differ
-        j, fate, edge = p.order[i], KEPT, (X1, t1, 0.0)
+        j, fate, edge = population.order[i], KEPT, Edge(t1, X1, 0.0)
         if i < count:
-            after_it = p.cells[p.order[i + 1]]
-            edge = (after_it[_X], after_it[_T], after_it[_Y])
-        one, older = p.cells[j], p.cells[p.order[max(kept - 1, 0)]]
+            after = population.cells[population.order[i + 1]]
+            edge = Edge(after.t, after.X, after.weakest)
+        cell, before = population.cells[j], population.cells[population.order[max(kept - 1, 0)]]
         if path.choices.given:
             fate = path.choices.fates[path.choices.first[m] + i]
-        elif kept == 0 and one[_S] < _GONE and i < count:
+        elif kept == 0 and cell.pinned < NEGLIGIBLE_SHARE and i < count:
             fate = DROPPED
-        elif kept > 0 and _alike(c, path, older, one, edge, t1):
+        elif kept > 0 and _alike(contacts, path, before, cell, edge, t1):
             fate = JOINED
         noted(path.choices, m, i, fate)
         if fate == JOINED:
-            _join(older, one, edge[0])
+            _join(before, cell, edge.X)
         if fate == KEPT:
-            p.order[i], p.order[kept] = p.order[kept], j
+            population.order[i], population.order[kept] = population.order[kept], j
             kept += 1
     return kept
 
 
 @observe.register(Cells)
-def _observe(p: Cells, count: int, X: float, found: Array, m: int) -> float:
+def _observe(population: Cells, count: int, X: float, history: History, m: int) -> float:
     stiffness, newer = 0.0, X
     for i in range(count - 1, -1, -1):
-        cell = p.cells[p.order[i]]
-        x, width = X - cell[_XM], newer - cell[_X]
-        found[0, m] += x * cell[_K1]
-        found[1, m] += cell[_S]
-        stiffness += cell[_K1]
-        found[2, m] += (x * x + width * width / 12.0) * cell[_K2]
-        newer = cell[_X]
+        cell = population.cells[population.order[i]]
+        x, width = X - cell.X_mean, newer - cell.X
+        history.force[m] += x * cell.stiffness
+        history.pinned[m] += cell.pinned
+        stiffness += cell.stiffness
+        history.square[m] += (x * x + width * width / 12.0) * cell.stiffness2
+        newer = cell.X
     return stiffness

@@ -22,18 +22,31 @@ from eqsim.numerics.tables import Array
 
 METHOD = "mean field"
 
-_KICK, _LARGEST, _LEAST = 4e-3, 3e-2, 1e-5  # in mean thresholds: the kick; beyond it is not small; noise of the solver
-_TRIES, _ENOUGH = 2, 3.0  # other kicks, until the answer is small and seen for so many cycles
-_CYCLES, _POINTS = 8.0, 401  # how long to look, and at how many instants
-_GONE = 0.02  # part of the kick below which there is nothing to follow after a cycle
-_STARTS = (1.0, 0.5, 0.25)  # in cycles, of windows
-_OCTAVES, _CLOSE = 6, 2e-3  # how far a border is looked for, and how closely
+# The kick, in mean thresholds.
+_KICK = 4e-3
+# Displacement beyond which an answer is not small, in mean thresholds.
+_LARGEST = 3e-2
+# Noise of the solver, in mean thresholds.
+_LEAST = 1e-5
+# Other kicks that are tried, until the answer is small and seen for `_ENOUGH` cycles.
+_TRIES = 2
+_ENOUGH = 3.0
+# Cycles after a kick that are looked at, and instants in them.
+_CYCLES = 8.0
+_POINTS = 401
+# Share of the kick below which there is nothing to follow after a cycle.
+_GONE = 0.02
+# Where windows begin, in cycles.
+_STARTS = (1.0, 0.5, 0.25)
+# How far a border is looked for, in octaves of the stiffness, and how closely.
+_OCTAVES = 6
+_CLOSE = 2e-3
 
 Progress = Callable[[int, float], None]
 
 
 class Mode(NamedTuple):
-    """Of a perturbation: rate of growth (1/time, negative: of decay), and period (time), without a value if it does not
+    """A perturbation: rate of growth (1/time, negative: of decay), and period (time), without a value if it does not
     oscillate; neither has one if all decay within a cycle. Not `reliable` if seen for less than half a cycle."""
 
     growth: Estimate

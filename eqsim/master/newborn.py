@@ -39,35 +39,59 @@ PUBLISHED = "published master equation, births R(x)"
 _LEVELS = np.array(
     [-36.0, -24.0, -16.0, -10.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75, 2.5, 3.25, 4.0]
 )  # of ln Lambda
-_OPEN, _STEP = 5.0, 5.0  # levels beyond, where 1/p is followed
-_LAYER = np.array([0.3, 1.5, 4.0, 10.0, 25.0, 50.0])  # hazards at the threshold's full rate, next to the threshold
-_ORDER, _COARSE = 16, 12  # of the rules, the second of which tells the error
-_SHIFT = 0.3  # of levels, with the coarser rule
+# The distance of levels beyond these, where 1/p is followed.
+_STEP = 5.0
+# Hazards at the threshold's full rate, next to the threshold, where panels end.
+_LAYER = np.array([0.3, 1.5, 4.0, 10.0, 25.0, 50.0])
+# Order of the rule, and of a coarser one that tells the error.
+_ORDER = 16
+_COARSE = 12
+# By how much levels are shifted with the coarser rule.
+_SHIFT = 0.3
 
-# thresholds: panels in ln(-ln J_c/J_c(bound)); the errors that end refinement, the narrowest panels and the most
+# The first panels of thresholds, in ln(-ln J_c/J_c(bound)).
 _FIRST = np.array([-35.0, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
 _RARER = np.array([0.0, 0.3, 1.0, 3.0, 8.0, 20.0, 45.0])  # -ln J_c beyond that of births
-_CONVERGED, _NARROWEST, _MOST_PANELS = 2e-12, 1e-5, 400
-_RAREST, _AT_ONCE = 510.0, 300
-_ROUNDING, _CANCELLED = 1e-11, 1e-2
+# The relative error that ends refinement over thresholds.
+_CONVERGED = 2e-12
+# The narrowest panel of thresholds.
+_NARROWEST = 1e-5
+# Panels of thresholds at most.
+_MOST_PANELS = 400
+# -ln J_c of the strongest contact that is asked for.
+_RAREST = 510.0
+# Thresholds that are solved for at once, to bound memory.
+_AT_ONCE = 300
+# The least relative error that is quoted.
+_ROUNDING = 1e-11
+# Share of the work's parts that its error is measured by where they cancel.
+_CANCELLED = 1e-2
 
-# stretches of annealed contacts
+# -ln J_c where panels of the stretches of annealed contacts end.
 _LAW = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 300.0, 550.0])
+# Where a panel is split.
 _PIECES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
-_RESOLVED, _SHORTEST, _MOST_STRETCHES = 2e-12, 1e-14, 1200
+# The relative error that ends refinement over stretches.
+_RESOLVED = 2e-12
+# The shortest panel, relative to its distance from 0.
+_SHORTEST = 1e-14
+# Panels of stretches at most.
+_MOST_STRETCHES = 1200
+# Where panels of normal births end, in standard deviations, and of exponential ones, in means.
 _SCALES = np.array([-8.3, -6.5, -5.0, -3.5, -2.5, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 3.5, 5.0, 6.5, 8.3])
 _DECAYS = np.array([0.0, 0.25, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 36.0])
 
 
 class _Rule(NamedTuple):
-    """As `ClenshawCurtis`, of any order; `cumulative` times values are the integrals from -1 to each node."""
+    """A rule like `ClenshawCurtis`, of any order; `cumulative` times values are the integrals from -1 to each node."""
 
     nodes: Array
     weights: Array
     cumulative: Array
 
 
-@functools.cache
+# Two orders are used. A rule takes 0.25 ms, and a solve of 20 ms asks for twenty.
+@functools.lru_cache(maxsize=4)
 def _rule(order: int) -> _Rule:
     nodes = -np.cos(math.pi * np.arange(order + 1) / order)
     back = np.linalg.inv(chebyshev.chebvander(nodes, order))
@@ -75,15 +99,15 @@ def _rule(order: int) -> _Rule:
     return _Rule(nodes, cumulative[-1], cumulative)
 
 
-def births_of(s: Reduced) -> BirthLaw:
+def births_of(contacts: Reduced) -> BirthLaw:
     """R in units of `law.scale`, or of fractions."""
-    return s.newborn.reduced(s.law.scale)
+    return contacts.newborn.reduced(contacts.law.scale)
 
 
-def mean_birth(s: Reduced) -> float:
+def mean_birth(contacts: Reduced) -> float:
     """E[y], in units of `law.scale`."""
-    per = s.law.mean / s.law.scale if s.newborn.of == "threshold" else 1.0
-    return births_of(s).mean * per
+    per = contacts.law.mean / contacts.law.scale if contacts.newborn.of == "threshold" else 1.0
+    return births_of(contacts).mean * per
 
 
 def marks(law: BirthLaw) -> Array:
@@ -103,33 +127,28 @@ def _density(births: BirthLaw, y: Array, middle: Array) -> Array:
     return np.where((middle > low) & (middle < high), births.pdf(np.clip(y, low, high)), 0.0)
 
 
-def in_one_sweep(s: Reduced) -> bool:
-    """Whether these are contacts of the published master equation: thresholds count for x > 0 only."""
-    return s.one_sided
-
-
-def survivors(s: Reduced, travel: Array) -> Array:
+def survivors(contacts: Reduced, travel: Array) -> Array:
     """S(l) and means of kappa and kappa^2 of those that outlast travels l > 0, shape (3, n)."""
     from eqsim.master import newborn_lives  # which needs this module
 
-    return np.asarray(newborn_lives.survivors(s, travel)[0])
+    return np.asarray(newborn_lives.survivors(contacts, travel)[0])
 
 
-def method(s: Reduced) -> str:
+def method(contacts: Reduced) -> str:
     """The equation that is solved."""
-    return PUBLISHED if in_one_sweep(s) else METHOD
+    return PUBLISHED if contacts.one_sided else METHOD
 
 
-def stationary(s: Reduced) -> Moments:
+def stationary(contacts: Reduced) -> Moments:
     """Moments of the lives of contacts born stretched. Raises InputError for annealed contacts of more than 1000
     different thresholds."""
-    mean, error = _swept(s) if in_one_sweep(s) else _over_thresholds(s)
+    mean, error = _swept(contacts) if contacts.one_sided else _over_thresholds(contacts)
     square = (mean[2], error[2]) if error[2] < mean[2] else (None, 0.0)  # of broad laws nothing may be known
-    return Moments(mean[0], mean[1], error[0], error[1], mean_birth(s), *square)
+    return Moments(mean[0], mean[1], error[0], error[1], mean_birth(contacts), *square)
 
 
 def _scales(mean: Array) -> Array:
-    """What errors of travel, work and square are measured by: the work may vanish though its parts do not."""
+    """Scales of errors of travel, work and square: the work may vanish though its parts do not."""
     return np.abs([mean[0], np.abs(mean[1]) + _CANCELLED * math.sqrt(abs(mean[0] * mean[2])), mean[2]])
 
 
@@ -156,7 +175,7 @@ def _solved(rate: Array, sources: Array, order: int) -> Array:
 
 
 class Hazard(NamedTuple):
-    """What breaks a contact of threshold xi before the threshold does.
+    """Hazard of a contact of threshold xi before it reaches the threshold.
 
     Attributes
     ----------
@@ -173,9 +192,9 @@ class Hazard(NamedTuple):
     layer: Callable[[Array], Array]
 
 
-def hazard_of(s: Reduced) -> Hazard:
+def hazard_of(contacts: Reduced) -> Hazard:
     """Own attempts, or pooled ones."""
-    barrier = s.barrier
+    barrier = contacts.barrier
     if not barrier.thermal:
         nothing = np.empty(0)
         return Hazard(
@@ -183,8 +202,8 @@ def hazard_of(s: Reduced) -> Hazard:
             lambda xi, *_: np.broadcast_to(nothing, (xi.size, 0)),
             lambda xi: np.broadcast_to(nothing, (xi.size, 0)),
         )
-    if s.annealed:
-        return _pooled(s)
+    if contacts.annealed:
+        return _pooled(contacts)
 
     def rate(gap: Array, total: Array, xi: Array, kappa: Array) -> Array:
         with np.errstate(divide="ignore"):
@@ -211,27 +230,29 @@ def hazard_of(s: Reduced) -> Hazard:
 class PooledRate:
     """(omega/v) h(x) of annealed contacts at x >= 0 as Chebyshev polynomials, and its integral."""
 
-    def __init__(self, s: Reduced) -> None:
-        self._steps = different_steps(s) if s.law.steps.size else None
-        self._s = s
+    def __init__(self, contacts: Reduced) -> None:
+        self._steps = different_steps(contacts) if contacts.law.steps.size else None
+        self._s = contacts
         if self._steps is not None:
             edges = np.append(0.0, self._steps[0])
         else:
-            top = np.asarray(s.law.inverse_survival(_LAW[:-1])) / s.law.scale
-            least, greatest = (edge / s.law.scale for edge in s.law.support)
-            edges = np.unique(np.concatenate(([0.0, least], top, s.law.kinks / s.law.scale)))
+            top = np.asarray(contacts.law.inverse_survival(_LAW[:-1])) / contacts.law.scale
+            least, greatest = (edge / contacts.law.scale for edge in contacts.law.support)
+            edges = np.unique(np.concatenate(([0.0, least], top, contacts.law.kinks / contacts.law.scale)))
             edges = edges[edges <= min(greatest, top[-1])]
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
             x = left[:, None] + 0.5 * (right - left)[:, None] * (1.0 + ClenshawCurtis.nodes)
             return self.exact(x.ravel(), left, right).reshape(x.shape).T
 
-        def judge(p: Panels) -> tuple[Array, None]:
-            rough = np.abs(ClenshawCurtis.tail.T @ p.values).sum(axis=0) * (p.right - p.left)
-            total = (ClenshawCurtis.weights @ p.values * (p.right - p.left)).cumsum()
+        def judge(panels: Panels) -> tuple[Array, None]:
+            rough = np.abs(ClenshawCurtis.tail.T @ panels.values).sum(axis=0) * (panels.right - panels.left)
+            total = (ClenshawCurtis.weights @ panels.values * (panels.right - panels.left)).cumsum()
             # what counts is how well hazards are known, of all before it and of a life
             seen = np.minimum(_RESOLVED * np.maximum(total, 1.0), 1e-9)
-            return (rough > np.maximum(seen, _RESOLVED * total[-1] * 1e-3)) & (p.right - p.left > 1e-13 * p.right), None
+            return (rough > np.maximum(seen, _RESOLVED * total[-1] * 1e-3)) & (
+                panels.right - panels.left > 1e-13 * panels.right
+            ), None
 
         p, _ = refined(evaluate, judge, edges, pieces=_PIECES, most=_MOST_STRETCHES)
         self.edges = np.append(p.left, p.right[-1])
@@ -269,18 +290,15 @@ class PooledRate:
         return (self._sums[panel] + chebyshev.chebval(t, self._integrals[:, panel], tensor=False)).reshape(np.shape(x))
 
 
-def pooled_rate(s: Reduced) -> PooledRate:
-    """That of an ensemble, remembered."""
-    return _remembered(s, type(s.barrier).__name__)
-
-
+# It takes 1 to 10 ms, and a transient asks for it 60 times; ensembles are solved one after another.
 @functools.lru_cache(maxsize=8)
-def _remembered(s: Reduced, _: str) -> PooledRate:  # barriers of different types may be equal tuples
-    return PooledRate(s)
+def pooled_rate(contacts: Reduced) -> PooledRate:
+    """Find the pooled rate of an ensemble, and remember it."""
+    return PooledRate(contacts)
 
 
-def _pooled(s: Reduced) -> Hazard:
-    pooled = pooled_rate(s)
+def _pooled(contacts: Reduced) -> Hazard:
+    pooled = pooled_rate(contacts)
     grid = np.unique(np.concatenate((pooled.edges, np.linspace(0.0, pooled.edges[-1], 2000))))
     passed = pooled.integral(grid)
 
@@ -302,7 +320,7 @@ def _turned(x: Array, xi: Array) -> Array:
     return np.arcsin(np.sqrt(np.clip((xi - x) / (2.0 * xi), 0.0, 1.0)))
 
 
-def lives(s: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = True) -> Array:
+def lives(contacts: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = True) -> Array:
     """Travel, work and square of contacts of thresholds xi, shape (n,), averaged over births that know them.
 
     Parameters
@@ -316,10 +334,10 @@ def lives(s: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = Tru
     -------
     ndarray, shape (3, n)
     """
-    law, order = births_of(s), _ORDER if fine else _COARSE
+    law, order = births_of(contacts), _ORDER if fine else _COARSE
     shift = 0.0 if fine else _SHIFT
-    kappa, per = kappa_of(s, xi), xi[:, None]
-    at = marks(law) * (per if s.newborn.of == "threshold" else np.ones_like(per))
+    kappa, per = kappa_of(contacts, xi), xi[:, None]
+    at = marks(law) * (per if contacts.newborn.of == "threshold" else np.ones_like(per))
     level = hazard.levels(xi, kappa, shift)
     alone = isinstance(law, DeltaBirths)
     if isinstance(law, DeltaBirths):  # one of the two distances is known without cancellation
@@ -329,32 +347,33 @@ def lives(s: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = Tru
     else:
         end = _turned(np.maximum(at[:, 0], -xi), xi)
         inside = [level, -level, at]
-        if s.newborn.of == "length":
-            inside += [part + 0.0 * per for part in _steep(s)]
+        if contacts.newborn.of == "length":
+            inside += [part + 0.0 * per for part in _steep(contacts)]
     phi = [_turned(part, per) for part in inside]
     phi += [np.arcsin(np.sqrt(np.minimum(hazard.layer(xi) / (2.0 * per), 1.0))), np.full((xi.size, 1), 0.25 * math.pi)]
     edges = np.sort(np.minimum(np.concatenate((*phi, np.zeros_like(per), end[:, None]), axis=1), end[:, None]), axis=1)
     found = np.empty((3, xi.size))
     for start in range(0, xi.size, _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        found[:, part] = _marched(s, hazard, (xi[part], kappa[part], edges[part]), None if alone else law, order)
+        found[:, part] = _marched(contacts, hazard, xi[part], kappa[part], edges[part], None if alone else law, order)
     return found
 
 
-def _steep(s: Reduced) -> list[Array]:
+def _steep(contacts: Reduced) -> list[Array]:
     """Where 1/J_c(|y|) has risen, or jumps."""
-    if s.law.steps.size:
-        at = np.unique(s.law.steps) / s.law.scale
+    if contacts.law.steps.size:
+        at = np.unique(contacts.law.steps) / contacts.law.scale
     else:
-        rare = np.asarray(s.law.inverse_survival(np.array([1.0, 3.0, 7.0, 14.0, 28.0, 60.0, 120.0, 250.0])))
-        ends = [edge for edge in s.law.support if 0.0 < edge < math.inf]
-        at = np.concatenate((rare, s.law.breakpoints, ends)) / s.law.scale
+        rare = np.asarray(contacts.law.inverse_survival(np.array([1.0, 3.0, 7.0, 14.0, 28.0, 60.0, 120.0, 250.0])))
+        ends = [edge for edge in contacts.law.support if 0.0 < edge < math.inf]
+        at = np.concatenate((rare, contacts.law.breakpoints, ends)) / contacts.law.scale
     return [at, -at]
 
 
-def _marched(s: Reduced, hazard: Hazard, of: tuple[Array, Array, Array], births: BirthLaw | None, order: int) -> Array:
+def _marched(
+    contacts: Reduced, hazard: Hazard, xi: Array, kappa: Array, edges: Array, births: BirthLaw | None, order: int
+) -> Array:
     """`lives` on panels with these `edges` in phi."""
-    xi, kappa, edges = of
     rule = _rule(order)
     row, column = np.nonzero(np.diff(edges, axis=1) > 1e-15 * edges[:, 1:])
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
@@ -370,11 +389,13 @@ def _marched(s: Reduced, hazard: Hazard, of: tuple[Array, Array, Array], births:
     weights = None
     if births is not None:
         middle = x.mean(axis=1, keepdims=True)
-        if s.newborn.of == "threshold":
+        if contacts.newborn.of == "threshold":
             weights = _density(births, x / own, middle / own) / own
         else:
-            at_all = middle if s.law.steps.size else x  # J_c of a discrete law jumps between panels only
-            weights = _density(births, x, middle) / np.maximum(s.law.sf(np.abs(at_all) * s.law.scale), 1e-300)
+            at_all = middle if contacts.law.steps.size else x  # J_c of a discrete law jumps between panels only
+            weights = _density(births, x, middle) / np.maximum(
+                contacts.law.sf(np.abs(at_all) * contacts.law.scale), 1e-300
+            )
         weights = weights * pace * rule.weights
     at, total = np.zeros((xi.size, 3)), np.zeros((xi.size, 3))
     for i in range(edges.shape[1] - 1):
@@ -387,10 +408,10 @@ def _marched(s: Reduced, hazard: Hazard, of: tuple[Array, Array, Array], births:
     return np.asarray((at if weights is None else total).T)
 
 
-def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
+def _over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
     """Travel, work and square of contacts with thresholds of their own, and errors, both of shape (3,)."""
-    law, births, hazard = s.law, births_of(s), hazard_of(s)
-    of_threshold = s.newborn.of == "threshold"
+    law, births, hazard = contacts.law, births_of(contacts), hazard_of(contacts)
+    of_threshold = contacts.newborn.of == "threshold"
     stretch = abs(births.stretch) if isinstance(births, DeltaBirths) else 0.0
     bound = 0.0 if of_threshold else stretch
 
@@ -398,10 +419,10 @@ def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
         return xi * (1.0 - stretch) if of_threshold else xi - bound
 
     if law.steps.size:
-        xi, share, _ = different_steps(s)
+        xi, share, _ = different_steps(contacts)
         on = xi > bound
         xi, share = xi[on], share[on] / share[on].sum()
-        mean, coarse = (lives(s, hazard, xi, gap_of(xi), fine=fine) @ share for fine in (True, False))
+        mean, coarse = (lives(contacts, hazard, xi, gap_of(xi), fine=fine) @ share for fine in (True, False))
         return mean, np.abs(mean - coarse) + _ROUNDING * _scales(mean)
 
     origin = rank(law, bound)
@@ -412,41 +433,43 @@ def _over_thresholds(s: Reduced) -> tuple[Array, Array]:
         xi = np.asarray(law.inverse_survival(origin + e.ravel())) / law.scale
         gap = gap_of(xi)
         if bound > 0.0:
-            gap = _gaps(s, bound, gap, e.ravel())
+            gap = _gaps(contacts, bound, gap, e.ravel())
             xi = bound + gap
         good = (xi > 0) & (gap > 0)
         found = np.zeros((3, xi.size))
-        found[:, good] = lives(s, hazard, xi[good], gap[good], fine=fine)
+        found[:, good] = lives(contacts, hazard, xi[good], gap[good], fine=fine)
         return found.reshape(3, *e.shape) * (half * e * np.exp(-e))
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:
         fine = terms(left, right, True)
         return np.array([fine @ ClenshawCurtis.weights, np.abs(fine @ ClenshawCurtis.tail).sum(axis=2)])
 
-    def judge(p: Panels) -> tuple[Array, Array]:
-        mean = p.values[0].sum(axis=1)
-        rough = (p.values[1] > _CONVERGED * _scales(mean)[:, None]).any(axis=0)
-        return rough & (p.right - p.left > _NARROWEST), mean
+    def judge(panels: Panels) -> tuple[Array, Array]:
+        mean = panels.values[0].sum(axis=1)
+        rough = (panels.values[1] > _CONVERGED * _scales(mean)[:, None]).any(axis=0)
+        return rough & (panels.right - panels.left > _NARROWEST), mean
 
-    p, mean = refined(evaluate, judge, _first_ranks(s, births, origin), most=_MOST_PANELS)
+    p, mean = refined(evaluate, judge, _first_ranks(contacts, births, origin), most=_MOST_PANELS)
     coarse = (terms(p.left, p.right, False) @ ClenshawCurtis.weights).sum(axis=1)
     error = p.values[1].sum(axis=1) + np.abs(mean - coarse) + _ROUNDING * _scales(mean)
-    rarest = beyond(s) * math.exp(min(origin, 460.0))
-    rest, missed = _squares_beyond(s, hazard, origin, gap_of)
+    rarest = beyond(contacts) * math.exp(min(origin, 460.0))
+    rest, missed = _squares_beyond(contacts, hazard, origin, gap_of)
     mean[2] += rest
     return mean, error + np.array([rarest[0], rarest[1], missed])
 
 
-def _squares_beyond(s: Reduced, hazard: Hazard, origin: float, gap_of: Callable[[Array], Array]) -> tuple[float, float]:
+def _squares_beyond(
+    contacts: Reduced, hazard: Hazard, origin: float, gap_of: Callable[[Array], Array]
+) -> tuple[float, float]:
     """Contribution of lives to the mean square beyond the last panel, and a bound on its error: as they fall with e
     before it. Nothing where there is no such mean."""
-    law, last = s.law, min(math.exp(_FIRST[-1]), _RAREST - origin)
+    law, last = contacts.law, min(math.exp(_FIRST[-1]), _RAREST - origin)
     if law.support[1] < math.inf:
         return 0.0, 0.0
     e = last - np.array([50.0, 25.0, 0.0])
     xi = np.asarray(law.inverse_survival(origin + e)) / law.scale
     with np.errstate(divide="ignore"):
-        log_terms = np.log(lives(s, hazard, xi, gap_of(xi))[2]) - e
+        log_terms = np.log(lives(contacts, hazard, xi, gap_of(xi))[2]) - e
     before, decay = -np.diff(log_terms) / 25.0
     if log_terms[-1] == -math.inf or not min(before, decay) > 1e-9:
         return 0.0, 0.0
@@ -462,18 +485,18 @@ def rank(law: ThresholdLaw, x: float) -> float:
     return -math.log(above) if above > 0.0 else math.inf
 
 
-def _gaps(s: Reduced, bound: float, gap: Array, e: Array) -> Array:
+def _gaps(contacts: Reduced, bound: float, gap: Array, e: Array) -> Array:
     """xi - bound where -ln J_c(xi)/J_c(bound) = e, small ones without cancellation."""
     near = (gap < 0.1 * bound) & (e < 0.1)
     if not near.any():
         return gap
     nodes, weights = np.polynomial.legendre.leggauss(5)
-    scale = s.law.scale
-    share = float(s.law.sf(bound * scale)) * -np.expm1(-e[near])
-    g = share / max(float(s.law.pdf(bound * scale)) * scale, 1e-300)
+    scale = contacts.law.scale
+    share = float(contacts.law.sf(bound * scale)) * -np.expm1(-e[near])
+    g = share / max(float(contacts.law.pdf(bound * scale)) * scale, 1e-300)
     g = np.where(gap[near] > 0.3 * g, np.minimum(gap[near], 3.0 * g), g)
     for _ in range(4):
-        density = s.law.pdf((bound + 0.5 * g[:, None] * (1.0 + nodes)) * scale) * scale @ (0.5 * weights)
+        density = contacts.law.pdf((bound + 0.5 * g[:, None] * (1.0 + nodes)) * scale) * scale @ (0.5 * weights)
         with np.errstate(divide="ignore", invalid="ignore"):
             g = np.where(density > 0, share / density, g)
     better = np.isfinite(g) & (np.abs(g - gap[near]) < 1e-6 * bound)
@@ -482,15 +505,15 @@ def _gaps(s: Reduced, bound: float, gap: Array, e: Array) -> Array:
     return gap
 
 
-def _first_ranks(s: Reduced, births: BirthLaw, origin: float) -> Array:
+def _first_ranks(contacts: Reduced, births: BirthLaw, origin: float) -> Array:
     """Ends of the first panels in ln(-ln J_c/J_c(bound))."""
-    low = _FIRST[0] - max(s.barrier.log_w, 0.0) if s.barrier.thermal else _FIRST[0]
+    low = _FIRST[0] - max(contacts.barrier.log_w, 0.0) if contacts.barrier.thermal else _FIRST[0]
     found = [_FIRST, np.arange(low, _FIRST[0], 12.0)]
-    inner = [rank(s.law, float(x)) for x in s.law.breakpoints / s.law.scale]
-    if not isinstance(births, DeltaBirths) and s.newborn.of == "length":
+    inner = [rank(contacts.law, float(x)) for x in contacts.law.breakpoints / contacts.law.scale]
+    if not isinstance(births, DeltaBirths) and contacts.newborn.of == "length":
         kinks = births.range if isinstance(births, UniformBirths) else marks(births)
         for y in kinks:
-            inner += list(min(rank(s.law, abs(float(y))), 465.0) + _RARER)
+            inner += list(min(rank(contacts.law, abs(float(y))), 465.0) + _RARER)
     at = np.array(inner) - origin
     with np.errstate(divide="ignore", invalid="ignore"):
         found.append(np.log(at[np.isfinite(at) & (at > 0)]))
@@ -503,34 +526,34 @@ def _first_ranks(s: Reduced, births: BirthLaw, origin: float) -> Array:
 # ------------------------------------------------------------------------------------------------------ in one sweep
 
 
-def stiffness_of_survivors(s: Reduced, x: Array) -> tuple[Array, Array]:
+def stiffness_of_survivors(contacts: Reduced, x: Array) -> tuple[Array, Array]:
     """E[kappa | xi > x] and E[kappa^2 | xi > x] at x > 0, shape (n,), of a smooth law."""
-    if s.stiffness == "uniform":
+    if contacts.stiffness == "uniform":
         return np.ones_like(x), np.ones_like(x)
-    law = s.law
+    law = contacts.law
     if isinstance(law, Gamma):
         shape, u = law.n + 1.0, x**2
         J = special.gammaincc(shape, u)
         mean, square = (special.gammaincc(shape + p, u) / J * special.poch(shape, p) for p in (0.5, 1.0))
-        return mean / s.rms, square / s.rms**2
+        return mean / contacts.rms, square / contacts.rms**2
     nodes, weights = special.roots_legendre(12)
     edges = panels_above(law, x, quenched.weakest(law) + np.zeros((x.size, 1)))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    kappa = kappa_of(s, edges[:, :-1, None] + half * (1.0 + nodes))
-    terms = half * weights * law.pdf(kappa * s.rms * law.scale)
+    kappa = kappa_of(contacts, edges[:, :-1, None] + half * (1.0 + nodes))
+    terms = half * weights * law.pdf(kappa * contacts.rms * law.scale)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     total = terms.sum(axis=(1, 2))
-    own = kappa_of(s, x)  # where hardly a threshold is above
+    own = kappa_of(contacts, x)  # where hardly a threshold is above
     with np.errstate(divide="ignore", invalid="ignore"):
         mean, square = ((terms * kappa**power).sum(axis=(1, 2)) / total for power in (1, 2))
         return np.where(total > 0, mean, own), np.where(total > 0, square, own**2)
 
 
-def _swept(s: Reduced) -> tuple[Array, Array]:
+def _swept(contacts: Reduced) -> tuple[Array, Array]:
     """Travel, work and square of contacts of the published master equation, and errors, both of shape (3,)."""
-    law, births = s.law, births_of(s)
-    steps = different_steps(s) if law.steps.size else None
-    pooled = PooledRate(s) if steps is not None and s.barrier.thermal else None
+    law, births = contacts.law, births_of(contacts)
+    steps = different_steps(contacts) if law.steps.size else None
+    pooled = PooledRate(contacts) if steps is not None and contacts.barrier.thermal else None
 
     def solve(left: Array, right: Array, order: int, finer: int = 0) -> Array:
         rule = _rule(order)
@@ -541,15 +564,15 @@ def _swept(s: Reduced) -> tuple[Array, Array]:
         flat = size.ravel()
         if pooled is not None:
             rate += pooled.exact(flat, *np.sort(np.abs([left, right]), axis=0)).reshape(x.shape)
-        elif s.barrier.thermal:
-            rate += annealed.hazard_rate(s, flat, annealed._ORDER + finer).reshape(x.shape)
+        elif contacts.barrier.thermal:
+            rate += annealed.hazard_rate(contacts, flat, annealed._ORDER + finer).reshape(x.shape)
         if steps is None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 own = law.pdf(flat * law.scale) * law.scale / law.sf(flat * law.scale)
             rate += np.where(up, np.where(np.isfinite(own), own, 0.0).reshape(x.shape), 0.0)
-            survivors = stiffness_of_survivors(s, np.where(up, x, 0.0).ravel())
+            survivors = stiffness_of_survivors(contacts, np.where(up, x, 0.0).ravel())
             mean, square = (part.reshape(x.shape) for part in survivors)
-        elif s.stiffness == "sqrt":
+        elif contacts.stiffness == "sqrt":
             xi, share, kappa = steps
             above = np.searchsorted(xi, np.maximum(0.5 * (left + right), 0.0), side="right")
             tails = [np.append(np.cumsum((share * kappa**p)[::-1])[::-1], 0.0)[above] for p in range(3)]
@@ -559,59 +582,61 @@ def _swept(s: Reduced) -> tuple[Array, Array]:
             (_solved(half * rate, half[..., None] * sources, order), (half * rate)[..., None]), axis=2
         )
 
-    def combined(p: Panels, values: Array) -> Array:
+    def combined(panels: Panels, values: Array) -> Array:
         """Solutions at nodes, shape (panels, nodes, 3)."""
         found = np.empty((*values.shape[:2], 3))
         at = np.zeros(3)
-        for i in range(p.left.size - 1, -1, -1):
+        for i in range(panels.left.size - 1, -1, -1):
             if steps is not None:
-                at = at * _passing(s, float(p.right[i]))
+                at = at * _passing(contacts, float(panels.right[i]))
             found[i] = values[i, :, :3] + values[i, :, 3:4] * at
             at = found[i, -1]
         return found
 
-    def weighed(p: Panels, found: Array, order: int) -> tuple[Array, Array]:
+    def weighed(panels: Panels, solution: Array, order: int) -> tuple[Array, Array]:
         """Means over births, and the integrand of each panel at its nodes times half the width."""
         if isinstance(births, DeltaBirths):
-            return found[0, -1], np.zeros((*found.shape[:2], 3))
-        rule, half = _rule(order), 0.5 * (p.right - p.left)[:, None]
-        middle = p.left[:, None] + half
-        integrand = (_density(births, middle - half * rule.nodes, middle) * half)[..., None] * found
+            return solution[0, -1], np.zeros((*solution.shape[:2], 3))
+        rule, half = _rule(order), 0.5 * (panels.right - panels.left)[:, None]
+        middle = panels.left[:, None] + half
+        integrand = (_density(births, middle - half * rule.nodes, middle) * half)[..., None] * solution
         return (rule.weights @ integrand).sum(axis=0), integrand
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:
         return np.moveaxis(solve(left, right, _ORDER), 0, -1)
 
-    def judge(p: Panels) -> tuple[Array, tuple[Array, Array]]:
-        found = combined(p, np.moveaxis(p.values, -1, 0))
-        mean, integrand = weighed(p, found, _ORDER)
+    def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
+        found = combined(panels, np.moveaxis(panels.values, -1, 0))
+        mean, integrand = weighed(panels, found, _ORDER)
         tail = np.abs(ClenshawCurtis.tail.T @ found).sum(axis=1)
-        L, size = np.abs(found[..., 0]).max(axis=1), np.maximum(np.abs(p.left), np.abs(p.right))
+        L, size = np.abs(found[..., 0]).max(axis=1), np.maximum(np.abs(panels.left), np.abs(panels.right))
         most = L[:, None] * np.array([np.ones_like(size), np.maximum(size, L), np.maximum(size, L) ** 2]).T
         missed = np.abs(ClenshawCurtis.tail.T @ integrand).sum(axis=1)
         most = np.maximum(most, _scales(mean))  # what is missed fades downwards
         rough = (tail > _RESOLVED * most).any(axis=1) | (missed > _RESOLVED * _scales(mean)).any(axis=1)
-        return rough & (p.right - p.left > _SHORTEST * size), (mean, missed.sum(axis=0))
+        return rough & (panels.right - panels.left > _SHORTEST * size), (mean, missed.sum(axis=0))
 
-    p, (mean, missed) = refined(evaluate, judge, _first_stretches(s, births), pieces=_PIECES, most=_MOST_STRETCHES)
+    p, (mean, missed) = refined(
+        evaluate, judge, _first_stretches(contacts, births), pieces=_PIECES, most=_MOST_STRETCHES
+    )
     other = solve(p.left, p.right, _COARSE, 4)
     coarse, _ = weighed(p, combined(p, other), _COARSE)
     return mean, missed + np.abs(mean - coarse) + _ROUNDING * _scales(mean)
 
 
-def _passing(s: Reduced, x: float) -> float:
-    """By what factor moments of the rest of life fall just below a stretch x, where contacts of a discrete law may
+def _passing(contacts: Reduced, x: float) -> float:
+    """The factor by which moments of the rest of life fall just below a stretch x, where contacts of a discrete law may
     break."""
     if x <= 0.0:
         return 1.0
-    steps = s.law.steps / s.law.scale
+    steps = contacts.law.steps / contacts.law.scale
     left, right = np.searchsorted(steps, x * (1.0 - 1e-13)), np.searchsorted(steps, x * (1.0 + 1e-13))
     return float(steps.size - right) / float(steps.size - left) if left < steps.size else 1.0
 
 
-def _first_stretches(s: Reduced, births: BirthLaw) -> Array:
+def _first_stretches(contacts: Reduced, births: BirthLaw) -> Array:
     """Ends of the first panels, from the lowest birth up to where nothing survives."""
-    law = s.law
+    law = contacts.law
     if law.steps.size:
         up = np.unique(law.steps) / law.scale
         top = float(up[-1])

@@ -104,10 +104,10 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     return Peak(Estimate(place, max(beside, 0.1 * cell), 0), Estimate(height, error, 0))
 
 
-def _sure_top(found: Transient, period: float) -> int:
+def _sure_top(course: Transient, period: float) -> int:
     """The index of the first maximum. Raises InputError if the force does not fall after it."""
-    error = np.minimum(found.force_error, _ALIKE * found.force.max())
-    top = top_of(found.X, found.force, error, period)
-    if not 0 < top < found.X.size - 1 or found.force[top] - found.force[top:].min() <= error[top]:
+    error = np.minimum(course.force_error, _ALIKE * course.force.max())
+    top = top_of(course.X, course.force, error, period)
+    if not 0 < top < course.X.size - 1 or course.force[top] - course.force[top:].min() <= error[top]:
         raise InputError("the force rises without a first peak")
     return top

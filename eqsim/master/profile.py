@@ -65,7 +65,7 @@ class Profile(Protocol):
         """The integral of that from 0 to x, shape (3, n)."""
 
 
-def profile_of(s: Reduced, x: Array | None = None) -> Profile:
+def profile_of(contacts: Reduced, x: Array | None = None) -> Profile:
     """The profile of contacts.
 
     Parameters
@@ -79,10 +79,10 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
     InputError
         Where a solver refuses the contacts.
     """
-    stepped = s.law.steps.size > 0 and not s.newborn.active
-    profile: Profile = _Steps(s, np.empty(0) if x is None else x) if stepped else SmoothLife(s)
+    stepped = contacts.law.steps.size > 0 and not contacts.newborn.active
+    profile: Profile = _Steps(contacts, np.empty(0) if x is None else x) if stepped else SmoothLife(contacts)
     # C and work by another quadrature: what this one misses is part of the error
-    exact = solver(s).stationary(s)
+    exact = solver(contacts).stationary(contacts)
     stretch, work = (float(profile.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1))
     stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
     size, square_error = abs(exact.work), 0.0
@@ -97,15 +97,15 @@ def profile_of(s: Reduced, x: Array | None = None) -> Profile:
 
 
 class _Steps:
-    """Of a discrete law: Gauss-Legendre panels between jumps."""
+    """A life of a discrete law: Gauss-Legendre panels between jumps."""
 
     jumps = True
 
-    def __init__(self, s: Reduced, x: Array) -> None:
+    def __init__(self, contacts: Reduced, x: Array) -> None:
         # without heat and aging nothing changes between jumps
-        exact = isinstance(s.aging, Unaged) and not s.barrier.thermal
+        exact = isinstance(contacts.aging, Unaged) and not contacts.barrier.thermal
         self.error = _ROUNDED if exact else _BETWEEN_JUMPS
-        self._reduced, self.x = s, np.unique(np.append(quenched.panels_between_steps(s), x[x > 0]))
+        self._reduced, self.x = contacts, np.unique(np.append(quenched.panels_between_steps(contacts), x[x > 0]))
         nodes, weights = np.polynomial.legendre.leggauss(6)
         edge = np.append(0.0, self.x)
         half = 0.5 * np.diff(edge)[:, None]
@@ -122,27 +122,30 @@ class _Steps:
         return np.where(x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0)
 
 
-def _means_of(s: Reduced) -> _Means:
-    if s.newborn.active:
-        return lambda x: newborn_lives.survivors(s, x)
-    if s.annealed:
-        return lambda x: newborn_lives.published(s, np.zeros(x.size), x)
-    if isinstance(s.aging, Langevin):
-        return lambda x: x**_POWERS * fokker_planck.survivors(s, x)
-    survivors = quenched.survivors_at if isinstance(s.aging, Unaged) else flow.survivors_at
-    return lambda x: x**_POWERS * survivors(s, x)
+def _means_of(contacts: Reduced) -> _Means:
+    if contacts.newborn.active:
+        return lambda x: newborn_lives.survivors(contacts, x)
+    if contacts.annealed:
+        return lambda x: newborn_lives.published(contacts, np.zeros(x.size), x)
+    if isinstance(contacts.aging, Langevin):
+        return lambda x: x**_POWERS * fokker_planck.survivors(contacts, x)
+    survivors = quenched.survivors_at if isinstance(contacts.aging, Unaged) else flow.survivors_at
+    return lambda x: x**_POWERS * survivors(contacts, x)
 
 
-def _first_edges(s: Reduced) -> Array:
+def _first_edges(contacts: Reduced) -> Array:
     """Ascending ln x, at the kinks of survival besides: from where hardly a contact has broken, as no rate exceeds
     omega, to where hardly a contact is left."""
-    if s.newborn.active:
-        top, kinks = newborn_lives.longest(s), newborn_lives.kinks(s)
+    if contacts.newborn.active:
+        top, kinks = newborn_lives.longest(contacts), newborn_lives.kinks(contacts)
     else:
-        rarest = float(s.law.inverse_survival(quenched.rarest_that_counts(s.barrier)))
-        top, kinks = s.aging.bracket(rarest / s.law.scale)[1], quenched.ends(s, s.law.kinks / s.law.scale)
+        rarest = float(contacts.law.inverse_survival(quenched.rarest_that_counts(contacts.barrier)))
+        top, kinks = (
+            contacts.aging.bracket(rarest / contacts.law.scale)[1],
+            quenched.ends(contacts, contacts.law.kinks / contacts.law.scale),
+        )
     last, inner = math.log(top), np.log(kinks)
-    first = -max(math.log(1e15), (s.barrier.log_w if s.barrier.thermal else 0.0) + math.log(1e7))
+    first = -max(math.log(1e15), (contacts.barrier.log_w if contacts.barrier.thermal else 0.0) + math.log(1e7))
     edges = np.arange(last, min(first, last - _LONGEST_PANEL), -_LONGEST_PANEL)[::-1]
     return np.unique(np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)])))
 
@@ -160,11 +163,15 @@ class SmoothLife:
     """The life of contacts whose survival is smooth between kinks: Chebyshev polynomials in ln x on panels that end at
     the kinks, and are split until they resolve it."""
 
-    def __init__(self, s: Reduced) -> None:
-        self.jumps = s.newborn.active and s.law.steps.size > 0 and isinstance(newborn.births_of(s), DeltaBirths)
-        fluctuating = isinstance(s.aging, Langevin)
+    def __init__(self, contacts: Reduced) -> None:
+        self.jumps = (
+            contacts.newborn.active
+            and contacts.law.steps.size > 0
+            and isinstance(newborn.births_of(contacts), DeltaBirths)
+        )
+        fluctuating = isinstance(contacts.aging, Langevin)
         smooth = _COARSE_SPLINE if fluctuating else _SMOOTH
-        means = _means_of(s)
+        means = _means_of(contacts)
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
             nodes = ClenshawCurtis.nodes[:, None] * _WITHIN
@@ -172,12 +179,12 @@ class SmoothLife:
             values = means(x.ravel()).reshape(9, *x.shape)
             return np.concatenate((values, values * x))
 
-        def judge(p: Panels) -> tuple[Array, None]:
-            most = np.abs(p.values).max(axis=(1, 2))[:, None]
-            rough = np.abs(np.tensordot(ClenshawCurtis.tail.T, p.values, (1, 1))).sum(axis=0)
-            return (rough > smooth * most).any(axis=0) & (p.right - p.left > _NARROWEST), None
+        def judge(panels: Panels) -> tuple[Array, None]:
+            most = np.abs(panels.values).max(axis=(1, 2))[:, None]
+            rough = np.abs(np.tensordot(ClenshawCurtis.tail.T, panels.values, (1, 1))).sum(axis=0)
+            return (rough > smooth * most).any(axis=0) & (panels.right - panels.left > _NARROWEST), None
 
-        p, _ = refined(evaluate, judge, _first_edges(s), most=_MOST_PANELS)
+        p, _ = refined(evaluate, judge, _first_edges(contacts), most=_MOST_PANELS)
         self._edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         values, moments = np.split(np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1)), 2, axis=1)
@@ -194,7 +201,7 @@ class SmoothLife:
         squares = np.array([0, 4, 8])  # of S, of the mean force, of the mean square of the force
         self.error = float((missed.sum(axis=1)[squares] / np.maximum(total[squares], 1e-3 * total[0])).max()) + smooth
         if fluctuating:
-            self.error += float(fokker_planck.survival(s).errors[0].max())
+            self.error += float(fokker_planck.survival(contacts).errors[0].max())
 
     def _evaluated(self, coefficients: Array, x: Array) -> tuple[Array, Array]:
         """Polynomials with `coefficients` (17, 3, panels) at x, shape (3, n), and the panels that x are in."""

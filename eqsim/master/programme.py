@@ -29,7 +29,7 @@ from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
 from eqsim.master.annealed import hazard_rate
-from eqsim.master.cohorts import NO_CHOICES, Choices, Contacts, Growth, Path, Pool, march
+from eqsim.master.cohorts import NO_CHOICES, Choices, Contacts, Growth, History, Path, Pool, march
 from eqsim.master.fronts import Fronts, Strata, table_of_w
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.master.sharp import Corners, Sharp, levels_of, sharp_instants
@@ -39,23 +39,48 @@ from eqsim.model.reduced import Reduced, drag_of, legs, reduced
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import NEVER, ThreadPool
 
-# of the coarsest grid: displacement in a step, in units of the width of the law or of a threshold; a step over the time
-# since the velocity changed, and the first one over the shortest time of the contacts; strata and cells of tables
-_PATH, _GROWTH, _FIRST, _STRATA, _CELLS = 0.05, 0.15, 0.1, 96, 1000
-MOST_STEPS, _MOST_COHORTS = 200_000, 5000
-_SIGMA, _CROWD = 8.2, 2.0  # the range of thresholds, in normal deviates; strata in the middle are 1.8 times narrower
-_INSTANT = 1e-7  # of the longest step, the time in which contacts that break or are born at an instant do so
-_LEAST_INSTANT = 1e-11  # of the whole time: more than rounding
+# Displacement in a step of the coarsest grid, in units of the width of the law or of a threshold.
+_PATH = 0.05
+# A step of the coarsest grid over the time since the velocity changed.
+_GROWTH = 0.15
+# The first step of the coarsest grid over the shortest time of the contacts.
+_FIRST = 0.1
+# Strata of the coarsest grid.
+_STRATA = 96
+# Cells of the tables of the coarsest grid.
+_CELLS = 1000
+# Steps of a march at most, to bound time and memory.
+MOST_STEPS = 200_000
+# Cohorts of a stationary start at most, in steps of the coarsest grid.
+_MOST_COHORTS = 5000
+# The range of thresholds, in normal deviates on either side.
+_SIGMA = 8.2
+# By how much strata crowd in the middle, where they are 1.8 times narrower.
+_CROWD = 2.0
+# Time in which contacts that break or are born at an instant do so, over the longest step.
+_INSTANT = 1e-7
+# The same over the whole time: more than rounding, and less than what could be seen.
+_LEAST_INSTANT = 1e-11
 _LONGEST_INSTANT = 1e-9
-_GRADED = 2.0 ** -np.arange(1.0, 11.0)  # of the longest step, where steps end before and after an infinite rate
-_KINKS = 6  # delays after a change of velocity that steps end at
-_GROWN = 0.02  # share of a threshold that it has to grow by before it counts
-_CHANGED = 0.5  # share by which the velocity changes where steps begin anew
-_AGES, _DECADES = 20_000, 16  # of the table of growth
-_CARRIED = 0.1  # least error, in units of the largest in a programme
-_RARE = 0.01  # share of contacts that may break below which their thresholds do not set steps
-_RANKS = 64  # contacts of which a typical threshold is the mean
-_RESOLVED = 2e-6  # of the largest value, what tables and rounding miss
+# Where steps end before and after an infinite rate, over the longest step.
+_GRADED = 2.0 ** -np.arange(1.0, 11.0)
+# Delays after a change of velocity that steps end at.
+_KINKS = 6
+# Share of a threshold that it has to grow by before it counts.
+_GROWN = 0.02
+# Share by which the velocity changes where steps begin anew.
+_CHANGED = 0.5
+# Ages in the table of growth, and the decades that they span.
+_AGES = 20_000
+_DECADES = 16
+# The least error in units of the largest in a programme.
+_CARRIED = 0.1
+# Share of contacts that may break, below which their thresholds do not set steps.
+_RARE = 0.01
+# Contacts of which a typical threshold is the mean.
+_RANKS = 64
+# What tables and rounding miss, over the largest value.
+_RESOLVED = 2e-6
 
 
 def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
@@ -83,29 +108,29 @@ def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
     return edge, threshold(inner), share / share.sum()
 
 
-def _strata(s: Reduced, strata: int) -> Strata:
+def _strata(contacts: Reduced, strata: int) -> Strata:
     """Strata of quenched contacts; of a discrete law its thresholds, or groups of them where there are many."""
     powers, index = np.arange(3)[:, None], np.arange(strata)
-    if s.law.steps.size:
-        xi, share, stiff = different_steps(s)
+    if contacts.law.steps.size:
+        xi, share, stiff = different_steps(contacts)
         first = np.unique(np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int))[:-1]
         parts = np.add.reduceat(share * stiff**powers, first, axis=1)
         nodes = np.add.reduceat(share * xi, first) / parts[0]
         low = high = index[: nodes.size]
         left, right = xi[first], xi[np.append(first[1:], xi.size) - 1]
     else:
-        nodes, inner, share = _cells(s.law, strata)
+        nodes, inner, share = _cells(contacts.law, strata)
         index = np.arange(share.shape[0])
-        parts = (share * kappa_of(s, inner) ** powers[:, None]).sum(axis=2)
+        parts = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
         low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
     return Strata(left, right, parts, parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy(), nodes, low, high)
 
 
-def _pool(s: Reduced, cells: int) -> Pool:
-    """Of contacts that heat does not break, or all at the same rate."""
+def _pool(contacts: Reduced, cells: int) -> Pool:
+    """Tables of contacts that heat does not break, or all at the same rate."""
     powers = np.arange(3)[:, None]
-    if s.law.steps.size:
-        xi, share, stiff = different_steps(s)
+    if contacts.law.steps.size:
+        xi, share, stiff = different_steps(contacts)
         between = np.linspace(0.0, xi[-1], cells)
         y = np.sort(np.concatenate((between, xi, xi)))
         y = y[~np.isin(y, xi) | (np.diff(y, prepend=-1.0) == 0) | (np.diff(y, append=math.inf) == 0)]
@@ -115,29 +140,31 @@ def _pool(s: Reduced, cells: int) -> Pool:
             :, index
         ]
         rate = np.zeros(y.size)
-        for own, part, k in zip(xi, share, stiff, strict=True) if s.annealed else ():
+        for own, part, k in zip(xi, share, stiff, strict=True) if contacts.annealed else ():
             i = np.searchsorted(y, own) + 1
-            rate[:i] += part * np.exp(s.barrier.log_w + s.barrier.log_rate(y[:i], own, s.barrier.b * k))
+            rate[:i] += part * np.exp(
+                contacts.barrier.log_w + contacts.barrier.log_rate(y[:i], own, contacts.barrier.b * k)
+            )
     else:
-        edge, inner, share = _cells(s.law, cells)
+        edge, inner, share = _cells(contacts.law, cells)
         y = np.append(0.0, edge)
-        part = (share * kappa_of(s, inner) ** powers[:, None]).sum(axis=2)
+        part = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
         above = np.append(part[:, ::-1].cumsum(axis=1)[:, ::-1], np.zeros((3, 1)), axis=1)
         above = np.concatenate((above[:, :1], above), axis=1)
-        rate = hazard_rate(s, y) if s.annealed else np.zeros(y.size)
+        rate = hazard_rate(contacts, y) if contacts.annealed else np.zeros(y.size)
     total = np.cumsum(0.5 * (above[:, 1:] + above[:, :-1]) * np.diff(y), axis=1)
     with np.errstate(divide="ignore"):
         return Pool(y, above, np.append(np.zeros((3, 1)), total, axis=1), np.maximum(np.log(rate), -1e4))
 
 
-def _growth_of(s: Reduced, age: float) -> Growth:
+def _growth_of(contacts: Reduced, age: float) -> Growth:
     """Up to an age."""
-    if isinstance(s.aging, Unaged):
+    if isinstance(contacts.aging, Unaged):
         return Growth(1.0, 1.0, 1.0, NO_STEPS, False)
     ages = np.geomspace(age * 10.0**-_DECADES, age, _AGES)
-    newborn, values = float(s.aging.growth_at(np.zeros(1))[0]), s.aging.growth_at(ages)
+    newborn, values = float(contacts.aging.growth_at(np.zeros(1))[0]), contacts.aging.growth_at(ages)
     per_ratio = (_AGES - 1) / (_DECADES * math.log(10.0))
-    return Growth(float(ages[0]), per_ratio, newborn, values, bool(stiffness_varies(s.aging, s.springs)))
+    return Growth(float(ages[0]), per_ratio, newborn, values, bool(stiffness_varies(contacts.aging, contacts.springs)))
 
 
 class Course(NamedTuple):
@@ -201,7 +228,7 @@ def _edges(course: Course, width: float, quickest: float, tau: float, sharp: lis
 
 
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
-    """What the contacts are like, and what happens to them. Raises InputError."""
+    """Dimensionless contacts, and what happens to them. Raises InputError."""
     if ensemble.self_consistent:
         raise InputError("aging: that of annealed contacts is defined at constant velocity only, not along a programme")
     if ensemble.fluctuates:
@@ -224,7 +251,7 @@ class Numerics(NamedTuple):
     """How finely an ensemble is resolved: a typical threshold, the longest displacement in a step of the coarsest grid,
     the longest life in a stationary state at velocity `before`, and how thresholds grow."""
 
-    s: Reduced
+    ensemble: Reduced
     typical: float
     width: float
     life: float
@@ -233,10 +260,11 @@ class Numerics(NamedTuple):
 
     def contacts(self, fine: float) -> Contacts | Fronts:
         """For kernels, `fine` times as many strata or cells."""
-        s, delay = self.s, self.s.delay.for_kernels()
-        if s.barrier.thermal and not s.annealed:
-            return Fronts(_strata(s, round(fine * _STRATA)), self.growth, s.barrier, s.springs, delay, table_of_w())
-        return Contacts(_pool(s, round(fine * _CELLS)), self.growth, delay)
+        ensemble, delay = self.ensemble, self.ensemble.delay.for_kernels()
+        if not ensemble.barrier.thermal or ensemble.annealed:
+            return Contacts(_pool(ensemble, round(fine * _CELLS)), self.growth, delay)
+        strata = _strata(ensemble, round(fine * _STRATA))
+        return Fronts(strata, self.growth, ensemble.barrier, ensemble.springs, delay, table_of_w())
 
     def path(self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES) -> Path:
         """Through edges, arrays (edges,)."""
@@ -244,10 +272,10 @@ class Numerics(NamedTuple):
         return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices, NEVER)
 
 
-def _typical(s: Reduced, reach: float) -> float:
+def _typical(contacts: Reduced, reach: float) -> float:
     """A threshold that sets steps after a fresh start if no contact is stretched by more than `reach`: thresholds
     beyond, such as stand for contacts that never break, do not count, nor does their mean if most are far less."""
-    law = s.law
+    law = contacts.law
     typical = min(law.mean, 2.0 * float(law.inverse_survival(math.log(2.0)))) / law.scale
     if typical <= reach:
         return typical
@@ -258,45 +286,47 @@ def _typical(s: Reduced, reach: float) -> float:
     return float(np.mean(law.inverse_survival(ranks))) / law.scale
 
 
-def numerics_of(s: Reduced, course: Course, reach: float) -> Numerics:
+def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     """How to resolve contacts that are stretched by no more than `reach`. Raises InputError for contacts whose lives
     are too different for a stationary start."""
-    low, high = np.asarray(s.law.inverse_survival(np.array([0.17, 1.8]))) / s.law.scale  # two standard deviations
-    typical = s.law.mean / s.law.scale if course.before else _typical(s, reach)
+    low, high = (
+        np.asarray(contacts.law.inverse_survival(np.array([0.17, 1.8]))) / contacts.law.scale
+    )  # two standard deviations
+    typical = contacts.law.mean / contacts.law.scale if course.before else _typical(contacts, reach)
     width = _PATH * (min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical)
-    strongest = life = float(s.law.inverse_survival(36.0)) / s.law.scale
+    strongest = life = float(contacts.law.inverse_survival(36.0)) / contacts.law.scale
     for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
-        life = strongest * max(1.0, float(s.aging.growth_at(np.array([life / course.before]))[0]))
+        life = strongest * max(1.0, float(contacts.aging.growth_at(np.array([life / course.before]))[0]))
     if course.before and life > _MOST_COHORTS * width:
         raise InputError(
             "programme: contacts whose thresholds are thousands of times the width of their law still matter, and have "
             'no reference with start = "stationary"; start "fresh"'
         )
-    growth = _growth_of(s, 1.0 + (life / course.before if course.before else 0.0))
-    return Numerics(s, typical, width, life, course.before, growth)
+    growth = _growth_of(contacts, 1.0 + (life / course.before if course.before else 0.0))
+    return Numerics(contacts, typical, width, life, course.before, growth)
 
 
-def solve(s: Reduced, course: Course) -> tuple[Array, list[tuple[Array, Array]]]:
+def solve(contacts: Reduced, course: Course) -> tuple[Array, list[tuple[Array, History]]]:
     """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
     before."""
     reach = float(np.ptp(course.at(np.append(0.0, course.ends))))
-    numerics, ages = numerics_of(s, course, reach or math.inf), np.geomspace(1e-15, 1.0, 1000)
-    grown = np.abs(s.aging.growth_at(ages) / s.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
-    quickest = [1.0, s.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
-    quickest.append(math.exp(-s.barrier.log_w) if s.barrier.thermal else 1.0)
-    fixed = isinstance(s.delay, Fixed)
+    numerics, ages = numerics_of(contacts, course, reach or math.inf), np.geomspace(1e-15, 1.0, 1000)
+    grown = np.abs(contacts.aging.growth_at(ages) / contacts.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
+    quickest = [1.0, contacts.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
+    quickest.append(math.exp(-contacts.barrier.log_w) if contacts.barrier.thermal else 1.0)
+    fixed = isinstance(contacts.delay, Fixed)
     sharp = sharp_instants(
         Corners(np.append(0.0, course.ends), course.at(np.append(0.0, course.ends))),
-        levels_of(s.law),
-        None if isinstance(s.aging, Unaged) else s.aging.growth_at,
-        s.delay.mean,
+        levels_of(contacts.law),
+        None if isinstance(contacts.aging, Unaged) else contacts.aging.growth_at,
+        contacts.delay.mean,
         not fixed,
         course.before == 0.0,
-        bool(s.barrier.thermal or s.delay.mean) or not isinstance(s.aging, Unaged),
+        bool(contacts.barrier.thermal or contacts.delay.mean) or not isinstance(contacts.aging, Unaged),
     )
-    t, kinks = _edges(course, numerics.width, min(quickest), s.delay.mean if fixed else 0.0, sharp)
+    t, kinks = _edges(course, numerics.width, min(quickest), contacts.delay.mean if fixed else 0.0, sharp)
 
-    def on_grid(fine: int) -> tuple[Array, Array]:
+    def on_grid(fine: int) -> tuple[Array, History]:
         edges = np.interp(np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t)
         path = numerics.path(edges, course.at(edges), fine)._replace(stop=threads.stop)
         return edges, march(numerics.contacts(fine), path)
@@ -338,12 +368,12 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     InputError
         For what has no reference along a programme, and programmes that take too many steps.
     """
-    s, course = course_of(ensemble, programme)
+    contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, grid.t[-1]
-    kinks, solved = solve(s, course)
+    kinks, solved = solve(contacts, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
-    smooth = np.searchsorted(edges, kinks) if s.law.steps.size else None
-    best, errors = _extrapolated(edges, [found[:3] for _, found in solved], smooth)
+    smooth = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
+    best, errors = _extrapolated(edges, [np.array(found[:3]) for _, found in solved], smooth)
     best[2] -= best[0] ** 2  # a variance, which between edges is nearer to a straight line
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
@@ -353,7 +383,7 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
             piece, inside = slice(first, last + 1), np.clip(at[here:there], edges[first], edges[last])
             values[:, here:there] = Akima1DInterpolator(edges[piece], best[:, piece], axis=1)(inside)
             errors[:, piece] += _between(edges[piece], best[:, piece])
-            rate = np.diff(found[3, piece]) / np.diff(edges[piece])
+            rate = np.diff(found.breaks[piece]) / np.diff(edges[piece])
             breaks[here:there] = np.interp(inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate)
         first, here = last, there
     missed = np.array([np.interp(at, edges, error) for error in errors])
@@ -376,14 +406,14 @@ def _between(t: Array, values: Array) -> Array:
     return np.asarray(ndimage.maximum_filter1d(np.abs(rough - values), 5, axis=1))
 
 
-def _extrapolated(edges: Array, found: list[Array], jumps: Array | None) -> tuple[Array, Array]:
+def _extrapolated(edges: Array, grids: list[Array], jumps: Array | None) -> tuple[Array, Array]:
     """The values of no step at all at the edges of the finest of three grids, and their errors, shape (means, edges).
     A discrete law `jumps`, at most at these edges.
 
     The error is twice by how much an extrapolation from the two coarser grids is different, nearby too, as it may
     vanish by chance: were the scheme of first order, the finer one would miss half as much (derived).
     """
-    rough, coarse, fine = found
+    rough, coarse, fine = grids
     once, twice = (4 * coarse[:, ::2] - rough) / 3, (4 * fine[:, ::2] - coarse) / 3
     index = np.arange(fine.shape[1])
     missed = 2.0 * ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)

@@ -34,14 +34,25 @@ _LEVELS = np.array([-48.0, -24.0, -12.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75
 _NODES, _WEIGHTS = special.roots_legendre(14)
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
 
-# births: the first panels in ln(-ln J_c(xi)), from 2^-50 to 500; the error that ends refinement, the narrowest panels
-# and how many more there may be (laws known with noise never converge); the error of life_moments
+# The first panels of births in ln(-ln J_c(xi)), from 2^-50 to 500.
 _BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2])
-_CONVERGED, _NARROWEST, _MORE_PANELS, _PANELS = 2e-12, 1e-4, 500, 1e-11
+# The relative error that ends refinement over births.
+_CONVERGED = 2e-12
+# The narrowest panel of births.
+_NARROWEST = 1e-4
+# How many more panels there may be: laws known with noise never converge.
+_MORE_PANELS = 500
+# The relative error of `life_moments`.
+_PANELS = 1e-11
 
-_COMMON, _RARER = 45.0, 5.0  # -ln J_c up to which lives hardly differ enough to count, and of panels beyond
-_SHALLOWEST, _BISECTIONS = -44.0, 13  # ln(xi/x - 1), where levels are sought
-_SMOOTH = 1e-9  # what interpolation of survivors may miss
+# -ln J_c up to which lives hardly differ enough to count, and the distance of panels beyond.
+_COMMON = 45.0
+_RARER = 5.0
+# ln(xi/x - 1) from where levels are sought, and in how many bisections.
+_SHALLOWEST = -44.0
+_BISECTIONS = 13
+# What interpolation of survivors may miss.
+_SMOOTH = 1e-9
 
 
 class Moments(NamedTuple):
@@ -60,23 +71,25 @@ class Moments(NamedTuple):
     square_error: float = 0.0
 
 
-def kappa_of(s: Reduced, xi: Array) -> Array:
+def kappa_of(contacts: Reduced, xi: Array) -> Array:
     """k_i/k of contacts of thresholds xi, any shape."""
-    return relative_stiffness(s.stiffness, xi, s.rms)
+    return relative_stiffness(contacts.stiffness, xi, contacts.rms)
 
 
-def ends(s: Reduced, xi: Array) -> Array:
+def ends(contacts: Reduced, xi: Array) -> Array:
     """Where contacts born with thresholds `xi`, any shape, break mechanically: the root of xi s(x) = x if they age."""
-    if s.aging.closed:
+    if contacts.aging.closed:
         return xi
-    found = elementwise.find_root(lambda x, xi: np.log(xi * s.aging.growth_at(x) / x), s.aging.bracket(xi), args=(xi,))
+    found = elementwise.find_root(
+        lambda x, xi: np.log(xi * contacts.aging.growth_at(x) / x), contacts.aging.bracket(xi), args=(xi,)
+    )
     return np.asarray(found.x)
 
 
-def different_steps(s: Reduced) -> tuple[Array, Array, Array]:
+def different_steps(contacts: Reduced) -> tuple[Array, Array, Array]:
     """The different thresholds of a discrete law, their shares and kappa, each of shape (n,)."""
-    xi, counts = np.unique(s.law.steps / s.law.scale, return_counts=True)
-    return xi, counts / counts.sum(), kappa_of(s, xi)
+    xi, counts = np.unique(contacts.law.steps / contacts.law.scale, return_counts=True)
+    return xi, counts / counts.sum(), kappa_of(contacts, xi)
 
 
 def survival(barrier: Barrier, x: Array, xi: Array, kappa: Array) -> Array:
@@ -107,38 +120,42 @@ def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> Array:
     return np.asarray(terms.sum(axis=2))
 
 
-def stationary(s: Reduced) -> Moments:
+def stationary(contacts: Reduced) -> Moments:
     """Moments of the lives of quenched contacts that do not age."""
 
     def moments(xi: Array) -> Array:
-        kappa = kappa_of(s, xi)
-        zeroth, first, _ = life_moments(s.barrier, xi, kappa)
+        kappa = kappa_of(contacts, xi)
+        zeroth, first, _ = life_moments(contacts.barrier, xi, kappa)
         return np.array([zeroth, kappa * first])
 
-    if s.law.steps.size:
-        xi, share, _ = different_steps(s)
+    if contacts.law.steps.size:
+        xi, share, _ = different_steps(contacts)
         mean = moments(xi) @ share
         return Moments(mean[0], mean[1], *(1e-11 * mean))
-    total, error = over_births(s.law, lambda xi: (moments(xi), np.zeros((2, xi.size))), _CONVERGED, _NARROWEST)
-    rarest = beyond(s)
+    total, error = over_births(contacts.law, lambda xi: (moments(xi), np.zeros((2, xi.size))), _CONVERGED, _NARROWEST)
+    rarest = beyond(contacts)
     return Moments(*(total + rarest).tolist(), *(error + _PANELS * total + rarest).tolist())
 
 
-def squares(s: Reduced) -> tuple[float, float]:
+def squares(contacts: Reduced) -> tuple[float, float]:
     """E[int_0^{x_b} kappa^2 x^2 dx] of quenched contacts that do not age, and a bound of its error."""
 
     def moments(xi: Array) -> Array:
-        kappa = kappa_of(s, xi)
-        return (kappa**2 * life_moments(s.barrier, xi, kappa)[2])[None]
+        kappa = kappa_of(contacts, xi)
+        return (kappa**2 * life_moments(contacts.barrier, xi, kappa)[2])[None]
 
-    if s.law.steps.size:
-        xi, share, _ = different_steps(s)
+    if contacts.law.steps.size:
+        xi, share, _ = different_steps(contacts)
         mean = float((moments(xi) @ share)[0])
         return mean, 1e-11 * mean
-    total, error = over_births(s.law, lambda xi: (moments(xi), np.zeros((1, xi.size))), _CONVERGED, _NARROWEST)
-    last = np.asarray(s.law.inverse_survival(np.array([math.exp(_BIRTHS[-1])]))) / s.law.scale
-    rest, missed = means_above(s.law, float(last[0]), lambda xi: np.log(kappa_of(s, xi) ** 2 * xi**3 / 3.0)[None])
-    shortened = 1.0 - float(moments(last)[0, 0] / (kappa_of(s, last) ** 2 * last**3 / 3.0)[0])  # by heat, at most
+    total, error = over_births(contacts.law, lambda xi: (moments(xi), np.zeros((1, xi.size))), _CONVERGED, _NARROWEST)
+    last = np.asarray(contacts.law.inverse_survival(np.array([math.exp(_BIRTHS[-1])]))) / contacts.law.scale
+    rest, missed = means_above(
+        contacts.law, float(last[0]), lambda xi: np.log(kappa_of(contacts, xi) ** 2 * xi**3 / 3.0)[None]
+    )
+    shortened = 1.0 - float(
+        moments(last)[0, 0] / (kappa_of(contacts, last) ** 2 * last**3 / 3.0)[0]
+    )  # by heat, at most
     total, error = total + rest, error + missed + shortened * rest
     return float(total[0]), float(error[0] + _PANELS * total[0])
 
@@ -167,10 +184,10 @@ def over_births(
         terms = found * (half * e * np.exp(-e))
         return np.concatenate((terms @ ClenshawCurtis.weights, np.abs(terms[:1] @ ClenshawCurtis.tail).sum(axis=3)))
 
-    def judge(p: Panels) -> tuple[Array, tuple[Array, Array]]:
-        parts, errors, unresolved = p.values
+    def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
+        parts, errors, unresolved = panels.values
         mean = parts.sum(axis=1)
-        rough = (unresolved > converged * mean[:, None]).any(axis=0) & (p.right - p.left > narrowest)
+        rough = (unresolved > converged * mean[:, None]).any(axis=0) & (panels.right - panels.left > narrowest)
         return rough, (mean, (errors + unresolved).sum(axis=1))
 
     with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
@@ -180,19 +197,21 @@ def over_births(
     return found
 
 
-def beyond(s: Reduced) -> Array:
+def beyond(contacts: Reduced) -> Array:
     """C and work of the contacts beyond the last panel, shape (2,), not negligible where x^3 P_c is barely integrable:
     at T = 0, and as of a power law (derived)."""
     e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
-    xi = np.asarray(s.law.inverse_survival(e)) / s.law.scale
-    end = ends(s, xi)
-    early, late = (np.array([end, 0.5 * kappa_of(s, end if s.aging.stiffens else xi) * end**2]) * np.exp(-e)).T
+    xi = np.asarray(contacts.law.inverse_survival(e)) / contacts.law.scale
+    end = ends(contacts, xi)
+    early, late = (
+        np.array([end, 0.5 * kappa_of(contacts, end if contacts.aging.stiffens else xi) * end**2]) * np.exp(-e)
+    ).T
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = late * np.diff(e) / np.log(early / late)
     return np.where(late > 0, np.where(early > late, rest, np.inf), 0.0)
 
 
-def integrals_beyond(s: Reduced, x: float, alive: float) -> tuple[Array, Array]:
+def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, Array]:
     """int_x^inf y^p E[kappa^j; x_b > y] dy of contacts born unstretched, and bounds of the errors, p and j from 0 to 2,
     each of shape (3, 3). Of a power law this is not negligible, however large x.
 
@@ -200,51 +219,55 @@ def integrals_beyond(s: Reduced, x: float, alive: float) -> tuple[Array, Array]:
     are over before (derived: their number beyond x is less than (omega/v) E[xi - x; xi > x]); those on a contact's
     barrier may still shorten lives, at most by the fraction by which they have done so at x.
     """
-    if s.law.steps.size or isinstance(s.law, (Gamma, PooledThresholds)):
+    if contacts.law.steps.size or isinstance(contacts.law, (Gamma, PooledThresholds)):
         return np.zeros((3, 3)), np.zeros((3, 3))  # rarer than exp(-45), and no power law
-    least = x / float(s.aging.growth_at(np.array([x]))[0])
-    left = math.exp(-rank_above(s.law, least))
+    least = x / float(contacts.aging.growth_at(np.array([x]))[0])
+    left = math.exp(-rank_above(contacts.law, least))
 
     def log_values(xi: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            log_end, log_kappa = np.log(np.maximum(ends(s, xi) / x, 1.0)), np.log(kappa_of(s, xi))
+            log_end, log_kappa = np.log(np.maximum(ends(contacts, xi) / x, 1.0)), np.log(kappa_of(contacts, xi))
             powers = [np.log(np.expm1((p + 1) * log_end) / (p + 1)) + (p + 1) * math.log(x) for p in range(3)]
         return np.array([power + j * log_kappa for power in powers for j in range(3)])
 
     share = min(max(alive / left, 0.0), 1.0)
-    found, error = (share * part.reshape(3, 3) for part in means_above(s.law, least, log_values))
-    return found, error if s.annealed or not s.barrier.thermal else error + (1.0 - share) * found
+    found, error = (share * part.reshape(3, 3) for part in means_above(contacts.law, least, log_values))
+    return found, error if contacts.annealed or not contacts.barrier.thermal else error + (1.0 - share) * found
 
 
-def survivors(s: Reduced, x: Array) -> Array:
+def survivors(contacts: Reduced, x: Array) -> Array:
     """`survivors_at` many ascending x > 0, of a smooth law to 1e-9 by interpolation in ln x."""
-    return survivors_at(s, x) if s.law.steps.size else interpolated(lambda x: survivors_at(s, x), x, _SMOOTH)
+    return (
+        survivors_at(contacts, x)
+        if contacts.law.steps.size
+        else interpolated(lambda x: survivors_at(contacts, x), x, _SMOOTH)
+    )
 
 
-def survivors_at(s: Reduced, x: Array) -> Array:
+def survivors_at(contacts: Reduced, x: Array) -> Array:
     """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at x > 0 of shape (n,), shape (3, n).
 
     Over xi > x by panels that end at fixed shares of the stronger contacts and where the hazard passes fixed levels.
     """
-    law = s.law
+    law = contacts.law
     if law.steps.size:
         total = np.zeros((3, x.size))
-        for xi, share, kappa in zip(*different_steps(s), strict=True):
-            total += share * kappa ** np.arange(3)[:, None] * survival(s.barrier, x, xi, kappa)
+        for xi, share, kappa in zip(*different_steps(contacts), strict=True):
+            total += share * kappa ** np.arange(3)[:, None] * survival(contacts.barrier, x, xi, kappa)
         return total
     layer = weakest(law) + np.zeros((x.size, 1))
-    if s.barrier.thermal:
-        layer = np.concatenate((layer, _thresholds_at(s, x)), axis=1)
-    edges = births_above(law, x, layer, rarest_that_counts(s.barrier))
+    if contacts.barrier.thermal:
+        layer = np.concatenate((layer, _thresholds_at(contacts, x)), axis=1)
+    edges = births_above(law, x, layer, rarest_that_counts(contacts.barrier))
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
     xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
-    kappa = kappa_of(s, xi)
+    kappa = kappa_of(contacts, xi)
     with np.errstate(invalid="ignore"):
         terms = half * _FEW_WEIGHTS * law.pdf(xi * law.scale) * law.scale
-        terms *= survival(s.barrier, x[:, None, None], xi, kappa)
+        terms *= survival(contacts.barrier, x[:, None, None], xi, kappa)
     terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
     found = np.array([(terms * kappa**power).sum(axis=(1, 2)) for power in range(3)])
-    if not s.barrier.thermal:  # the law knows its share of stronger contacts better than the panels
+    if not contacts.barrier.thermal:  # the law knows its share of stronger contacts better than the panels
         found *= np.where(found[0] > 0.0, law.sf(x * law.scale) / np.maximum(found[0], 1e-300), 0.0)
     return found
 
@@ -270,28 +293,31 @@ def weakest(law: ThresholdLaw) -> Array:
     return np.asarray(law.inverse_survival(10.0 ** np.arange(-14.0, -6.0))) / law.scale
 
 
-def _thresholds_at(s: Reduced, x: Array) -> Array:
+def _thresholds_at(contacts: Reduced, x: Array) -> Array:
     """Roughly the threshold whose ln((omega/v) H(x)) passes each level, shape (n, levels): only panels depend on it.
 
     By bisection, as stronger contacts are safer; where attempts hardly need energy that may fail, but nothing is steep.
     """
     x = x[:, None]
     low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
-    high = np.log1p(float(s.law.inverse_survival(500.0)) / s.law.scale / x) + np.zeros_like(low)
+    high = np.log1p(float(contacts.law.inverse_survival(500.0)) / contacts.law.scale / x) + np.zeros_like(low)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         xi = x * (1.0 + np.exp(middle))
-        weak = s.barrier.log_hazard(x, xi, s.barrier.b * kappa_of(s, xi)) + s.barrier.log_w > _LEVELS
+        weak = (
+            contacts.barrier.log_hazard(x, xi, contacts.barrier.b * kappa_of(contacts, xi)) + contacts.barrier.log_w
+            > _LEVELS
+        )
         low, high = np.where(weak, middle, low), np.where(weak, high, middle)
     return np.asarray(x * (1.0 + np.exp(high)))
 
 
-def panels_between_steps(s: Reduced) -> Array:
+def panels_between_steps(contacts: Reduced) -> Array:
     """Ascending stretches between which what happens to contacts of a discrete law is smooth: they crowd towards
     every stretch where contacts break from below and, down to a small part of it, from above, and towards 0."""
-    xi, _, kappa = different_steps(s)
-    xi = ends(s, xi)
-    rate = 2.0 * (s.barrier.b if s.barrier.thermal else 0.0) * kappa * xi
+    xi, _, kappa = different_steps(contacts)
+    xi = ends(contacts, xi)
+    rate = 2.0 * (contacts.barrier.b if contacts.barrier.thermal else 0.0) * kappa * xi
     edges = [xi[0] * 2.0 ** -np.arange(1.0, 340.0)]
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):
         depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))

@@ -18,26 +18,55 @@ import numpy as np
 from scipy import ndimage
 
 from eqsim.errors import InputError
-from eqsim.master.cohorts import NO_CHOICES, Choices, Path, advance_all, begin, empty, observe, with_room
+from eqsim.master.cohorts import (
+    NO_CHOICES,
+    Choices,
+    History,
+    Path,
+    advance_all,
+    begin,
+    empty,
+    observe,
+    unmade_choices,
+    with_room,
+)
 from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numerics_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.compiled import inlined, kernel
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
-_FEW_STEPS = 6000  # of the second accuracy, a few slips
-_FEW_OF_TABLES = 1000  # of discrete laws, every threshold of which begins cohorts of its own
-_MISSED = 1e-4  # by how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold
-_UNBALANCED, _TRIES = 0.05, 8  # share of it by which r may be missed, and in how many trials
-_LANDED = 1e-4  # of the longest step without heat, in which all contacts may break at once
-_SHARE = 0.1  # of the longest step, in which equal thresholds may break that change F by as much as may be missed
-_BENT = 0.125  # of what r changes in a step, what a straight X(t) misses in its middle
-_FARTHER, _WORSE = 10.0, 30.0  # than other steps, those given may go, and miss F
-_FATES = 128  # of cohorts, in the mean over steps
-_RESOLVED = 1e-13  # of the whole time, the shortest step: more than rounding
-_FIRST, _SHORTEST, _INSTANT = 1e-6, 1e-9, 1e-12  # of the whole time; of a displacement: as in the engine
+# Steps of the second accuracy, those of a few slips, up to which a third one is solved for.
+_FEW_STEPS = 6000
+# The same of discrete laws, every threshold of which begins cohorts of its own.
+_FEW_OF_TABLES = 1000
+# By how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold.
+_MISSED = 1e-4
+# Share of it by which r may be missed.
+_UNBALANCED = 0.05
+# Trials in which r is found.
+_TRIES = 8
+# Share of the longest step without heat, in which all contacts may break at once.
+_LANDED = 1e-4
+# Share of the longest step, in which equal thresholds may break that change F by as much as may be missed.
+_SHARE = 0.1
+# What a straight X(t) misses in the middle of a step, over what r changes in it.
+_BENT = 0.125
+# How much farther than others given steps may go, and how much worse they may miss F.
+_FARTHER = 10.0
+_WORSE = 30.0
+# Cohorts whose fates there is room for, in the mean over steps.
+_FATES = 128
+# The shortest step over the whole time: more than rounding.
+_RESOLVED = 1e-13
+# The first step over the whole time.
+_FIRST = 1e-6
+# The shortest step over the longest displacement: as in the engine.
+_SHORTEST = 1e-9
+# Time in which the slider moves at once, over the displacement: as in the engine.
+_INSTANT = 1e-12
 
 
 class TooManySteps(InputError):
@@ -45,18 +74,29 @@ class TooManySteps(InputError):
 
 
 class Spring(NamedTuple):
-    """Stage and slider, with time in units of the whole programme: numbers of the equation, damping also per detached
-    share; stretch of the spring (NaN: in balance) and velocity at first; largest displacement and missed force of
-    a step; whether heat breaks contacts, and whether equal thresholds break at once."""
+    """Stage and slider, with time in units of the whole programme.
+
+    Attributes
+    ----------
+    stiffness, damping, drag, mass : float
+        Numbers of the equation; `drag` is the damping per detached share.
+    in_balance : bool
+        Whether the spring balances all other forces at first. Else it has the `stretch`.
+    stretch, velocity : float
+        Of the spring and of the slider at first.
+    heat : bool
+        Whether heat breaks contacts.
+    discrete : bool
+        Whether equal thresholds break at once.
+    """
 
     stiffness: float
     damping: float
     drag: float
     mass: float
+    in_balance: bool
     stretch: float
     velocity: float
-    longest: float
-    missed: float
     heat: bool
     discrete: bool
 
@@ -74,7 +114,19 @@ class Balance(NamedTuple):
     rho: float
 
 
-@inlined
+class Slide(NamedTuple):
+    """Result at the edges of steps, arrays (edges,): what contacts do, the displacement of the stage
+    and the velocity of the slider; how many edges there are; and whether they reach the last mark. They do not where
+    there are too many, or where given choices do not fit."""
+
+    history: History
+    stage: Array
+    velocity: Array
+    edges: int
+    complete: bool
+
+
+@routine(inline=True)
 def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: float) -> float:
     """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from X = 0."""
     if damping == 0.0:
@@ -87,7 +139,7 @@ def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: floa
     return dt / damping * (net * first + gain * dt * second)
 
 
-@inlined
+@routine(inline=True)
 def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, float]:
     """Displacement in a step, infinite where nothing holds the slider, and the velocity then, where breaks and births
     change F by r per time."""
@@ -104,108 +156,116 @@ def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, f
 
 
 @kernel
-def pull(c: Any, path: Path, spring: Spring, marks: Array, speeds: Array) -> tuple[Array, int]:
-    """Fill `path` from its first edge on, and what is found there, shape (6, edges): elastic force, pinned, mean square
-    of the force, breaks so far, and displacement of the stage and velocity of the slider; returns that and how many
-    edges there are, -1 if too many, or if given choices do not fit. Steps end at `marks` (marks,), up to each of which
-    the stage moves at `speeds`; with given choices they are those of `path.t`."""
-    t, X, trials, given = path.t, path.X, path.choices.trials, path.choices.given
-    found, p = np.zeros((6, t.size)), empty(c, 256 + path.cohorts)
-    count, rate = begin(c, path, p)
-    stiffness = observe(p, count, X[0], found, 0)
-    found[4, 0], found[5, 0] = spring.stretch, spring.velocity
-    if math.isnan(spring.stretch):
-        damping = spring.damping + spring.drag * (1.0 - found[1, 0])
-        found[4, 0] = (found[0, 0] + damping * spring.velocity) / spring.stiffness
+def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array, tolerance: float) -> Slide:
+    """Fill `path` from its first edge on. Steps end at `marks` (marks,), up to each of which the stage moves at
+    `speeds`, and miss F by `tolerance` about; with given choices they are those of `path.t`."""
+    t, X, choices, given = path.t, path.X, path.choices, path.choices.given
+    rows = np.zeros((6, t.size))  # as arrays of their own they take ten times as long, longer than a short solve
+    history, Y, velocity = History(rows[0], rows[1], rows[2], rows[3]), rows[4], rows[5]
+    population = empty(contacts, 256 + path.cohorts)
+    count, rate = begin(contacts, path, population)
+    stiffness = observe(population, count, X[0], history, 0)
+    Y[0], velocity[0] = spring.stretch, spring.velocity
+    if spring.in_balance:
+        damping = spring.damping + spring.drag * (1.0 - history.pinned[0])
+        Y[0] = (history.force[0] + damping * spring.velocity) / spring.stiffness
     longest, rho, r, q, a, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 0.0, 1, 0
     halvings = 0  # of the longest displacement in no time
     usual = 0.0  # step before many contacts broke at once, to go on with
-    shortest = max(_SHORTEST * spring.longest, _RESOLVED * marks[marks.size - 1])
+    shortest = max(_SHORTEST * path.width, _RESOLVED * marks[marks.size - 1])
     while k < marks.size and m < t.size and path.stop[0] == 0:
         left = marks[k] - t[m - 1]
         b = Balance(
-            found[4, m - 1] - X[m - 1], found[5, m - 1], speeds[k], found[0, m - 1], stiffness, found[1, m - 1], rho
+            stretch=Y[m - 1] - X[m - 1],
+            V=velocity[m - 1],
+            speed=speeds[k],
+            force=history.force[m - 1],
+            stiffness=stiffness,
+            pinned=history.pinned[m - 1],
+            rho=rho,
         )
         last, guess, tries, guess_before, missed_before = 1.2 * longest >= left, r, 0, 0.0, 0.0
-        halvings = -1 - trials[m] if given and trials[m] < 0 else max(halvings - 2, 0)
+        halvings = choices.halvings[m] if given and choices.instant[m] else max(halvings - 2, 0)
         dt = left if last else longest
         if given:
             dt, last = t[m] - t[m - 1], t[m] == marks[k]
         while True:
             dX, V = _estimate(spring, b, guess, dt)
-            instant = not abs(dX) <= 1.5 * spring.longest or tries == _TRIES
+            instant = not abs(dX) <= 1.5 * path.width or tries == _TRIES
             if given:
-                instant = trials[m] < 0
-                if not instant and not abs(dX) <= _FARTHER * spring.longest:
-                    return found, -1
+                instant = choices.instant[m]
+                if not instant and not abs(dX) <= _FARTHER * path.width:
+                    return Slide(history, Y, velocity, m, False)
             elif instant and dt > shortest:
                 dt, last, guess, tries = 0.5 * dt, False, r, 0
                 continue
             if instant:  # nothing holds the slider: a piece that takes no time, towards balance
                 net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
-                size = spring.longest * 0.5**halvings
+                size = path.width * 0.5**halvings
                 if held > 0.0:
-                    size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * spring.longest))
+                    size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * path.width))
                 dX, V = math.copysign(size, net), 0.0
                 if not given:
                     dt = max(_INSTANT * size, 1e-15 * marks[marks.size - 1])
             if not given:
                 t[m] = marks[k] if last else t[m - 1] + dt
             X[m] = X[m - 1] + dX
-            found[4, m], found[5, m] = found[4, m - 1] + speeds[k] * (t[m] - t[m - 1]), V
-            after, full = p, count == p.order.size
+            Y[m], velocity[m] = Y[m - 1] + speeds[k] * (t[m] - t[m - 1]), V
+            after, full = population, count == population.order.size
             if not given or spring.heat or full:  # a copy, as the step may be tried again
-                after = with_room(p, 2 * count if full else p.order.size)
-            found[:3, m] = 0.0
-            kept = advance_all(c, path, after, found, m, (count, rate))
-            stiffness = observe(after, kept, X[m], found, m)
-            change = found[0, m] - b.force - b.stiffness * dX
-            off = max(abs(change - rho * dX - r * dt), abs(found[1, m] - found[1, m - 1] - q * dt))
+                after = with_room(population, 2 * count if full else population.order.size)
+            history.force[m], history.pinned[m], history.square[m] = 0.0, 0.0, 0.0
+            kept = advance_all(contacts, path, after, history, m, count, rate)
+            stiffness = observe(after, kept, X[m], history, m)
+            change = history.force[m] - b.force - b.stiffness * dX
+            off = max(abs(change - rho * dX - r * dt), abs(history.pinned[m] - b.pinned - q * dt))
             if spring.heat:
                 off *= _BENT
             missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
-            sudden = not (spring.heat or given) and off > 4.0 * spring.missed
-            least = max(_LANDED, _SHARE * spring.missed / off) if sudden and spring.discrete else _LANDED
-            if sudden and abs(dX) > least * spring.longest:
+            sudden = not (spring.heat or given) and off > 4.0 * tolerance
+            least = max(_LANDED, _SHARE * tolerance / off) if sudden and spring.discrete else _LANDED
+            if sudden and abs(dX) > least * path.width:
                 # many contacts break at once, or begin to: when and where has to be known, the better the more
                 usual = max(usual, dt)
-                halvings = math.ceil(math.log2(2.0 * spring.longest / abs(dX)))
+                halvings = math.ceil(math.log2(2.0 * path.width / abs(dX)))
                 at_once = instant or dt <= shortest
                 dt, last, guess, tries = 0.5 * dt, False, r, _TRIES if at_once else 0
                 continue
-            if not spring.heat or instant or (given and (tries == trials[m] or missed == missed_before)):
+            if not spring.heat or instant or (given and (tries == choices.trials[m] or missed == missed_before)):
                 break
-            if not given and abs(missed) * dt < _UNBALANCED * spring.missed:
-                if off < 4.0 * spring.missed:
+            if not given and abs(missed) * dt < _UNBALANCED * tolerance:
+                if off < 4.0 * tolerance:
                     break
                 tries = _TRIES
                 continue
             slope = (missed - missed_before) / (guess - guess_before) if tries > 0 else -1.0
             guess_before, missed_before = guess, missed
             guess, tries = guess - missed / slope, tries + 1
-        if given and off > _WORSE * spring.missed and not instant:
-            return found, -1
-        p, count = after, kept
-        if not given and trials.size:
-            trials[m] = -1 - halvings if instant else tries
-        q = (found[1, m] - found[1, m - 1]) / dt
+        if given and off > _WORSE * tolerance and not instant:
+            return Slide(history, Y, velocity, m, False)
+        population, count = after, kept
+        if not given and choices.trials.size:
+            choices.trials[m] = tries
+            choices.instant[m] = instant
+            choices.halvings[m] = halvings
+        q = (history.pinned[m] - b.pinned) / dt
         if spring.mass > 0.0:
             bent = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
             off, a = max(off, bent), (V - b.V) / dt
         if not instant:
-            grown = dt * min(max(0.9 * math.sqrt(spring.missed / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
-            longest = max(grown, longest) if last and off < spring.missed else grown
+            grown = dt * min(max(0.9 * math.sqrt(tolerance / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
+            longest = max(grown, longest) if last and off < tolerance else grown
             if sudden and spring.discrete:  # they have broken
                 longest, usual = max(longest, usual), 0.0
         if spring.heat:
             rho, r = 0.0, 0.0 if instant else change / dt
         else:
             softer = change / dX if dX != 0.0 else 0.0
-            if off < 4.0 * spring.missed or abs(softer) < abs(rho):  # else an atom breaks, which tells nothing
+            if off < 4.0 * tolerance or abs(softer) < abs(rho):  # else an atom breaks, which tells nothing
                 rho = softer
         k += last
         m += 1
-    return found, m if k == marks.size else -1
+    return Slide(history, Y, velocity, m, k == marks.size)
 
 
 class Pulled(NamedTuple):
@@ -232,24 +292,32 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     spring = task.spring
     rare, kept = _every_other(task)
     fewer, _ = _solved(rare, 1)
-    fine, steps = _solved(task, 2)
-    coarse = fine
-    off = np.zeros_like(fine)
-    off[:, kept] = np.abs(fine[:, kept] - fewer)
+    found, steps = _solved(task, 2)
+    coarse = found
+    off = np.zeros_like(found)
+    off[:, kept] = np.abs(np.array(found)[:, kept] - fewer)
     if steps <= (_FEW_OF_TABLES if ensemble.thresholds.steps.size else _FEW_STEPS):
-        coarse, (fine, _) = fine, _solved(_with_middles(task), 4)
-        off = np.abs(fine - coarse) + 0.5 * off
-    missed = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
-    missed += 1e-6 * np.abs(fine).max(axis=1, keepdims=True)
-    missed[6, 0] = 0.0
-    force, pinned, squares, breaks, Y, V, X = fine
-    drag = drag_of(ensemble, unit / time) * V
-    total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1] + spring.drag * missed[5]
-    variance = np.maximum(squares - force**2, 0.0) + drag * (1.0 - pinned) * (drag * pinned - 2.0 * force)
-    wrong = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
-    rate = np.gradient(breaks, grid.t) if grid.t.size > 1 else breaks
-    means = Means(total * unit, pinned, rate, error * unit, missed[1], variance * unit**2, wrong * unit**2)
-    return Pulled(means, X * unit, Y * unit, missed[6] * unit, coarse[6] * unit)
+        found, _ = _solved(_with_middles(task), 4)
+        off = np.abs(np.array(found) - coarse) + 0.5 * off
+    errors = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
+    missed = _Seen(*(errors + 1e-6 * np.abs(found).max(axis=1, keepdims=True)))
+    missed.X[0] = 0.0
+    drag, detached = drag_of(ensemble, unit / time) * found.velocity, 1.0 - found.pinned
+    total = found.force + drag * detached
+    error = missed.force + np.abs(drag) * missed.pinned + spring.drag * missed.velocity
+    variance = np.maximum(found.square - found.force**2, 0.0)
+    variance += drag * detached * (drag * found.pinned - 2.0 * found.force)
+    variance_error = missed.square + drag**2 * missed.pinned + 2.0 * np.abs(total) * error
+    means = Means(
+        force=total * unit,
+        pinned=found.pinned,
+        breaks=np.gradient(found.breaks, grid.t) if grid.t.size > 1 else found.breaks,
+        force_error=error * unit,
+        pinned_error=missed.pinned,
+        variance=variance * unit**2,
+        variance_error=variance_error * unit**2,
+    )
+    return Pulled(means, found.X * unit, found.stage * unit, missed.X * unit, coarse.X * unit)
 
 
 class Steps(NamedTuple):
@@ -283,25 +351,27 @@ def force_of(
         if steps is None:
             raise
         found, _ = _solved(task, fine, most_steps)
-    force, pinned, _, _, _, V, _ = found
-    return np.asarray((force + drag_of(ensemble, unit / time) * V * (1.0 - pinned)) * unit)
+    drag = drag_of(ensemble, unit / time) * found.velocity
+    return np.asarray((found.force + drag * (1.0 - found.pinned)) * unit)
 
 
 def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int) -> Steps:
     """The steps of `force_of`, which raises the same errors."""
-    choices = Choices(
-        np.zeros(most_steps + 1, np.int64),
-        np.zeros(most_steps * _FATES, np.int8),
-        np.zeros(most_steps, np.int64),
-        False,
-    )
+    choices = unmade_choices(most_steps, most_steps * _FATES)
     noted = Steps(np.full(most_steps, math.inf), choices)
     _, edges = _solved(_task(ensemble, programme, grid), fine, most_steps, noted)
     first = choices.first[: edges + 1].copy()
     if first[-1] > choices.fates.size:
         raise TooManySteps(f"drive.stage: {first[-1]} cohorts in {edges} steps of the mean field")
-    fates, trials = choices.fates[: first[-1]].copy(), choices.trials[:edges].copy()
-    return Steps(noted.t[:edges].copy(), Choices(first, fates, trials, True))
+    made = Choices(
+        first,
+        fates=choices.fates[: first[-1]].copy(),
+        trials=choices.trials[:edges].copy(),
+        instant=choices.instant[:edges].copy(),
+        halvings=choices.halvings[:edges].copy(),
+        given=True,
+    )
+    return Steps(noted.t[:edges].copy(), made)
 
 
 class _Task(NamedTuple):
@@ -317,18 +387,24 @@ class _Task(NamedTuple):
 def _task(ensemble: Ensemble, programme: Programme, grid: Grid) -> _Task:
     stage = programme.stage
     assert stage is not None
-    s, course = course_of(ensemble, programme)
+    contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     marks, speeds, at = _marks(grid.t / time, course.ends, course.velocity)
     in_balance = stage.preload is None and course.before > 0.0
     spring = Spring(
-        stage.stiffness, stage.damping / time, drag_of(ensemble, unit / time), stage.mass / time**2,
-        math.nan if in_balance else (stage.preload or 0.0) / unit, course.before, math.nan, math.nan, s.barrier.thermal,
-        s.law.steps.size > 0,
-    )  # fmt: skip
-    stretch = 0.0 if math.isnan(spring.stretch) else abs(spring.stretch)
-    reach = 2.0 * (float(np.ptp(course.at(np.append(0.0, course.ends)))) + stretch)  # a mass may overshoot
-    return _Task(numerics_of(s, course, reach or math.inf), spring, marks, speeds, at)
+        stiffness=stage.stiffness,
+        damping=stage.damping / time,
+        drag=drag_of(ensemble, unit / time),
+        mass=stage.mass / time**2,
+        in_balance=in_balance,
+        stretch=(stage.preload or 0.0) / unit,
+        velocity=course.before,
+        heat=contacts.barrier.thermal,
+        discrete=contacts.law.steps.size > 0,
+    )
+    path = float(np.ptp(course.at(np.append(0.0, course.ends))))
+    reach = 2.0 * (path + abs(spring.stretch))  # a mass may overshoot
+    return _Task(numerics_of(contacts, course, reach or math.inf), spring, marks, speeds, at)
 
 
 def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]:
@@ -357,22 +433,35 @@ def _with_middles(task: _Task) -> _Task:
     return task._replace(marks=marks, speeds=np.repeat(task.speeds, 2), at=2 * task.at)
 
 
-def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps | None = None) -> tuple[Array, int]:
-    """What is found at the marks `at`, and X, shape (7, points); and in how many steps. Raises TooManySteps, also if
-    given steps do not serve."""
+class _Seen(NamedTuple):
+    """A solve, or its errors, at the marks `at`, arrays (points,): what `History` has, the displacement of the stage,
+    the velocity of the slider, and X."""
+
+    force: Array
+    pinned: Array
+    square: Array
+    breaks: Array
+    stage: Array
+    velocity: Array
+    X: Array
+
+
+def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps | None = None) -> tuple[_Seen, int]:
+    """Solve, and count the edges of steps, too. Raises TooManySteps, also if given steps do not serve."""
     numerics, t = task.numerics, np.full(most_steps, math.inf)
     choices = NO_CHOICES
     if steps is not None:
         t, choices = steps
-    c, path = numerics.contacts(fine), numerics.path(t, np.zeros(t.size), fine, choices)
+    contacts, path = numerics.contacts(fine), numerics.path(t, np.zeros(t.size), fine, choices)
     if choices.given and path.cohorts:
         path = path._replace(cohorts=int(choices.first[2] - choices.first[1]) - 1)
     path.t[0] = 0.0
-    spring = task.spring._replace(longest=path.width, missed=_MISSED * numerics.typical / fine**2)
+    tolerance = _MISSED * numerics.typical / fine**2
     with ThreadPool(1) as thread:
         path = path._replace(stop=thread.stop)
-        found, edges = thread.submit(pull, c, path, spring, task.marks, task.speeds).result()
-    if edges < 0:
+        slide = thread.submit(pull, contacts, path, task.spring, task.marks, task.speeds, tolerance).result()
+    if not slide.complete:
         raise TooManySteps(f"drive.stage: takes more than {most_steps} steps of the mean field")
-    index = np.searchsorted(path.t[:edges], np.append(0.0, task.marks))[task.at]
-    return np.concatenate((found[:, index], path.X[None, index])), edges
+    index = np.searchsorted(path.t[: slide.edges], np.append(0.0, task.marks))[task.at]
+    found = (*slide.history, slide.stage, slide.velocity, path.X)
+    return _Seen(*(values[index] for values in found)), slide.edges

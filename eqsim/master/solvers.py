@@ -10,14 +10,14 @@ from eqsim.numerics.tables import Array
 
 
 class Solver(Protocol):
-    """What the module of each equation has."""
+    """The functions that the module of each equation has."""
 
     METHOD: str
 
-    def stationary(self, s: Reduced) -> Moments:
+    def stationary(self, contacts: Reduced) -> Moments:
         """Moments of lives."""
 
-    def survivors(self, s: Reduced, x: Array) -> Array:
+    def survivors(self, contacts: Reduced, x: Array) -> Array:
         """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n)."""
 
 
@@ -29,8 +29,8 @@ _SOLVERS: dict[type, Solver] = {  # of quenched contacts
 }
 
 
-def solver(s: Reduced) -> Solver:
+def solver(contacts: Reduced) -> Solver:
     """Which equation describes these contacts."""
-    if s.newborn.active:
+    if contacts.newborn.active:
         return newborn
-    return annealed if s.annealed else _SOLVERS[type(s.aging)]
+    return annealed if contacts.annealed else _SOLVERS[type(contacts.aging)]

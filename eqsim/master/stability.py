@@ -81,7 +81,7 @@ class FreshSlip(Result):
 
 @dataclass(frozen=True, repr=False)
 class Stability(Result):
-    """Of a slider that a stage pulls at constant velocity.
+    """Stability of a slider that a stage pulls at constant velocity.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Stability(Result):
 
     @property
     def verdict(self) -> str:
-        """Of steady sliding: "stable", "unstable", "neutral", or "undecided" where the error is too large."""
+        """Verdict on steady sliding: "stable", "unstable", "neutral", or "undecided" where the error is too large."""
         if self.method == NEUTRAL:
             return "neutral"
         if self.growth.value is None:
@@ -166,10 +166,10 @@ class Pulled(NamedTuple):
     @property
     def method(self) -> str:
         """How perturbations of its steady state are found."""
-        s = reduced(self.ensemble, self.velocity)
-        if s.barrier.thermal or not isinstance(s.aging, Unaged):
+        contacts = reduced(self.ensemble, self.velocity)
+        if contacts.barrier.thermal or not isinstance(contacts.aging, Unaged):
             return kicks.METHOD
-        return characteristic.METHOD if s.delay.mean else NEUTRAL
+        return characteristic.METHOD if contacts.delay.mean else NEUTRAL
 
     @property
     def quick(self) -> bool:
@@ -286,11 +286,11 @@ def _number(value: float | None) -> float:
 
 
 def _loops(pulled: Pulled) -> list[characteristic.Loop]:
-    s = reduced(pulled.ensemble, pulled.velocity)
+    contacts = reduced(pulled.ensemble, pulled.velocity)
     with under("drive"):
         pull = pull_of(pulled.ensemble, pulled.programme())
     nodes = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
-    return [characteristic.loop_of(s, pull, one) for one in nodes]
+    return [characteristic.loop_of(contacts, pull, number) for number in nodes]
 
 
 def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
@@ -336,40 +336,39 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     InputError
         As `transient`.
     """
-    s, unit = settled(ensemble, velocity), ensemble.thresholds.scale
+    contacts, unit = settled(ensemble, velocity), ensemble.thresholds.scale
     steady = reference(ensemble, Drive(velocity))
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _LIVES * known(steady.travel) / unit
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit
-    profile = profile_of(s)
+    profile = profile_of(contacts)
     if profile.jumps or not isinstance(profile, SmoothLife):
-        return _of_steps(s, distance, least, level, unit)
-    ways = _on_three_grids(profile, s, distance)
+        return _of_steps(contacts, distance, least, level, unit)
+    ways = _on_three_grids(profile, contacts, distance)
     rough, fine = _between_grids(*ways[:2]), _between_grids(*ways[1:])
-    grids = rough.x, fine.x
-    fall, fall_X, unknown = _steepest(fine, s)
-    other, other_X, _ = _steepest(rough, s)
+    fall, fall_X, unknown = _steepest(fine, contacts)
+    other, other_X, _ = _steepest(rough, contacts)
     highest, highest_X = _highest(fine)
     critical = Estimate(math.inf, 0.0, 0)
     if math.isfinite(fall):
-        beside = _apart(grids, (rough.later_slope, fine.later_slope), fall_X)
+        beside = _apart(CubicSpline(rough.x, rough.later_slope), CubicSpline(fine.x, fine.later_slope), fall_X)
         error_of_fall = max(abs(fall - other), beside) + unknown + profile.error * max(highest, fall)
         critical = Estimate(max(fall, 0.0), error_of_fall, 0)
     place = Estimate(fall_X * unit, (abs(fall_X - other_X) + _FLAT * fine.x[1]) * unit, 0)
     ratio = max(highest, level) / level
-    beside = _apart(grids, (rough.later, fine.later), highest_X)
+    beside = _apart(CubicSpline(rough.x, rough.later), CubicSpline(fine.x, fine.later), highest_X)
     missed = max(abs(highest - _highest(rough)[0]), beside) / level + ratio * (profile.error + error / friction)
-    slip, _ = _chord([(way.x, way.force) for way in (rough, fine)], least, profile.error * highest)
+    slip, _ = _chord([_Course(way.x, way.force) for way in (rough, fine)], least, profile.error * highest)
     nowhere = Estimate(None, None, 0)
     return FreshSlip(critical, place if fall > 0.0 else nowhere, Estimate(ratio, missed, 0), slip)
 
 
-def _of_steps(s: Reduced, distance: float, least: float, level: float, unit: float) -> FreshSlip:
+def _of_steps(contacts: Reduced, distance: float, least: float, level: float, unit: float) -> FreshSlip:
     """`fresh_slip` of contacts that break together; lengths in units of `unit`, which force and X are told in."""
     x = distance * np.linspace(0.0, 1.0, 4 * int(min(max(0.25 * _PER_SLIP * distance / least, _LEAST), _MOST)) + 1)
-    profile = profile_of(s, x)
-    courses = [(x[::step], means_of(profile, x[::step], s).force) for step in (2, 1)]
-    rough, highest = (float(force.max()) for _, force in courses)
+    profile = profile_of(contacts, x)
+    courses = [_Course(x[::step], means_of(profile, x[::step], contacts).force) for step in (2, 1)]
+    rough, highest = (float(course.force.max()) for course in courses)
     slip, X = _chord(courses, least, profile.error * highest)
     # between two points a force rises by no more than the contacts are stiff
     missed = abs(highest - rough) + float(x[1] * np.abs(profile.at(x[1:2])[1]).max()) + profile.error * highest
@@ -377,7 +376,14 @@ def _of_steps(s: Reduced, distance: float, least: float, level: float, unit: flo
     return FreshSlip(slip, place, Estimate(max(highest, level) / level, missed / level, 0), slip)
 
 
-def _chord(courses: list[tuple[Array, Array]], least: float, missed: float) -> tuple[Estimate, float]:
+class _Course(NamedTuple):
+    """A force over equidistant displacements."""
+
+    x: Array
+    force: Array
+
+
+def _chord(courses: list[_Course], least: float, missed: float) -> tuple[Estimate, float]:
     """The steepest fall of a force over a displacement of `least` or more, and where it begins.
 
     A chord of twice that length or more has a half that is as steep. Where a jump is between points its chord may be
@@ -385,8 +391,8 @@ def _chord(courses: list[tuple[Array, Array]], least: float, missed: float) -> t
 
     Parameters
     ----------
-    courses : list of two pairs of ndarray
-        Equidistant displacements and forces, on two grids, the finer one last.
+    courses : list of two _Course
+        On two grids, the finer one last.
     missed : float
         What forces may miss besides the difference of the grids.
     """
@@ -418,26 +424,26 @@ class _Way(NamedTuple):
     later_slope: Array
 
 
-def _on_three_grids(profile: SmoothLife, s: Reduced, distance: float) -> list[_Way]:
+def _on_three_grids(profile: SmoothLife, contacts: Reduced, distance: float) -> list[_Way]:
     """Ever finer ones; cells resolve how sharply lives end."""
     quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
     cells = int(min(max(_PER_WIDTH * distance / max(slow - quick, 1e-300), _LEAST), _MOST))
     x = distance / (4 * cells) * np.arange(4 * cells + 1)
-    return [_way(profile, x[::step], s) for step in (4, 2, 1)]
+    return [_way(profile, x[::step], contacts) for step in (4, 2, 1)]
 
 
-def _way(profile: SmoothLife, x: Array, s: Reduced) -> _Way:
-    means = means_of(profile, x, s)
+def _way(profile: SmoothLife, x: Array, contacts: Reduced) -> _Way:
+    means = means_of(profile, x, contacts)
     births = means.breaks + np.diff(means.pinned) / x[1]
-    first = from_birth(profile, s, x, 1)
-    carried = first - s.drag * _delayed(s) * np.append(1.0, profile.at(x[1:])[0])
+    first = from_birth(profile, contacts, x, 1)
+    carried = first - contacts.drag * _delayed(contacts) * np.append(1.0, profile.at(x[1:])[0])
     at_edges = np.concatenate((births[:1], 0.5 * (births[1:] + births[:-1]), births[-1:]))
     slope = np.append(0.0, convolved(births, np.diff(carried))[: x.size - 1]) + carried[0] * at_edges
     return _Way(profile, x, means.force, means.force - first, slope)
 
 
-def _delayed(s: Reduced) -> float:
-    return float(s.delay.mean > 0.0)
+def _delayed(contacts: Reduced) -> float:
+    return float(contacts.delay.mean > 0.0)
 
 
 def _between_grids(coarse: _Way, better: _Way) -> _Way:
@@ -446,10 +452,10 @@ def _between_grids(coarse: _Way, better: _Way) -> _Way:
     return _Way(coarse.profile, coarse.x, *columns)
 
 
-def _steepest(way: _Way, s: Reduced) -> tuple[float, float, float]:
+def _steepest(way: _Way, contacts: Reduced) -> tuple[float, float, float]:
     """Largest -dF/dx, infinite where a density of thresholds is, where it is, and what the life's panels may miss."""
     profile, x = way.profile, way.x
-    later, drag = CubicSpline(x, way.later_slope), s.drag * _delayed(s)
+    later, drag = CubicSpline(x, way.later_slope), contacts.drag * _delayed(contacts)
 
     def falls(at: Array) -> Array:
         slope = profile.slope(at, 1).value[1]
@@ -488,9 +494,8 @@ def _highest(way: _Way) -> tuple[float, float]:
     return (float(closer[j]), float(near[j])) if closer[j] > first[i] else (float(first[i]), float(at[i]))
 
 
-def _apart(x: tuple[Array, Array], values: tuple[Array, Array], X: float) -> float:
-    """How far splines through the values on two grids, the finer one last, differ around X: next to a kink by several
-    times what the finer one misses, though not at every place."""
-    at = np.clip(X + _AROUND * x[0][1] * np.linspace(-1.0, 1.0, 33), 0.0, x[0][-1])
-    rough, fine = (CubicSpline(*pair)(at) for pair in zip(x, values, strict=True))
-    return float(np.abs(fine - rough).max())
+def _apart(rough: CubicSpline, fine: CubicSpline, X: float) -> float:
+    """Find how far splines through the values on two grids differ around X: next to a kink by several times what the
+    finer one misses, though not everywhere."""
+    near = np.clip(X + _AROUND * rough.x[1] * np.linspace(-1.0, 1.0, 33), 0.0, rough.x[-1])
+    return float(np.abs(fine(near) - rough(near)).max())

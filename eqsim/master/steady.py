@@ -34,7 +34,6 @@ class Reference(Averages):
     method: str
 
 
-@functools.lru_cache(maxsize=64)
 def settled(ensemble: Ensemble, velocity: float) -> Reduced:
     """An ensemble at a velocity as the solvers need it; births of annealed contacts that age are the fixed point
     C = int J_c exp(-Delta U) dx of star1. Raises InputError."""
@@ -112,31 +111,32 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     )
 
 
+# It takes up to 1 s, of contacts born stretched, and a fit or a sweep may change the delay or the viscosity alone.
 @functools.lru_cache(maxsize=64)
 def _moments(ensemble: Ensemble, velocity: float) -> Moments:
-    """Of the lives of contacts, whatever the delay, which only changes how often they begin."""
+    """Moments of lives, whatever the delay, which only changes how often they begin."""
     s = settled(ensemble, velocity)
     return solver(s).stationary(s)
 
 
-def _method(ensemble: Ensemble, s: Reduced) -> str:
-    if s.newborn.active:
-        return newborn.method(s)
+def _method(ensemble: Ensemble, contacts: Reduced) -> str:
+    if contacts.newborn.active:
+        return newborn.method(contacts)
     published = ensemble.disorder == "annealed" and ensemble.aging.active  # also where heat breaks none
-    return annealed.METHOD if published else solver(s).METHOD
+    return annealed.METHOD if published else solver(contacts).METHOD
 
 
-def _with_square(s: Reduced, found: Moments) -> Moments:
+def _with_square(contacts: Reduced, moments: Moments) -> Moments:
     """Moments of contacts born unstretched with E[int kappa^2 x^2 dx]: where lives are known in closed form from these,
     else from the profile of a life."""
-    if solver(s) is quenched:
-        square, error = quenched.squares(s)
-        return found._replace(square=square, square_error=error)
+    if solver(contacts) is quenched:
+        square, error = quenched.squares(contacts)
+        return moments._replace(square=square, square_error=error)
     from eqsim.master.profile import profile_of  # which needs the solvers
 
-    profile = profile_of(s)
+    profile = profile_of(contacts)
     square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
-    rest, missed = quenched.integrals_beyond(s, float(profile.x[-1]), float(profile.survive[-1]))
+    rest, missed = quenched.integrals_beyond(contacts, float(profile.x[-1]), float(profile.survive[-1]))
     square += float(rest[2, 2])
     # of the end of a life the square knows more than the work does, by which the profile's error was judged: twice it
-    return found._replace(square=square, square_error=2.0 * profile.error * square + float(missed[2, 2]))
+    return moments._replace(square=square, square_error=2.0 * profile.error * square + float(missed[2, 2]))

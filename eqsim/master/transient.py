@@ -40,11 +40,24 @@ from eqsim.model.reduced import Reduced
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
-_CELL, _LEAST_CELLS, _MOST_CELLS = 0.02, 500, 10_000  # of the coarser grid; a cell in units of the typical threshold
-_FINEST, _FINER = 160_000, 4  # cells where contacts stay in step, reached by this factor
-_BLURRED, _RESOLVED = 1.5, 0.3  # k h sqrt(m) that two grids still tell; the share in step beyond it that they may miss
-_AROUND, _WRAPPED = 6, 1e-13  # length of the circle in transients, and what of the next turn remains
-_EVERYTHING = np.array([1e90])  # a stretch beyond any
+# A cell of the coarser grid in units of the typical threshold.
+_CELL = 0.02
+# Fewest and most cells of the coarser grid.
+_LEAST_CELLS = 500
+_MOST_CELLS = 10_000
+# Cells where contacts stay in step, reached by the factor `_FINER`.
+_FINEST = 160_000
+_FINER = 4
+# k h sqrt(m) that two grids still tell.
+_BLURRED = 1.5
+# The share in step beyond it that they may miss.
+_RESOLVED = 0.3
+# Length of the circle in transients.
+_AROUND = 6
+# What remains of the next turn of it.
+_WRAPPED = 1e-13
+# A stretch beyond any.
+_EVERYTHING = np.array([1e90])
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,30 +136,30 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     # up to which the mean may rise while all are in step
     strongest = np.maximum.accumulate(np.abs(from_birth(cells.profile, s, edges, 1)))
     delayed = s.delay.mean > 0
-    found = []
+    means = []
     for name, loudest in (("force", np.maximum(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
-        coarse, better = (getattr(means, name) for means in solved)
+        coarse, better = (getattr(solution, name) for solution in solved)
         best, error = _with_error(coarse, better[::2], cells, loudest)
         if points > edges.size:
             error += _between(best)
-        found += [np.interp(X, edges, best), np.interp(X, edges, error)]
-    force, force_error, pinned, pinned_error = found
+        means += [np.interp(X, edges, best), np.interp(X, edges, error)]
+    force, force_error, pinned, pinned_error = means
     pairs = solved[1].breaks  # of cells; a pair of fine ones is a coarse one
     breaks = np.interp(X, cells.x[1::2], np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0))
-    spread: tuple[Array | None, Array | None] = None, None
-    if variance and not cells.in_step.any():
-        squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
-        spread = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
-    return Transient(
-        X * unit,
-        force * unit,
-        pinned,
-        breaks / unit,
-        force_error * unit,
-        pinned_error,
-        X * unit / drive.velocity,
-        *spread,
+    found = Transient(
+        X=X * unit,
+        force=force * unit,
+        pinned=pinned,
+        breaks=breaks / unit,
+        force_error=force_error * unit,
+        pinned_error=pinned_error,
+        t=X * unit / drive.velocity,
     )
+    if not variance or cells.in_step.any():
+        return found
+    squares, error = (np.interp(X, edges, values) for values in _squares(cells, s, solved))
+    spread, missed = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
+    return replace(found, force_variance=spread, force_variance_error=missed)
 
 
 def _along(ensemble: Ensemble, drive: Programme, points: int, variance: bool) -> Transient:
@@ -169,22 +182,20 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
     force, pinned, travel = known(exact.friction), known(exact.pinned), known(exact.travel)
     force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
-    spread: tuple[Array | None, Array | None] = None, None
-    if variance:
-        squared = exact.force_variance
-        if squared.value is not None and not squared.diverges:
-            spread = squared.value * level, (squared.stderr or 0.0) * level
     X = np.linspace(0.0, drive.over(ensemble), points)
-    return Transient(
-        X,
-        force * level,
-        pinned * level,
-        pinned / travel * level,
-        force_error * level,
-        pinned_error * level,
-        X / drive.velocity,
-        *spread,
+    found = Transient(
+        X=X,
+        force=force * level,
+        pinned=pinned * level,
+        breaks=pinned / travel * level,
+        force_error=force_error * level,
+        pinned_error=pinned_error * level,
+        t=X / drive.velocity,
     )
+    spread = exact.force_variance
+    if not variance or spread.value is None or spread.diverges:
+        return found
+    return replace(found, force_variance=spread.value * level, force_variance_error=(spread.stderr or 0.0) * level)
 
 
 class Cells(NamedTuple):
@@ -198,31 +209,31 @@ class Cells(NamedTuple):
     around: int
 
 
-def cells_of(s: Reduced, distance: float, points: int) -> Cells:
+def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
-    discrete = s.law.steps.size > 0
+    discrete = contacts.law.steps.size > 0
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
     # every threshold of a discrete law takes time in every cell
-    finest = _FINEST // (4 * np.unique(s.law.steps).size) if discrete else _FINEST
-    smooth = None if discrete and not s.newborn.active else profile_of(s)
+    finest = _FINEST // (4 * np.unique(contacts.law.steps).size) if discrete else _FINEST
+    smooth = None if discrete and not contacts.newborn.active else profile_of(contacts)
     while True:
         cells = int(least)
         if points - 1 <= max(finest, _MOST_CELLS):
             cells = (points - 1) * max(1, round(cells / (points - 1)))
         fine = distance / (2 * cells) * np.arange(2 * cells + 1)
-        profile = smooth or profile_of(s, fine)
-        in_step, around = _in_step(profile, s, fine[::2])
+        profile = smooth or profile_of(contacts, fine)
+        in_step, around = _in_step(profile, contacts, fine[::2])
         least *= _FINER
         if in_step.max() <= _RESOLVED or least > finest:
             return Cells(profile, fine, in_step * (in_step.max() > _RESOLVED), around)
 
 
-def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
+def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
     """The share of contacts that may be in step at each edge `x` of a grid that blurs it, and `Cells.around`."""
     h = x[1]
     broken = -np.diff(profile.survive, prepend=1.0)
     quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
-    cycle = s.delay.mean + slow
+    cycle = contacts.delay.mean + slow
     k = np.geomspace(2 * math.pi / cycle, max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50)
     many = broken > 1e-8
     broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
@@ -230,22 +241,22 @@ def _in_step(profile: Profile, s: Reduced, x: Array) -> tuple[Array, int]:
     # lives that last for many waves are out of step
     seen = (np.outer(k, width) < 1.0) | profile.jumps
     together = np.abs(np.where(seen, np.exp(1j * phase), 0.0) @ broken)
-    together *= s.delay.coherence(k)
+    together *= contacts.delay.coherence(k)
     together = np.minimum(np.maximum.accumulate(together[::-1])[::-1], 1.0)
     m = np.maximum(x / cycle, 1.0)
     at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
     share = together[np.minimum(at, k.size - 1)] ** m
     share[0] = 0.0
-    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (s.delay.mean + quick)))) if profile.jumps else 0
-    if profile.jumps and around * h < min(quick, s.delay.mean or quick):
+    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (contacts.delay.mean + quick)))) if profile.jumps else 0
+    if profile.jumps and around * h < min(quick, contacts.delay.mean or quick):
         share[:] = 0.0  # what is in step is longer than the grid blurs it
     return share, 2 * around + 1
 
 
-def from_birth(profile: Profile, s: Reduced, x: Array, power: int) -> Array:
+def from_birth(profile: Profile, contacts: Reduced, x: Array, power: int) -> Array:
     """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0 without births y."""
     found = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
-    found[0] *= s.newborn.active
+    found[0] *= contacts.newborn.active
     return found
 
 
@@ -257,7 +268,7 @@ class _Means(NamedTuple):
     breaks: Array
 
 
-def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
+def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     """Solve the renewal equation on a uniform grid of edges `x` from 0.
 
     By generating functions: with w of the chance to be still detached, d = 1 - (1 - z) w of births after a break, and D
@@ -265,7 +276,7 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
     taken on a circle |z| < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive, first = np.append(1.0, profile.at(x[1:])[0]), from_birth(profile, s, x, 1)
+    survive, first = np.append(1.0, profile.at(x[1:])[0]), from_birth(profile, contacts, x, 1)
     size = fft.next_fast_len(_AROUND * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -276,25 +287,25 @@ def means_of(profile: Profile, x: Array, s: Reduced) -> _Means:
         return np.asarray(fft.irfft(product, size)[:cells] / damping)
 
     alive, work = (transform(np.diff(profile.integral(x, power)[power]) / h) for power in (0, 1))
-    waiting = transform(s.delay.waiting(h, cells))
+    waiting = transform(contacts.delay.waiting(h, cells))
     z = _WRAPPED ** (1.0 / size) * np.exp(-2j * math.pi / size * np.arange(waiting.size))
     reborn = 1.0 - (1.0 - z) * waiting
     breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
     force = first + np.append(0.0, back(reborn * breaks * work))
-    return _Means(force + s.drag * detached, 1.0 - detached, back(breaks) / h)
+    return _Means(force + contacts.drag * detached, 1.0 - detached, back(breaks) / h)
 
 
-def _squares(cells: Cells, s: Reduced, solved: list[_Means]) -> tuple[Array, Array]:
+def _squares(cells: Cells, contacts: Reduced, solved: list[_Means]) -> tuple[Array, Array]:
     """Mean square of the force of a contact at the edges of the coarser grid, and its error: as the mean force, with
     E[(k_i/k)^2 (y + x)^2; l > x] in the place of m (derived)."""
     found, profile = [], cells.profile
     for step, means in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
         births = means.breaks + np.diff(means.pinned) / x[1]
-        first = from_birth(profile, s, x, 2)
+        first = from_birth(profile, contacts, x, 2)
         later = convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
-        found.append((first + np.append(0.0, later) + s.drag**2 * (1.0 - means.pinned))[:: 3 - step])
+        found.append((first + np.append(0.0, later) + contacts.drag**2 * (1.0 - means.pinned))[:: 3 - step])
     best, missed = _extrapolated(*found)
     error = missed + profile.error * np.abs(best)
     return best, error + _near(found[0]) if profile.jumps else error
@@ -418,12 +429,12 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     return Fluctuations(lag, *(np.interp(lag / unit, cells.x[::2], part) * unit**2 for part in (best, error)))
 
 
-def _beyond(profile: Profile, s: Reduced) -> tuple[Array, Array]:
+def _beyond(profile: Profile, contacts: Reduced) -> tuple[Array, Array]:
     """`integrals_beyond` the end of a profile; nothing of contacts born stretched, whose profile has the difference
     from moments of whole lives in its error."""
-    if s.newborn.active:
+    if contacts.newborn.active:
         return np.zeros((3, 3)), np.zeros((3, 3))
-    return integrals_beyond(s, float(profile.x[-1]), float(profile.survive[-1]))
+    return integrals_beyond(contacts, float(profile.x[-1]), float(profile.survive[-1]))
 
 
 def convolved(a: Array, b: Array) -> Array:
@@ -433,13 +444,13 @@ def convolved(a: Array, b: Array) -> Array:
     return np.asarray(fft.irfft(fft.rfft(a, size) * fft.rfft(b, size), size)[:length])
 
 
-def _reborn(fresh: Array, x: Array, s: Reduced) -> tuple[Array, Array]:
+def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
     """Integral of the mean force from a break on, and mean force of a contact found detached, from the mean force
     `fresh` of one just pinned."""
     total = CubicSpline(x, fresh).antiderivative()
-    if s.delay.mean == 0:
+    if contacts.delay.mean == 0:
         return total(x), np.zeros_like(x)
-    return _REBORN[type(s.delay)](fresh, x, total, s.delay.mean, s.drag)
+    return _REBORN[type(contacts.delay)](fresh, x, total, contacts.delay.mean, contacts.drag)
 
 
 def _after_fixed(fresh: Array, x: Array, total: Any, delay: float, drag: float) -> tuple[Array, Array]:

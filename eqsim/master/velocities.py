@@ -11,6 +11,7 @@ the mean stretch at breaking C, the root of C = int J_c exp(-Delta U) dx (derive
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
@@ -30,27 +31,52 @@ from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
-# relative errors that end refinement, the least error quoted, and the most panels
-_CONVERGED, _ROUNDING, _MOST_PANELS = 1e-9, 1e-11, 1500
+# The relative error that ends refinement.
+_CONVERGED = 1e-9
+# The least relative error that is quoted.
+_ROUNDING = 1e-11
+# Panels at most.
+_MOST_PANELS = 1500
 
-# pooled rates of gamma laws: step and left end in u, of a gap exp(u - exp(-u)); largest n of the fast rule
-_STEP, _FINER, _LEFT, _LARGEST_N = 0.1, 0.07, -3.7, 60.0
+# Pooled rates of gamma laws: the step in u, of a gap exp(u - exp(-u)), and a finer one that tells the error.
+_STEP = 0.1
+_FINER = 0.07
+# The left end in u.
+_LEFT = -3.7
+# The largest n of this rule.
+_LARGEST_N = 60.0
 
-# annealed: first panels end where -ln J_c is one of these, and begin with a rise by the factor
-_MARKS, _RISE, _CUTS = np.array([1e-3, 0.3, 2.5, 10.0, 60.0, 500.0]), 8.0, np.array([0.0, 0.12, 0.5, 1.0])
+# Annealed contacts: -ln J_c where first panels end.
+_MARKS = np.array([1e-3, 0.3, 2.5, 10.0, 60.0, 500.0])
+# The factor by which the first of them rise.
+_RISE = 8.0
+# Where a panel is split.
+_CUTS = np.array([0.0, 0.12, 0.5, 1.0])
+# The narrowest panel, relative to its right end.
 _NARROWEST = 1e-13
 
-# mixtures: nodes in ln x_*, at least and per e-fold; ln s of the trapezoidal rule; steps towards the fixed point
-_FEWEST, _PER_FOLD = 10, 13.0
+# Mixtures: nodes in ln x_*, at least and per e-fold.
+_FEWEST = 10
+_PER_FOLD = 13.0
+# ln s of the trapezoidal rule.
 _LOG_S = np.arange(-28.0, math.log(700.0), 0.1)
-_SETTLED, _MOST_STEPS = 1e-12, 60
+# The relative step towards the fixed point that ends the search, and steps at most.
+_SETTLED = 1e-12
+_MOST_STEPS = 60
 
-# quenched: first panels in ln(-ln J_c); levels of ln((omega/v) H), of the slowest drive to the fastest, at which inner
-# panels end, and nodes in each
+# Quenched contacts: first panels in ln(-ln J_c).
 _BIRTHS = np.array([-34.7, -14.0, -7.0, -3.5, -1.0, 0.5, 1.75, 2.75, 3.75, 5.0, 6.2])
-_BELOW, _FIRST_LEVEL, _LAST_LEVEL, _APART = np.array([-44.0, -25.0]), -14.0, 4.0, 1.25
+# Levels of ln((omega/v) H) at which inner panels end: two below the others, which go from the first level of the
+# slowest drive to the last one of the fastest.
+_BELOW = np.array([-44.0, -25.0])
+_FIRST_LEVEL = -14.0
+_LAST_LEVEL = 4.0
+# The distance of levels.
+_APART = 1.25
+# The rule of an inner panel, and its relative error.
 _NODES, _WEIGHTS = special.roots_legendre(10)
-_INNER = 1e-11  # error of inner panels
+_INNER = 1e-11
+# The narrowest panel of births.
 _THINNEST = 1e-4
 
 
@@ -134,8 +160,10 @@ def delay_of(ensemble: Ensemble, velocity: float) -> float:
     return delay
 
 
+# It takes 10 ms or more, for contacts of which a fit, or a reference, changes the delay or the viscosity alone; 128 of
+# the longest lists of velocities that are fitted are below 1 MB.
 @functools.lru_cache(maxsize=128)
-def lives_of(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
+def lives_of(ensemble: Ensemble, velocities: Sequence[float]) -> Lives:
     """Moments of lives at each velocity, whatever the delay, which only changes how often they begin. Raises
     InputError."""
     law, aging = ensemble.thresholds, ensemble.aging
@@ -155,7 +183,7 @@ def lives_of(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
     return _quenched(every)
 
 
-def _one_by_one(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
+def _one_by_one(ensemble: Ensemble, velocities: Sequence[float]) -> Lives:
     every = [reduced(ensemble, velocity) for velocity in velocities]
     return Lives(*np.array([solver(s).stationary(s)[:5] for s in every]).T)
 
@@ -163,25 +191,25 @@ def _one_by_one(ensemble: Ensemble, velocities: tuple[float, ...]) -> Lives:
 # ------------------------------------------------------------------------------------------------------------ annealed
 
 
-def gamma_rate(s: Reduced, law: Gamma, y: Array, step: float = _STEP) -> Array:
+def gamma_rate(contacts: Reduced, law: Gamma, y: Array, step: float = _STEP) -> Array:
     """h(y) of `laws.barrier.pooled` of a gamma law (temper11, temper12 without omega/v), lengths in units of the scale
-    of `s`, array (n,).
+    of `contacts`, array (n,).
 
     The trapezoidal rule in u, xi' - y = gap exp(u - exp(-u)), converges exponentially: gap is the distance over which
     the rate of attempts or the law falls.
     """
-    barrier, b, unit = s.barrier, s.barrier.b, s.law.scale
+    barrier, b, unit = contacts.barrier, contacts.barrier.b, contacts.law.scale
     scale, n = law.x_star / unit, law.n
-    far = math.cbrt(s.rms / b) if s.stiffness == "sqrt" else 1.0 / math.sqrt(b)
+    far = math.cbrt(contacts.rms / b) if contacts.stiffness == "sqrt" else 1.0 / math.sqrt(b)
     origin = np.maximum(y, 1e-3 * min(far, scale))
-    gap = np.minimum(barrier.width(1.0, origin, np.maximum(b * kappa_of(s, origin), 1e-300)), far)
+    gap = np.minimum(barrier.width(1.0, origin, np.maximum(b * kappa_of(contacts, origin), 1e-300)), far)
     gap = (1.0 / (1.0 / gap + 2.0 * y / scale**2 + 1.0 / scale))[:, None]
     u = np.arange(_LEFT, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
     beyond_y, y = gap * np.exp(u - np.exp(-u)), y[:, None]
     xi = y + beyond_y
     relative = xi / scale
     log_terms = (1.0 + 2.0 * n) * np.log(relative) - relative**2
-    log_terms += barrier.log_attempt(beyond_y, beyond_y + 2.0 * y, xi, b * kappa_of(s, xi))
+    log_terms += barrier.log_attempt(beyond_y, beyond_y + 2.0 * y, xi, b * kappa_of(contacts, xi))
     terms = np.exp(log_terms) * beyond_y
     density = 2.0 / scale * math.exp(-math.lgamma(n + 1.0))
     return np.asarray(terms @ (1.0 + np.exp(-u))) * (density * (u[1] - u[0]))
@@ -196,7 +224,7 @@ class _Mixture(NamedTuple):
     coefficients: Array
 
     def weights(self, decay: Array, final: float) -> tuple[Array, Array]:
-        """Of the laws in star1, given 4 D C/(v x_*f^2), shape (velocities, laws), also without the highest two
+        """Weights of the laws in star1, given 4 D C/(v x_*f^2), shape (velocities, laws), also without the highest two
         coefficients."""
         if len(self.laws) == 1:
             one = np.ones((decay.size, 1))
@@ -216,8 +244,8 @@ class _Mixture(NamedTuple):
         return means @ self.coefficients, fewer @ self.coefficients
 
 
-def _mixture(s: Reduced, decay: Array, final: float) -> _Mixture:
-    law = s.law
+def _mixture(contacts: Reduced, decay: Array, final: float) -> _Mixture:
+    law = contacts.law
     if not isinstance(law, Gamma) or not decay.any() or final == 1.0 or np.isinf(decay).all():
         at_once = isinstance(law, Gamma) and decay.any()
         only: ThresholdLaw = Gamma(law.n, law.x_star * final) if at_once and isinstance(law, Gamma) else law
@@ -231,24 +259,24 @@ def _mixture(s: Reduced, decay: Array, final: float) -> _Mixture:
 
 
 class _Tables(NamedTuple):
-    """Of each panel, law and node: rate and survival, shapes (panels, laws, 17)."""
+    """Tables over panels, laws and nodes: rate and survival, shapes (panels, laws, 17)."""
 
     rate: Array
     survival: Array
 
 
-def _rate_of(s: Reduced, law: ThresholdLaw, y: Array, step: float) -> Array:
-    """h(y), lengths in units of the scale of `s`."""
-    if not s.barrier.thermal:
+def _rate_of(contacts: Reduced, law: ThresholdLaw, y: Array, step: float) -> Array:
+    """h(y), lengths in units of the scale of `contacts`."""
+    if not contacts.barrier.thermal:
         return np.zeros(y.size)
     if isinstance(law, Gamma) and law.n <= _LARGEST_N:
-        return gamma_rate(s, law, y, step)
-    smooth = s._replace(barrier=s.barrier._replace(log_w=0.0))  # type: ignore[attr-defined]
+        return gamma_rate(contacts, law, y, step)
+    smooth = contacts._replace(barrier=contacts.barrier._replace(log_w=0.0))  # type: ignore[attr-defined]
     return annealed.hazard_rate(smooth, y, 10 if step == _STEP else 14)
 
 
 class _Integrals(NamedTuple):
-    """Of panels at each velocity, shapes (velocities, panels): what panels add to C and to work, and their errors."""
+    """Integrals at each velocity, shapes (velocities, panels): what panels add to C and to work, and their errors."""
 
     stretch: Array
     work: Array
@@ -298,17 +326,17 @@ def _annealed(every: list[Reduced], decay: Array, final: float) -> Lives:
         survivals = [law.sf(x * s.law.scale) for law in mixture.laws]
         return np.moveaxis(np.array([rates, survivals]), 2, -1)  # (2, laws, 17, panels)
 
-    def solved(p: Panels, weights: Array) -> _Integrals:
-        half = 0.5 * (p.right - p.left)
-        x = p.left[:, None] + half[:, None] * (1.0 + ClenshawCurtis.nodes)
-        rate, J = np.moveaxis(np.tensordot(weights, p.values, axes=(1, 1)), (1, 3), (0, 2))
+    def solved(panels: Panels, weights: Array) -> _Integrals:
+        half = 0.5 * (panels.right - panels.left)
+        x = panels.left[:, None] + half[:, None] * (1.0 + ClenshawCurtis.nodes)
+        rate, J = np.moveaxis(np.tensordot(weights, panels.values, axes=(1, 1)), (1, 3), (0, 2))
         return _integrals(half, x, attempts * np.maximum(rate, 0.0), J, rms)
 
-    def settle(p: Panels) -> None:
+    def settle(panels: Panels) -> None:
         """The fixed point of C, by the secant rule at each velocity."""
 
         def excess(log_C: Array) -> Array:
-            C = solved(p, mixture.weights(decay * np.exp(log_C), final)[0]).stretch.sum(axis=1)
+            C = solved(panels, mixture.weights(decay * np.exp(log_C), final)[0]).stretch.sum(axis=1)
             return np.asarray(np.log(C) - log_C)
 
         old = np.log(stretch)
@@ -324,13 +352,13 @@ def _annealed(every: list[Reduced], decay: Array, final: float) -> Lives:
             old, off, new = new, fresh, new + step
         stretch[:] = np.exp(new)
 
-    def judge(p: Panels) -> tuple[Array, _Integrals]:
+    def judge(panels: Panels) -> tuple[Array, _Integrals]:
         if ages:
-            settle(p)
-        of = solved(p, mixture.weights(decay * stretch, final)[0])
+            settle(panels)
+        of = solved(panels, mixture.weights(decay * stretch, final)[0])
         total = of.stretch.sum(axis=1)[:, None], of.work.sum(axis=1)[:, None]
         rough = (of.stretch_error > _CONVERGED * total[0]) | (of.work_error > _CONVERGED * total[1])
-        return rough.any(axis=0) & (p.right - p.left > _NARROWEST * p.right), of
+        return rough.any(axis=0) & (panels.right - panels.left > _NARROWEST * panels.right), of
 
     marks = [law.inverse_survival(_MARKS) / s.law.scale for law in (mixture.laws[0], mixture.laws[-1])]
     p, of = refined(evaluate, judge, _edges(s, marks, float(attempts.max())), pieces=_CUTS, most=_MOST_PANELS)
@@ -357,20 +385,20 @@ def _annealed(every: list[Reduced], decay: Array, final: float) -> Lives:
     return Lives(totals[0], totals[1], quoted[0], quoted[1])
 
 
-def _rarest(s: Reduced, laws: list[ThresholdLaw]) -> Array:
+def _rarest(contacts: Reduced, laws: list[ThresholdLaw]) -> Array:
     """C and work beyond the last panel, shape (2,): nothing of a gamma law."""
-    return np.zeros(2) if isinstance(laws[0], Gamma) else beyond(s)
+    return np.zeros(2) if isinstance(laws[0], Gamma) else beyond(contacts)
 
 
-def _edges(s: Reduced, marks: list[Array], attempts: float) -> Array:
+def _edges(contacts: Reduced, marks: list[Array], attempts: float) -> Array:
     """Ends of the first panels: from the shortest lives to where no threshold is left."""
-    law = s.law
+    law = contacts.law
     known = np.concatenate((*marks, law.breakpoints / law.scale))
     known = known[(known > 0) & np.isfinite(known)]
     least, greatest = (edge / law.scale for edge in law.support)
     top = min(greatest, float(known.max()))
-    newborn = attempts * float(_rate_of(s, law, np.zeros(1), _STEP)[0])
-    root = math.sqrt(s.barrier.b) if s.barrier.thermal else 0.0
+    newborn = attempts * float(_rate_of(contacts, law, np.zeros(1), _STEP)[0])
+    root = math.sqrt(contacts.barrier.b) if contacts.barrier.thermal else 0.0
     first = 0.5 / (1.0 / known.min() + newborn + root)
     rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
     edges = np.unique(np.concatenate(([0.0, least, top], known, rising)))
@@ -393,10 +421,10 @@ def _quenched(every: list[Reduced]) -> Lives:
         terms = _life_moments(s, xi, log_w).reshape(2, v, *e.shape) * (half * e * np.exp(-e))
         return np.stack((terms @ ClenshawCurtis.weights, np.abs(terms @ ClenshawCurtis.tail).sum(axis=-1)))
 
-    def judge(p: Panels) -> tuple[Array, tuple[Array, Array]]:
-        parts, errors = p.values
+    def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
+        parts, errors = panels.values
         total = parts.sum(axis=2)
-        rough = (errors > _CONVERGED * total[:, :, None]).any(axis=(0, 1)) & (p.right - p.left > _THINNEST)
+        rough = (errors > _CONVERGED * total[:, :, None]).any(axis=(0, 1)) & (panels.right - panels.left > _THINNEST)
         return rough, (total, errors.sum(axis=2))
 
     with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
@@ -407,11 +435,11 @@ def _quenched(every: list[Reduced]) -> Lives:
     return Lives(*(total + rarest), *(error + _INNER * total + rarest))
 
 
-def _life_moments(s: Reduced, xi: Array, log_w: Array) -> Array:
+def _life_moments(contacts: Reduced, xi: Array, log_w: Array) -> Array:
     """int_0^xi S dx and int_0^xi kappa x S dx at each velocity, shape (2, velocities, n), of thresholds xi, (n,)."""
-    kappa = kappa_of(s, xi)
-    a = s.barrier.b * kappa
-    barrier = s.barrier._replace(log_w=0.0)  # type: ignore[attr-defined]
+    kappa = kappa_of(contacts, xi)
+    a = contacts.barrier.b * kappa
+    barrier = contacts.barrier._replace(log_w=0.0)  # type: ignore[attr-defined]
     first, last = _FIRST_LEVEL - log_w.max(), _LAST_LEVEL - log_w.min()
     levels = np.concatenate((_BELOW - log_w.max(), np.linspace(first, last, math.ceil((last - first) / _APART) + 1)))
     at = np.clip(barrier.stretch_at(levels, xi, a) / xi[:, None], 0.0, 1.0)

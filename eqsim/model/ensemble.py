@@ -88,8 +88,8 @@ class Ensemble:
             self.newborn.check(self.thresholds, self.disorder, self.aging.active)
 
     def declared(self, velocity: float) -> tuple[Any, ...]:
-        """What a life depends on, as it was declared, for the names of random streams: texts and dimensionless numbers,
-        which are products and ratios and so the same in other units and on other machines."""
+        """List what a life depends on, as it was declared, for the names of random streams: texts and dimensionless
+        numbers, which are products and ratios and so the same in other units and on other machines."""
         thermal, delay, aging = self.thermal, self.delay, self.aging
         unit, *law = self.thresholds.declared
         heat = thermal.barrier, thermal.kT / (self.stiffness * unit * unit), thermal.attempt_frequency * unit / velocity

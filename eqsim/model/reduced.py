@@ -7,7 +7,7 @@ stiffness is in units of k and energy in units of kT.
 
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -25,9 +25,14 @@ from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.paper import equation
 
-_LEAST_B = 1e-100  # b below which the barrier is 0
-_DOUBTFUL_B, _DOUBTFUL_DISTANCE = 1e15, 1e-4  # beyond these numbers are more likely in mixed units than meant
-_LARGEST_POOLED_B = 1e15  # above it a pooled hazard would be made of differences between neighbouring numbers
+# b below which the barrier is 0.
+_LEAST_B = 1e-100
+# b, or 1/b, beyond which units were probably mixed.
+_DOUBTFUL_B = 1e15
+# Distance over threshold below which they probably were.
+_DOUBTFUL_DISTANCE = 1e-4
+# b above which a pooled hazard would be made of differences between neighbouring numbers.
+_LARGEST_POOLED_B = 1e15
 
 
 class Reduced(NamedTuple):
@@ -81,6 +86,7 @@ def bare(ensemble: Ensemble) -> Ensemble:
     return replace(ensemble, delay=Delay(), eta=0.0, count=1)
 
 
+# The law of annealed contacts that age takes 50 ms, and engine and reference ask for it several times.
 @functools.lru_cache(maxsize=64)
 def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Reduced:
     """The dimensionless numbers of an ensemble at `velocity`; births of annealed contacts that age at a finite rate
@@ -153,9 +159,9 @@ class Pull(NamedTuple):
         That of the fastest segment.
     stiffness, damping, mass : float
         kappa_s, eta_s v/x_* and m v^2/x_*^2 at that pace.
-    ends : tuple of float
+    ends : sequence of float
         When segments end.
-    speeds : tuple of float
+    speeds : sequence of float
         Of the stage in each, in units of the pace.
     """
 
@@ -163,8 +169,8 @@ class Pull(NamedTuple):
     stiffness: float
     damping: float
     mass: float
-    ends: tuple[float, ...]
-    speeds: tuple[float, ...]
+    ends: Sequence[float]
+    speeds: Sequence[float]
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
@@ -238,7 +244,7 @@ class Group(NamedTuple):
 
 
 def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
-    """What decides the regime of a run; along a programme velocity is that of its fastest segment."""
+    """List what decides the regime of a run; along a programme velocity is that of its fastest segment."""
     law, thermal = ensemble.thresholds, ensemble.thermal
     unit, b = law.scale, ensemble.b
     v = drive.velocity if isinstance(drive, Drive) else max(leg.pace for leg in legs(ensemble, drive))
@@ -307,8 +313,8 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
 
 
 def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:
-    """What is hardly meant, as it comes of mixed units: a line for each group that no interface has. Without a drive
-    the distance does not count."""
+    """Warn about dimensionless groups so extreme that units were probably mixed, a line for each. Without a drive the
+    distance does not count."""
     b, unit = ensemble.b, ensemble.thresholds.scale
     scale = "; thresholds.scale = 1e-9 turns those of a table from nm into m" if ensemble.thresholds.steps.size else ""
     are = f"are all numbers in the same units? Thresholds are about {unit:.3g}{scale}"

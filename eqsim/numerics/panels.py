@@ -9,7 +9,9 @@ from numpy.polynomial import chebyshev
 
 from eqsim.numerics.tables import Array
 
-_LONGEST, _SHORTEST = 2.0, 1e-3  # panels in ln x
+# The longest and the shortest panel in ln x.
+_LONGEST = 2.0
+_SHORTEST = 1e-3
 _HALVES = np.array([0.0, 0.5, 1.0])
 
 

@@ -6,7 +6,6 @@ half as many. Direction numbers are those of Joe and Kuo (2008); the scramble is
 shift (Matousek, J. of Complexity 14, 527, 1998).
 """
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ _BITS = 30
 _PLACES = np.arange(_BITS - 1, -1, -1, dtype=np.int32)  # of the bits of a number, the highest first
 
 
-@functools.cache
 def _directions(dimensions: int) -> Array:
     """The bits of the direction numbers of up to three dimensions, shape (dimensions, bits, numbers)."""
     m = np.ones((3, _BITS), np.int64)

@@ -6,11 +6,11 @@ a contact's history cannot depend on threads, blocks, or on what was simulated b
 """
 
 import hashlib
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.numerics.compiled import float_of, inlined, routine
+from eqsim.numerics.compiled import routine
 
 TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
 STEADY = 2  # first purpose of a steady estimate; others are hashes of what it is an estimate of
@@ -20,16 +20,21 @@ ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and mo
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _UNITS = np.uint64(0x4330000000000000)  # bits of 2^52
+_UNITS_OF_UPPER = np.uint64(0x4530000000000000)  # bits of 2^84
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 
 
-Key = tuple[Any, Any]
+class Key(NamedTuple):
+    """The two 32-bit words of a Philox key, each in 64 bits."""
+
+    low: Any
+    high: Any
 
 
 def key(seed: int, purpose: int) -> Key:
-    """The two 32-bit words of a Philox key."""
+    """The key of a stream of random numbers."""
     words = np.random.SeedSequence((seed, purpose)).generate_state(2, np.uint32)
-    return np.uint64(words[0]), np.uint64(words[1])
+    return Key(np.uint64(words[0]), np.uint64(words[1]))
 
 
 def name_of(*declared: Any) -> int:
@@ -48,7 +53,7 @@ def name_of(*declared: Any) -> int:
     return int.from_bytes(digest.digest()[:8])
 
 
-@inlined
+@routine(inline=True)
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
     c1, c3, k0, k1 = c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW  # else the compiler multiplies 64 bits by 64 at first
@@ -59,70 +64,74 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
     return c0, c1, c2, c3
 
 
-@inlined
+@routine(inline=True)
 def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
-    bits = np.int64((low | (high << _HALF)) >> np.uint64(1))
-    return min((float_of(bits) + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
+    bits = (low | (high << _HALF)) >> np.uint64(1)
+    # halves in the last bits of 2^84 and of 2^52, whose sum is rounded once: many processors have no instruction that
+    # converts several 64-bit integers
+    upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64) - (2.0**84 + 2.0**52)
+    whole = upper + np.uint64((bits & _LOW) | _UNITS).view(np.float64)
+    return min((whole + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
 
 
-@inlined
+@routine(inline=True)
 def _midpoint(word: Any) -> float:
     """A 32-bit word and a half: the word in the last bits of 2^52."""
     return np.uint64(word | _UNITS).view(np.float64) - (2.0**52 - 0.5)
 
 
-@inlined
+@routine(inline=True)
 def product(low: Any, high: Any) -> float:
     """The product of two independent uniforms in (0, 1) from two 32-bit words: mid-points of cells 2^-32 wide, good
     enough where the product is above `ROUGH`; below, `fine_product` divides the cells further."""
     return (_midpoint(low) * 2.0**-32) * (_midpoint(high) * 2.0**-32)
 
 
-@inlined
+@routine(inline=True)
 def fine_product(key: Key, contact: int, life: int, draw: int, low: Any, high: Any) -> float:
     """`product` where it is small, its two cells divided by a further draw: uniforms down to 2^-96."""
     u, v = uniforms(key, contact, life, draw)
     return ((np.float64(np.int64(low)) + u) * 2.0**-32) * ((np.float64(np.int64(high)) + v) * 2.0**-32)
 
 
-@routine
+@routine(inline=True)
 def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: int) -> None:
     """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of `words`, shape (4, lanes)."""
     for i in range(lanes):
         c, j = np.uint64(contact[i]), np.uint64(life[i])
         last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
         words[0, i], words[1, i], words[2, i], words[3, i] = philox(
-            c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1]
+            c & _LOW, c >> _HALF, j & _LOW, last, key.low, key.high
         )
 
 
-@inlined
+@routine(inline=True)
 def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, Any]:
     """The four words behind `uniforms`."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
-    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key[0], key[1])
+    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key.low, key.high)
 
 
-@inlined
+@routine(inline=True)
 def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
     """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw < 2^16."""
     a, b, d, e = bits(key, contact, life, draw)
     return uniform(a, b), uniform(d, e)
 
 
-@inlined
+@routine(inline=True)
 def words(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
     """Four independent 32-bit integers of a contact's path, as floats; contact < 2^63, life < 2^32, draw < 2^31. None
     of their counters is one of `uniforms`."""
     c = np.uint64(contact)
     last = np.uint64(draw) | np.uint64(0x80000000)
-    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key[0], key[1])
+    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key.low, key.high)
     return np.float64(a), np.float64(b), np.float64(d), np.float64(e)
 
 
-@inlined
+@routine(inline=True)
 def midpoints(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
     """Four independent uniforms in (0, 1) of a contact's path, mid-points of cells 2^-32 wide, from `words`."""
     a, b, d, e = words(key, contact, life, draw)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import four_cubics, four_of, inlined, routine
+from eqsim.numerics.compiled import routine
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -54,7 +54,7 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
     return table
 
 
-@inlined
+@routine(inline=True)
 def search(values: Array, x: float, right: bool) -> int:
     """How many of ascending values are below x, or at most x (`right`); `np.searchsorted` takes long to compile."""
     low, high = 0, values.size
@@ -67,8 +67,8 @@ def search(values: Array, x: float, right: bool) -> int:
     return low
 
 
-@inlined
-def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
+@routine(inline=True)
+def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
     bits: Any = np.float64(s).view(np.int64)
     cell = (bits >> _SHIFT) - np.int64(first)
@@ -80,26 +80,25 @@ def _place(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, 
     return min(max(cell, -1), np.int64(cells) - 1) + 2, t
 
 
-@inlined
+@routine(inline=True)
 def _polynomial(table: Array, row: int, t: float) -> float:
     """The polynomial of a row at t."""
-    a, b, c, d = four_of(table, row)
-    return a + t * (b + t * (c + t * d))
+    return table[row, 0] + t * (table[row, 1] + t * (table[row, 2] + t * table[row, 3]))
 
 
-@inlined
+@routine(inline=True)
 def look_up(table: Array, s: float) -> float:
     """The tabulated function at s > 0."""
-    row, t = _place(table[0, 0], table[0, 1], table[0, 2], s)
+    row, t = _cell_of(table[0, 0], table[0, 1], table[0, 2], s)
     return _polynomial(table, row, t)
 
 
-@routine
-def look_up_all(table: Array, r: int, s: Array, row: Array, lanes: int) -> None:
-    """The tabulated function in the place of s[r], for `lanes` numbers and up to three more, four at a time; `row` is
-    scratch."""
+@routine(inline=True)
+def look_up_all(table: Array, s: Array, row: Array, count: int) -> None:
+    """Replace the first `count` of `s`, shape (n,), by the tabulated function there; `row` is scratch. Look-ups in a
+    loop of their own leave the other one free to vectorise."""
     first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
-    for i in range((lanes + 3) // 4 * 4):
-        row[i], s[r, i] = _place(first, per_edge, cells, s[r, i])
-    for i in range(0, lanes, 4):
-        four_cubics(table, row, r, s, i)
+    for i in range(count):
+        row[i], s[i] = _cell_of(first, per_edge, cells, s[i])
+    for i in range(count):
+        s[i] = _polynomial(table, row[i], s[i])

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.numerics.compiled import fma, inlined
+from eqsim.numerics.compiled import fma, routine
 
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # their product with 2^11 is exact
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of sqrt(1/2)
@@ -27,7 +27,7 @@ _SINE = (  # of sin(pi z/2)/z in z^2: Chebyshev interpolation, 3e-16 off
 )  # fmt: skip
 
 
-@inlined
+@routine(inline=True)
 def _split(x: float) -> tuple[Any, Any]:
     """k and f of a normal x = 2^k (1 + f) > 0, sqrt(1/2) <= 1 + f < sqrt(2)."""
     bits = np.float64(x).view(np.int64)
@@ -35,7 +35,7 @@ def _split(x: float) -> tuple[Any, Any]:
     return k, np.int64(bits - (k << 52)).view(np.float64) - 1.0
 
 
-@inlined
+@routine(inline=True)
 def _log_of(k: Any, f: float) -> float:
     """ln(2^k (1 + f)) of what `_split` returns."""
     exponent = np.int64(k + _SHIFT_BITS).view(np.float64) - _SHIFT
@@ -49,19 +49,19 @@ def _log_of(k: Any, f: float) -> float:
     return fma(exponent, _LN2_HIGH, f - (half - fma(s, half + rest, exponent * _LN2_LOW)))
 
 
-@inlined
+@routine(inline=True)
 def log(x: float) -> float:
     """ln x of a normal x > 0."""
     return _log_of(*_split(x))
 
 
-@inlined
+@routine(inline=True)
 def exp(x: float) -> float:
     """e^x; beyond +-708 the value there."""
     return bounded_exp(min(max(x, -708.0), 708.0))
 
 
-@inlined
+@routine(inline=True)
 def _exp_parts(x: float) -> tuple[float, float]:
     """e^r - 1 and 2^k of e^x = 2^k e^r, |x| <= 708."""
     shifted = x * 1.4426950408889634 + _SHIFT
@@ -76,28 +76,28 @@ def _exp_parts(x: float) -> tuple[float, float]:
     return fma(r2, fma(r2, fma(r4, high, middle), fma(_TAYLOR[3], r, 0.5)), r), power
 
 
-@inlined
+@routine(inline=True)
 def bounded_exp(x: float) -> float:
     """e^x, |x| <= 708."""
     more, power = _exp_parts(x)
     return (1.0 + more) * power
 
 
-@inlined
+@routine(inline=True)
 def exp_less_one(x: float) -> float:
     """e^x - 1, |x| <= 708."""
     more, power = _exp_parts(x)
     return fma(more, power, power - 1.0)
 
 
-@inlined
+@routine(inline=True)
 def third(x: float) -> float:
     """x/3 of a normal x > 1e-290, rounded as a division is (Markstein's theorem), which takes many times as long."""
     q = x * (1.0 / 3.0)
     return fma(fma(-3.0, q, x), 1.0 / 3.0, q)
 
 
-@inlined
+@routine(inline=True)
 def quarter_sine(z: float) -> float:
     """sin(pi z/2), |z| <= 1."""
     w = z * z
@@ -107,7 +107,7 @@ def quarter_sine(z: float) -> float:
     return z * fma(w2 * w2, high, low)
 
 
-@inlined
+@routine(inline=True)
 def log_one_plus(t: float) -> float:
     """ln(1 + t), 0 <= t < 2^1000: what 1 + t loses is added to its mantissa."""
     u = 1.0 + t
@@ -115,7 +115,7 @@ def log_one_plus(t: float) -> float:
     return _log_of(k, f + (t - (u - 1.0)) * np.int64((1023 - k) << 52).view(np.float64))
 
 
-@inlined
+@routine(inline=True)
 def two_thirds_power(y: float) -> float:
     """y^(2/3) of a normal y > 0: Newton's method for y^(-1/3), from a third of the bits of y."""
     r = np.int64(_CUBE_BITS - np.float64(np.float64(y).view(np.int64)) * (1.0 / 3.0)).view(np.float64)

@@ -1,6 +1,5 @@
 """The points of a sweep: from a run file's [sweep] table to checked run files, each with an identity and a seed."""
 
-import functools
 import hashlib
 import itertools
 import json
@@ -12,23 +11,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
-from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
 from eqsim.laws.threshold import Table
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.results import RESULTS_VERSION
 
 MOST_POINTS = 1_000_000
-_PACKAGE = Path(__file__).parent.parent
 
 
 class Task(NamedTuple):
-    """A point as a worker needs it; `output` its points and replicas."""
+    """A point as a worker needs it."""
 
     seed: int
     ensemble: Ensemble
     drive: Drive | Programme
-    output: tuple[int, int]
+    points: int
+    replicas: int
 
 
 class Plan:
@@ -41,7 +40,7 @@ class Plan:
         Where the run file's paths start.
     ids : list of str, optional
         Identities from an earlier plan, of which seeds are made, in the order of the grid, the last axis fastest.
-        Default: digests of parameters and `results_version()`.
+        Default: digests of parameters and `RESULTS_VERSION`.
 
     Raises
     ------
@@ -97,8 +96,13 @@ class Plan:
     def task(self, index: int) -> Task:
         """The point for a worker."""
         point = self.at(index)
-        output = (point.output.points, point.output.replicas)
-        return Task(seed_of(self.ids[index]), point.ensemble(self.folder), point.driven(self.folder), output)
+        return Task(
+            seed_of(self.ids[index]),
+            point.ensemble(self.folder),
+            point.driven(self.folder),
+            point.output.points,
+            point.output.replicas,
+        )
 
 
 def _axes(sweep: dict[str, Any], folder: Path, file: RunFile) -> list[list[dict[str, Any]]]:
@@ -203,19 +207,6 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
     return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
 
-@functools.cache
-def results_version() -> str:
-    """A digest of everything that numbers depend on besides a point's parameters and seed."""
-    digest = hashlib.sha256()
-    folders = ("numerics", "laws", "model", "engine", "master", "sweeps")
-    files = [path for folder in folders for path in (_PACKAGE / folder).rglob("*.py")]
-    for path in sorted([*files, _PACKAGE / "estimate.py", _PACKAGE / "io" / "runfile.py"]):
-        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    known = storage.versions()
-    digest.update(" ".join(known[name] for name in ("numpy", "numba", "scipy")).encode())
-    return digest.hexdigest()[:16]
-
-
 def identity(point: RunFile, ensemble: Ensemble) -> str:
     """SHA-256 of the sorted parameters of a point, its seed and the results version, hexadecimal. A table of
     thresholds enters with its values, whatever file they come from."""
@@ -225,7 +216,7 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     if isinstance(law, Table):
         values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
     del values["thresholds.column"], values["thresholds.scale"], values["thresholds.quantity"]
-    text = json.dumps([values, seed, results_version()], sort_keys=True)
+    text = json.dumps([values, seed, RESULTS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

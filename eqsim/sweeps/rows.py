@@ -2,7 +2,7 @@
 
 Columns (version 2 of the schema, the same for every sweep; null where a column does not apply):
 
-    id                         SHA-256 of parameters, seed and `results_version()`
+    id                         SHA-256 of parameters, seed and `RESULTS_VERSION`
     disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
                                with their defaults filled in
     kind                       "steady" (averages to a relative error), "transient" (the run's second half; of coupled
@@ -27,8 +27,8 @@ Columns (version 2 of the schema, the same for every sweep; null where a column 
     eqsim_version              version of the package
 
 A value depends on the id of its point and on nothing else: not on the order, the workers, restarts or the rest of the
-grid. The results version stands for the code and the libraries. Processors of different make draw the same random
-numbers and round differently: values agree to 1e-9, and to 1e-6 where thresholds fluctuate.
+grid. Other releases of NumPy, Numba and SciPy, and processors of different make, draw the same random numbers and round
+differently: values agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 """
 
 import time
@@ -42,7 +42,8 @@ from eqsim.io.runfile import RunFile, keys
 from eqsim.io.units import Quantity
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.sweeps.plan import Task, results_version
+from eqsim.results import RESULTS_VERSION
+from eqsim.sweeps.plan import Task
 
 if TYPE_CHECKING:
     from eqsim.engine.records import SegmentRecord, SliderTrajectory
@@ -115,14 +116,14 @@ def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, floa
     return found
 
 
-def compute(tasks: list[Task], asked: Asked, threads: int, version: str) -> list[dict[str, Any]]:
+def compute(tasks: list[Task], asked: Asked, threads: int, version: int) -> list[dict[str, Any]]:
     """What a worker does: the columns of some points that are found by computing. Raises InputError if this worker's
-    code is not that of `version`."""
+    results are not of `version`."""
     from eqsim.engine import trajectory  # noqa: F401  # imported before any point is timed
     from eqsim.master import steady  # noqa: F401
 
-    if version != results_version():
-        raise InputError(f"a worker runs other code or libraries (results version {results_version()}, not {version})")
+    if version != RESULTS_VERSION:
+        raise InputError(f"a worker runs other code (results version {RESULTS_VERSION}, not {version})")
     return [_row(task, asked, threads) for task in tasks]
 
 
@@ -168,9 +169,8 @@ def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, A
 def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
     from eqsim.engine.trajectory import trajectory
 
-    points, replicas = task.output
     found = trajectory(
-        task.ensemble, drive, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        task.ensemble, drive, points=task.points, replicas=task.replicas, seed=task.seed, threads=threads,
         max_lives=asked.max_lives,
     )  # fmt: skip
     return _columns(found.averages, found.lives, [])
@@ -181,9 +181,8 @@ def _elastic(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, 
     from eqsim.master.avalanche_sizes import missed_by_few, size_law
     from eqsim.master.steady import reference
 
-    points, replicas = task.output
     found = elastic_trajectory(
-        task.ensemble, drive, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        task.ensemble, drive, points=task.points, replicas=task.replicas, seed=task.seed, threads=threads,
         max_lives=asked.max_lives,
     )  # fmt: skip
     exact, e = reference(task.ensemble, replace(drive, elastic=None)), found.friction
@@ -215,9 +214,8 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
     from eqsim.engine.trajectory import trajectory
     from eqsim.master.transient import transient
 
-    points, replicas = task.output
     found = trajectory(
-        task.ensemble, programme, points=points, replicas=replicas, seed=task.seed, threads=threads,
+        task.ensemble, programme, points=task.points, replicas=task.replicas, seed=task.seed, threads=threads,
         max_lives=asked.max_lives,
     )  # fmt: skip
     row: dict[str, Any] = {"lives": found.lives, "status": "ok", "message": None}
@@ -227,8 +225,8 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
         return row | _slips(found)
     exact: tuple[SegmentRecord, ...] = ()
     try:
-        means = transient(task.ensemble, programme, points)
-        exact = shown_by(programme, programme.grid(points), means.force, means.force_error)
+        means = transient(task.ensemble, programme, task.points)
+        exact = shown_by(programme, programme.grid(task.points), means.force, means.force_error)
         row["reference_method"] = "renewal equation in two times"
     except InputError as error:
         row["message"] = "; ".join(filter(None, (row["message"], f"no reference: {error}")))

@@ -14,7 +14,8 @@ from typing import Any
 from eqsim.errors import InputError
 from eqsim.io import signals
 from eqsim.io.terminal import duration
-from eqsim.sweeps.plan import Plan, results_version
+from eqsim.results import RESULTS_VERSION
+from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked, compute
 from eqsim.sweeps.store import Store
 from eqsim.sweeps.workers import Pool, Workers
@@ -117,7 +118,7 @@ class Scheduler:
 
     def __init__(self, store: Store, pool: Pool, asked: Asked, progress: Progress | None, note: Note) -> None:
         self.plan, self.store, self.pool, self.note = store.plan, store, pool, note
-        self.work = functools.partial(compute, asked=asked, threads=pool.threads, version=results_version())
+        self.work = functools.partial(compute, asked=asked, threads=pool.threads, version=RESULTS_VERSION)
         self.progress = progress or (lambda *_: None)
         self.running: dict[Future[Any], list[int]] = {}
         self.suspects: deque[int] = deque()  # of having killed a worker; each of these goes alone

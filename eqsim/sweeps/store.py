@@ -22,10 +22,12 @@ from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import parameters
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
-from eqsim.sweeps.plan import Plan, entries, results_version, seed_of
+from eqsim.results import RESULTS_VERSION
+from eqsim.sweeps.plan import Plan, entries, seed_of
 from eqsim.sweeps.rows import SCHEMA, Asked, physical, schema
 
 _LOCK = "_lock"
+_VERSION = "results version"  # where a manifest has it
 _FLUSH_ROWS = 256
 
 
@@ -54,7 +56,7 @@ class Store:
                 shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
             origin = storage.provenance("sweep", settings, plan.file.text, plan.file.output.seed, plan.folder)
-            origin |= {"schema": SCHEMA, "results_version": results_version()}
+            origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
             self.schema = schema(plan.file).with_metadata({"eqsim": storage.to_json(origin)})
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
@@ -97,7 +99,7 @@ class Store:
         now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
         now |= {f"content of {name}": _digest((plan.folder / str(name)).read_bytes()) for name in names}
         now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
-        now |= {"schema": str(SCHEMA), "results version": results_version(), "order of axes": repr([*plan.file.sweep])}
+        now |= {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION), "order of axes": repr([*plan.file.sweep])}
         if not path.exists():
             manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}
             storage.save(path, json.dumps(manifest, indent=2).encode())
@@ -108,6 +110,12 @@ class Store:
             changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{path}: is damaged; this folder cannot be continued") from None
+        if _VERSION in changed:
+            raise InputError(
+                f"--out {self.out}: was begun by another version of eqsim (results version {before.get(_VERSION)}, "
+                f"not {RESULTS_VERSION}); finish it with that one, or use another folder, in which all points are "
+                "computed anew; `eqsim export` and `eqsim plot` read this one as it is"
+            )
         if changed:
             pairs = [(key, str(before.get(key, "absent")), now.get(key, "absent")) for key in changed]
             listed = "; ".join(f"{key} was {then[:80]}, is {here[:80]}" for key, then, here in pairs)
@@ -173,6 +181,7 @@ class Store:
         place = dict(zip(reversed(table["id"].to_pylist()), reversed(range(len(table))), strict=True))  # the first
         table = table.take([place[point_id] for point_id in self.plan.ids]).combine_chunks()
         if self.parts or not self.complete:
+            table = table.replace_schema_metadata({"eqsim": storage.to_json(self._origin())})
             content = storage.as_parquet(table)
             self._hide()
             storage.save(self.out / SWEEP_TABLE, content)
@@ -182,6 +191,13 @@ class Store:
             with suppress(OSError):
                 folder.rmdir()
         return table
+
+    def _origin(self) -> dict[str, Any]:
+        """The provenance of the first rows, with all versions that rows were computed with."""
+        every = [json.loads(table.schema.metadata[b"eqsim"]) for table in self.tables]
+        names = every[0]["versions"]
+        used = {name: sorted({origin["versions"][name] for origin in every}) for name in names}
+        return {**every[0], "versions": {name: ", ".join(known) for name, known in used.items()}}
 
     def _hide(self) -> None:
         """Take the parts out of the dataset, at once unless some are hidden since an earlier end."""

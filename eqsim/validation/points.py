@@ -20,7 +20,7 @@ import numpy as np
 from scipy import stats
 
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import typical_lives
+from eqsim.engine.sample import typical_lives
 from eqsim.errors import InputError
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.aging.base import Drift
@@ -62,9 +62,20 @@ SUITES = {
 }
 
 
-def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tuple[int, Ensemble, float]]:
-    """Index, ensemble and velocity of points over the whole parameter space, the same for the same seed; of every m-th
-    from the i-th on, `part` = (i, m)."""
+class Part(NamedTuple):
+    """Every `step`-th point, from number `first` on; by default all."""
+
+    first: int = 0
+    step: int = 1
+
+
+WHOLE = Part()
+
+
+def sample(count: int, seed: int, part: Part = WHOLE) -> Iterator[tuple[int, Ensemble, float]]:
+    """Index, ensemble and velocity of points over the whole parameter space, the same for
+    the same seed; of all points or of a `part` of them."""
+    first, step = part
     rng, laws, aging, growing, newborn = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6))
     ages = aging.permutation(count) < count // 3
     kinds = dict(zip(laws.permutation(np.flatnonzero(~ages)).tolist(), itertools.cycle(LAWS), strict=False))
@@ -91,7 +102,7 @@ def sample(count: int, seed: int, part: tuple[int, int] = (0, 1)) -> Iterator[tu
             ensemble = dataclasses.replace(ensemble, aging=grows)
         elif newborn.random() < 1 / 4:
             ensemble = _born_stretched(ensemble, newborn)
-        if index % part[1] != part[0]:
+        if index % step != first:
             continue  # lives take time
         if delay:
             time = delay * typical_life(ensemble, v * unit) / (v * unit)

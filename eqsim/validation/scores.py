@@ -40,12 +40,13 @@ from scipy import integrate
 
 from eqsim.engine.blocks import Job
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import lives
-from eqsim.engine.programme import steps_of
+from eqsim.engine.langevin import STEP
+from eqsim.engine.programme import constant_drive, steps_of
 from eqsim.engine.recorder import Run, Scales
+from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import Fresh, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
-from eqsim.engine.trajectory import ConstantDrive, predicted_lives, trajectory
+from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known
 from eqsim.laws.aging import Aging, Flow, Logarithmic, Unaged
@@ -96,7 +97,7 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
         parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
-        parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, size)))
+        parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, *size)))
     rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR  # 1.0: the first 65 536 lives will do
     try:
         found = steady(point.shown, Drive(point.velocity), rel_error=rel_error, seed=seed, threads=threads)
@@ -338,7 +339,7 @@ def hazards(point: Point) -> Found:
     if not (s.aging.closed or s.aging.fluctuates):  # hazards along paths are quadratures
         u, clock = u[:4000], clock[:4000]
     c = contacts(point.shown, point.velocity)
-    stretch = lives(c, key(point.seed, TRAJECTORY), 0, u, clock).travel
+    stretch = lives(c, Source(key(point.seed, TRAJECTORY), 0, STEP), u, clock).travel
     unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
     if s.aging.fluctuates:
         return [point.uniform(profile_of(s).at(stretch * unit)[0])]
@@ -399,14 +400,13 @@ _INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {
 }
 
 
-def fluctuating(point: Point, size: tuple[int, int]) -> Found:
-    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles. Raises InputError where lives are too
-    rare and too long to be found."""
+def fluctuating(point: Point, count: int, ensembles: int) -> Found:
+    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles of `count`
+    contacts. Raises InputError where lives are too rare and too long to be found."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     s = settled(ensemble, v)
     if s.stiffness == "sqrt" and s.aging.stiffens:
         return point.without(_FLUCTUATIONS, "no reference")
-    count, ensembles = size
     if shown.fluctuates:
         count = min(count, 40_000 // ensembles)
     means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)
@@ -462,7 +462,7 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
     if isinstance(drive, Programme):
         return steps_of(ensemble, drive, drive.grid(2), 1, seed)
     c = contacts(ensemble, drive.velocity)
-    run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary", False)
+    run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary")
     table = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, ensemble.count, 1, 0.0)
-    return ConstantDrive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))
+    return constant_drive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))

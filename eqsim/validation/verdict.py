@@ -27,7 +27,7 @@ from eqsim.errors import InputError
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import pulled
 from eqsim.validation.comparison import DECLINED, Found, Point, Score, Unscored, columns, stream
-from eqsim.validation.points import SUITES, sample
+from eqsim.validation.points import SUITES, WHOLE, Part, sample
 from eqsim.validation.scores import KINDS as RIGID
 from eqsim.validation.scores import compared
 
@@ -148,7 +148,7 @@ def validate(
     seed: int = 1,
     threads: int = 1,
     wrong: Mutation | None = None,
-    part: tuple[int, int] = (0, 1),
+    part: Part = WHOLE,
     progress: Progress | None = None,
 ) -> Validation:
     """Compare contacts with the master equation over the parameter space.
@@ -163,7 +163,7 @@ def validate(
         Changes speed only.
     wrong : callable, optional
         Changes the ensemble that the engine sees but not the reference's: a suite that then still passes is worthless.
-    part : (int, int)
+    part : Part or (int, int)
         (i, m) does every m-th point from the i-th on; the scores of all parts are those of the suite.
     progress : callable, optional
         Called with the number of points done and of all.
@@ -180,7 +180,8 @@ def validate(
     if suite not in SUITES:
         raise InputError(f"suite = {suite!r}: must be one of " + ", ".join(f'"{name}"' for name in SUITES))
     plan = SUITES[suite]
-    total = len(range(part[0], plan.points, part[1]))
+    first, step = part
+    total = len(range(first, plan.points, step))
     found: Found = []
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         point = Point(index, ensemble, wrong(ensemble) if wrong else ensemble, v, stream(seed, index))

@@ -1,4 +1,4 @@
-"""What `eqsim run` computes of coupled blocks, and the exact numbers beside it."""
+"""Results of `eqsim run` for coupled blocks, beside exact numbers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,12 +19,12 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 from eqsim.results import OfTrajectory
 
-_SHOWN = 1000  # sizes whose law is drawn
+_SHOWN = 1000  # largest size of which the law is drawn
 
 
 @dataclass(frozen=True, repr=False)
 class ElasticResult(OfTrajectory):
-    """A run file with coupled blocks that was simulated."""
+    """Simulation of a run file with coupled blocks."""
 
     file: RunFile
     folder: Path
@@ -34,17 +34,20 @@ class ElasticResult(OfTrajectory):
 
     @cached_property
     def sizes(self) -> Array:
-        """P(1), P(2), ... of infinitely many contacts, shape (1000,); empty for thresholds of a discrete law."""
+        """P(1), P(2), ... of infinitely many contacts, (1000,); empty for a discrete law."""
         assert self.drive.elastic
         if self.ensemble.thresholds.steps.size:
             return np.empty(0)
         return size_law(self.ensemble.thresholds, self.drive.elastic.load, _SHOWN)
 
     def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
-        """By name what was found, over the second half of the plate's way, and what is exact: friction over
-        displacement of any contacts (length), breaks per avalanche and fraction of single breaks of infinitely many,
-        whose errors are what the contacts of a block alone on its spring would change. Equal thresholds break together
-        from a fresh start on, so that these two have no value for a discrete law."""
+        """Averages over the second half of the plate's way, and their exact values, by name.
+
+        Friction over displacement (length) is exact for any number of contacts. Breaks per
+        avalanche and the fraction of single breaks are those of infinitely many contacts;
+        their error is the change for a single block with its contacts. They have no value
+        for a discrete law, whose equal thresholds break together from a fresh start on.
+        """
         found, elastic = self.trajectory, self.drive.elastic
         assert elastic
         friction = reference(self.ensemble, replace(self.drive, elastic=None)).friction
@@ -57,7 +60,7 @@ class ElasticResult(OfTrajectory):
         return {"friction": (found.friction, friction), "size": (found.size, size), "single": (found.single, single)}
 
     def summary(self) -> dict[str, Any]:
-        """The content of `summary.json`."""
+        """Content of `summary.json`."""
         found = self.trajectory
         names = ("lives", "engine_seconds", "threads", "seed")
         averages = self.averages()
@@ -74,7 +77,7 @@ class ElasticResult(OfTrajectory):
         }
 
     def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the pictures, unless the run file has one."""
+        """Files of a results folder by name; pictures have `title` unless the file has one."""
         from eqsim.io.plots import avalanches_figure, caption, elastic_figure, fronts_figure
         from eqsim.io.style import pictures
 
@@ -90,16 +93,19 @@ class ElasticResult(OfTrajectory):
             "summary.json": storage.to_json(self.summary()).encode(),
             **pictures("force", elastic_figure(found, exact, said), formats),
             **pictures("avalanches", avalanches_figure(found, self.sizes, said), formats),
-            **pictures("fronts", fronts_figure(found, elastic.shape, said), formats),
+            **pictures("fronts", fronts_figure(found, *elastic.shape, said), formats),
         }
 
 
 def run_elastic(
     file: RunFile, folder: Path, drive: Drive, *, threads: int, max_lives: float, progress: Callable[[int, float], None]
 ) -> ElasticResult:
-    """`workflows.run.run` of a run file with coupled blocks, and the drive of its plate. Raises InputError."""
+    """Simulate a run file with coupled blocks on a plate with this drive.
+
+    Raises InputError.
+    """
     ensemble, output = file.ensemble(folder), file.output
-    _, expected = check_elastic(ensemble, drive, (output.points, output.seed, output.replicas), max_lives)
+    _, expected = check_elastic(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
     progress(0, expected)
     found = elastic_trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,

@@ -152,20 +152,19 @@ def run_fluctuations(
     sample, reason = None, "" if lives else "none asked for"
     if lives:
         try:
-            sample = sampled(ensemble, replace(drive, distance=lag), points, lives, (file.output.seed, threads))
+            sample = sampled(ensemble, replace(drive, distance=lag), points, lives, file.output.seed, threads)
         except InputError as error:
             reason = str(error)
     asked = {"lag": lag, "points": points, "lives": lives}
     return FluctuationsResult(file, folder, ensemble, exact, sample, reason, asked)
 
 
-def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, how: tuple[int, int]) -> Sample:
-    """The autocovariance at `points` lags up to the drive's distance, from products about the exact mean, of forces of
-    independent stationary ensembles over twice that distance; `how` holds seed and threads.
+def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: int, threads: int) -> Sample:
+    """The autocovariance at `points` lags up to the drive's distance, from products about the
+    exact mean, of forces of independent stationary ensembles over twice that distance.
 
     Raises InputError where an ensemble cannot be simulated so.
     """
-    seed, threads = how
     exact = reference(ensemble, drive, variance=True)
     level = known(exact.friction)
     small = replace(ensemble, count=_TOGETHER)
@@ -181,7 +180,7 @@ def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, how: tu
     found = _TOGETHER * products
     about = (products[0] - products[0].mean()) ** 2
     stderr = found.std(axis=1, ddof=1) / math.sqrt(ensembles)
-    unmet = _unmet(ensemble, drive.velocity, exact, (_TOGETHER * ensembles, run.lives))
+    unmet = _unmet(ensemble, drive.velocity, exact, _TOGETHER * ensembles, run.lives)
     return Sample(
         covariance=found.mean(axis=1),
         stderr=np.hypot(stderr, unmet),
@@ -192,16 +191,17 @@ def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, how: tu
     )
 
 
-def _unmet(ensemble: Ensemble, velocity: float, exact: Reference, seen: tuple[int, int]) -> float:
-    """How much of the mean square force (length^2) is due to contacts so strong that few are expected among those
-    `seen`, contacts found in the stationary state and lives that begin later: what a sample cannot know of."""
+def _unmet(ensemble: Ensemble, velocity: float, exact: Reference, initial: int, lives: int) -> float:
+    """The part of the mean square force (length^2) that a sample cannot know of: that of
+    contacts so strong that few are expected among `initial` contacts of the stationary state
+    and the `lives` that begin later."""
     if ensemble.fluctuates:
         return 0.0  # thresholds of gamma laws, whose lives take paths
     c = contacts(ensemble, velocity, known(exact.break_stretch) if ensemble.self_consistent else None)
     born, unit = births(c), ensemble.thresholds.scale
     square = born.stiffness**2 * born.travel * (born.birth**2 + born.travel * (born.birth + born.travel / 3.0))
     cycle = known(exact.travel) / unit / known(exact.pinned)
-    expected = born.share * (seen[0] * born.travel / cycle + seen[1])
+    expected = born.share * (initial * born.travel / cycle + lives)
     order = np.argsort(-square)
     met = np.cumsum(expected[order]) >= _UNMET
     drag = drag_of(ensemble, velocity)

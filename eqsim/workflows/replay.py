@@ -176,7 +176,7 @@ def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress
 
 
 def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
-    """With the identities of then, of which seeds are made: they change with every change of the code."""
+    """With the identities of then, of which seeds are made: they change with the version of results."""
     from pyarrow import parquet as pq
 
     settings = origin["settings"]

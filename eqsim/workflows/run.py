@@ -25,7 +25,6 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import OfTrajectory
 from eqsim.sweeps.workers import Workers
-from eqsim.workflows.ahead import compiling_together
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
 
@@ -130,13 +129,10 @@ class ProgrammeResult(OfTrajectory):
     ensemble: Ensemble
     drive: Programme
     trajectory: ProgrammeTrajectory
-    solved: Transient | None = None
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
         """The exact mean, or None and why there is none."""
-        if self.solved is not None:
-            return self.solved, ""
         return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
 
     @cached_property
@@ -285,7 +281,6 @@ def run(
         return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
-        solved = stack.enter_context(compiling_together(ensemble, drive, output.points))
         expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
         if output.series and workers:
             raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
@@ -303,7 +298,7 @@ def run(
         )  # fmt: skip
         if isinstance(drive, Programme):
             kind = SliderResult if drive.stage else ProgrammeResult
-            return kind(file, folder, ensemble, drive, found, solved())
+            return kind(file, folder, ensemble, drive, found)
     assert level is not None
     listed = None
     if output.breaks:

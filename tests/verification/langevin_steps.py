@@ -21,8 +21,8 @@ from scipy.stats import qmc
 
 from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import lives
 from eqsim.engine.langevin import STEP
+from eqsim.engine.sample import Source, lives
 from eqsim.numerics.streams import key
 
 STEPS = (0.2, STEP, 0.5, 0.7)
@@ -51,12 +51,12 @@ def measured(ages: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndar
     """Mean work over k and mean stretch at breaking in units of x_*i, shape (RANDOMISATIONS, 2), from scrambled Sobol
     births and independent paths; and seconds that a life takes."""
     c = contacts(ages, 1.0)
-    lives(c, key(0, 0), 0, *np.full((2, 1), 0.5), step)  # compiles
+    lives(c, Source(key(0, 0), 0, step), *np.full((2, 1), 0.5))  # compiles
 
     def one(index: int) -> tuple[float, float, float]:
         u, clock = (qmc.Sobol(2, rng=np.random.default_rng((seed, index))).random(size) + 2.0**-31).T
         begin = time.thread_time()
-        work, stretch, *_ = lives(c, key(seed, index), 0, u, clock, step)
+        work, stretch, *_ = lives(c, Source(key(seed, index), 0, step), u, clock)
         return work.mean(), stretch.mean(), (time.thread_time() - begin) / size
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -145,7 +145,8 @@ def histogram(e):
 
 def bin_off(e):
     """The height of the last bin."""
-    heights, edges = e.thresholds.frozen._histogram
+    edges = e.thresholds.breakpoints
+    heights = e.thresholds.pdf(0.5 * (edges[1:] + edges[:-1]))
     law = stats.rv_histogram(([*heights[:-1], 1.05 * heights[-1]], edges), density=True)
     return dataclasses.replace(e, thresholds=Distribution(law))
 

@@ -5,11 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.aging.base import break_lives, end, growth, kappa_at, life, smooth, spend, spent, whole_hazard
+from eqsim.laws.aging.base import Held, end, growth, kappa_at, life, smooth, spend, spent, whole_hazard
 from eqsim.laws.barrier.base import height, prefactor, thermal
-from eqsim.laws.stiffness import Springs, kappa
-from eqsim.numerics.compiled import inlined, routine
-from eqsim.numerics.tables import Array
+from eqsim.laws.stiffness import Springs
+from eqsim.numerics.compiled import routine
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
@@ -30,7 +29,7 @@ class _Path(NamedTuple):
     age: float
 
 
-@inlined
+@routine(inline=True)
 def _at(c: _Path, s: float) -> tuple[float, float]:
     """Threshold at s, and the barrier there."""
     xi = c.xi * growth(c.law, c.age + s)
@@ -117,7 +116,7 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
             return top, spent
 
 
-@inlined
+@routine(inline=True)
 def _rate(c: _Path, z: float) -> float:
     """Hazard per unit z."""
     s = c.end * z * (2.0 - z)
@@ -139,46 +138,36 @@ def along_paths(law: type) -> type:
     """A decorator for a law that has `growth`, `end` and `smooth`: its lives."""
     whole_hazard.register(law)(_whole_hazard)
     life.register(law)(_life)
-    break_lives.register(law)(_lives)
     spend.register(law)(_spend)
     spent.register(law)(_spent)
     return law
 
 
-def _whole_hazard(law: Any, barrier: Any, springs: Springs, xi: float) -> tuple[float, float]:
-    return path_life(law, barrier, springs, xi, math.inf)
+def _whole_hazard(law: Any, c: Any, xi: float) -> tuple[float, float]:
+    return path_life(law, c.barrier, c.springs, xi, math.inf)
 
 
-def _life(law: Any, barrier: Any, table: Array, springs: Springs, xi: float, clock: float) -> float:
-    return path_life(law, barrier, springs, xi, clock)[0]
-
-
-def _lives(law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int) -> None:
-    stretch, clock, stiffness = lives.stretch, lives.clock, lives.stiffness
-    for i in range(count):
-        xi = stretch[r, i]
-        stiffness[r, i] = kappa(springs, xi)
-        stretch[r, i] = path_life(law, barrier, springs, xi, clock[r, i])[0]
+def _life(law: Any, c: Any, xi: float, clock: float) -> float:
+    return path_life(law, c.barrier, c.springs, xi, clock)[0]
 
 
 # -------------------------------------------------------------------------------------------- segments of a programme
 
 
-@inlined
-def _excess(law: Any, xi: float, y: float, age: float, moves: float, s: float) -> float:
+@routine(inline=True)
+def _excess(law: Any, contact: Held, moves: float, s: float) -> float:
     """Threshold less stretch at s of a segment."""
-    return xi * growth(law, age + s) - abs(y + moves * s)
+    return contact.threshold * growth(law, contact.age + s) - abs(contact.stretch + moves * s)
 
 
 @routine
-def _root(law: Any, contact: tuple[float, float, float], moves: float, low: float, high: float) -> float:
+def _root(law: Any, contact: Held, moves: float, low: float, high: float) -> float:
     """Where the stretch reaches the threshold, between s where it is below and where it is not."""
-    xi, y, age = contact
     for _ in range(200):
         middle = 0.5 * (low + high)
         if high - low <= 2e-16 * high:
             break
-        if _excess(law, xi, y, age, moves, middle) > 0.0:
+        if _excess(law, contact, moves, middle) > 0.0:
             low = middle
         else:
             high = middle
@@ -186,24 +175,25 @@ def _root(law: Any, contact: tuple[float, float, float], moves: float, low: floa
 
 
 @routine
-def crossing(law: Any, contact: tuple[float, float, float], moves: float, length: float) -> float:
-    """Where in a segment of that length the stretch of a `contact` (threshold at birth, stretch in the direction of
-    motion, age) first reaches its threshold; infinity if it does not. Growth is concave and falling thresholds are
-    convex in time, so that there is one crossing where the stretch grows or stays; where it relaxes, only a falling
-    threshold can meet it, between the beginning and the least excess (derived)."""
-    xi, y, age = contact
+def crossing(law: Any, contact: Held, moves: float, length: float) -> float:
+    """Where in a segment of that length the stretch of a contact first reaches its threshold; infinity if it does not.
+    Growth is concave and falling thresholds are convex in time, so that there is one crossing where the stretch grows
+    or stays; where it relaxes, only a falling threshold can meet it, between the beginning and the least excess
+    (derived)."""
+    y, age = contact.stretch, contact.age
     turn = min(-y / moves, length) if moves != 0 and y < 0.0 else 0.0
     if turn > 0.0 and growth(law, age + turn) < growth(law, age):
         low, high = 0.0, turn
         for _ in range(80):  # the least excess, by golden sections
-            left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-            if _excess(law, xi, y, age, moves, left) < _excess(law, xi, y, age, moves, right):
+            left = high - _GOLDEN * (high - low)
+            right = low + _GOLDEN * (high - low)
+            if _excess(law, contact, moves, left) < _excess(law, contact, moves, right):
                 high = right
             else:
                 low = left
-        if _excess(law, xi, y, age, moves, 0.5 * (low + high)) <= 0.0:
+        if _excess(law, contact, moves, 0.5 * (low + high)) <= 0.0:
             return _root(law, contact, moves, 0.0, 0.5 * (low + high))
-    if _excess(law, xi, y, age, moves, length) > 0.0:
+    if _excess(law, contact, moves, length) > 0.0:
         return math.inf
     return _root(law, contact, moves, turn, length)
 
@@ -212,9 +202,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @routine
-def _along(
-    law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, end: float, clock: float
-) -> tuple[float, float]:
+def _along(law: Any, c: Any, contact: Held, moves: float, end: float, clock: float) -> tuple[float, float]:
     """`_follow` up to `end` of a segment, in two parts if the stretch changes its sign on the way."""
     xi, _, y, age = contact
     turn = -y / moves if moves != 0 and -end * moves < y < 0.0 else 0.0
@@ -230,16 +218,13 @@ def _along(
     return turn + s, before + after
 
 
-def _spend(
-    law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
-) -> tuple[float, float]:
-    xi, _, y, age = contact
-    ends = crossing(law, (xi, y, age), moves, length)
+def _spend(law: Any, c: Any, contact: Held, moves: float, length: float, clock: float) -> tuple[float, float]:
+    ends = crossing(law, contact, moves, length)
     s, passed = _along(law, c, contact, moves, min(ends, length), clock)
     if passed >= clock or ends <= length:
         return s, 0.0
     return math.inf, clock - passed
 
 
-def _spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
+def _spent(law: Any, c: Any, contact: Held, moves: float, length: float) -> float:
     return _along(law, c, contact, moves, length, math.inf)[1]

@@ -24,6 +24,7 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.laws.barrier.base import hazard, mean_rate, rate, stretch, stretches, travel
+from eqsim.laws.law import Law
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
@@ -43,7 +44,7 @@ def scale2(final2: float, age: Any) -> Array:
     return np.asarray(final2 + (1.0 - final2) * np.exp(-age)) if final2 < 1 else 1.0 + change2(final2, age)
 
 
-class AgingLaw:
+class AgingLaw(Law):
     """What every law of aging has: `fluctuates` if lives are paths of a random process, `closed` if they are known in
     closed form, without integrating a hazard or following a path, and `stiffens` if the stiffness of the sqrt law
     follows the threshold, which else is that at birth. `keys` are the parameters of `Aging` that are its own."""
@@ -118,6 +119,16 @@ class Drift(AgingLaw):
         return xi * min(1.0, self.final), xi * max(1.0, self.final)
 
 
+class Held(NamedTuple):
+    """A pinned contact where a segment begins: its threshold and relative stiffness at birth, its stretch in the
+    direction of motion, and for how long it has been pinned (displacement at the pace of its laws)."""
+
+    threshold: float
+    stiffness: float
+    stretch: float
+    age: float
+
+
 class _NoNumbers(NamedTuple):
     final2: float = 1.0
     alpha: float = 0.0
@@ -158,42 +169,40 @@ def kappa_at(law: Any, springs: Springs, born: float, now: float) -> float:
 
 
 @by_law
-def whole_hazard(law: Any, barrier: Any, springs: Springs, xi: float) -> tuple[float, float]:
+def whole_hazard(law: Any, c: Any, xi: float) -> tuple[float, float]:
     """Where a contact born with threshold `xi` breaks mechanically, and its integrated hazard until then; of laws whose
-    lives have no closed form."""
+    lives have no closed form. `c` is an `engine.contacts.Contacts`."""
     raise TypeError("lives of this law of aging are closed, or paths")
 
 
 @by_law
-def life(law: Any, barrier: Any, table: Array, springs: Springs, xi: float, clock: float) -> float:
+def life(law: Any, c: Any, xi: float, clock: float) -> float:
     """Where a contact born with threshold `xi` breaks whose exponential clock shows `clock`."""
     raise TypeError("lives of this law of aging are paths")
 
 
-# bodies: Unaged below, laws that grow in `laws.aging.along`; langevin has paths, in `engine.langevin`
 @by_law
-def break_lives(
-    law: Any, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int
-) -> None:
-    """`life` of `count` contacts in the place of their thresholds `lives.stretch[r]`, and their stiffness at birth.
-    Clocks are overwritten, `row` is scratch."""
-    raise TypeError("lives of this law of aging are paths")
+def break_lives(law: Any, c: Any, lives: Any, r: int, count: int) -> None:
+    """Fill travel, and stiffness at birth, of the first `count` lives of round r; `lives` is an
+    `engine.lanes.Lives`."""
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel = lives.clock, lives.travel
+    for i in range(count):
+        stiffness[r, i] = kappa(c.springs, threshold[r, i])
+        travel[r, i] = life(law, c, threshold[r, i], clock[r, i])
 
 
 @by_law
-def spend(
-    law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
-) -> tuple[float, float]:
-    """Along a segment of a programme: where a `contact` (threshold and relative stiffness at birth, stretch y in the
-    direction of motion, how long it has been pinned) breaks whose exponential clock has `clock` left, or infinity, and
-    what the clock has left at the end. Time is displacement at the pace of `c`, an `engine.contacts.Contacts`, and the
-    slider `moves` at so many times that pace: 1 along a segment of a programme, 0 in a hold."""
+def spend(law: Any, c: Any, contact: Held, moves: float, length: float, clock: float) -> tuple[float, float]:
+    """When a contact breaks along a segment of a programme whose exponential clock has `clock` left, or infinity, and
+    what the clock has left at the end. Time is displacement at the pace of `c`, and the slider `moves` at so many times
+    that pace: 1 along a segment of a programme, 0 in a hold."""
     raise TypeError("contacts of this law of aging follow no programme")
 
 
 @by_law
-def spent(law: Any, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
-    """The hazard along the segment, arguments as in `spend`, of a contact that survives it."""
+def spent(law: Any, c: Any, contact: Held, moves: float, length: float) -> float:
+    """The hazard along a segment, arguments as in `spend`, of a contact that survives it."""
     raise TypeError("contacts of this law of aging follow no programme")
 
 
@@ -210,22 +219,20 @@ def work(law: Any, table: Array, springs: Springs, stiffness: float, x: float) -
 
 
 @life.register(Unaged)
-def _life(law: Unaged, barrier: Any, table: Array, springs: Springs, xi: float, clock: float) -> float:
-    return stretch(barrier, table, xi, kappa(springs, xi), clock)
+def _life(law: Unaged, c: Any, xi: float, clock: float) -> float:
+    return stretch(c.barrier, c.barrier_table, xi, kappa(c.springs, xi), clock)
 
 
 @break_lives.register(Unaged)
-def _lives(
-    law: Unaged, barrier: Any, table: Array, springs: Springs, r: int, lives: Any, row: Array, count: int
-) -> None:
-    threshold, stiffness = lives.stretch, lives.stiffness
+def _lives(law: Unaged, c: Any, lives: Any, r: int, count: int) -> None:
+    threshold, stiffness = lives.threshold, lives.stiffness
     for i in range(count):
-        stiffness[r, i] = kappa(springs, threshold[r, i])
-    stretches(barrier, table, springs, r, lives, row, count)
+        stiffness[r, i] = kappa(c.springs, threshold[r, i])
+    stretches(c.barrier, c.barrier_table, c.springs, lives, r, count)
 
 
 @spent.register(Unaged)
-def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: float, length: float) -> float:
+def _spent(law: Unaged, c: Any, contact: Held, moves: float, length: float) -> float:
     xi, stiffness, y, _ = contact
     way = moves * length
     end = y + way
@@ -236,9 +243,7 @@ def _spent(law: Unaged, c: Any, contact: tuple[float, float, float, float], move
 
 
 @spend.register(Unaged)
-def _spend(
-    law: Unaged, c: Any, contact: tuple[float, float, float, float], moves: float, length: float, clock: float
-) -> tuple[float, float]:
+def _spend(law: Unaged, c: Any, contact: Held, moves: float, length: float, clock: float) -> tuple[float, float]:
     xi, stiffness, y, _ = contact
     if y + moves * length < xi:
         left = clock - spent(law, c, contact, moves, length)

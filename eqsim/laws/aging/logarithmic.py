@@ -14,7 +14,7 @@ import numpy as np
 from eqsim.errors import InputError, require_number
 from eqsim.laws.aging.along import along_paths
 from eqsim.laws.aging.base import AgingLaw, end, growth, smooth
-from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 
@@ -55,7 +55,7 @@ class Logarithmic(_Numbers, AgingLaw):
 
 
 @growth.register(Logarithmic)
-@inlined
+@routine(inline=True)
 def _growth(law: Logarithmic, x: float) -> float:
     return 1.0 + law.beta * math.log1p(law.per_time * x)
 
@@ -77,6 +77,6 @@ def _end(law: Logarithmic, xi: float) -> float:
 
 
 @smooth.register(Logarithmic)
-@inlined
+@routine(inline=True)
 def _smooth(law: Logarithmic, x0: float, x1: float) -> bool:
     return law.per_time * (x1 - x0) <= 2.0 * (1.0 + law.per_time * x0)  # ln(1 + x/(v t_c)) has an end at x = -v t_c

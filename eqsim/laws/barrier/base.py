@@ -20,6 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
+from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.tables import NO_TABLE, Array
 
@@ -37,7 +38,7 @@ class Numbers(NamedTuple):
     log_w: float
 
 
-class Barrier:
+class Barrier(Law):
     """Formulas of a barrier for NumPy: arrays of any shape that broadcast. Lengths are in units of `law.scale`.
 
     Attributes
@@ -270,12 +271,13 @@ def travel(c: Any, xi: float, stiffness: float, y: float, clock: float) -> float
 
 
 @by_law
-def stretches(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    """`stretch` of `count` contacts in the place of their thresholds `lives.stretch[r]`. Clocks are overwritten, `row`
-    is scratch."""
-    x, stiffness, clock = lives.stretch, lives.stiffness, lives.clock
+def stretches(law: Any, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+    """Fill the first `count` travels of round r with `stretch` of these contacts, born unstressed; `lives` is an
+    `engine.lanes.Lives`."""
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel = lives.clock, lives.travel
     for i in range(count):
-        x[r, i] = stretch(law, table, x[r, i], stiffness[r, i], clock[r, i])
+        travel[r, i] = stretch(law, table, threshold[r, i], stiffness[r, i], clock[r, i])
 
 
 def require_whole(name: str, law: Any) -> None:

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, back, mean_rate, onward, rate, stretch, stretches, thermal
+from eqsim.laws.barrier.base import Barrier, back, mean_rate, onward, rate, stretch, thermal
 from eqsim.numerics.tables import Array
 
 
@@ -32,11 +32,6 @@ class Mechanical(_Numbers, Barrier):
 @thermal.register(Mechanical)
 def _no_heat(law: Any) -> bool:
     return False
-
-
-@stretches.register(Mechanical)
-def _at_thresholds(law: Any, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    pass
 
 
 @stretch.register(Mechanical)

@@ -14,10 +14,11 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch, stretches
+from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch
+from eqsim.laws.law import Law
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
-from eqsim.numerics.compiled import inlined, routine
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 
@@ -173,6 +174,7 @@ def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
     return PooledHazard(x, G, np.fmin(np.stack((right[:-1], left[1:]), axis=1), limit[:, None]))
 
 
+# It takes 0.1 to 0.3 s, and a sweep over velocity asks for it at every point; 32 tables are some 3 MB.
 @functools.lru_cache(maxsize=32)
 def pooled_hazard_of(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float) -> PooledHazard:
     """`pooled_hazard`, remembered: it does not depend on velocity."""
@@ -186,7 +188,7 @@ class _Numbers(NamedTuple):
     slopes: Array
 
 
-class Pooled(_Numbers):
+class Pooled(_Numbers, Law):
     """What a kernel needs of annealed contacts: ln(omega x_*/v) and the pooled hazard."""
 
     __slots__ = ()
@@ -200,14 +202,6 @@ class Pooled(_Numbers):
 @stretch.register(Pooled)
 def _stretch(law: Pooled, table: Array, xi: float, stiffness: float, clock: float) -> float:
     return min(xi, _inverse(law.x, law.G, law.slopes, clock * math.exp(-law.log_w)))
-
-
-@stretches.register(Pooled)
-def _stretches(law: Pooled, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    stretch, clock, x, G, slopes = lives.stretch, lives.clock, law.x, law.G, law.slopes
-    per_attempt = math.exp(-law.log_w)
-    for i in range(count):
-        stretch[r, i] = min(stretch[r, i], _inverse(x, G, slopes, clock[r, i] * per_attempt))
 
 
 @hazard.register(Pooled)
@@ -240,7 +234,7 @@ class _Cubic(NamedTuple):
     third: float
 
 
-@inlined
+@routine(inline=True)
 def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
     """The cell that begins at a node, about its beginning, t = 0; it ends at t = 1."""
     width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
@@ -248,14 +242,14 @@ def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
     return _Cubic(width, left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise)
 
 
-@inlined
+@routine(inline=True)
 def _about(cell: _Cubic, t: float) -> _Cubic:
     """A cell about another t."""
     slope = cell.slope + t * (2.0 * cell.curve + 3.0 * t * cell.third)
     return _Cubic(cell.width, slope, cell.curve + 3.0 * t * cell.third, cell.third)
 
 
-@inlined
+@routine(inline=True)
 def _change(cell: _Cubic, step: float) -> float:
     """Change of ln x in a step of t."""
     return step * (cell.slope + step * (cell.curve + step * cell.third))
@@ -327,7 +321,7 @@ def _rise_in(x: Array, G: Array, slopes: Array, low: int, stretch: float, length
     return G[low] * math.exp(t * cell.width) * math.expm1(step * cell.width)
 
 
-@inlined
+@routine(inline=True)
 def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
     """Where G = target; infinite if G never gets there."""
     last = G.size - 1

@@ -25,7 +25,7 @@ from eqsim.laws.barrier.base import (
     stretch,
     stretches,
 )
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
@@ -78,6 +78,7 @@ def log_erfi(z: Any) -> Array:
     return z**2 + np.log(2.0 / math.sqrt(math.pi) * special.dawsn(z))
 
 
+# It has no parameters, and takes 3 to 8 ms.
 @functools.cache
 def erfi_inverse_table() -> Array:
     """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up to s = 2^60.
@@ -96,6 +97,7 @@ def erfi_inverse_table() -> Array:
 _LEAST_Z = 2.0**-20  # below it Dawson's function is z, to 1e-12
 
 
+# It has no parameters.
 @functools.cache
 def dawson_table() -> Array:
     """z/dawsn(z) as a function of z: 1 at small z, 2 z^2 at large z, up to 2^40."""
@@ -112,26 +114,26 @@ def dawson_table() -> Array:
 _SOFT = 2.0 / math.sqrt(math.pi)
 
 
-@inlined
+@routine(inline=True)
 def _excess(xi: float, root: float, log_w: float) -> float:
     """a xi^2 - ln(omega/v), root = sqrt(a)."""
     top = root * xi
     return top * top - log_w
 
 
-@inlined
+@routine(inline=True)
 def _odds(xi: float, root: float, log_w: float, clock: float) -> float:
     """erfi(root x) of the x where (omega/v) H(x) = clock, but for what of the barrier is beyond FLAT."""
     return _SOFT * clock * root * bounded_exp(min(_excess(xi, root, log_w), FLAT))
 
 
-@inlined
+@routine(inline=True)
 def _rank(xi: float, root: float, log_w: float, odds: float) -> float:
     """ln(1 + erfi(root x)) of the same x."""
     return log_one_plus(odds) + max(_excess(xi, root, log_w) - FLAT, 0.0)
 
 
-@inlined
+@routine(inline=True)
 def _end(xi: float, per_root: float, z: float) -> float:
     """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is xi, to double precision."""
     return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
@@ -155,27 +157,26 @@ def _stretch(law: Soft, table: Array, xi: float, stiffness: float, clock: float)
 
 
 @stretches.register(Soft)
-def _stretches(law: Soft, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    x, clock, stiffness, roots = lives.stretch, lives.clock, lives.stiffness, lives.root
-    b, log_w = law.b, law.log_w
+def _stretches(law: Soft, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel, log_w = lives.clock, lives.travel, law.log_w
+    root, per_root, rank = lives.root, lives.per_root, lives.rank
     if springs.slope == 0.0:  # roots and divisions are the same for all
-        root, per_root = math.sqrt(b), 1.0 / math.sqrt(b)
+        same = math.sqrt(law.b)
         for i in range(count):
-            clock[r, i] = _odds(x[r, i], root, log_w, clock[r, i])
-        for i in range(count):
-            clock[r, i] = _rank(x[r, i], root, log_w, clock[r, i])
-        look_up_all(table, r, clock, row, count)
-        for i in range(count):
-            x[r, i] = _end(x[r, i], per_root, clock[r, i])
+            root[i] = same
+            per_root[i] = 1.0 / same
     else:
         for i in range(count):
-            roots[i] = math.sqrt(b * stiffness[r, i])
-            clock[r, i] = _odds(x[r, i], roots[i], log_w, clock[r, i])
-        for i in range(count):
-            clock[r, i] = _rank(x[r, i], roots[i], log_w, clock[r, i])
-        look_up_all(table, r, clock, row, count)
-        for i in range(count):
-            x[r, i] = _end(x[r, i], 1.0 / roots[i], clock[r, i])
+            root[i] = math.sqrt(law.b * stiffness[r, i])
+            per_root[i] = 1.0 / root[i]
+    for i in range(count):
+        rank[i] = _odds(threshold[r, i], root[i], log_w, clock[r, i])
+    for i in range(count):
+        rank[i] = _rank(threshold[r, i], root[i], log_w, rank[i])
+    look_up_all(table, rank, lives.row, count)
+    for i in range(count):
+        travel[r, i] = _end(threshold[r, i], per_root[i], rank[i])
 
 
 @hazard.register(Soft)
@@ -205,7 +206,7 @@ def _mean_rate(law: Soft, table: Array, xi: float, stiffness: float, x: float, l
 _NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
 
 
-@inlined
+@routine(inline=True)
 def _ahead(z: float, s: float) -> float:
     """I(z, s) where its integrand changes by a factor of a few."""
     total = 0.0
@@ -215,18 +216,18 @@ def _ahead(z: float, s: float) -> float:
     return 0.5 * s * total
 
 
-@inlined
+@routine(inline=True)
 def _dawson(table: Array, z: float) -> float:
     return z / look_up(table, max(z, _LEAST_Z))
 
 
-@inlined
+@routine(inline=True)
 def _log_ticks(law: Soft, xi: float, a: float, y: float, clock: float) -> float:
     """ln T."""
     return math.log(clock) - law.log_w + 0.5 * math.log(a) + a * (xi - y) * (xi + y)
 
 
-@inlined
+@routine(inline=True)
 def _short(z: float, ticks: float) -> float:
     """s where (2|z| + 1) T < 1e-4, z of any sign."""
     return ticks * (1.0 + ticks * (-z + ticks * (4.0 * z * z - 1.0) / 3.0))

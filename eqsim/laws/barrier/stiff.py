@@ -25,7 +25,7 @@ from eqsim.laws.barrier.base import (
     stretch,
     stretches,
 )
-from eqsim.numerics.compiled import inlined
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus, two_thirds_power
 
@@ -68,21 +68,21 @@ class Stiff(Numbers, Barrier):
         return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))  # 1 - q without cancellation
 
 
-@inlined
+@routine(inline=True)
 def _odds(xi: float, a: float, log_w: float, clock: float) -> float:
     """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where (omega/v) H(x) = clock, but for what of the barrier is
     beyond FLAT."""
     return 1.5 * a * xi * clock * bounded_exp(min(a * xi * xi - log_w, FLAT))
 
 
-@inlined
+@routine(inline=True)
 def _spent(xi: float, a: float, log_w: float, odds: float) -> float:
     """1 - (1 - x/xi)^(3/2) of the same x, or more than 1."""
     barrier = a * xi * xi
     return (log_one_plus(odds) + max(barrier - log_w - FLAT, 0.0)) / barrier
 
 
-@inlined
+@routine(inline=True)
 def _end(xi: float, spent: float) -> float:
     """Where a stiff contact breaks."""
     q = two_thirds_power(max(1.0 - spent, 1e-17))
@@ -119,14 +119,16 @@ def _stretch(law: Stiff, table: Array, xi: float, stiffness: float, clock: float
 
 
 @stretches.register(Stiff)
-def _stretches(law: Stiff, table: Array, springs: Any, r: int, lives: Any, row: Array, count: int) -> None:
-    x, clock, stiffness, b, log_w = lives.stretch, lives.clock, lives.stiffness, law.b, law.log_w
+def _stretches(law: Stiff, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+    threshold, stiffness = lives.threshold, lives.stiffness
+    clock, travel, spent = lives.clock, lives.travel, lives.rank
+    b, log_w = law.b, law.log_w
     for i in range(count):  # in steps, as in `soft`
-        clock[r, i] = _odds(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
+        spent[i] = _odds(threshold[r, i], b * stiffness[r, i], log_w, clock[r, i])
     for i in range(count):
-        clock[r, i] = _spent(x[r, i], b * stiffness[r, i], log_w, clock[r, i])
+        spent[i] = _spent(threshold[r, i], b * stiffness[r, i], log_w, spent[i])
     for i in range(count):
-        x[r, i] = _end(x[r, i], clock[r, i])
+        travel[r, i] = _end(threshold[r, i], spent[i])
 
 
 @hazard.register(Stiff)

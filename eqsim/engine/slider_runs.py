@@ -1,0 +1,303 @@
+"""Trajectories of sliders that a stage pulls, with errors that hold what finite steps miss.
+
+Every ensemble is followed a second time in steps four times as long. What that changes
+tells how far the finite step may be wrong (`step_error`). Sliders that are always in
+balance or slip at an instant are followed break by break instead (`engine.avalanches`).
+"""
+
+import math
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from eqsim.engine import avalanches
+from eqsim.engine.blocks import Progress, Threads, workers_of
+from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
+from eqsim.engine.scatter import pinned_variance
+from eqsim.engine.slider import Slider
+from eqsim.laws.stiffness import kappa
+from eqsim.model.drive import Grid, Programme
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import pull_of
+from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
+
+_ENOUGH_REPLICAS = 8  # whose scatter tells the error of their mean
+_COARSER = 4  # length of steps of the second run; it records one instant of so many
+_TOLD_AFTER_STEPS = 64  # when progress is told
+_TOLD_AFTER_LIVES = 1000.0  # in a step, when progress is told at once
+_SLIP_NOISE = 6.0  # standard deviations of the force above which a fall of it is a slip
+
+# A slider at an instant of the grid; forces and energies are per contact.
+_INSTANT = np.dtype(
+    [
+        ("X", np.float64),
+        ("stage", np.float64),  # displacement of the stage
+        ("friction", np.float64),  # force of all contacts
+        ("pinned", np.float64),  # share of contacts
+        ("variance", np.float64),  # of the force, if contacts were independent
+        ("work", np.float64),  # of the stage
+        ("stored", np.float64),  # energy, more than at first
+        ("dissipated", np.float64),  # energy
+        ("missed", np.float64),  # energy
+        ("behind", np.float64),  # error of X, since the last steps have missed F
+    ]
+)
+
+
+class _Run(NamedTuple):
+    """What a replica leaves; avalanches by column if they were followed."""
+
+    course: Array  # `_INSTANT`
+    slips: list[Slip]
+    lives: int
+    avalanches: dict[str, Array] | None = None
+
+
+def _note(slider: Slider, row: np.void) -> None:
+    """Note the state of a slider."""
+    now, pull = slider.state, slider.pull
+    spring = 0.5 * pull.stiffness * (now.Y - now.X) ** 2
+    row["X"] = now.X
+    row["stage"] = now.Y
+    row["friction"] = now.sums.force + slider.drag * (1.0 - now.sums.pinned) * now.V
+    row["pinned"] = now.sums.pinned
+    row["variance"] = max(now.sums.square - now.sums.force**2, 0.0) / slider.count
+    row["work"] = now.work
+    row["stored"] = spring + 0.5 * pull.mass * now.V**2 + now.sums.stored
+    row["dissipated"] = now.lost + now.damped
+    row["missed"] = now.missed
+    row["behind"] = slider.behind.distance
+
+
+def _in_steps(slider: Slider, instants: Array, told: Progress) -> _Run:
+    """Pull a slider through its programme, step by step; `told` gets the lives so far."""
+    course = np.zeros(instants.size, _INSTANT)
+    _note(slider, course[0])
+    states = [slider.state]
+    lives = float(slider.count)
+    row = 1
+    for end, speed in zip(slider.pull.ends, slider.pull.speeds, strict=True):
+        while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
+            until = min(float(instants[row]), end)
+            while slider.state.time < until:
+                now = slider.step(until, speed)
+                states.append(now)
+                lives += now.sums.breaks * slider.count
+                due = len(states) % _TOLD_AFTER_STEPS == 0
+                if due or now.sums.breaks > _TOLD_AFTER_LIVES:
+                    told(int(lives))
+            _note(slider, course[row])
+            row += 1
+    course["stored"] -= course["stored"][0]
+    t, X, Y = np.array([(now.time, now.X, now.Y) for now in states]).T
+    return _Run(course, _slips(slider, course, t, X, Y), round(lives))
+
+
+def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[Slip]:
+    """Slips in a record, arrays (steps,), beyond what contacts make at any X by chance."""
+    pull = slider.pull
+    noise = _SLIP_NOISE * math.sqrt(course["variance"].max())
+    least = max(slider.least_slip * pull.stiffness, noise)
+    fastest = max(map(abs, pull.speeds))
+    return slips_of(t, X, pull.stiffness * (Y - X), least, fastest)
+
+
+def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
+    """`_in_steps` of a slider that is quasi-static."""
+    population, pull, start = slider.population, slider.pull, slider.state
+    loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
+    stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
+    fields = (population[name] for name in ("threshold", "stretch", "lives"))
+    queue = avalanches.queue_of(*fields)
+    state = np.zeros(1, avalanches.STATE)
+    now = state[0]
+    now["Y"] = start.Y
+    now["force"] = start.sums.force
+    now["stiffness"] = start.sums.stiffness
+    contacts = slider.laws, slider.stream, slider.first, queue, state
+    course = np.zeros(instants.size, _INSTANT)
+    course["stage"] = stages
+    course["pinned"] = 1.0
+    found = []
+    with ThreadPool(1) as thread:
+        for stage, row in zip(stages, course, strict=True):
+            way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
+            arguments = avalanches.EVENT, avalanches.load, *contacts, way
+            found.append(thread.submit(avalanches.events_of, *arguments).result())
+            xi = queue.threshold[queue.contact]
+            stiffness = kappa(slider.laws.springs, xi)
+            stretch = now["X"] - queue.position + xi
+            square = float(np.mean((stiffness * stretch) ** 2))
+            spring = 0.5 * pull.stiffness * (stage - now["X"]) ** 2
+            row["X"] = now["X"]
+            row["friction"] = now["force"]
+            row["variance"] = max(square - now["force"] ** 2, 0.0) / slider.count
+            row["work"] = now["work"]
+            row["stored"] = spring + 0.5 * float(np.mean(stiffness * stretch**2))
+            row["dissipated"] = now["lost"] + now["slipped"]
+            told(int(now["breaks"]))
+    course["stored"] -= course["stored"][0]
+    course["missed"] = course["work"] - course["stored"] - course["dissipated"]
+    events = np.concatenate(found)
+    t, X = np.interp(events["Y"], stages, instants), events["X"]
+    moved = np.stack((X, X + events["distance"]), axis=1).ravel()
+    twice = np.repeat(t, 2), moved, np.repeat(events["Y"], 2)
+    slips = _slips(slider, course, *twice) if events.size else []
+    columns = {"t": t} | {name: events[name] for name in ("X", "breaks", "drop", "distance")}
+    return _Run(course, slips, slider.count + int(now["breaks"]), columns)
+
+
+def coarse_instants(segment: Array) -> Array:
+    """Instants of a grid that the second run records, of segments `segment` (points,).
+
+    These are the first one, and one in `_COARSER` counted from the end of each segment.
+    """
+    ends = np.flatnonzero(np.append(np.diff(segment) != 0, True))
+    from_end = ends[segment] - np.arange(segment.size)
+    recorded = from_end % _COARSER == 0
+    recorded[0] = True
+    return np.flatnonzero(recorded)
+
+
+def step_error(fine: Array, coarse: Array, recorded: Array) -> Array:
+    """Bound the error of finite steps in the mean over replicas, (points,).
+
+    `fine` is a quantity of shape (replicas, points), `coarse` the same at the instants
+    `recorded`, in steps four times as long. An error of first order in the step is four
+    times as large there, and a third of the difference; one of a higher order is less than
+    that. The difference has a scatter and may vanish by chance at an instant: its standard
+    error is added, and of neighbouring instants the largest counts.
+    """
+    changed = coarse - fine[:, recorded]
+    replicas = len(changed)
+    error = np.mean(changed, axis=0)
+    if replicas > 1:
+        error = np.hypot(error, np.std(changed, axis=0, ddof=1) / math.sqrt(replicas))
+    error = ndimage.maximum_filter1d(np.abs(error) / (_COARSER - 1), 3)
+    after = np.searchsorted(recorded, np.arange(fine.shape[1]))
+    bound = np.maximum(error[np.maximum(after - 1, 0)], error[after])
+    bound[0] = 0.0
+    return np.asarray(bound)
+
+
+def _in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Slip, ...]:
+    """Slips of all replicas in the user's units."""
+    return tuple(
+        replace(
+            slip,
+            t=slip.t / per_time,
+            X=slip.X * unit,
+            drop=slip.drop * unit,
+            duration=slip.duration / per_time,
+            distance=slip.distance * unit,
+            replica=replica,
+        )
+        for replica, run in enumerate(runs)
+        for slip in run.slips
+    )
+
+
+def _joined(runs: list[_Run], per_time: float, unit: float) -> dict[str, Array] | None:
+    """Avalanches of all replicas by column, in the user's units."""
+    found = [run.avalanches for run in runs if run.avalanches is not None]
+    if not found:
+        return None
+    columns = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    columns["t"] /= per_time
+    for name in ("X", "drop", "distance"):
+        columns[name] *= unit
+    sizes = [one["t"].size for one in found]
+    return columns | {"replica": np.repeat(np.arange(len(found)), sizes)}
+
+
+def pulled(
+    ensemble: Ensemble,
+    programme: Programme,
+    points: int,
+    seed: int,
+    replicas: int,
+    threads: Threads,
+    progress: Progress | None,
+) -> SliderTrajectory:
+    """`trajectory.trajectory` of a slider that a stage pulls."""
+    grid = programme.grid(points)
+    unit = ensemble.thresholds.scale
+    pull = pull_of(ensemble, programme)
+    per_time = pull.pace / unit
+    instants = grid.t * per_time
+    recorded = coarse_instants(grid.segment)
+    workers = 1 if isinstance(threads, tuple) else workers_of(threads)
+    runs: list[_Run] = []
+    coarse: list[_Run] = []
+    begin, lives = 0.0, 0
+
+    def told(more: int) -> None:
+        if progress:
+            progress(lives + more)
+
+    for replica in range(replicas):
+        start = ensemble, programme, seed, replica * ensemble.count, workers
+        with Slider(*start) as slider:
+            begin = begin or time.perf_counter()  # when kernels are compiled
+            follow = _break_by_break if slider.quasi_static else _in_steps
+            runs.append(follow(slider, instants, told))
+        lives += runs[-1].lives
+        del slider  # its memory is that of the next one
+        if follow is _in_steps:
+            with Slider(*start, _COARSER) as slider:  # its lives do not count
+                coarse.append(_in_steps(slider, instants[recorded], lambda _: told(0)))
+    every = np.array([run.course for run in runs])
+    again = np.array([run.course for run in coarse])
+    mean = {name: np.mean(every[name], axis=0) for name in _INSTANT.names or ()}
+    X_std = force_std = None
+    X_stderr = np.zeros(grid.t.size)
+    stderr = np.sqrt(mean["variance"])
+    delayed = ensemble.delay.time > 0
+    pinned_stderr = np.sqrt(pinned_variance(mean["pinned"], ensemble.count, delayed))
+    if replicas > 1:
+        X_std, force_std, pinned_std = (np.std(every[name], axis=0, ddof=1) for name in ("X", "friction", "pinned"))
+        X_stderr = X_std / math.sqrt(replicas)
+        stderr = np.sqrt(force_std**2 / replicas)
+        pinned_stderr = pinned_std / math.sqrt(replicas)
+    if coarse:
+        missed_X, missed, missed_pinned = (
+            step_error(every[name], again[name], recorded) for name in ("X", "friction", "pinned")
+        )
+        behind = np.abs(mean["behind"])
+        X_stderr = np.hypot(X_stderr, missed_X + behind)
+        stderr = np.hypot(stderr, missed + behind)  # of a mean stiffness <= 1
+        pinned_stderr = np.hypot(pinned_stderr, missed_pinned)
+    X, force = mean["X"] * unit, mean["friction"] * unit
+    reliable = replicas >= _ENOUGH_REPLICAS
+    segments = shown_by(programme, Grid(grid.t, X, grid.segment), force, stderr * unit, reliable, X_stderr * unit)
+    energies = [mean[name] for name in ("work", "stored", "dissipated", "missed")]
+    return SliderTrajectory(
+        X=X,
+        t=grid.t,
+        force=force,
+        force_stderr=stderr * unit,
+        force_reliable=reliable,
+        pinned=mean["pinned"],
+        pinned_stderr=pinned_stderr,
+        force_replica_std=None if force_std is None else force_std * unit,
+        force_replicas=None if force_std is None else every["friction"] * unit,
+        lives=lives,
+        seed=seed,
+        engine_seconds=time.perf_counter() - begin,
+        threads=workers,
+        segment=grid.segment,
+        segments=segments,
+        stage=mean["stage"] * unit,
+        spring=pull.stiffness * (mean["stage"] - mean["X"]) * unit,
+        X_stderr=X_stderr * unit,
+        X_replica_std=None if X_std is None else X_std * unit,
+        X_replicas=None if X_std is None else every["X"] * unit,
+        energy=np.stack(energies, axis=1) * unit**2,
+        slips=_in_units(runs, per_time, unit),
+        coarser_slips=_in_units(coarse, per_time, unit) if coarse else None,
+        avalanches=_joined(runs, per_time, unit),
+    )
