@@ -34,7 +34,7 @@ def compile_kernels(barrier, aging):
     contacts = Ensemble(
         thermal=Thermal(0.0 if barrier == "mechanical" else 1.0, barrier="stiff" if barrier == "stiff" else "soft"),
         aging=Aging(aging, beta=0.1, cutoff_time=1.0) if aging == "logarithmic" else Aging(aging, 0.1, 2.0),
-        count=1,
+        count=64,  # as most tests have, at least: fewer are recorded one by one, by another kernel
         disorder="annealed" if barrier == "annealed" else "quenched",
     )
     steady(contacts, Drive(1.0), rel_error=1.0)
