@@ -66,7 +66,7 @@ class Totals:
             _integers(getattr(self, name))[...] += _integers(getattr(other, name))
 
     def __getstate__(self) -> dict[str, Array]:
-        """What comes back from a worker: the sums alone."""
+        """Sums, which are all that comes back from a worker."""
         return {name: getattr(self, name) for name in self.names}
 
 

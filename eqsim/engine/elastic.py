@@ -400,7 +400,7 @@ class _Totals(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """What a replica leaves."""
+    """Record of a replica."""
 
     records: Array  # `RECORD`, shape (points, B)
     totals: _Totals

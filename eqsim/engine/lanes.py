@@ -61,7 +61,7 @@ class Lanes(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """What paths of the lives in the lanes need: their random numbers, and scratch."""
+    """Random numbers and scratch of the paths of the lives in the lanes."""
 
     lanes: Lanes
     key: Key

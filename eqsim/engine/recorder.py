@@ -207,7 +207,7 @@ class Averaging(NamedTuple):
 
     @classmethod
     def empty(cls) -> "Averaging":
-        """Of idle lanes."""
+        """Averages of idle lanes."""
         edge, since, work, pinned, broke, reborn = np.zeros((6, LANES))
         return cls(edge, since, np.zeros(LANES, np.int64), work, pinned, broke, reborn)
 
@@ -228,7 +228,7 @@ class Columns(NamedTuple):
 
     @classmethod
     def empty(cls) -> "Columns":
-        """Of nothing."""
+        """Scratch for LANES contacts."""
         begins, ends, force, square, slope, slope2, ramp2 = np.zeros((7, LANES), np.int64)
         once, never = np.ones(LANES, np.int64), np.zeros(LANES, np.int64)
         return cls(begins, ends, force, square, slope, slope2, ramp2, once, never)
@@ -481,15 +481,12 @@ def point_after(x: float, run: Run, per_step: float) -> Any:
 
 
 @routine(inline=True)
-def find_points(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
-    """Find the grid points from which and up to which lives are seen. A loop fills one array: with more, whether any of
-    them overlap would take too long to find out for the compiler to use vectors."""
-    run, begins, ends = recorder.run, recorder.columns.begins, recorder.columns.ends
+def find_points(run: Run, x: Array, points: Array, count: int) -> None:
+    """Find the grid points at or after the first `count` of x. A loop fills one array: with more, whether any of them
+    overlap would take too long to find out for the compiler to use vectors."""
     per_step = (run.points - 1) / run.length
     for i in range(count):
-        begins[i] = point_after(born[i], run, per_step)
-    for i in range(count):
-        ends[i] = point_after(broke[i], run, per_step)
+        points[i] = point_after(x[i], run, per_step)
 
 
 @routine(inline=True)
@@ -498,7 +495,8 @@ def leave_ramps(recorder: Recorder, born: Array, broke: Array, lives: Lives, r: 
     multiple of four."""
     scales, columns, stiffness = recorder.scales, recorder.columns, lives.stiffness
     force, square, slope, slope2, ramp2 = columns.force, columns.square, columns.slope, columns.slope2, columns.ramp2
-    find_points(recorder, born, broke, count)
+    find_points(recorder.run, born, columns.begins, count)
+    find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
         force[i] = fixed_narrow(stiffness[r, i] * born[i], -scales.force, recorder.narrow)
     for i in range(count):
@@ -521,7 +519,8 @@ def leave_ramps(recorder: Recorder, born: Array, broke: Array, lives: Lives, r: 
 def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
     """`leave_ramps` of contacts that are equally stiff: count and force stand for the other fields."""
     scales, columns = recorder.scales, recorder.columns
-    find_points(recorder, born, broke, count)
+    find_points(recorder.run, born, columns.begins, count)
+    find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
         columns.force[i] = fixed_narrow(born[i], -scales.force, recorder.narrow)
     for i in range(count):
@@ -537,7 +536,7 @@ def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int
     """`leave_uniform_ramps` without delay: a life begins where another ends, and only the square and the place of birth
     change there."""
     scales, columns = recorder.scales, recorder.columns
-    find_points(recorder, born, broke, count)
+    find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
         columns.force[i] = fixed_narrow(broke[i] - born[i], -scales.force, recorder.narrow)
     for i in range(count):

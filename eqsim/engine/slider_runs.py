@@ -49,7 +49,7 @@ _INSTANT = np.dtype(
 
 
 class _Run(NamedTuple):
-    """What a replica leaves; avalanches by column if they were followed."""
+    """Record of a replica; avalanches by column if they were followed."""
 
     course: Array  # `_INSTANT`
     slips: list[Slip]
