@@ -1,12 +1,15 @@
-"""What steady friction can tell, expected (Fisher information), and whether intervals of fits cover the truth.
+"""What steady friction can tell, expected (Fisher information), and whether intervals
+of fits cover the truth.
 
     python -m analysis.coverage [--sets 40] [--seed 1] [--only NAME] [--posterior]
 
-First a table of expected standard deviations of the logarithms of F0 = N k x_*, v0 = omega x_*, b and n + 1, from 12
-velocities per temperature with 5 % noise; then, for some models, how often the profile intervals of fits to synthetic
-data hold the truth, with the range that is expected of a binomial number. With --posterior, instead: truths drawn from
-the prior, data drawn for them, and the share of the posterior below the truth, which must be uniform (simulation-based
-calibration; Talts et al., arXiv:1804.06788).
+First a table of expected standard deviations of the logarithms of F0 = N k x_*, v0 =
+omega x_*, b and n + 1, from 12 velocities per temperature with 5 % noise; then, for
+some models, how often the profile intervals of fits to synthetic data hold the truth,
+with the range that is expected of a binomial number. With --posterior, instead: truths
+drawn from the prior, data drawn for them, and the share of the posterior below the
+truth, which must be uniform (simulation-based calibration; Talts et al.,
+arXiv:1804.06788).
 """
 
 import argparse
@@ -34,8 +37,9 @@ NOISE, VELOCITIES, N = 0.05, 12, 1.0
 
 
 class Case(NamedTuple):
-    """Contacts with b = k x_*^2/(2 kT), n = 1 and k = omega = x_* = 1, measured over some decades of velocity (around
-    v_* if annealed, else around omega x_*/100) at several temperatures."""
+    """Contacts with b = k x_*^2/(2 kT), n = 1 and k = omega = x_* = 1, measured over
+    some decades of velocity (around v_* if annealed, else around omega x_*/100) at
+    several temperatures."""
 
     disorder: str
     b: float
@@ -48,7 +52,12 @@ class Case(NamedTuple):
         """Of each temperature."""
         center = 1e-2
         if self.disorder == "annealed":
-            contacts = Ensemble(Gamma(N), Thermal(0.5 / self.b), disorder="annealed", stiffness_law=self.law)
+            contacts = Ensemble(
+                Gamma(N),
+                Thermal(0.5 / self.b),
+                disorder="annealed",
+                stiffness_law=self.law,
+            )
             center = contacts.crossover_velocity
         return center * np.logspace(-0.5 * self.decades, 0.5 * self.decades, VELOCITIES)
 
@@ -57,7 +66,8 @@ FREE = ("thermal.kT", "thermal.attempt_frequency", "thresholds.n")
 
 
 def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Problem:
-    """A fit of exact data: F0, v0, b and n + 1 are fit.scale, attempt_frequency, 1/kT and n + 1, as x_* = k = 1."""
+    """A fit of exact data: F0, v0, b and n + 1 are fit.scale, attempt_frequency, 1/kT
+    and n + 1, as x_* = k = 1."""
     bounds = {
         "thermal.kT": {"bounds": [1e-3, 20.0]},
         "thermal.attempt_frequency": {"bounds": [1e-4, 1e4]},
@@ -77,10 +87,25 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
     }
     file = check(content)
     fit = section_of(file)
-    rows = [Row((("drive.velocity", float(v)),), heat, "") for heat in case.heats for v in case.velocities]
+    rows = [
+        Row((("drive.velocity", float(v)),), heat, "")
+        for heat in case.heats
+        for v in case.velocities
+    ]
     ones = np.ones(len(rows))
-    table = Table(rows, np.arange(len(rows)), ["friction"] * len(rows), ones, ones, ["drive.velocity"], ones, "")
-    found = problem_of(file, Path("."), fit, table, parameters_of(file, fit), *scales_of(fit, [""]))
+    table = Table(
+        rows,
+        np.arange(len(rows)),
+        ["friction"] * len(rows),
+        ones,
+        ones,
+        ["drive.velocity"],
+        ones,
+        "",
+    )
+    found = problem_of(
+        file, Path("."), fit, table, parameters_of(file, fit), *scales_of(fit, [""])
+    )
     exact = found.given(found.start)
     return replace(found, value=exact, sigma=NOISE * exact)
 
@@ -88,7 +113,9 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
 def expected(one: Problem) -> dict[str, float]:
     """Standard deviation of each parameter's logarithm, by key."""
     sd = np.sqrt(np.diag(covariance(one.jacobian(one.start))))
-    return {parameter.key: float(x) for parameter, x in zip(one.parameters, sd, strict=True)}
+    return {
+        parameter.key: float(x) for parameter, x in zip(one.parameters, sd, strict=True)
+    }
 
 
 # expected standard deviations of F0, v0, b and n + 1
@@ -135,14 +162,21 @@ RHO = 0.7  # correlation of neighbours in a record
 
 
 def record() -> Problem:
-    """A velocity step of contacts at T = 0 that strengthen as ln t, through a spring: 81 points, exact."""
+    """A velocity step of contacts at T = 0 that strengthen as ln t, through a spring:
+    81 points, exact."""
     file = check(tomllib.loads(RECORD))
     fit, time = section_of(file), np.linspace(0.0, 5.0, 81)
     ones = np.ones(time.size)
-    table = Table([], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time)
-    found = record_problem(file, Path("."), fit, table, parameters_of(file, fit), scales_of(fit, [""]))
+    table = Table(
+        [], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time
+    )
+    found = record_problem(
+        file, Path("."), fit, table, parameters_of(file, fit), scales_of(fit, [""])
+    )
     found = settled(found, found.start)
-    return replace(found, value=found.given(found.start), correlation=np.full(time.size - 1, RHO))
+    return replace(
+        found, value=found.given(found.start), correlation=np.full(time.size - 1, RHO)
+    )
 
 
 COVERED = {
@@ -161,24 +195,32 @@ def markov(rng: np.random.Generator, size: int, rho: float = RHO) -> np.ndarray:
 
 
 def sample(exact: Problem, rng: np.random.Generator) -> Problem:
-    """Data with errors: of a table relative ones, as without a column of them, and of a record correlated ones."""
+    """Data with errors: of a table relative ones, as without a column of them, and of a
+    record correlated ones."""
     if exact.correlation is not None:
-        return replace(exact, value=exact.value + exact.sigma * markov(rng, exact.value.size))
+        return replace(
+            exact, value=exact.value + exact.sigma * markov(rng, exact.value.size)
+        )
     value = exact.value * (1.0 + NOISE * rng.standard_normal(exact.value.size))
     return replace(exact, value=value, sigma=NOISE * value)
 
 
 def rises(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
-    """Of each synthetic data set and key: by how much the least chi-square with the key at its true value exceeds that
-    with all free. An interval holds the truth if this is below its level."""
+    """Of each synthetic data set and key: by how much the least chi-square with the key
+    at its true value exceeds that with all free. An interval holds the truth if this is
+    below its level."""
     rng = np.random.default_rng(seed)
     for _ in range(sets):
         one = sample(exact, rng)
-        fits = [minimise(one, exact.start), *(minimise(one, u) for u in _starts(exact, rng))]
+        fits = [
+            minimise(one, exact.start),
+            *(minimise(one, u) for u in _starts(exact, rng)),
+        ]
         held = [minimise(one, exact.start, i) for i in range(len(exact.parameters))]
         least = min([*fits, *held], key=lambda found: found.chi2)
         yield {
-            parameter.key: minimum.chi2 - least.chi2 for parameter, minimum in zip(exact.parameters, held, strict=True)
+            parameter.key: minimum.chi2 - least.chi2
+            for parameter, minimum in zip(exact.parameters, held, strict=True)
         }
 
 
@@ -188,22 +230,31 @@ def _starts(exact: Problem, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def prior_problem() -> Problem:
-    """Annealed contacts, b = 5 in the middle of the prior, which is flat within .6 in each variable."""
+    """Annealed contacts, b = 5 in the middle of the prior, which is flat within .6 in
+    each variable."""
     one = problem(Case("annealed", 5.0, "uniform", 4.0, (1.0,)))
     near = [p._replace(low=p.start - 0.6, high=p.start + 0.6) for p in one.parameters]
     return replace(one, parameters=near)
 
 
 def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
-    """Of each data set and key: the share of the posterior below the truth, which comes from the prior."""
+    """Of each data set and key: the share of the posterior below the truth, which comes
+    from the prior."""
     rng = np.random.default_rng(seed)
     for _ in range(sets):
         truth = exact.low + (exact.high - exact.low) * rng.random(exact.low.size)
-        one = replace(exact, value=exact.given(truth) + exact.sigma * rng.standard_normal(exact.value.size))
+        one = replace(
+            exact,
+            value=exact.given(truth)
+            + exact.sigma * rng.standard_normal(exact.value.size),
+        )
         best = minimise(one, exact.start).u
         drawn = posterior.sample(one, best, covariance(one.jacobian(best)), rng)
         shares = np.mean(drawn.points < truth, axis=0)
-        yield {parameter.key: float(share) for parameter, share in zip(exact.parameters, shares, strict=True)}
+        yield {
+            parameter.key: float(share)
+            for parameter, share in zip(exact.parameters, shares, strict=True)
+        }
 
 
 def binomial(sets: int, share: float) -> tuple[float, float]:
@@ -214,11 +265,15 @@ def binomial(sets: int, share: float) -> tuple[float, float]:
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(prog="python -m analysis.coverage", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.coverage", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--sets", type=int, default=40, help="data sets of each model")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", choices=sorted(COVERED), help="one model")
-    parser.add_argument("--posterior", action="store_true", help="calibration of posteriors instead")
+    parser.add_argument(
+        "--posterior", action="store_true", help="calibration of posteriors instead"
+    )
     asked = parser.parse_args()
     if asked.posterior:
         _calibration(asked.sets, asked.seed)
@@ -226,7 +281,9 @@ def main() -> None:
     print("expected standard deviations of ln F0, ln v0, ln b, ln(n + 1)")
     for case in TABLE:
         found = expected(problem(case))
-        temperatures = " and ".join("T" if heat == 1.0 else f"{heat:g} T" for heat in case.heats)
+        temperatures = " and ".join(
+            "T" if heat == 1.0 else f"{heat:g} T" for heat in case.heats
+        )
         where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}, {case.decades:g} decades"
         print(f"  {where:50s}", *(f"{found[key]:8.3g}" for key in COLUMNS))
     for name, made in COVERED.items():
@@ -235,7 +292,10 @@ def main() -> None:
         every = list(rises(made(), asked.sets, asked.seed))
         print(f"{name}: share of {asked.sets} data sets whose interval holds the truth")
         for key in every[0]:
-            covered = {level: np.mean([one[key] < rise for one in every]) for level, rise in LEVELS.items()}
+            covered = {
+                level: np.mean([one[key] < rise for one in every])
+                for level, rise in LEVELS.items()
+            }
             print(f"  {key:28s} {_said(covered, asked.sets)}")
 
 
@@ -250,11 +310,18 @@ def _said(covered: dict[str, float], sets: int) -> str:
 
 def _calibration(sets: int, seed: int) -> None:
     every = list(below(prior_problem(), sets, seed))
-    print(f"share of {sets} truths of the prior that intervals of the posterior hold, and whether ranks are uniform")
+    print(
+        f"share of {sets} truths of the prior that intervals of the posterior hold, and whether ranks are uniform"
+    )
     for key in every[0]:
         ranks = np.array([one[key] for one in every])
-        covered = {level: np.mean((ranks > low) & (ranks < high)) for level, (low, high) in posterior.SHARES.items()}
-        print(f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = {stats.kstest(ranks, 'uniform').pvalue:.2f}")
+        covered = {
+            level: np.mean((ranks > low) & (ranks < high))
+            for level, (low, high) in posterior.SHARES.items()
+        }
+        print(
+            f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = {stats.kstest(ranks, 'uniform').pvalue:.2f}"
+        )
 
 
 if __name__ == "__main__":

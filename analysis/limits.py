@@ -1,5 +1,6 @@
-"""How far a run can go: `python -m analysis.limits` prints peak memory and time per life, each case in a process of its
-own, for more and more contacts, points and lives of a contact."""
+"""How far a run can go: `python -m analysis.limits` prints peak memory and time per
+life, each case in a process of its own, for more and more contacts, points and lives of
+a contact."""
 
 import os
 import resource
@@ -18,7 +19,8 @@ CASES = [
 
 
 class Measured(NamedTuple):
-    """Of one run: lives, nanoseconds per life and thread, peak memory of its process in MB."""
+    """Of one run: lives, nanoseconds per life and thread, peak memory of its process in
+    MB."""
 
     lives: int
     ns_per_life: float
@@ -28,9 +30,21 @@ class Measured(NamedTuple):
 def run(contacts: int, distance: float, points: int) -> Measured:
     """Warm soft contacts (kT = 0.1 k x_*^2, v = 0.01 omega x_*) over `distance` x_*."""
     ensemble = Ensemble(thermal=Thermal(kT=0.1), count=contacts)
-    found = trajectory(ensemble, Drive(0.01, distance), points=points, threads=os.cpu_count() or 1, max_lives=1e12)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return Measured(found.lives, 1e9 * found.engine_seconds * found.threads / found.lives, peak / 1e6)
+    found = trajectory(
+        ensemble,
+        Drive(0.01, distance),
+        points=points,
+        threads=os.cpu_count() or 1,
+        max_lives=1e12,
+    )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )
+    return Measured(
+        found.lives,
+        1e9 * found.engine_seconds * found.threads / found.lives,
+        peak / 1e6,
+    )
 
 
 def measure(contacts: int, distance: float, points: int) -> Measured:
@@ -40,7 +54,12 @@ def measure(contacts: int, distance: float, points: int) -> Measured:
 
 
 if __name__ == "__main__":
-    print(f"{'contacts':>12}{'distance/x_*':>14}{'points':>12}{'lives':>12}{'ns/life':>12}{'peak MB':>10}")
+    print(
+        f"{'contacts':>12}{'distance/x_*':>14}{'points':>12}{'lives':>12}{'ns/life':>12}{'peak MB':>10}"
+    )
     for case in CASES:
         lives, ns, megabytes = measure(*case)
-        print(f"{case[0]:12,}{case[1]:14g}{case[2]:12,}{lives:12.3g}{ns:12.4g}{megabytes:10.0f}", flush=True)
+        print(
+            f"{case[0]:12,}{case[1]:14g}{case[2]:12,}{lives:12.3g}{ns:12.4g}{megabytes:10.0f}",
+            flush=True,
+        )

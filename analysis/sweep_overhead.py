@@ -1,6 +1,7 @@
-"""What a sweep costs beyond its points: `python -m analysis.sweep_overhead` runs a grid of velocity, temperature and
-delay (quenched contacts, relative error 1e-2) on all cores and prints time per point, in the engine and the reference,
-and in everything else (start of the workers included)."""
+"""What a sweep costs beyond its points: `python -m analysis.sweep_overhead` runs a grid
+of velocity, temperature and delay (quenched contacts, relative error 1e-2) on all cores
+and prints time per point, in the engine and the reference, and in everything else
+(start of the workers included)."""
 
 import json
 import os
@@ -13,7 +14,9 @@ from typing import Annotated
 import typer
 
 
-def main(points: Annotated[int, typer.Option(help="About so many points.")] = 10_000) -> None:
+def main(
+    points: Annotated[int, typer.Option(help="About so many points.")] = 10_000,
+) -> None:
     """Run the sweep in a temporary folder."""
     side = max(2, round((points / 10) ** 0.5))
     axes = f"""[sweep]
@@ -25,12 +28,27 @@ def main(points: Annotated[int, typer.Option(help="About so many points.")] = 10
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sweep.toml"
         path.write_text(axes, encoding="utf-8")
-        command = [sys.executable, "-m", "eqsim", "sweep", str(path), "--out", f"{folder}/out", "--json"]
-        found = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+        command = [
+            sys.executable,
+            "-m",
+            "eqsim",
+            "sweep",
+            str(path),
+            "--out",
+            f"{folder}/out",
+            "--json",
+        ]
+        found = json.loads(
+            subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
+        )
     inside = found["point_seconds"] / found["points"]
     outside = (found["seconds"] * workers - found["point_seconds"]) / found["points"]
-    print(f"{found['points']} points in {found['seconds']:.0f} s on {workers} workers, {found['failed']} failed")
-    print(f"per point and worker: {1e3 * inside:.1f} ms engine and reference, {1e3 * outside:.1f} ms everything else")
+    print(
+        f"{found['points']} points in {found['seconds']:.0f} s on {workers} workers, {found['failed']} failed"
+    )
+    print(
+        f"per point and worker: {1e3 * inside:.1f} ms engine and reference, {1e3 * outside:.1f} ms everything else"
+    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ sys.path[:0] = [str(HERE / "extensions"), str(ROOT)]
 project = "eqsim"
 author = "The eqsim developers"
 copyright = author  # Sphinx's name for it
-release = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+release = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+    "project"
+]["version"]
 
 extensions = [
     "myst_nb",
@@ -34,7 +36,13 @@ html_static_path = ["static"]
 html_css_files = ["eqsim.css"]
 
 nb_execution_mode = "off"  # notebooks are committed with their results
-myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence", "attrs_inline"]
+myst_enable_extensions = [
+    "dollarmath",
+    "amsmath",
+    "deflist",
+    "colon_fence",
+    "attrs_inline",
+]
 myst_heading_anchors = 3
 bibtex_bibfiles = ["../paper.bib"]
 bibtex_default_style = "unsrt"

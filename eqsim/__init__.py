@@ -1,6 +1,8 @@
-"""eqsim: the stochastic earthquake model of multi-contact friction, exact in time, with honest error bars.
+"""eqsim: the stochastic earthquake model of multi-contact friction, exact in time, with
+honest error bars.
 
-The public names are those of `eqsim.api`. They are imported when one is first used: `eqsim --help` needs no numba.
+The public names are those of `eqsim.api`. They are imported when one is first used:
+`eqsim --help` needs no numba.
 """
 
 from typing import TYPE_CHECKING
@@ -18,7 +20,11 @@ else:
             return metadata.version("eqsim")
         if name == "materials":
             return import_module("eqsim.materials")
-        public = vars(import_module("eqsim.api")) if name == "__all__" or not name.startswith("__") else {}
+        public = (
+            vars(import_module("eqsim.api"))
+            if name == "__all__" or not name.startswith("__")
+            else {}
+        )
         if name not in ("__all__", *public.get("__all__", ())):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
         return public[name]

@@ -1,4 +1,5 @@
-"""Errors a user's input can cause: one line that names the field, its value and what is allowed."""
+"""Errors a user's input can cause: one line that names the field, its value and what is
+allowed."""
 
 import difflib
 import math
@@ -14,10 +15,13 @@ NOT_NEGATIVE = {"least": 0.0, "most": 1e100}
 
 
 class InputError(ValueError):
-    """Something the user gave cannot be used; the message is a single line meant to be printed as it is."""
+    """Something the user gave cannot be used; the message is a single line meant to be
+    printed as it is."""
 
     def __init__(self, message: str = "") -> None:
-        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in message))
+        super().__init__(
+            "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+        )
 
 
 class _Brief(reprlib.Repr):
@@ -31,7 +35,9 @@ class _Brief(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         if abs(x) < 10**20:
             return repr(x)
-        digits = math.floor(abs(x).bit_length() * math.log10(2.0))  # Python prints no more than some thousand
+        digits = math.floor(
+            abs(x).bit_length() * math.log10(2.0)
+        )  # Python prints no more than some thousand
         return f"{'-' if x < 0 else ''}about 1e{digits}"
 
 
@@ -41,7 +47,8 @@ def shown(value: Any) -> str:
 
 
 def meant(name: str, known: Iterable[str]) -> str:
-    """A hint which of the `known` keys, section.key or bare, may have been meant by `name`; "" if none is close."""
+    """A hint which of the `known` keys, section.key or bare, may have been meant by
+    `name`; "" if none is close."""
     known = list(known)
     last = name.rpartition(".")[2].lower()
     close = [key for key in known if key.rpartition(".")[2].lower() == last]
@@ -59,21 +66,28 @@ def under(section: str) -> Iterator[None]:
 
 
 def require_package(extra: str, *packages: str) -> Any:
-    """The last of some packages of an extra of eqsim, imported. Raises InputError, which names the option of the same
-    name, unless all are installed."""
+    """The last of some packages of an extra of eqsim, imported. Raises InputError,
+    which names the option of the same name, unless all are installed."""
     for package in packages:
         try:
             found = import_module(package)
         except ImportError:
-            raise InputError(f'--{extra}: needs the package "{package}" (pip install "eqsim[{extra}]")') from None
+            raise InputError(
+                f'--{extra}: needs the package "{package}" (pip install "eqsim[{extra}]")'
+            ) from None
     return found
 
 
 def require_number(
-    field: str, value: float, *, above: float | None = None, least: float | None = None, most: float = math.inf
+    field: str,
+    value: float,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float = math.inf,
 ) -> None:
-    """Raise InputError unless `value` is a finite real number greater than `above`, not less than `least` and not
-    more than `most`."""
+    """Raise InputError unless `value` is a finite real number greater than `above`, not
+    less than `least` and not more than `most`."""
     allowed = "a finite number"
     if above is not None:
         allowed += f" > {above:g}"
@@ -82,8 +96,15 @@ def require_number(
     if math.isfinite(most):
         allowed += f" and <= {most:g}"
     try:
-        ok = type(value).__hash__ is not None and math.isfinite(value)  # an array of one number is none
-        ok = ok and (above is None or value > above) and (least is None or value >= least) and value <= most
+        ok = type(value).__hash__ is not None and math.isfinite(
+            value
+        )  # an array of one number is none
+        ok = (
+            ok
+            and (above is None or value > above)
+            and (least is None or value >= least)
+            and value <= most
+        )
     except (TypeError, OverflowError):
         ok = False
     if not ok:
@@ -92,11 +113,20 @@ def require_number(
 
 def require_integer(field: str, value: int, least: int, most: int) -> None:
     """Raise InputError unless `value` is an integer in [least, most]."""
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise InputError(f"{field} = {shown(value)}: must be an integer from {least} to {most}")
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int)
+        or not least <= value <= most
+    ):
+        raise InputError(
+            f"{field} = {shown(value)}: must be an integer from {least} to {most}"
+        )
 
 
 def require_choice(field: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise InputError unless `value` is one of `allowed`."""
     if value not in allowed:
-        raise InputError(f"{field} = {shown(value)}: must be one of " + ", ".join(f'"{a}"' for a in allowed))
+        raise InputError(
+            f"{field} = {shown(value)}: must be one of "
+            + ", ".join(f'"{a}"' for a in allowed)
+        )

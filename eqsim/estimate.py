@@ -18,12 +18,14 @@ class Estimate:
     Attributes
     ----------
     value, stderr : float or None
-        None where the sample says nothing about it; a value is infinite where the law of the contacts has no such mean.
+        None where the sample says nothing about it; a value is infinite where the law
+        of the contacts has no such mean.
     n : int
         Lives (or other samples) behind it.
     dof : int or None
-        Degrees of freedom of Student's law that (value - truth)/stderr follows, the number of independent batches less
-        one from which the error was found; None: the normal law.
+        Degrees of freedom of Student's law that (value - truth)/stderr follows, the
+        number of independent batches less one from which the error was found; None: the
+        normal law.
     reliable : bool
         False where the error bar cannot be trusted.
     """
@@ -52,7 +54,11 @@ class Estimate:
         mark = "" if self.reliable else "  unreliable"
         if not self.stderr or not math.isfinite(self.stderr):
             return f"{self.value:.8g}{mark}"
-        exponent = math.floor(math.log10(max(abs(self.value), self.stderr))) if self.value else 0
+        exponent = (
+            math.floor(math.log10(max(abs(self.value), self.stderr)))
+            if self.value
+            else 0
+        )
         exponent = 0 if -4 < exponent < 6 else exponent
         scale = 10.0**exponent
         digits = max(0, 1 - math.floor(math.log10(float(f"{self.stderr / scale:.1e}"))))
@@ -65,7 +71,8 @@ class Estimate:
 
 
 class Observable(NamedTuple):
-    """How an observable is shown: `label` on axes and in tables; `unit`, "length", "length^2" or "" for a number."""
+    """How an observable is shown: `label` on axes and in tables; `unit`, "length",
+    "length^2" or "" for a number."""
 
     label: str
     unit: str
@@ -89,35 +96,53 @@ def known(estimate: Estimate) -> float:
 
 @dataclass(frozen=True, repr=False)
 class Averages(Result):
-    """Steady averages of an ensemble. Every observable is declared here, and here only: what is printed, stored and
-    plotted goes through `OBSERVABLES`."""
+    """Steady averages of an ensemble. Every observable is declared here, and here only:
+    what is printed, stored and plotted goes through `OBSERVABLES`."""
 
-    friction: Estimate = field(metadata={"label": "friction  <F> / (N k)", "unit": "length"})
+    friction: Estimate = field(
+        metadata={"label": "friction  <F> / (N k)", "unit": "length"}
+    )
     pinned: Estimate = field(metadata={"label": "pinned fraction  N_c / N", "unit": ""})
-    break_stretch: Estimate = field(metadata={"label": "mean stretch at breaking", "unit": "length"})
-    travel: Estimate = field(metadata={"label": "mean travel from birth to breaking", "unit": "length"})
-    birth_stretch: Estimate = field(metadata={"label": "mean stretch at birth", "unit": "length"})
-    force_variance: Estimate = field(metadata={"label": "force variance  Var(F) / (N k^2)", "unit": "length^2"})
+    break_stretch: Estimate = field(
+        metadata={"label": "mean stretch at breaking", "unit": "length"}
+    )
+    travel: Estimate = field(
+        metadata={"label": "mean travel from birth to breaking", "unit": "length"}
+    )
+    birth_stretch: Estimate = field(
+        metadata={"label": "mean stretch at birth", "unit": "length"}
+    )
+    force_variance: Estimate = field(
+        metadata={"label": "force variance  Var(F) / (N k^2)", "unit": "length^2"}
+    )
 
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""
         return {name: getattr(self, name) for name in OBSERVABLES}
 
     def estimates(self, *, brief: bool = False) -> dict[str, Any]:
-        """The estimates by name, also those beside the observables; if `brief`, of the observables those `shown`."""
+        """The estimates by name, also those beside the observables; if `brief`, of the
+        observables those `shown`."""
         every = super().estimates()
-        return {name: one for name, one in every.items() if not brief or name in self.shown or name not in OBSERVABLES}
+        return {
+            name: one
+            for name, one in every.items()
+            if not brief or name in self.shown or name not in OBSERVABLES
+        }
 
-    def plot(self, axes: Any = None, *, reference: "Averages | None" = None, **style: Any) -> Any:
-        """Draw the averages as points with error bars of two standard errors, each beside its name and value.
+    def plot(
+        self, axes: Any = None, *, reference: "Averages | None" = None, **style: Any
+    ) -> Any:
+        """Draw the averages as points with error bars of two standard errors, each
+        beside its name and value.
 
         Parameters
         ----------
         axes : matplotlib Axes, optional
             Where; by default axes of a new figure.
         reference : Averages, optional
-            Draw how far each is from that of `reference`, in standard errors of the difference, on a band of two;
-            without an average whose error is 0 in both.
+            Draw how far each is from that of `reference`, in standard errors of the
+            difference, on a band of two; without an average whose error is 0 in both.
         **style
             Passed to `Axes.errorbar`: label, color, ...
 
@@ -126,16 +151,34 @@ class Averages(Result):
         matplotlib Axes
         """
         every = {name: getattr(self, name) for name in self.shown}
-        found = {name: one for name, one in every.items() if one.value is not None and not one.diverges}
-        marks = {name: f"{name.replace('_', ' ')}\n{one}" for name, one in found.items()}
-        sizes = {name: (one.value, 2.0 * (one.stderr or 0.0)) for name, one in found.items()}
+        found = {
+            name: one
+            for name, one in every.items()
+            if one.value is not None and not one.diverges
+        }
+        marks = {
+            name: f"{name.replace('_', ' ')}\n{one}" for name, one in found.items()
+        }
+        sizes = {
+            name: (one.value, 2.0 * (one.stderr or 0.0)) for name, one in found.items()
+        }
         if reference is not None:
-            differences = {name: difference(one, getattr(reference, name)) for name, one in found.items()}
+            differences = {
+                name: difference(one, getattr(reference, name))
+                for name, one in found.items()
+            }
             sizes = {name: (z, 0.0) for name, z in differences.items() if z is not None}
-            marks = {name: f"{marks[name]}\nreference {getattr(reference, name).value:.8g}" for name in sizes}
+            marks = {
+                name: f"{marks[name]}\nreference {getattr(reference, name).value:.8g}"
+                for name in sizes
+            }
         if axes is None:
             axes = new_axes(figsize=(6.4, 0.9 + 0.75 * len(sizes)))
-            axes.set_xlabel("value" if reference is None else "difference from the reference  [standard errors]")
+            axes.set_xlabel(
+                "value"
+                if reference is None
+                else "difference from the reference  [standard errors]"
+            )
             axes.set_yticks(range(len(sizes)), [marks[name] for name in sizes])
             axes.set_ylim(len(sizes) - 0.5, -0.5)
             if reference is not None:
@@ -143,26 +186,34 @@ class Averages(Result):
                 limit = max(4.0, *(1.1 * abs(z) for z, _ in sizes.values()))
                 axes.set_xlim(-limit, limit)
         values, errors = zip(*sizes.values(), strict=True) if sizes else ((), ())
-        axes.errorbar(values, range(len(sizes)), xerr=errors, **{"fmt": "o", "capsize": 3, **style})
+        axes.errorbar(
+            values,
+            range(len(sizes)),
+            xerr=errors,
+            **{"fmt": "o", "capsize": 3, **style},
+        )
         if "label" in style:
             axes.legend()
         return axes
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The names of those that a table shows: not a variance that was not computed, and neither travel nor stretch
-        at birth where contacts are born unstressed."""
+        """The names of those that a table shows: not a variance that was not computed,
+        and neither travel nor stretch at birth where contacts are born unstressed."""
         hidden = {"force_variance"} if self.force_variance.value is None else set()
         if not (self.birth_stretch.value or self.birth_stretch.stderr):
             hidden |= {"travel", "birth_stretch"}
         return tuple(name for name in OBSERVABLES if name not in hidden)
 
 
-OBSERVABLES: dict[str, Observable] = {part.name: Observable(**part.metadata) for part in fields(Averages)}
+OBSERVABLES: dict[str, Observable] = {
+    part.name: Observable(**part.metadata) for part in fields(Averages)
+}
 
 
 def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
-    """sum(numerator)/sum(denominator) over independent batches, shape (batches,), by the delta method."""
+    """sum(numerator)/sum(denominator) over independent batches, shape (batches,), by
+    the delta method."""
     total = float(np.sum(denominator))
     if total == 0.0:
         return Estimate(None, None, n, None, False)
@@ -171,35 +222,51 @@ def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
     if batches < 2:
         return Estimate(value, None, n, None, False)
     residual = numerator - value * denominator
-    variance = batches / (batches - 1) * float(np.sum((residual - residual.mean()) ** 2))
+    variance = (
+        batches / (batches - 1) * float(np.sum((residual - residual.mean()) ** 2))
+    )
     return Estimate(value, math.sqrt(variance) / abs(total), n, batches - 1)
 
 
 def drifts(numerator: Array, denominator: Array, sigmas: float) -> bool:
-    """Whether two halves of a record, arrays (batches, 2), have ratios that differ by more than `sigmas` errors."""
+    """Whether two halves of a record, arrays (batches, 2), have ratios that differ by
+    more than `sigmas` errors."""
     total = denominator.sum(axis=0)
     if np.any(total == 0):
         return True
     ratios = numerator.sum(axis=0) / total
     residual = np.diff((numerator - ratios * denominator) / total, axis=1)
-    return bool(abs(ratios[1] - ratios[0]) > sigmas * math.sqrt(len(residual) * np.var(residual, ddof=1)))
+    return bool(
+        abs(ratios[1] - ratios[0])
+        > sigmas * math.sqrt(len(residual) * np.var(residual, ddof=1))
+    )
 
 
 def difference(first: Estimate, second: Estimate) -> float | None:
-    """first - second in units of their joint standard error; None if that is 0 or unknown."""
-    if first.value is None or second.value is None or first.stderr is None or second.stderr is None:
+    """first - second in units of their joint standard error; None if that is 0 or
+    unknown."""
+    if (
+        first.value is None
+        or second.value is None
+        or first.stderr is None
+        or second.stderr is None
+    ):
         return None  # of infinite values no error is known
     sigma = math.hypot(first.stderr, second.stderr)
     return (first.value - second.value) / sigma if sigma else None
 
 
-def z_score(estimate: Estimate, reference: float, reference_error: float = 0.0) -> float | None:
-    """Standard-normal score of estimate - reference, both errors in quadrature; None if both errors are 0.
+def z_score(
+    estimate: Estimate, reference: float, reference_error: float = 0.0
+) -> float | None:
+    """Standard-normal score of estimate - reference, both errors in quadrature; None if
+    both errors are 0.
 
     Parameters
     ----------
     estimate : Estimate
-        With few batches its Student probability is turned into the normal score of the same probability.
+        With few batches its Student probability is turned into the normal score of the
+        same probability.
     reference, reference_error : float
         An exact value and the error of its solver.
 

@@ -1,8 +1,11 @@
-"""From material constants to the parameters of the contacts (section VI of Braun and Peyrard, 2011).
+"""From material constants to the parameters of the contacts (section VI of Braun and
+Peyrard, 2011).
 
-Everything is a plain number in SI units: m, s, kg, N, Pa, J, K. One contact stands on each a^2 of the interface, in
-a gap of thickness h, and the interface yields at the shear stress sigma_*, so that k x_* = a^2 sigma_*. A contact is a
-cylinder of radius r_c = gamma_c a and height h that bends: k = 3 E I/h^3, omega = (3.52/h^2) sqrt(E I/(pi r_c^2 rho)).
+Everything is a plain number in SI units: m, s, kg, N, Pa, J, K. One contact stands on
+each a^2 of the interface, in a gap of thickness h, and the interface yields at the
+shear stress sigma_*, so that k x_* = a^2 sigma_*. A contact is a cylinder of radius r_c
+= gamma_c a and height h that bends: k = 3 E I/h^3, omega = (3.52/h^2) sqrt(E I/(pi
+r_c^2 rho)).
 """
 
 import dataclasses
@@ -39,7 +42,8 @@ ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
 
 
 def _decimal(value: float) -> float:
-    """To 15 digits, all that every decimal number keeps as a float: 0.4 and not 0.39999999999999997."""
+    """To 15 digits, all that every decimal number keeps as a float: 0.4 and not
+    0.39999999999999997."""
     return float(f"{value:.15g}")
 
 
@@ -76,13 +80,15 @@ class ArrheniusTime(_Arrhenius):
         """tau (s) at `temperature` (K). Raises InputError where it is beyond 1e100 s."""
         log_factor = self._log_factor(temperature)
         if math.log(self.prefactor) + log_factor > math.log(1e100):
-            raise InputError(f"temperature = {temperature!r}: too low for the activated time, which exceeds 1e100 s")
+            raise InputError(
+                f"temperature = {temperature!r}: too low for the activated time, which exceeds 1e100 s"
+            )
         return self.prefactor * math.exp(log_factor)
 
 
 class ArrheniusRate(_Arrhenius):
-    """A rate that thermal activation raises, D(T) = prefactor exp(-energy/(k_B T)): as `ArrheniusTime`, with a
-    `prefactor` in m^2/s for an aging rate."""
+    """A rate that thermal activation raises, D(T) = prefactor exp(-energy/(k_B T)): as
+    `ArrheniusTime`, with a `prefactor` in m^2/s for an aging rate."""
 
     def value(self, temperature: float) -> float:
         """D (m^2/s) at `temperature` (K)."""
@@ -91,7 +97,8 @@ class ArrheniusRate(_Arrhenius):
 
 @dataclass(frozen=True)
 class ActivatedAging:
-    """Aging of pinned contacts at a thermally activated rate; the material's own x_* is that of newborn contacts.
+    """Aging of pinned contacts at a thermally activated rate; the material's own x_* is
+    that of newborn contacts.
 
     Parameters
     ----------
@@ -143,7 +150,9 @@ class Material(ABC):
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name not in ("name", "delay", "aging") and (value is not None or field.default is not None):
+            if field.name not in ("name", "delay", "aging") and (
+                value is not None or field.default is not None
+            ):
                 require_number(field.name, value, above=0, least=1e-30, most=1e30)
 
     @property
@@ -183,8 +192,9 @@ class Material(ABC):
 
     @property
     def elastic_length(self) -> float | None:
-        """lambda_c = a^2 E/k (m), over which the contacts' own elasticity keeps neighbours together (Braun, Peyrard,
-        Stryzheus and Tosatti, 2012): the rigid slider holds over patches of that size. None where E is not given."""
+        """lambda_c = a^2 E/k (m), over which the contacts' own elasticity keeps
+        neighbours together (Braun, Peyrard, Stryzheus and Tosatti, 2012): the rigid
+        slider holds over patches of that size. None where E is not given."""
         E = self.elastic_modulus
         return None if E is None else E / (self.contacts_per_area * self.stiffness)
 
@@ -225,7 +235,9 @@ class Material(ABC):
 
     def _thermal(self, temperature: float) -> Thermal:
         require_number("temperature", temperature, **NOT_NEGATIVE)
-        return Thermal(_decimal(BOLTZMANN * temperature), _decimal(self.attempt_frequency))
+        return Thermal(
+            _decimal(BOLTZMANN * temperature), _decimal(self.attempt_frequency)
+        )
 
     def _newborn(self, temperature: float) -> Ensemble:
         """Without delay and aging, which have no part in b and v_*."""
@@ -236,7 +248,8 @@ class Material(ABC):
         return self._newborn(temperature).b
 
     def crossover_velocity(self, temperature: float = ROOM_TEMPERATURE) -> float:
-        """v_* (m/s) of newborn contacts in the annealed ensemble (nt12); quenched contacts show no crossover there."""
+        """v_* (m/s) of newborn contacts in the annealed ensemble (nt12); quenched
+        contacts show no crossover there."""
         return self._newborn(temperature).crossover_velocity
 
     def shear_stress(self, friction: float) -> float:
@@ -286,8 +299,8 @@ class RoughContacts(Material):
 
     @property
     def hardness(self) -> float:
-        """As given, or 3 sqrt(3) sigma_* (Pa), of plastic contacts: three times the yield stress (Tabor), which is
-        sqrt(3) times that in shear (von Mises)."""
+        """As given, or 3 sqrt(3) sigma_* (Pa), of plastic contacts: three times the
+        yield stress (Tabor), which is sqrt(3) times that in shear (von Mises)."""
         return self.indentation_hardness or 3.0 * math.sqrt(3.0) * self.shear_strength
 
     @property
@@ -341,26 +354,44 @@ class LubricantIslands(Material):
         """1/a^2 (1/m^2)."""
         return self.spacing**-2
 
-    def printed_crossover_velocity(self, temperature: float = ROOM_TEMPERATURE) -> float:
-        """The paper's estimate of v_* (m/s) for b >> 1, k_B T/sqrt(a^5 h rho sigma_* gamma_c^3) (section VI): 1.9 %
-        below `crossover_velocity`, because 2 * 1.15/(3 C_0) was set to 1 (derived)."""
+    def printed_crossover_velocity(
+        self, temperature: float = ROOM_TEMPERATURE
+    ) -> float:
+        """The paper's estimate of v_* (m/s) for b >> 1, k_B T/sqrt(a^5 h rho sigma_*
+        gamma_c^3) (section VI): 1.9 % below `crossover_velocity`, because 2 * 1.15/(3
+        C_0) was set to 1 (derived)."""
         kT = self._thermal(temperature).kT
         film = self.thickness * self.density * self.shear_strength
         return kT / (self.spacing**2 * math.sqrt(self.spacing * film * self.gamma_c**3))
 
 
-# section VI; the shear strength of steel is that of plasticity, the film has four layers
-STEEL = RoughContacts(name="steel", density=1e4, young_modulus=2e11, shear_strength=1e9, contact_radius=1e-6)
-OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
-    name="octamethylcyclotetrasiloxane", density=956.0, thickness=3.5e-9, shear_strength=2e5, gamma_c=0.5, spacing=1e-6
+# section VI; the shear strength of steel is that of plasticity, the film has four
+# layers
+STEEL = RoughContacts(
+    name="steel",
+    density=1e4,
+    young_modulus=2e11,
+    shear_strength=1e9,
+    contact_radius=1e-6,
 )
-MATERIALS: dict[str, Material] = {material.name: material for material in (STEEL, OCTAMETHYLCYCLOTETRASILOXANE)}
+OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
+    name="octamethylcyclotetrasiloxane",
+    density=956.0,
+    thickness=3.5e-9,
+    shear_strength=2e5,
+    gamma_c=0.5,
+    spacing=1e-6,
+)
+MATERIALS: dict[str, Material] = {
+    material.name: material for material in (STEEL, OCTAMETHYLCYCLOTETRASILOXANE)
+}
 ALIASES = {"omcts": "octamethylcyclotetrasiloxane"}
 KINDS: dict[str, type[Material]] = {"rough": RoughContacts, "islands": LubricantIslands}
 
 
 def preset(name: str) -> Material | None:
-    """The material of `MATERIALS` with this name or alias, in upper or lower case; None if there is none."""
+    """The material of `MATERIALS` with this name or alias, in upper or lower case; None
+    if there is none."""
     lower = name.lower()
     return MATERIALS.get(ALIASES.get(lower, lower))
 
@@ -371,8 +402,9 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
     Parameters
     ----------
     constants : dict
-        `kind`, "rough" (`RoughContacts`) or "islands" (`LubricantIslands`), and the parameters of that class; its
-        `delay`, `aging` and the `rate` of that are such dicts, too.
+        `kind`, "rough" (`RoughContacts`) or "islands" (`LubricantIslands`), and the
+        parameters of that class; its `delay`, `aging` and the `rate` of that are such
+        dicts, too.
     name : str
         Where the constants have none.
 
@@ -387,7 +419,10 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
     """
     given = {"name": name, **constants}
     if "kind" not in given:
-        raise InputError("kind: is required; must be one of " + ", ".join(f'"{kind}"' for kind in KINDS))
+        raise InputError(
+            "kind: is required; must be one of "
+            + ", ".join(f'"{kind}"' for kind in KINDS)
+        )
     require_choice("kind", given.pop("kind"), tuple(KINDS))
     if not isinstance(given["name"], str):
         raise InputError(f"name = {shown(given['name'])}: must be text")
@@ -398,10 +433,18 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
 def constants_of(material: Material) -> dict[str, Any]:
     """The constants of which `from_constants` makes a material."""
     kind = next(kind for kind, made in KINDS.items() if isinstance(material, made))
-    return {"kind": kind} | {key: value for key, value in dataclasses.asdict(material).items() if value is not None}
+    return {"kind": kind} | {
+        key: value
+        for key, value in dataclasses.asdict(material).items()
+        if value is not None
+    }
 
 
-_PARTS: dict[str, type] = {"delay": ArrheniusTime, "aging": ActivatedAging, "rate": ArrheniusRate}
+_PARTS: dict[str, type] = {
+    "delay": ArrheniusTime,
+    "aging": ActivatedAging,
+    "rate": ArrheniusRate,
+}
 
 
 def _made(of: Any, given: dict[str, Any]) -> Any:
@@ -409,24 +452,32 @@ def _made(of: Any, given: dict[str, Any]) -> Any:
     fields = {field.name: field for field in dataclasses.fields(of)}
     for name in given:
         if name not in fields:
-            raise InputError(f"{name}: unknown constant; {meant(name, fields) or 'known here: ' + ', '.join(fields)}")
-    required = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
+            raise InputError(
+                f"{name}: unknown constant; {meant(name, fields) or 'known here: ' + ', '.join(fields)}"
+            )
+    required = [
+        name for name, field in fields.items() if field.default is dataclasses.MISSING
+    ]
     missing = ", ".join(name for name in required if name not in given)
     if missing:
         raise InputError(f"{missing}: required, in SI units")
     values = dict(given)
     for name in _PARTS.keys() & given.keys():
         if not isinstance(given[name], dict):
-            raise InputError(f"{name} = {shown(given[name])}: must be a section of constants")
+            raise InputError(
+                f"{name} = {shown(given[name])}: must be a section of constants"
+            )
         with under(name):
             values[name] = _made(_PARTS[name], given[name])
     return of(**values)
 
 
 def omcts_film(layers: int) -> LubricantIslands:
-    """Octamethylcyclotetrasiloxane as in figure A05: h = n_l 8.75 A, sigma_* = 4e6 exp(-1.5 n_l) Pa.
+    """Octamethylcyclotetrasiloxane as in figure A05: h = n_l 8.75 A, sigma_* = 4e6
+    exp(-1.5 n_l) Pa.
 
-    That is 2e5 Pa for two layers and 1e4 Pa for four, while the preset, as in the paper's text, has 2e5 Pa for four.
+    That is 2e5 Pa for two layers and 1e4 Pa for four, while the preset, as in the
+    paper's text, has 2e5 Pa for four.
 
     Parameters
     ----------
@@ -461,23 +512,41 @@ _UNITS = {
 }
 
 
-def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> list[Parameter]:
-    """The material's constants and what follows from them at `temperature` (K). Raises InputError."""
-    names = [field.name for field in dataclasses.fields(material) if field.name in _UNITS]
+def parameters(
+    material: Material, temperature: float = ROOM_TEMPERATURE
+) -> list[Parameter]:
+    """The material's constants and what follows from them at `temperature` (K). Raises
+    InputError."""
+    names = [
+        field.name for field in dataclasses.fields(material) if field.name in _UNITS
+    ]
     only_annealed = (
-        f"crossover velocity of the annealed ensemble ({equation('nt12')}); quenched contacts have none there"
+        f"crossover velocity of the annealed ensemble ({equation('nt12')}); "
+        "quenched contacts have none there"
     )
     return [
-        *(Parameter(name, getattr(material, name), _UNITS[name], "given") for name in names),
+        *(
+            Parameter(name, getattr(material, name), _UNITS[name], "given")
+            for name in names
+        ),
         Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
         Parameter("k", material.stiffness, "N/m", "stiffness of a contact"),
         Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
         Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
         Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
         *_elastic_lengths(material),
-        Parameter("b", material.b(temperature), "", f"k x_*^2/(2 kT) ({equation('nt08a')})"),
-        Parameter("v_*", material.crossover_velocity(temperature), "m/s", only_annealed),
-        Parameter("sigma_*", material.shear_strength, "Pa", "shear stress = sigma_* friction/x_*"),
+        Parameter(
+            "b", material.b(temperature), "", f"k x_*^2/(2 kT) ({equation('nt08a')})"
+        ),
+        Parameter(
+            "v_*", material.crossover_velocity(temperature), "m/s", only_annealed
+        ),
+        Parameter(
+            "sigma_*",
+            material.shear_strength,
+            "Pa",
+            "shear stress = sigma_* friction/x_*",
+        ),
         *_hardness(material),
     ]
 
@@ -485,12 +554,20 @@ def parameters(material: Material, temperature: float = ROOM_TEMPERATURE) -> lis
 def _hardness(material: Material) -> list[Parameter]:
     if material.hardness is None:
         return []
-    return [Parameter("H", material.hardness, "Pa", f"{_origin(material)}; mu = shear stress/H")]
+    return [
+        Parameter(
+            "H", material.hardness, "Pa", f"{_origin(material)}; mu = shear stress/H"
+        )
+    ]
 
 
 def _origin(material: Material) -> str:
     given = getattr(material, "indentation_hardness", None)
-    return "hardness, given" if given else "hardness of plastic contacts, 3 sqrt(3) sigma_*"
+    return (
+        "hardness, given"
+        if given
+        else "hardness of plastic contacts, 3 sqrt(3) sigma_*"
+    )
 
 
 def _elastic_lengths(material: Material) -> list[Parameter]:
@@ -560,7 +637,8 @@ def run_file_text(
     stiffness_law: StiffnessLaw = "uniform",
     count: int = 100_000,
 ) -> str:
-    """A run file of `material.ensemble(...)` over 20 x_*, with a sweep of five decades of velocity around its own.
+    """A run file of `material.ensemble(...)` over 20 x_*, with a sweep of five decades
+    of velocity around its own.
 
     It loads to the same numbers, to the last bit.
 
@@ -581,7 +659,9 @@ def run_file_text(
     InputError
         If a value is out of range.
     """
-    contacts = material.ensemble(temperature, disorder=disorder, stiffness_law=stiffness_law, count=count)
+    contacts = material.ensemble(
+        temperature, disorder=disorder, stiffness_law=stiffness_law, count=count
+    )
     wanted = _decimal(material.crossover_velocity()) if velocity is None else velocity
     drive = Drive(wanted, _decimal(20.0 * material.x_star))
     title, load = (
@@ -591,7 +671,12 @@ def run_file_text(
     if material.hardness is not None:
         load = f"normal_stress = {material.hardness:.4g}  # Pa, {_origin(material)}"
     decade = math.floor(math.log10(drive.velocity))
-    sections = _RUN_FILE + (_AGING if material.aging else "") + (_DELAY if material.delay else "") + _DRIVE
+    sections = (
+        _RUN_FILE
+        + (_AGING if material.aging else "")
+        + (_DELAY if material.delay else "")
+        + _DRIVE
+    )
     numbers = {
         "per_area": f"{material.contacts_per_area:.12g}",
         "load": load,

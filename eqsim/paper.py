@@ -1,4 +1,5 @@
-"""Equations and figures of the paper: labels of its source text, which the code cites, and the printed numbers.
+"""Equations and figures of the paper: labels of its source text, which the code cites,
+and the printed numbers.
 
 Numbered displays and figures are counted as they follow one another in the source.
 """
@@ -11,20 +12,51 @@ NOTE = f"Eq.: of {ARTICLE}; beside it the label in its source"
 _LABELS = (
     *("Q5a", "PcP", "Q5aG", "Q6", "Q11a", "Gamma0", "eq:pcf", "PxPf2"),  # section II
     *("nt01", "nt02", "nt03", "nt03a", "nt03b", "nt05", "nt06", "nt07"),
-    *("temper4", "temper11", "temper12", "nt08", "nt08a", "nt09a", "nt09", "nt10", "nt11"),  # III
+    *(
+        "temper4",
+        "temper11",
+        "temper12",
+        "nt08",
+        "nt08a",
+        "nt09a",
+        "nt09",
+        "nt10",
+        "nt11",
+    ),  # III
     *("nt12", "nt13", "nt14", "nt15", "nt15a", "nt16"),
-    *("L", "Bx", "Q15", "Q15a", "Q15b", "star1", "star1a", "star1b", "star2", "star2a"),  # IV
+    *(
+        "L",
+        "Bx",
+        "Q15",
+        "Q15a",
+        "Q15b",
+        "star1",
+        "star1a",
+        "star1b",
+        "star2",
+        "star2a",
+    ),  # IV
     *("star3a", "star3b", "star3c", "star4a", "star4b", "star4c"),
     "eq:ncnf",  # V
     "eq:omeg",  # VI; five without labels follow
 )
 EQUATIONS = {label: number for number, label in enumerate(_LABELS, 1)}
-FIGURES = {label: number for number, label in enumerate(("A01", "A01num", "A02", "A02ab", "A04", "A03", "A05"), 1)}
+FIGURES = {
+    label: number
+    for number, label in enumerate(
+        ("A01", "A01num", "A02", "A02ab", "A04", "A03", "A05"), 1
+    )
+}
 
 
 def printed(label: str) -> str:
-    """The printed number of an equation, "Eq. 21"; of all of a group such as star4, "Eqs. 45-47"."""
-    found = [EQUATIONS[label]] if label in EQUATIONS else [n for one, n in EQUATIONS.items() if one[:-1] == label]
+    """The printed number of an equation, "Eq. 21"; of all of a group such as star4,
+    "Eqs. 45-47"."""
+    found = (
+        [EQUATIONS[label]]
+        if label in EQUATIONS
+        else [n for one, n in EQUATIONS.items() if one[:-1] == label]
+    )
     return f"Eq. {found[0]}" if len(found) == 1 else f"Eqs. {found[0]}-{found[-1]}"
 
 
@@ -35,7 +67,9 @@ def equation(label: str) -> str:
 
 def numbered(text: str) -> str:
     """A text with printed numbers in the place of labels, as in a legend."""
-    return re.sub(r"\b(nt\d\d[ab]?|star\d[abc]?)\b", lambda found: printed(found[1]), text)
+    return re.sub(
+        r"\b(nt\d\d[ab]?|star\d[abc]?)\b", lambda found: printed(found[1]), text
+    )
 
 
 def figure(label: str) -> str:

@@ -4,13 +4,17 @@ import pytest
 
 
 def chosen(names, cases, default, ids=None):
-    """`pytest.mark.parametrize` with all `cases`: those in `default` run by default, the
-    others with -m verification. `default` holds cases, or what `ids` calls them."""
+    """`pytest.mark.parametrize` with all `cases`: those in `default` run by default,
+    the others with -m verification. `default` holds cases, or what `ids` calls them."""
     left = list(default)
     marked = []
     for case in cases:
         meant = [case, ids(case)] if ids else [case]
-        found = [index for index, choice in enumerate(left) if choice is case or choice in meant]
+        found = [
+            index
+            for index, choice in enumerate(left)
+            if choice is case or choice in meant
+        ]
         for index in found[:1]:
             del left[index]
         values = [case] if isinstance(names, str) else case

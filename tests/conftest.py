@@ -1,4 +1,5 @@
-"""Kernels are compiled before workers start on all tests, in processes side by side, and not by every worker anew."""
+"""Kernels are compiled before workers start on all tests, in processes side by side,
+and not by every worker anew."""
 
 import subprocess
 import sys
@@ -12,12 +13,22 @@ from eqsim.numerics.kernel_folder import kernel_folder
 def pytest_sessionstart(session):
     workers = getattr(session.config.option, "numprocesses", None)
     folder = kernel_folder()
-    if not workers or folder is None or not all(Path(arg).is_dir() for arg in session.config.args):
+    if (
+        not workers
+        or folder is None
+        or not all(Path(arg).is_dir() for arg in session.config.args)
+    ):
         return
     done = Path(folder, "for-tests")
     if not done.exists():
         count = min(workers, 4)  # of processes, each of which takes some seconds more
-        command, root = [sys.executable, "-m", "tests.kernels"], Path(__file__).parent.parent
-        running = [subprocess.Popen([*command, *LAWS[i::count]], cwd=root) for i in range(count)]
+        command, root = (
+            [sys.executable, "-m", "tests.kernels"],
+            Path(__file__).parent.parent,
+        )
+        running = [
+            subprocess.Popen([*command, *LAWS[i::count]], cwd=root)
+            for i in range(count)
+        ]
         if not any([process.wait() for process in running]):
             done.touch()

@@ -1,11 +1,14 @@
 """A plain solution of the renewal equation: lives on a lattice, and a convolution.
 
-Nothing here is shared with eqsim's solvers. Survival of a travel is summed by brute force from the survival function
-of the law of thresholds. Each life is then moved to the two lattice points next to it, with the shares that keep its
-mean length, so that the lattice is of second order in its spacing, and exact for thresholds and delays that lie on it.
-Breaks and births are sums of such lives; the series is inverted by Newton's method for power series.
+Nothing here is shared with eqsim's solvers. Survival of a travel is summed by brute
+force from the survival function of the law of thresholds. Each life is then moved to
+the two lattice points next to it, with the shares that keep its mean length, so that
+the lattice is of second order in its spacing, and exact for thresholds and delays that
+lie on it. Breaks and births are sums of such lives; the series is inverted by Newton's
+method for power series.
 
-Units: the threshold law's length. b = k/(2 kT) and the attempts are per unit displacement, omega/v.
+Units: the threshold law's length. b = k/(2 kT) and the attempts are per unit
+displacement, omega/v.
 """
 
 from dataclasses import dataclass
@@ -16,7 +19,8 @@ from scipy import ndimage, special
 from scipy.signal import fftconvolve
 
 _GAUSS = np.polynomial.legendre.leggauss(6)
-# Cells of thresholds beyond the lattice in each e-fold, up to where a share of 1e-13 is stronger.
+# Cells of thresholds beyond the lattice in each e-fold, up to where a share of 1e-13 is
+# stronger.
 _MOST = 4000
 
 
@@ -27,9 +31,11 @@ class Contacts:
     Attributes
     ----------
     law : object
-        With `sf`, `mean`, `rms` and `inverse_survival`, and `steps` (the equally likely thresholds of a discrete law).
+        With `sf`, `mean`, `rms` and `inverse_survival`, and `steps` (the equally likely
+        thresholds of a discrete law).
     b, attempts : float
-        k/(2 kT) (1/length^2) and omega/v (1/length); heat breaks none if `attempts` is 0.
+        k/(2 kT) (1/length^2) and omega/v (1/length); heat breaks none if `attempts` is
+        0.
     delay : float
         Mean displacement while detached; `random`: exponential, else always the same.
     drag : float
@@ -48,7 +54,8 @@ class Contacts:
 
 
 class Means(NamedTuple):
-    """Force <F>/(N k) and pinned share at displacements X, and how far they may be from the truth."""
+    """Force <F>/(N k) and pinned share at displacements X, and how far they may be from
+    the truth."""
 
     X: np.ndarray
     force: np.ndarray
@@ -58,7 +65,8 @@ class Means(NamedTuple):
 
 
 class _Lives(NamedTuple):
-    """At lattice points: the mean force m of a life, at a jump that of both sides, and int_0^x S dx."""
+    """At lattice points: the mean force m of a life, at a jump that of both sides, and
+    int_0^x S dx."""
 
     force: np.ndarray
     travel: np.ndarray
@@ -86,27 +94,35 @@ def rate(c: Contacts, x, xi, kappa):
 
 
 def _classes(c: Contacts, x):
-    """Thresholds and their shares: those of a discrete law, or cells that end at `x`, and beyond."""
+    """Thresholds and their shares: those of a discrete law, or cells that end at `x`,
+    and beyond."""
     if c.law.steps.size:
         xi, counts = np.unique(c.law.steps, return_counts=True)
         return xi, counts / counts.sum()
     top = max(float(c.law.inverse_survival(30.0)), 1.01 * x[-1])
     decades = np.log(top / x[-1])
-    beyond = x[-1] * np.exp(np.linspace(0.0, decades, int(decades * min(x.size, _MOST)) + 2))
+    beyond = x[-1] * np.exp(
+        np.linspace(0.0, decades, int(decades * min(x.size, _MOST)) + 2)
+    )
     edges = np.append(x, beyond[1:])
     return 0.5 * (edges[1:] + edges[:-1]), -np.diff(c.law.sf(edges))
 
 
 def _means_at(c: Contacts, x):
-    """S and E[kappa; pinned] at ascending x from 0, means of the limits from the left and from the right."""
+    """S and E[kappa; pinned] at ascending x from 0, means of the limits from the left
+    and from the right."""
     stiff = (lambda xi: xi / c.law.rms) if c.stiffness == "sqrt" else np.ones_like
     if not c.attempts and c.law.steps.size == 0:
         survive = c.law.sf(x)
         if c.stiffness == "uniform":
             return survive, survive
         half = 0.5 * np.diff(x)[:, None]  # E[xi; xi > x] = x sf(x) + int_x^inf sf
-        cells = (c.law.sf(x[:-1, None] + half * (1.0 + _GAUSS[0])) * _GAUSS[1] * half).sum(axis=1)
-        return survive, (x * survive + c.law.mean - np.append(0.0, np.cumsum(cells))) / c.law.rms
+        cells = (
+            c.law.sf(x[:-1, None] + half * (1.0 + _GAUSS[0])) * _GAUSS[1] * half
+        ).sum(axis=1)
+        return survive, (
+            x * survive + c.law.mean - np.append(0.0, np.cumsum(cells))
+        ) / c.law.rms
     xi, share = _classes(c, x)
     use = share > 0.0
     xi, share = xi[use], share[use]
@@ -114,12 +130,24 @@ def _means_at(c: Contacts, x):
     survive, weighed, pooled = np.zeros(x.size), np.zeros(x.size), np.zeros(x.size)
     for start in range(0, xi.size, 256):
         part = slice(start, start + 256)
-        y, own, k, weight = np.minimum(x[:, None], xi[part]), xi[part], kappa[part], share[part]
+        y, own, k, weight = (
+            np.minimum(x[:, None], xi[part]),
+            xi[part],
+            kappa[part],
+            share[part],
+        )
         # a threshold on the lattice counts half there
-        above = np.where(np.isclose(x[:, None], own, rtol=1e-12, atol=0.0), 0.5, x[:, None] < own)
+        above = np.where(
+            np.isclose(x[:, None], own, rtol=1e-12, atol=0.0), 0.5, x[:, None] < own
+        )
         if c.annealed:
             alive = above
-            pooled += np.where(x[:, None] <= own, passed(c, y, own, k), passed(c, own, own, k)) @ weight
+            pooled += (
+                np.where(
+                    x[:, None] <= own, passed(c, y, own, k), passed(c, own, own, k)
+                )
+                @ weight
+            )
         else:
             alive = above * (np.exp(-passed(c, y, own, k)) if c.attempts else 1.0)
         survive += alive @ weight
@@ -136,14 +164,17 @@ def _lives(c: Contacts, h: float, cells: int) -> _Lives:
     elif c.law.steps.size:
         # Gauss nodes between lattice points, on which jumps are
         inner = (x[:-2:2, None] + 0.5 * h * (1.0 + _GAUSS[0])).ravel()
-        travel = _means_at(c, inner)[0].reshape(-1, _GAUSS[0].size) @ (_GAUSS[1] * 0.5 * h)
+        travel = _means_at(c, inner)[0].reshape(-1, _GAUSS[0].size) @ (
+            _GAUSS[1] * 0.5 * h
+        )
     else:
         travel = h * (survive[:-2:2] + 4.0 * survive[1::2] + survive[2::2]) / 6.0
     return _Lives((x * stiff)[::2], np.append(0.0, np.cumsum(travel)))
 
 
 def _masses(travel, h):
-    """Shares of lattice points, that keep the mean, of a life with int_0^x S dx = `travel` there."""
+    """Shares of lattice points, that keep the mean, of a life with int_0^x S dx =
+    `travel` there."""
     late = h * np.arange(travel.size) - travel  # E[(x - life)+]
     bend = np.append(np.diff(late, 2), np.nan) / h
     return np.append(late[1] / h, bend)
@@ -177,7 +208,9 @@ def _solved(c: Contacts, h: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
         late = np.where(np.arange(cells + 1) < at, 1.0, 0.0)
         late[[0, at]] = 0.5 if at else 0.0  # the mean of both sides of a jump
     cycle = fftconvolve(life, wait)[: cells + 1]
-    again = _inverse(np.append(1.0 - cycle[0], -cycle[1:]))  # all births, the first ones at 0 included
+    again = _inverse(
+        np.append(1.0 - cycle[0], -cycle[1:])
+    )  # all births, the first ones at 0 included
     breaks = fftconvolve(again, life)[: cells + 1]
     detached = fftconvolve(breaks, late)[: cells + 1]
     force = fftconvolve(again, lives.force[: cells + 1])[: cells + 1]
@@ -187,15 +220,22 @@ def _solved(c: Contacts, h: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
 def means(c: Contacts, h: float, cells: int) -> Means:
     """Means at 0, h, 2 h, ... of a lattice of spacing h/2.
 
-    Four times what that of spacing h differs by nearby is quoted as their error: twelve times the error where the
-    lattice is of second order, four times that where it is of first, at jumps and kinks, and 1.3 times that of order
-    0.4, where densities of the power -0.6 are infinite.
+    Four times what that of spacing h differs by nearby is quoted as their error: twelve
+    times the error where the lattice is of second order, four times that where it is of
+    first, at jumps and kinks, and 1.3 times that of order 0.4, where densities of the
+    power -0.6 are infinite.
 
     Where forces jump on the lattice it is the mean of both sides.
     """
-    coarse, fine = _solved(c, h, cells), [part[::2] for part in _solved(c, 0.5 * h, 2 * cells)]
+    coarse, fine = (
+        _solved(c, h, cells),
+        [part[::2] for part in _solved(c, 0.5 * h, 2 * cells)],
+    )
     rough = 1e-12 * cells**0.5
     apart = [np.abs(a - b) for a, b in zip(coarse, fine, strict=True)]
     # the difference may vanish by chance where the error does not
-    errors = [4.0 * ndimage.maximum_filter1d(part, max(cells // 100, 1)) + rough for part in apart]
+    errors = [
+        4.0 * ndimage.maximum_filter1d(part, max(cells // 100, 1)) + rough
+        for part in apart
+    ]
     return Means(h * np.arange(cells + 1), *fine, *errors)

@@ -1,12 +1,14 @@
-"""Brute force for a few contacts and a slider that a stage pulls through a spring, one event after another.
+"""Brute force for a few contacts and a slider that a stage pulls through a spring, one
+event after another.
 
-The slider has neither mass nor damping: at every moment the spring balances the contacts,
-N kappa (Y - X) = sum of k_i (X - X_birth), and after a break it slides at once to where they balance again; contacts
-whose thresholds it passes on the way break in the order in which it passes them. While the stage holds, nothing moves
-between two events, all rates are constant, and the next event is drawn as it is (Gillespie, 1976). While it moves,
-stretches grow between two events, and attempts are drawn at the largest rates of a short window and accepted with the
-ratio of the rate to that (thinning). No hazard is integrated, no step in time is taken, and nothing is shared with
-eqsim.
+The slider has neither mass nor damping: at every moment the spring balances the
+contacts, N kappa (Y - X) = sum of k_i (X - X_birth), and after a break it slides at
+once to where they balance again; contacts whose thresholds it passes on the way break
+in the order in which it passes them. While the stage holds, nothing moves between two
+events, all rates are constant, and the next event is drawn as it is (Gillespie, 1976).
+While it moves, stretches grow between two events, and attempts are drawn at the largest
+rates of a short window and accepted with the ratio of the rate to that (thinning). No
+hazard is integrated, no step in time is taken, and nothing is shared with eqsim.
 
 Many replicas are followed at once, as rows of arrays (replicas, contacts).
 """
@@ -17,11 +19,13 @@ import numpy as np
 
 
 class Sled(NamedTuple):
-    """A slider on `count` contacts behind a spring. Thresholds are such that xi^2 ~ Gamma(n + 1); k = omega = 1.
+    """A slider on `count` contacts behind a spring. Thresholds are such that xi^2 ~
+    Gamma(n + 1); k = omega = 1.
 
-    `wrong` names a deliberate mistake: "frozen" breaks no contact by heat while the stage holds, "pinned slider" keeps
-    the slider where it is after a break, "crowd" moves it by the mean over 10^4 times as many contacts, "unordered"
-    lets contacts hold on whose thresholds a slip passes.
+    `wrong` names a deliberate mistake: "frozen" breaks no contact by heat while the
+    stage holds, "pinned slider" keeps the slider where it is after a break, "crowd"
+    moves it by the mean over 10^4 times as many contacts, "unordered" lets contacts
+    hold on whose thresholds a slip passes.
     """
 
     count: int
@@ -39,7 +43,8 @@ class Sled(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Displacement, force over N k and pinned share, arrays (instants, replicas); breaks, array (replicas,)."""
+    """Displacement, force over N k and pinned share, arrays (instants, replicas);
+    breaks, array (replicas,)."""
 
     X: np.ndarray
     force: np.ndarray
@@ -51,8 +56,9 @@ _WINDOW = 0.05  # by how much stretches may grow while rates are bounded; any va
 
 
 class Rows(NamedTuple):
-    """The state of all replicas: thresholds, stiffness, position at birth, whether pinned, and when pinned again,
-    arrays (replicas, contacts); displacement of the slider and breaks so far, arrays (replicas,)."""
+    """The state of all replicas: thresholds, stiffness, position at birth, whether
+    pinned, and when pinned again, arrays (replicas, contacts); displacement of the
+    slider and breaks so far, arrays (replicas,)."""
 
     xi: np.ndarray
     k: np.ndarray
@@ -74,7 +80,8 @@ def stiffness(sled, xi):
 
 
 def success(sled, xi, k, stretch):
-    """Probability that a thermal attempt breaks contacts of these thresholds and stretches (>= 0)."""
+    """Probability that a thermal attempt breaks contacts of these thresholds and
+    stretches (>= 0)."""
     gap = np.clip(1.0 - stretch / xi, 0.0, 1.0)
     a = k * xi**2 / (2.0 * sled.kT)
     if sled.stiff:
@@ -86,7 +93,9 @@ def largest_success(sled, xi, k, low, high):
     """The largest of these probabilities for stretches from `low` to `high`."""
     if not sled.stiff:
         return success(sled, xi, k, np.minimum(high, xi * (1.0 - 1e-12)))
-    top = xi * (1.0 - (2.0 * sled.kT / (3.0 * k * xi**2)) ** (2.0 / 3.0))  # where sqrt(u) exp(-a u^1.5) is greatest
+    top = xi * (
+        1.0 - (2.0 * sled.kT / (3.0 * k * xi**2)) ** (2.0 / 3.0)
+    )  # where sqrt(u) exp(-a u^1.5) is greatest
     return success(sled, xi, k, np.clip(top, low, np.minimum(high, xi)))
 
 
@@ -114,14 +123,17 @@ def balance(sled, rows, row, Y):
     k = np.where(rows.held[row], rows.k[row], 0.0)
     if sled.wrong == "crowd":
         share = 1e-4
-        resting = (sled.stiffness * Y + (k * rows.born[row]).mean(1)) / (sled.stiffness + k.mean(1))
+        resting = (sled.stiffness * Y + (k * rows.born[row]).mean(1)) / (
+            sled.stiffness + k.mean(1)
+        )
         return rows.X[row] + share * (resting - rows.X[row])
     spring = sled.count * sled.stiffness
     return (spring * Y + (k * rows.born[row]).sum(1)) / (spring + k.sum(1))
 
 
 def slide(sled, rng, rows, row, Y, t):
-    """Let the slider of some replicas slide, at times `t`, until the spring and the contacts balance."""
+    """Let the slider of some replicas slide, at times `t`, until the spring and the
+    contacts balance."""
     if sled.wrong == "pinned slider":
         return
     while row.size:
@@ -141,7 +153,8 @@ def slide(sled, rng, rows, row, Y, t):
 
 
 def simulate(sled, instants, replicas, rng):
-    """Follow `replicas` sliders from a fresh start, all contacts pinned and unstretched; look at ascending times."""
+    """Follow `replicas` sliders from a fresh start, all contacts pinned and
+    unstretched; look at ascending times."""
     ends = np.cumsum([time for _, time in sled.segments])
     shape = (replicas, sled.count)
     rows = Rows(
@@ -150,7 +163,9 @@ def simulate(sled, instants, replicas, rng):
     )  # fmt: skip
     everyone = np.arange(replicas)
     pin(sled, rng, rows, *np.divmod(np.arange(replicas * sled.count), sled.count))
-    slide(sled, rng, rows, everyone, np.full(replicas, sled.preload), np.zeros(replicas))
+    slide(
+        sled, rng, rows, everyone, np.full(replicas, sled.preload), np.zeros(replicas)
+    )
     records = np.zeros((3, len(instants), replicas))
     begin, Y = 0.0, sled.preload
     at = 0
@@ -170,7 +185,8 @@ def simulate(sled, instants, replicas, rng):
 
 
 def advance(sled, rng, rows, velocity, Y, begin, end):
-    """Follow all replicas from `begin`, when the stage is at `Y`, to `end`, while the stage moves at `velocity`."""
+    """Follow all replicas from `begin`, when the stage is at `Y`, to `end`, while the
+    stage moves at `velocity`."""
     t = np.full(rows.X.size, float(begin))
     row = np.arange(rows.X.size)
     while row.size:
@@ -178,13 +194,18 @@ def advance(sled, rng, rows, velocity, Y, begin, end):
         speed = np.zeros(row.size)
         if velocity and sled.wrong != "pinned slider":
             spring = sled.count * sled.stiffness
-            speed = velocity * spring / (spring + np.where(held, rows.k[row], 0.0).sum(1))
+            speed = (
+                velocity * spring / (spring + np.where(held, rows.k[row], 0.0).sum(1))
+            )
         now = t[row]
         with np.errstate(divide="ignore"):
             until = np.minimum(end, now + _WINDOW / np.abs(speed))
         stretch = X[:, None] - rows.born[row]
         later = stretch + (speed * (until - now))[:, None]
-        low, high = np.minimum(np.abs(stretch), np.abs(later)), np.maximum(np.abs(stretch), np.abs(later))
+        low, high = (
+            np.minimum(np.abs(stretch), np.abs(later)),
+            np.maximum(np.abs(stretch), np.abs(later)),
+        )
         if sled.annealed:
             bound = np.ones_like(stretch)
         elif velocity:
@@ -210,11 +231,17 @@ def advance(sled, rng, rows, velocity, Y, begin, end):
         rows.X[row] = X + speed * (t[row] - now)
         # attempts
         some = np.flatnonzero(which == 1)
-        contact = (rng.random(some.size)[:, None] * total[some, -1:] >= total[some]).sum(1)
+        contact = (
+            rng.random(some.size)[:, None] * total[some, -1:] >= total[some]
+        ).sum(1)
         contact = np.minimum(contact, sled.count - 1)
         tried = row[some]
         x = np.abs(rows.X[tried] - rows.born[tried, contact])
-        xi = thresholds(sled, rng, some.size) if sled.annealed else rows.xi[tried, contact]
+        xi = (
+            thresholds(sled, rng, some.size)
+            if sled.annealed
+            else rows.xi[tried, contact]
+        )
         chance = np.where(x < xi, success(sled, xi, stiffness(sled, xi), x), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             accepted = rng.random(some.size) * bound[some, contact] < chance

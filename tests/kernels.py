@@ -1,8 +1,10 @@
-"""Routines that only kernels call, as functions that tests can call: compiled, as in a kernel.
+"""Routines that only kernels call, as functions that tests can call: compiled, as in a
+kernel.
 
     python -m tests.kernels BARRIER-AGING ...
 
-compiles the kernels of such contacts into the cache; `LAWS` are those of the default tests.
+compiles the kernels of such contacts into the cache; `LAWS` are those of the default
+tests.
 """
 
 import functools
@@ -11,7 +13,18 @@ from dataclasses import replace
 
 import numba
 
-from eqsim import Aging, Drive, Ensemble, Programme, Segment, Stage, Thermal, steady, trajectory, transient
+from eqsim import (
+    Aging,
+    Drive,
+    Ensemble,
+    Programme,
+    Segment,
+    Stage,
+    Thermal,
+    steady,
+    trajectory,
+    transient,
+)
 
 # those that take longest come first
 LAWS = [
@@ -32,8 +45,13 @@ def compiled(routine):
 def compile_kernels(barrier, aging):
     """By a steady estimate and a trajectory of next to nothing."""
     contacts = Ensemble(
-        thermal=Thermal(0.0 if barrier == "mechanical" else 1.0, barrier="stiff" if barrier == "stiff" else "soft"),
-        aging=Aging(aging, beta=0.1, cutoff_time=1.0) if aging == "logarithmic" else Aging(aging, 0.1, 2.0),
+        thermal=Thermal(
+            0.0 if barrier == "mechanical" else 1.0,
+            barrier="stiff" if barrier == "stiff" else "soft",
+        ),
+        aging=Aging(aging, beta=0.1, cutoff_time=1.0)
+        if aging == "logarithmic"
+        else Aging(aging, 0.1, 2.0),
         count=64,  # as most tests have, at least: fewer are recorded one by one, by another kernel
         disorder="annealed" if barrier == "annealed" else "quenched",
     )
@@ -47,7 +65,9 @@ def compile_kernels(barrier, aging):
         if aging == "none":
             transient(contacts, programme, 2)
         if aging == "none" and barrier in ("mechanical", "soft"):
-            pulled = Programme([Segment(1.0, distance=1.0)], stage=Stage(1.0, damping=1.0))
+            pulled = Programme(
+                [Segment(1.0, distance=1.0)], stage=Stage(1.0, damping=1.0)
+            )
             trajectory(contacts, pulled, points=2)
             if barrier == "mechanical":
                 transient(contacts, pulled, 2)

@@ -1,10 +1,13 @@
-"""Contacts on a lattice, a plain twin of the references along programmes and behind a stage.
+"""Contacts on a lattice, a plain twin of the references along programmes and behind a
+stage.
 
-Thresholds and displacements are multiples of a length h, so that contacts break mechanically at instants of the lattice
-alone. Atoms stay where they are; of a density what lies between two even multiples is put on the odd one between, which
-is of second order, also next to jumps and kinks if these are at even multiples. Heat breaks contacts in the middle of a
-step; births of these are half at its beginning and half at its end. Cohorts are the births of an instant, one by one:
-nothing is joined, interpolated or extrapolated, and nothing here comes from the package but laws of thresholds.
+Thresholds and displacements are multiples of a length h, so that contacts break
+mechanically at instants of the lattice alone. Atoms stay where they are; of a density
+what lies between two even multiples is put on the odd one between, which is of second
+order, also next to jumps and kinks if these are at even multiples. Heat breaks contacts
+in the middle of a step; births of these are half at its beginning and half at its end.
+Cohorts are the births of an instant, one by one: nothing is joined, interpolated or
+extrapolated, and nothing here comes from the package but laws of thresholds.
 """
 
 from typing import NamedTuple
@@ -28,8 +31,9 @@ class Leg(NamedTuple):
 
 
 class History(NamedTuple):
-    """At instants of the lattice: times, displacements, the force just before and after the contacts break whose turn
-    it is, pinned share and mean square of the force, arrays (instants,)."""
+    """At instants of the lattice: times, displacements, the force just before and after
+    the contacts break whose turn it is, pinned share and mean square of the force,
+    arrays (instants,)."""
 
     t: np.ndarray
     X: np.ndarray
@@ -58,8 +62,8 @@ def lattice_law(law, h, longest, sqrt=False):
 
 
 def history(law, h, legs, rate=None, delay=0.0, exponential=False):
-    """March along legs from a fresh start. `rate(x)` is that of thermal breaking at stretch x, of all contacts alike,
-    or for each threshold, shape (x, thresholds)."""
+    """March along legs from a fresh start. `rate(x)` is that of thermal breaking at
+    stretch x, of all contacts alike, or for each threshold, shape (x, thresholds)."""
     steps = sum(leg.steps for leg in legs)
     dts = np.concatenate([np.full(leg.steps, leg.dt) for leg in legs])
     t = np.append(0.0, np.cumsum(dts))
@@ -68,8 +72,12 @@ def history(law, h, legs, rate=None, delay=0.0, exponential=False):
     each = rate is not None and np.ndim(rate(np.zeros(1))) == 2
     thresholds = law.share.size
     by_kappa = law.share * law.kappa ** np.arange(3)[:, None]
-    above = np.array([np.append(part[::-1].cumsum()[::-1][1:], 0.0) for part in by_kappa])  # of those > j h
-    alive = np.zeros((steps + 1, thresholds if each else 1))  # births times thermal survival
+    above = np.array(
+        [np.append(part[::-1].cumsum()[::-1][1:], 0.0) for part in by_kappa]
+    )  # of those > j h
+    alive = np.zeros(
+        (steps + 1, thresholds if each else 1)
+    )  # births times thermal survival
     alive[0] = 1.0
     greatest = np.zeros(steps + 1, int)
     due = np.zeros(steps + 2)  # births that wait, by instant
@@ -79,7 +87,9 @@ def history(law, h, legs, rate=None, delay=0.0, exponential=False):
 
     def pinned(rows, reach, p):
         if each:
-            return (alive[rows] * (np.arange(thresholds) > reach[:, None])) @ by_kappa[p]
+            return (alive[rows] * (np.arange(thresholds) > reach[:, None])) @ by_kappa[
+                p
+            ]
         return alive[rows, 0] * above[p][np.minimum(reach, thresholds - 1)]
 
     def break_at(m, share):  # contacts break at an instant, and are born again
@@ -121,5 +131,7 @@ def history(law, h, legs, rate=None, delay=0.0, exponential=False):
         break_at(m + 1, old - left.sum())
         found.force[m + 1] = h * (x * pinned(rows, reach, 1)).sum()
         found.square[m + 1] = h * h * (x * x * pinned(rows, reach, 2)).sum()
-        found.pinned[m + 1] = left.sum() + pinned(slice(m + 1, m + 2), np.zeros(1, int), 0)[0]
+        found.pinned[m + 1] = (
+            left.sum() + pinned(slice(m + 1, m + 2), np.zeros(1, int), 0)[0]
+        )
     return found

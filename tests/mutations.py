@@ -33,8 +33,9 @@ COMPILERS = ("eqsim.numerics.compiled", "numba", "llvmlite")
 
 
 class Mistake(NamedTuple):
-    """A name, the file below eqsim/, the text that occurs there once and what takes its place, and the tests nearest to
-    it, below tests/ and separated by " & ". `same` says why the program does the same with it, if it does."""
+    """A name, the file below eqsim/, the text that occurs there once and what takes its
+    place, and the tests nearest to it, below tests/ and separated by " & ". `same` says
+    why the program does the same with it, if it does."""
 
     name: str
     file: str
@@ -45,8 +46,8 @@ class Mistake(NamedTuple):
 
 
 class Fate(NamedTuple):
-    """What became of a mistake: "caught", "SURVIVED" or "equivalent"; by which test and what that said, or why; and the
-    seconds it took."""
+    """What became of a mistake: "caught", "SURVIVED" or "equivalent"; by which test and
+    what that said, or why; and the seconds it took."""
 
     name: str
     fate: str
@@ -58,7 +59,8 @@ M = Mistake
 # fmt: off
 MISTAKES = [
     # laws
-    M("gamma: power of the density", "laws/threshold.py", "log_pdf = (1 + 2 * self.n)", "log_pdf = (2 * self.n)",
+    M("gamma: power of the density", "laws/threshold.py", "(1 + 2 * self.n) * np.log(inside)",
+      "(2 * self.n) * np.log(inside)",
       "test_threshold.py::test_gamma_is_nakagami"),
     M("gamma: rms threshold", "laws/threshold.py", "self.x_star * math.sqrt(self.n + 1.0)",
       "self.x_star * math.sqrt(self.n + 0.9)", "test_threshold.py::test_gamma_is_nakagami"),
@@ -113,8 +115,8 @@ MISTAKES = [
       "test_elementary.py::test_stated_error"),
     M("sine: thirteenth digit", "numerics/vector_math.py", "-0.6459640975062232", "-0.6459640975064232",
       "test_elementary.py::test_stated_error"),
-    M("stiff hazard: factor", "laws/barrier/stiff.py", "return math.log(2 / 3) - np.log",
-      "return math.log(3 / 2) - np.log", "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
+    M("stiff hazard: factor", "laws/barrier/stiff.py", "math.log(2 / 3)", "math.log(3 / 2)",
+      "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
     M("stiff rate: root of the gap", "laws/barrier/stiff.py", "return 0.5 * np.log(gap / xi)",
       "return np.log(gap / xi)", "test_thermal.py::test_derivative_of_the_hazard_is_the_rate"),
     M("soft inverse: a factor sqrt(a)", "laws/barrier/soft.py", "_SOFT * clock * root *", "_SOFT * clock *",
@@ -127,7 +129,7 @@ MISTAKES = [
       "(beyond, beyond + y, xi, a)", "test_thermal.py::test_pooled_rate_is_nt08"),
     M("pooled table: rate right of a node", "laws/barrier/pooled.py", "right[:k] += rate[:-1]",
       "right[:k] += 0.9 * rate[:-1]", "test_thermal.py::test_documented_error_of_the_pool_of_a_table"),
-    M("aging: alpha by a half", "laws/aging/__init__.py", "alpha = 4.0 * self.rate", "alpha = 2.0 * self.rate",
+    M("aging: alpha by a half", "laws/aging/__init__.py", "4.0 * self.rate", "2.0 * self.rate",
       "test_aging.py::test_alpha"),
     M("pooled births: slopes of another unit", "laws/aging/pooled.py", "np.exp(-e) / self.pdf(xi) / self.scale)",
       "np.exp(-e) / self.pdf(xi))", "test_aging.py::test_pooled_table_in_any_unit"),
@@ -315,8 +317,8 @@ MISTAKES = [
       "+= number + 1 - averaging.lives[i]", "+= number - averaging.lives[i]",
       "test_lives.py::test_side_by_side_as_one_by_one"),
     M("follow: ages forgotten in a move", "engine/follow.py",
-      "= contact[active], age[active], position[active]",
-      "= contact[active], age[i], position[active]",
+      "contact[active], age[active], position[active]",
+      "contact[active], age[i], position[active]",
       "test_lives.py::test_side_by_side_as_one_by_one"),
     M("recorder: moments, drag has no variance", "engine/recorder.py", "square + drag**2 * detached - force**2",
       "square - force**2 * (drag >= 0.0)", "test_trajectory.py::test_strong_drag_between_replicas & "
@@ -466,8 +468,8 @@ MISTAKES = [
     M("trajectory: drag while pinned", "engine/trajectory.py", "over(area + drag * (elapsed - pinned), elapsed)",
       "over(area + drag * elapsed, elapsed)", "test_trajectory.py::test_agrees_with_steady"),
     # estimate
-    M("estimate: error of a ratio without B/(B - 1)", "estimate.py", "variance = batches / (batches - 1) *",
-      "variance = 1.0 *", "test_steady.py::test_error_of_a_ratio"),
+    M("estimate: error of a ratio without B/(B - 1)", "estimate.py", "batches / (batches - 1) *", "1.0 *",
+      "test_steady.py::test_error_of_a_ratio"),
     M("estimate: halves of a drift over B", "estimate.py", "np.var(residual, ddof=1)", "np.var(residual, ddof=0)",
       "test_steady.py::test_halves_that_differ_drift"),
     M("estimate: drifts upward only", "estimate.py", "bool(abs(ratios[1] - ratios[0])", "bool((ratios[1] - ratios[0])",
@@ -485,8 +487,8 @@ MISTAKES = [
       "aging.x_star_final / law.x_star, aging.alpha", "test_aging.py::test_reduced"),
     M("model: b by a half", "model/ensemble.py", "energy = 0.5 * self.stiffness", "energy = 0.25 * self.stiffness",
       "test_thermal.py::test_crossover_velocity_is_nt12"),
-    M("model: distance of 100 thresholds", "model/drive.py", "return 200.0 * ensemble.thresholds.mean",
-      "return 100.0 * ensemble.thresholds.mean", "test_runfile.py::test_defaults"),
+    M("model: distance of 100 thresholds", "model/drive.py", "200.0 * ensemble.thresholds.mean",
+      "100.0 * ensemble.thresholds.mean", "test_runfile.py::test_defaults"),
     # fits
     M("profiles: level of 95 % for one side", "fitting/profiles.py", '"95": 3.8415', '"95": 2.7055',
       "test_fit.py::test_levels"),
@@ -799,12 +801,26 @@ class WrongTable(Exception):
     """A mistake that cannot be made, or tests that fail without it."""
 
 
+def pattern(quote: str) -> re.Pattern[str]:
+    """Match a quote of source code however the formatter breaks its lines."""
+    tokens = re.findall(r"\w+|[^\w\s]", quote)
+    gaps = [r",?\s*" if token in ")]}" else r"\s*" for token in tokens[1:]]
+    parts = [
+        gap + re.escape(token) for gap, token in zip(gaps, tokens[1:], strict=True)
+    ]
+    return re.compile(re.escape(tokens[0]) + "".join(parts))
+
+
 def changed(mistake: Mistake, root: Path = ROOT) -> str:
     """The source with the mistake. Raises WrongTable."""
     source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
-    if (count := source.count(mistake.old)) != 1:
-        raise WrongTable(f"{mistake.name}: its text occurs {count} times in {mistake.file}, must be once")
-    found = source.replace(mistake.old, mistake.new)
+    indent = mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
+    new = mistake.new.removeprefix(indent).rstrip()
+    found, count = pattern(mistake.old).subn(lambda _: new, source)
+    if count != 1:
+        raise WrongTable(
+            f"{mistake.name}: its text occurs {count} times in {mistake.file}, must be once"
+        )
     try:
         ast.parse(found)
     except SyntaxError as error:
@@ -818,9 +834,15 @@ def imports(file: ast.Module) -> list[tuple[str, str]]:
     found = []
     for node in ast.walk(file):
         if isinstance(node, ast.Import):
-            found += [(alias.name, alias.asname or alias.name.partition(".")[0]) for alias in node.names]
+            found += [
+                (alias.name, alias.asname or alias.name.partition(".")[0])
+                for alias in node.names
+            ]
         elif isinstance(node, ast.ImportFrom):
-            found += [(f"{node.module}.{alias.name}", alias.asname or alias.name) for alias in node.names]
+            found += [
+                (f"{node.module}.{alias.name}", alias.asname or alias.name)
+                for alias in node.names
+            ]
     return found
 
 
@@ -836,20 +858,24 @@ def is_compiled(function: ast.FunctionDef, known: set[str]) -> bool:
     for decorator in function.decorator_list:
         names = {node.id for node in ast.walk(decorator) if isinstance(node, ast.Name)}
         maker = decorator.func if isinstance(decorator, ast.Call) else decorator
-        if names & known or (isinstance(maker, ast.Attribute) and maker.attr == "register"):
+        if names & known or (
+            isinstance(maker, ast.Attribute) and maker.attr == "register"
+        ):
             return True
     return False
 
 
 def needs_kernels(mistake: Mistake, root: Path = ROOT) -> bool:
-    """Whether compiled code may change: unless the mistake is in a function of plain Python, in a file that does not
-    itself speak to the compiler."""
+    """Whether compiled code may change: unless the mistake is in a function of plain
+    Python, in a file that does not itself speak to the compiler."""
     source = (root / "eqsim" / mistake.file).read_text(encoding="utf-8")
-    before = source[: source.index(mistake.old)] + mistake.old[: len(mistake.old) - len(mistake.old.lstrip())]
-    line = before.count("\n") + 1
+    place = pattern(mistake.old).search(source)
+    line = source.count("\n", 0, place.start() if place else 0) + 1
     file = ast.parse(source)
     functions = [node for node in ast.walk(file) if isinstance(node, ast.FunctionDef)]
-    around = [node for node in functions if node.lineno <= line <= (node.end_lineno or 0)]
+    around = [
+        node for node in functions if node.lineno <= line <= (node.end_lineno or 0)
+    ]
     if not around or compilers(file, ("numba", "llvmlite")):
         return True
     return any(is_compiled(node, compilers(file)) for node in around)
@@ -860,8 +886,15 @@ class Copy:
 
     def __init__(self, folder: Path) -> None:
         self.root = folder / "eqsim"
-        shutil.copytree(ROOT, self.root, ignore=shutil.ignore_patterns(".git", "__pycache__", "out", ".*_cache"))
-        self.environment = os.environ | {"PYTHONPATH": str(self.root), "PYTHONDONTWRITEBYTECODE": "1"}
+        shutil.copytree(
+            ROOT,
+            self.root,
+            ignore=shutil.ignore_patterns(".git", "__pycache__", "out", ".*_cache"),
+        )
+        self.environment = os.environ | {
+            "PYTHONPATH": str(self.root),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
         self.known = self.kernels()
 
     def kernels(self) -> Path:
@@ -871,12 +904,29 @@ class Copy:
             "-c",
             "from eqsim.numerics.kernel_folder import kernel_folder; print(kernel_folder())",
         ]
-        done = subprocess.run(command, cwd=self.root, env=self.environment, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            command,
+            cwd=self.root,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         return Path(done.stdout.strip())
 
     def pytest(self, *arguments: str) -> tuple[int, str]:
         """Exit code and output; -1 if it had to be ended."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *arguments]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-x",
+            "-q",
+            "-rfE",
+            "-p",
+            "no:cacheprovider",
+            *arguments,
+        ]
         process = subprocess.Popen(
             command, cwd=self.root, env=self.environment, text=True, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -898,7 +948,9 @@ class Copy:
         compiled = needs_kernels(mistake, self.root)
         path.write_text(changed(mistake, self.root), encoding="utf-8")
         try:
-            if (folder := self.kernels()) != self.known:  # its name tells the sources of kernels apart
+            if (
+                folder := self.kernels()
+            ) != self.known:  # its name tells the sources of kernels apart
                 kept = folder
                 if not compiled:
                     shutil.copytree(self.known, kept, dirs_exist_ok=True)
@@ -907,33 +959,53 @@ class Copy:
                 if code == -1:
                     return "caught", f"no end within {LONGEST:g} s"
                 if code in (4, 5):
-                    raise WrongTable(f"{mistake.name}: pytest finds no such tests\n{output[-2000:]}")
+                    raise WrongTable(
+                        f"{mistake.name}: pytest finds no such tests\n{output[-2000:]}"
+                    )
                 if code:
-                    test = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", output, re.MULTILINE)
+                    test = re.search(
+                        r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", output, re.MULTILINE
+                    )
                     said = re.search(r"^E  +(.+)$", output, re.MULTILINE)
-                    return "caught", f"{test[1] if test else 'pytest'} ({said[1][:100] if said else code})"
+                    return (
+                        "caught",
+                        f"{test[1] if test else 'pytest'} ({said[1][:100] if said else code})",
+                    )
             return "SURVIVED", ""
         finally:
             path.write_bytes(source)
-            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # kernels of this file are still known
+            os.utime(
+                path, ns=(times.st_atime_ns, times.st_mtime_ns)
+            )  # kernels of this file are still known
             if kept:
                 shutil.rmtree(kept, ignore_errors=True)
 
 
 def ids(mistakes: list[Mistake]) -> list[str]:
     """The tests nearest to some mistakes, as pytest wants them."""
-    return list(dict.fromkeys(f"tests/{test}" for mistake in mistakes for test in mistake.tests.split(" & ") if test))
+    return list(
+        dict.fromkeys(
+            f"tests/{test}"
+            for mistake in mistakes
+            for test in mistake.tests.split(" & ")
+            if test
+        )
+    )
 
 
 def nearest(mistakes: list[Mistake]) -> list[str]:
-    """Arguments for pytest: the tests nearest to some mistakes, with all their cases, in
-    one process."""
+    """Arguments for pytest: the tests nearest to some mistakes, with all their cases,
+    in one process."""
     return ["-n", "0", "-m", "not long", *ids(mistakes)]
 
 
 def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
     """Make one mistake after the other. Raises WrongTable."""
-    fates = [Fate(mistake.name, "equivalent", mistake.same, 0.0) for mistake in mistakes if mistake.same]
+    fates = [
+        Fate(mistake.name, "equivalent", mistake.same, 0.0)
+        for mistake in mistakes
+        if mistake.same
+    ]
     left = [mistake for mistake in mistakes if not mistake.same]
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
@@ -945,18 +1017,43 @@ def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
             begin = time.monotonic()
             fate, by = copy.judge(mistake, whole)
             fates.append(Fate(mistake.name, fate, by, time.monotonic() - begin))
-            print(f"{number} of {len(left)}: {mistake.name}: {fate} {by} [{fates[-1].seconds:.0f} s]", flush=True)
+            print(
+                f"{number} of {len(left)}: {mistake.name}: {fate} {by} [{fates[-1].seconds:.0f} s]",
+                flush=True,
+            )
     return fates
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Deliberate mistakes, one at a time: does a test notice?")
-    parser.add_argument("--list", action="store_true", help="only check that every mistake can be made, and name it")
-    parser.add_argument("--only", nargs="+", default=[""], metavar="PART", help="those whose names hold one of these")
-    parser.add_argument("--whole", action="store_true", help="run the default suite where the nearest tests pass")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result there, too")
+    parser = argparse.ArgumentParser(
+        description="Deliberate mistakes, one at a time: does a test notice?"
+    )
+    parser.add_argument(
+        "--list",
+        action="store_true",
+        help="only check that every mistake can be made, and name it",
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[""],
+        metavar="PART",
+        help="those whose names hold one of these",
+    )
+    parser.add_argument(
+        "--whole",
+        action="store_true",
+        help="run the default suite where the nearest tests pass",
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the result there, too"
+    )
     given = parser.parse_args()
-    chosen = [mistake for mistake in MISTAKES if any(part in mistake.name for part in given.only)]
+    chosen = [
+        mistake
+        for mistake in MISTAKES
+        if any(part in mistake.name for part in given.only)
+    ]
     try:
         if len({mistake.name for mistake in MISTAKES}) < len(MISTAKES):
             raise WrongTable("two mistakes have the same name")
@@ -970,7 +1067,10 @@ def main() -> int:
         print(f"mutations.py: {error}", file=sys.stderr)
         return 2
     if given.json:
-        given.json.write_text(json.dumps([fate._asdict() for fate in fates], indent=1) + "\n", encoding="utf-8")
+        given.json.write_text(
+            json.dumps([fate._asdict() for fate in fates], indent=1) + "\n",
+            encoding="utf-8",
+        )
     print("\n| mistake | fate | by |\n|---|---|---|")
     for fate in fates:
         print(f"| {fate.name} | {fate.fate} | {fate.by} |")

@@ -1,16 +1,21 @@
-"""A slow, obvious simulation of frictional contacts: the script a researcher writes first.
+"""A slow, obvious simulation of frictional contacts: the script a researcher writes
+first.
 
-Every contact is an entry of an array, the slider moves by `step` at a time, and whatever can happen to a contact is
-decided once per step with its probability. Nothing here is shared with eqsim. Events are noticed at the end of a step,
-so that the averages have errors of first order in the step.
+Every contact is an entry of an array, the slider moves by `step` at a time, and
+whatever can happen to a contact is decided once per step with its probability. Nothing
+here is shared with eqsim. Events are noticed at the end of a step, so that the averages
+have errors of first order in the step.
 
-Model (section numbers of Braun and Peyrard, Phys. Rev. E 83, 046129): thresholds xi with xi^2/x_*^2 ~ Gamma(n+1)
-(II); k_i = k xi/xi_rms (sqrt law) or k; barriers `soft` and `stiff` (IV); delay and viscosity of detached contacts (V).
-Thresholds of pinned contacts age from x_* to x_*f at the rate D: under `langevin` xi is the length of a vector of 2n+2
-components (n a half-integer), each of which relaxes at the rate 2D/x_*f^2 to the variance x_*f^2/2; under `flow` it
-grows as the scale of that law. Under `logarithmic` it grows as 1 + beta ln(1 + t/t_c), and the stiffness stays that of
-the newborn contact. Contacts may be born stretched, along the motion or against it. Annealed contacts are born with
-thresholds aged for an Exp(1) multiple of the mean pinned time, and keep them.
+Model (section numbers of Braun and Peyrard, Phys. Rev. E 83, 046129): thresholds xi
+with xi^2/x_*^2 ~ Gamma(n+1) (II); k_i = k xi/xi_rms (sqrt law) or k; barriers `soft`
+and `stiff` (IV); delay and viscosity of detached contacts (V). Thresholds of pinned
+contacts age from x_* to x_*f at the rate D: under `langevin` xi is the length of a
+vector of 2n+2 components (n a half-integer), each of which relaxes at the rate
+2D/x_*f^2 to the variance x_*f^2/2; under `flow` it grows as the scale of that law.
+Under `logarithmic` it grows as 1 + beta ln(1 + t/t_c), and the stiffness stays that of
+the newborn contact. Contacts may be born stretched, along the motion or against it.
+Annealed contacts are born with thresholds aged for an Exp(1) multiple of the mean
+pinned time, and keep them.
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +26,8 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Contacts:
-    """What the contacts are like and how fast they are driven; the names are those of a run file."""
+    """What the contacts are like and how fast they are driven; the names are those of a
+    run file."""
 
     n: float = 1.0
     x_star: float = 1.0
@@ -45,7 +51,8 @@ class Contacts:
     frozen: bool = False  # a deliberate mistake: thresholds stay what they are in holds
     births: tuple = ()  # stretches at birth are uniform from the first to the second number
     fraction: bool = False  # these are fractions of the contact's threshold
-    careless: bool = False  # a deliberate mistake: newborn thresholds do not know that they hold
+    # a deliberate mistake: newborn thresholds do not know that they hold
+    careless: bool = False
 
     def thresholds(self, rng, size):
         scale = self.x_star
@@ -54,7 +61,8 @@ class Contacts:
         return scale * np.sqrt(rng.gamma(self.n + 1.0, size=size))
 
     def newborn(self, rng, size):
-        """Thresholds and stretches. A contact that forms is one that holds: others are drawn again."""
+        """Thresholds and stretches. A contact that forms is one that holds: others are
+        drawn again."""
         xi = self.thresholds(rng, size)
         if not self.births:
             return xi, np.zeros(size)
@@ -69,7 +77,9 @@ class Contacts:
     def scale(self, age):
         """x_*(age) of unbroken thresholds."""
         final2 = self.x_star_final**2
-        return np.sqrt(final2 + (self.x_star**2 - final2) * np.exp(-4 * self.rate * age / final2))
+        return np.sqrt(
+            final2 + (self.x_star**2 - final2) * np.exp(-4 * self.rate * age / final2)
+        )
 
     def aged(self, rng, xi, age, dt):
         """Thresholds xi of age `age` after one more time step."""
@@ -80,35 +90,58 @@ class Contacts:
         keep = np.exp(-2 * self.rate * dt / self.x_star_final**2)
         vector = np.zeros((round(2 * self.n + 2), xi.size))
         vector[0] = xi * keep
-        vector += rng.normal(scale=self.x_star_final * np.sqrt((1 - keep**2) / 2), size=vector.shape)
+        vector += rng.normal(
+            scale=self.x_star_final * np.sqrt((1 - keep**2) / 2), size=vector.shape
+        )
         return np.sqrt((vector**2).sum(axis=0))
 
     def grown(self, age):
-        """By what factor thresholds of that age have grown that grow as a logarithm, and their stiffness does not."""
-        return 1 + self.beta * np.log(1 + age / self.cutoff_time) if self.aging == "logarithmic" else 1.0
+        """By what factor thresholds of that age have grown that grow as a logarithm,
+        and their stiffness does not."""
+        return (
+            1 + self.beta * np.log(1 + age / self.cutoff_time)
+            if self.aging == "logarithmic"
+            else 1.0
+        )
 
     def crossed(self, rng, gap, gap_after, dt):
-        """Whether a fluctuating gap between threshold and stretch was closed within a step: a Brownian bridge."""
-        return rng.random(gap.size) < np.exp(-gap * np.maximum(gap_after, 0.0) / (self.rate * dt))
+        """Whether a fluctuating gap between threshold and stretch was closed within a
+        step: a Brownian bridge."""
+        return rng.random(gap.size) < np.exp(
+            -gap * np.maximum(gap_after, 0.0) / (self.rate * dt)
+        )
 
     def k(self, xi, age):
         """Stiffness of contacts of thresholds xi and that age."""
         if self.stiffness_law == "uniform":
             return np.full_like(xi, self.stiffness)
-        return self.stiffness * xi / self.grown(age) / (self.x_star * np.sqrt(self.n + 1.0))
+        return (
+            self.stiffness
+            * xi
+            / self.grown(age)
+            / (self.x_star * np.sqrt(self.n + 1.0))
+        )
 
     def attempt_breaks(self, x, xi):
-        """Probability that one thermal attempt breaks contacts of stretch x and threshold xi; 0 if xi <= x."""
+        """Probability that one thermal attempt breaks contacts of stretch x and
+        threshold xi; 0 if xi <= x."""
         gap = np.maximum(1.0 - x / xi, 0.0)
         if self.barrier == "soft":
-            chance = np.exp(-self.k(xi, x / self.velocity) * np.maximum(xi**2 - x**2, 0.0) / (2 * self.kT))
+            chance = np.exp(
+                -self.k(xi, x / self.velocity)
+                * np.maximum(xi**2 - x**2, 0.0)
+                / (2 * self.kT)
+            )
         else:
-            chance = np.sqrt(gap) * np.exp(-self.k(xi, x / self.velocity) * xi**2 * gap**1.5 / (2 * self.kT))
+            chance = np.sqrt(gap) * np.exp(
+                -self.k(xi, x / self.velocity) * xi**2 * gap**1.5 / (2 * self.kT)
+            )
         return np.where(xi > x, chance, 0.0)
 
 
 class Record(NamedTuple):
-    """F/(N k) and pinned fraction with their standard errors, arrays over the recorded displacements."""
+    """F/(N k) and pinned fraction with their standard errors, arrays over the recorded
+    displacements."""
 
     force: np.ndarray
     force_stderr: np.ndarray
@@ -116,9 +149,17 @@ class Record(NamedTuple):
     pinned_stderr: np.ndarray
 
 
-def simulate(contacts: Contacts, count: int, step: float, record_every: int, records: int, seed: int) -> Record:
-    """Slide from a fresh start (all contacts pinned, unstretched) and look at the force every `record_every` steps of
-    time, in which the slider moves by `step` times the factor of the interval."""
+def simulate(
+    contacts: Contacts,
+    count: int,
+    step: float,
+    record_every: int,
+    records: int,
+    seed: int,
+) -> Record:
+    """Slide from a fresh start (all contacts pinned, unstretched) and look at the force
+    every `record_every` steps of time, in which the slider moves by `step` times the
+    factor of the interval."""
     c, rng = contacts, np.random.default_rng(seed)
     dt = step / c.velocity
     age, wait, pinned = np.zeros(count), np.zeros(count), np.ones(count, bool)
@@ -127,12 +168,18 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
     for i in range(1, record_every * records + 1):
         factor = c.factors[(i - 1) // record_every] if c.factors else 1.0
         gap = xi - np.abs(x)
-        ages = c.aging != "none" and c.disorder == "quenched" and not (c.frozen and factor == 0)
+        ages = (
+            c.aging != "none"
+            and c.disorder == "quenched"
+            and not (c.frozen and factor == 0)
+        )
         if ages:
             xi = np.where(pinned, c.aged(rng, xi, age, dt), xi)
         x[pinned] += factor * step
         age[pinned] += dt
-        breaks = pinned & ((x if c.births and c.disorder == "annealed" else np.abs(x)) >= xi)
+        breaks = pinned & (
+            (x if c.births and c.disorder == "annealed" else np.abs(x)) >= xi
+        )
         if c.aging == "langevin" and ages:
             breaks |= pinned & c.crossed(rng, gap, xi - np.abs(x), dt)
         if c.kT > 0 and c.disorder == "quenched":
@@ -141,13 +188,19 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
         elif c.kT > 0:
             attempts = rng.poisson(c.attempt_frequency * dt, count) * pinned
             who = np.repeat(np.arange(count), attempts)
-            success = rng.random(who.size) < c.attempt_breaks(np.abs(x[who]), c.thresholds(rng, who.size))
+            success = rng.random(who.size) < c.attempt_breaks(
+                np.abs(x[who]), c.thresholds(rng, who.size)
+            )
             breaks[who[success]] = True
 
         wait[~pinned] -= dt
         pins = ~pinned & (wait < 1e-6 * dt)
         if c.delay > 0:
-            wait[breaks] = c.delay if c.delay_law == "fixed" else rng.exponential(c.delay, breaks.sum())
+            wait[breaks] = (
+                c.delay
+                if c.delay_law == "fixed"
+                else rng.exponential(c.delay, breaks.sum())
+            )
             pinned[breaks] = False
         else:
             pins |= breaks
@@ -155,14 +208,24 @@ def simulate(contacts: Contacts, count: int, step: float, record_every: int, rec
         xi[pins], x[pins] = c.newborn(rng, pins.sum())
 
         if i % record_every == 0:
-            force = np.where(pinned, c.k(xi, age) * x, c.eta * c.velocity * factor) / c.stiffness
-            rows.append((force.mean(), force.std() / count**0.5, pinned.mean(), pinned.std() / count**0.5))
+            force = (
+                np.where(pinned, c.k(xi, age) * x, c.eta * c.velocity * factor)
+                / c.stiffness
+            )
+            rows.append(
+                (
+                    force.mean(),
+                    force.std() / count**0.5,
+                    pinned.mean(),
+                    pinned.std() / count**0.5,
+                )
+            )
     return Record(*np.array(rows).T)
 
 
 def settled(contacts: Contacts, count: int, step: float, seed: int) -> Contacts:
-    """Annealed contacts that age, with the mean pinned time that they themselves have: lives are simulated with a
-    guess of it, again and again."""
+    """Annealed contacts that age, with the mean pinned time that they themselves have:
+    lives are simulated with a guess of it, again and again."""
     for i in range(12):
         rng = np.random.default_rng((seed, i))
         xi, alive, total = contacts.thresholds(rng, count), np.ones(count, bool), 0.0
@@ -172,9 +235,18 @@ def settled(contacts: Contacts, count: int, step: float, seed: int) -> Contacts:
             total += step * alive.sum()
             alive &= x < xi
             if contacts.kT > 0:
-                attempts = rng.poisson(contacts.attempt_frequency * step / contacts.velocity, count) * alive
+                attempts = (
+                    rng.poisson(
+                        contacts.attempt_frequency * step / contacts.velocity, count
+                    )
+                    * alive
+                )
                 who = np.repeat(np.arange(count), attempts)
-                success = rng.random(who.size) < contacts.attempt_breaks(x, contacts.thresholds(rng, who.size))
+                success = rng.random(who.size) < contacts.attempt_breaks(
+                    x, contacts.thresholds(rng, who.size)
+                )
                 alive[who[success]] = False
-        contacts = replace(contacts, pinned_time=(total / count - step / 2) / contacts.velocity)
+        contacts = replace(
+            contacts, pinned_time=(total / count - step / 2) / contacts.velocity
+        )
     return contacts

@@ -1,18 +1,21 @@
-"""What the documentation shows: commands and Python, run page by page, and compared with the output that is shown.
+"""What the documentation shows: commands and Python, run page by page, and compared
+with the output that is shown.
 
     python tests/pages.py [PAGE.md ...]
 
-runs the pages (all of them without a name), writes the outputs that differ and the pictures anew, to be looked at
-before a commit.
+runs the pages (all of them without a name), writes the outputs that differ and the
+pictures anew, to be looked at before a commit.
 
-A page is Markdown. Of its blocks, in their order and in one folder per page, which holds a copy of `runs/`:
+A page is Markdown. Of its blocks, in their order and in one folder per page, which
+holds a copy of `runs/`:
 
 - `console`: lines that begin with `$ ` are run, the others are their output;
 - `python`: is run, all blocks of a page in one namespace; an `output` block right after it is what it prints;
 - any block with a `:caption:` that is the name of a file is written there.
 
-In outputs, `...` stands for anything; numbers that Python prints are not compared where it says that they differ from
-version to version; times and speeds, and errors of rounding (below 1e-9), are not compared.
+In outputs, `...` stands for anything; numbers that Python prints are not compared where
+it says that they differ from version to version; times and speeds, and errors of
+rounding (below 1e-9), are not compared.
 """
 
 import io
@@ -37,7 +40,16 @@ FENCE = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 VARIES = "# differs from version to version"  # in Python whose output has the random numbers of a sweep
-NOT_RUN = ("pip install", "git clone", "sbatch", "python -m venv", "dask_jobqueue", "pytest", "sphinx-build", "gh ")
+NOT_RUN = (
+    "pip install",
+    "git clone",
+    "sbatch",
+    "python -m venv",
+    "dask_jobqueue",
+    "pytest",
+    "sphinx-build",
+    "gh ",
+)
 
 
 class Block(NamedTuple):
@@ -58,12 +70,22 @@ def blocks(text: str) -> list[Block]:
         caption = re.search(r":caption: *(.+)", match["options"])
         line = text.count("\n", 0, match.start("body")) + 1
         name = caption[1].strip() if caption else ""
-        found.append(Block(match["kind"], name, match["body"], match.start("body"), match.end("body"), line))
+        found.append(
+            Block(
+                match["kind"],
+                name,
+                match["body"],
+                match.start("body"),
+                match.end("body"),
+                line,
+            )
+        )
     return found
 
 
 def commands(body: str) -> list[tuple[str, str]]:
-    """What is typed in a console block, and the output that is shown of it. A line that ends in a backslash goes on."""
+    """What is typed in a console block, and the output that is shown of it. A line that
+    ends in a backslash goes on."""
     found: list[tuple[str, str]] = []
     continued = False
     for line in body.splitlines(keepends=True):
@@ -91,11 +113,15 @@ def is_run(text: str) -> bool:
 
 def plain(output: str) -> str:
     """An output without what differs from run to run and from machine to machine."""
-    output = re.sub(r"^about .+ to go: .+\n", "", output, flags=re.MULTILINE)  # of what takes long
+    output = re.sub(
+        r"^about .+ to go: .+\n", "", output, flags=re.MULTILINE
+    )  # of what takes long
     output = re.sub(r"\d[\d.]* ?[kMG]?/s", "#/s", output)
     output = re.sub(r"\d[\d.]* (s|ms|min)\b", "# s", output)
     output = re.sub(r"\b\d+ (threads?|workers?)\b", r"# \1", output)
-    output = re.sub(r"-?\d(\.\d+)?e-(1[0-9]|09)\b(?=.*│|$)", "#", output, flags=re.MULTILINE)
+    output = re.sub(
+        r"-?\d(\.\d+)?e-(1[0-9]|09)\b(?=.*│|$)", "#", output, flags=re.MULTILINE
+    )
     return "\n".join(line.rstrip() for line in output.strip("\n").splitlines())
 
 
@@ -128,28 +154,39 @@ class Session:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.names = folder, {"__name__": "__page__"}
-        shutil.copytree(ROOT / "runs", folder / "runs", ignore=shutil.ignore_patterns("out"))
+        shutil.copytree(
+            ROOT / "runs", folder / "runs", ignore=shutil.ignore_patterns("out")
+        )
         programs = folder / ".bin"
         programs.mkdir()
         for name, module in (("eqsim", "-m eqsim"), ("python", "")):
             script = programs / name
-            script.write_text(f'#!/bin/sh\nexec "{sys.executable}" {module} "$@"\n', encoding="utf-8")
+            script.write_text(
+                f'#!/bin/sh\nexec "{sys.executable}" {module} "$@"\n', encoding="utf-8"
+            )
             script.chmod(script.stat().st_mode | stat.S_IXUSR)
         self.environment = os.environ | {
             "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
-            "PYTHONPATH": os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", ""))),
+            "PYTHONPATH": os.pathsep.join(
+                (str(ROOT), os.environ.get("PYTHONPATH", ""))
+            ),
             "COLUMNS": str(WIDTH),
             "MPLBACKEND": "agg",
         }
 
     def shell(self, command: str) -> str:
-        """What a command prints; a line about its exit code if that is neither 0 nor explained."""
+        """What a command prints; a line about its exit code if that is neither 0 nor
+        explained."""
         done = subprocess.run(
             ["bash", "-c", command], cwd=self.folder, env=self.environment, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
         )  # fmt: skip
-        refused = done.returncode == 2 and re.search("^eqsim: ", done.stdout, re.MULTILINE)
-        return done.stdout + ("" if refused or not done.returncode else f"[exit code {done.returncode}]\n")
+        refused = done.returncode == 2 and re.search(
+            "^eqsim: ", done.stdout, re.MULTILINE
+        )
+        return done.stdout + (
+            "" if refused or not done.returncode else f"[exit code {done.returncode}]\n"
+        )
 
     def python(self, source: str, where: str) -> str:
         """What a block of Python prints, its traceback included."""
@@ -189,31 +226,51 @@ def run(page: Path, folder: Path) -> tuple[str, list[Difference]]:
             for shown, output in commands(block.body):
                 command = typed(shown)
                 if is_run(command):
-                    output = compare(block.line, command, output, session.shell(command))
+                    output = compare(
+                        block.line, command, output, session.shell(command)
+                    )
                 body += shown + output
             changes.append((block, body))
         elif block.kind == "python" and is_run(block.body):
             found = session.python(block.body, f"{name}:{block.line}")
             after = every[index + 1] if index + 1 < len(every) else None
             if after and text[block.end : after.begin].split() == ["```", "```output"]:
-                changes.append((after, compare(after.line, block.body, after.body, found)))
+                changes.append(
+                    (after, compare(after.line, block.body, after.body, found))
+                )
             elif found:
-                differences.append(Difference(name, block.line, "python prints what is not shown", "", found))
+                differences.append(
+                    Difference(
+                        name, block.line, "python prints what is not shown", "", found
+                    )
+                )
     for block, body in reversed(changes):
         text = text[: block.begin] + body + text[block.end :]
     return text, differences
 
 
 def pages() -> list[Path]:
-    """All pages with blocks: the README, and the documentation but for what its build copies there."""
+    """All pages with blocks: the README, and the documentation but for what its build
+    copies there."""
     copied = {"CHANGELOG.md", "CONTRIBUTING.md"}
-    found = [page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts and page.name not in copied]
-    return [page for page in (ROOT / "README.md", *found) if blocks(page.read_text(encoding="utf-8"))]
+    found = [
+        page
+        for page in sorted(DOCS.rglob("*.md"))
+        if "_build" not in page.parts and page.name not in copied
+    ]
+    return [
+        page
+        for page in (ROOT / "README.md", *found)
+        if blocks(page.read_text(encoding="utf-8"))
+    ]
 
 
 def pictures() -> dict[str, list[str]]:
-    """The page whose commands draw a picture, and where in its folder, by the picture's name."""
-    return tomllib.loads((DOCS / "pictures" / "sources.toml").read_text(encoding="utf-8"))
+    """The page whose commands draw a picture, and where in its folder, by the picture's
+    name."""
+    return tomllib.loads(
+        (DOCS / "pictures" / "sources.toml").read_text(encoding="utf-8")
+    )
 
 
 def main() -> None:

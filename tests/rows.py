@@ -1,4 +1,5 @@
-"""Exact steady values at 90 parameter points of both ensembles, and the ensembles they belong to."""
+"""Exact steady values at 90 parameter points of both ensembles, and the ensembles they
+belong to."""
 
 from pathlib import Path
 

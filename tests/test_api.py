@@ -26,14 +26,32 @@ eqsim.Ensembel
 
 @pytest.mark.long
 def test_a_type_checker_sees_classes(tmp_path):
-    """Their fields and mistakes in calls, also if it is strict; and no mistake in the package."""
+    """Their fields and mistakes in calls, also if it is strict; and no mistake in the
+    package."""
     (tmp_path / "user.py").write_text(USER)
-    command = [sys.executable, "-m", "mypy", "--no-error-summary", "--cache-dir", str(tmp_path)]
-    done = subprocess.run([*command, "eqsim", str(tmp_path / "user.py")], cwd=ROOT, capture_output=True, text=True)
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--no-error-summary",
+        "--cache-dir",
+        str(tmp_path),
+    ]
+    done = subprocess.run(
+        [*command, "eqsim", str(tmp_path / "user.py")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
     said = [line.partition("user.py:")[2] for line in done.stdout.splitlines()]
-    assert said[:2] == ['4: note: Revealed type is "str"', '5: note: Revealed type is "float | None"'], done.stdout
+    assert said[:2] == [
+        '4: note: Revealed type is "str"',
+        '5: note: Revealed type is "float | None"',
+    ], done.stdout
     assert said[2].startswith('6: note: Revealed type is "def (thresholds: ')
-    assert said[3].startswith('7: error: Argument 2 to "reference" has incompatible type "float"; expected "Drive"')
+    assert said[3].startswith(
+        '7: error: Argument 2 to "reference" has incompatible type "float"; expected "Drive"'
+    )
     assert said[4].startswith('8: error: Module has no attribute "Ensembel"')
     assert len(said) == 5
 
@@ -45,7 +63,9 @@ def test_public_names():
     assert set(eqsim.__all__) <= set(names)
     assert names["run"] is eqsim.workflows.run.run
     assert names["Newborn"] is eqsim.laws.newborn.Newborn
-    with pytest.raises(AttributeError, match="module 'eqsim' has no attribute 'Ensembel'"):
+    with pytest.raises(
+        AttributeError, match="module 'eqsim' has no attribute 'Ensembel'"
+    ):
         eqsim.Ensembel  # noqa: B018
 
 

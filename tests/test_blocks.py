@@ -16,8 +16,18 @@ from eqsim import Aging, Delay, Drive, Ensemble, Thermal, trajectory
 from eqsim.cli.app import app
 from eqsim.engine.blocks import Totals
 
-ARRAYS = ("X", "t", "force", "force_stderr", "pinned", "pinned_stderr", "force_replica_std")
-THERMAL = Ensemble(thermal=Thermal(0.1), count=3000, delay=Delay(1.0, "exponential"), eta=1.0)
+ARRAYS = (
+    "X",
+    "t",
+    "force",
+    "force_stderr",
+    "pinned",
+    "pinned_stderr",
+    "force_replica_std",
+)
+THERMAL = Ensemble(
+    thermal=Thermal(0.1), count=3000, delay=Delay(1.0, "exponential"), eta=1.0
+)
 LANGEVIN = Ensemble(thermal=Thermal(0.1), aging=Aging("langevin", 0.1, 2.0), count=600)
 CASES = [
     (ensemble, start, replicas)
@@ -28,7 +38,9 @@ CASES = [
 
 
 def bits(ensemble, start, replicas, **how):
-    run = trajectory(ensemble, Drive(0.1, 4.0, start), points=101, seed=9, replicas=replicas, **how)
+    run = trajectory(
+        ensemble, Drive(0.1, 4.0, start), points=101, seed=9, replicas=replicas, **how
+    )
     arrays = (getattr(run, name) for name in ARRAYS)
     return [a is not None and a.tobytes() for a in arrays], run.averages, run.lives
 
@@ -40,7 +52,9 @@ def expected():
 
 @pytest.fixture(scope="module")
 def processes():
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        2, mp_context=multiprocessing.get_context("spawn")
+    ) as pool:
         yield pool
 
 
@@ -64,14 +78,22 @@ def compiled_signatures():
 @pytest.mark.long
 def test_same_bits_on_dask(expected, command):
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        worker_dashboard_address=None,
     )
     with cluster, distributed.Client(cluster) as client:
         workers = (client.get_executor(), 2)
         assert [bits(*case, threads=workers) for case in CASES] == expected
-        # arrays come as the kernel knows them: it is compiled once for each law and each start
+        # arrays come as the kernel knows them: it is compiled once for each law and
+        # each start
         assert set(client.run(compiled_signatures).values()) == {4}
-        here, there = command("--threads", "1"), command("--dask", cluster.scheduler_address)
+        here, there = (
+            command("--threads", "1"),
+            command("--dask", cluster.scheduler_address),
+        )
     assert there[0].exit_code == 0, there[0].output
     assert "2 workers" in there[0].output
     assert here[1] == there[1]
@@ -80,9 +102,17 @@ def test_same_bits_on_dask(expected, command):
 @pytest.mark.long
 def test_a_lost_worker_of_a_cluster_changes_no_bit():
     """Others repeat its share."""
-    ensemble, drive, killed = Ensemble(thermal=Thermal(0.1), count=3_000_000), Drive(0.1, 4.0), []
+    ensemble, drive, killed = (
+        Ensemble(thermal=Thermal(0.1), count=3_000_000),
+        Drive(0.1, 4.0),
+        [],
+    )
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        worker_dashboard_address=None,
     )
     with cluster, distributed.Client(cluster) as client:
 
@@ -92,7 +122,9 @@ def test_a_lost_worker_of_a_cluster_changes_no_bit():
                 os.kill(killed[0][1], signal.SIGKILL)
 
         workers = (client.get_executor(), 2)
-        there = trajectory(ensemble, drive, points=101, seed=9, threads=workers, progress=kill)
+        there = trajectory(
+            ensemble, drive, points=101, seed=9, threads=workers, progress=kill
+        )
     here = trajectory(ensemble, drive, points=101, seed=9)
     assert killed[0][0] < here.lives
     assert there.force.tobytes() == here.force.tobytes()
@@ -101,13 +133,18 @@ def test_a_lost_worker_of_a_cluster_changes_no_bit():
 
 @pytest.fixture
 def command(tmp_path):
-    """`eqsim run` of a small ensemble with more arguments: its result, and the bytes of the table if there is one."""
+    """`eqsim run` of a small ensemble with more arguments: its result, and the bytes of
+    the table if there is one."""
     path = tmp_path / "small.toml"
-    path.write_text("[contacts]\ncount = 3000\n[drive]\nvelocity = 0.1\ndistance = 4.0\n[output]\npoints = 51\n")
+    path.write_text(
+        "[contacts]\ncount = 3000\n[drive]\nvelocity = 0.1\ndistance = 4.0\n[output]\npoints = 51\n"
+    )
 
     def call(*args):
         out = tmp_path / "out" / "-".join(str(len(arg)) for arg in args)
-        result = CliRunner().invoke(app, ["run", str(path), "--out", str(out), *map(str, args)])
+        result = CliRunner().invoke(
+            app, ["run", str(path), "--out", str(out), *map(str, args)]
+        )
         table = out / "trajectory.parquet"
         return result, table.read_bytes() if table.exists() else None
 
@@ -134,20 +171,33 @@ def test_command_refuses_in_one_line(command, monkeypatch, tmp_path):
         assert table is None
 
     refused("--workers = 0: must be an integer from 1", "--workers", "0")
-    refused("--workers, --dask: only one of them", "--workers", "1", "--dask", "localhost:8786")
+    refused(
+        "--workers, --dask: only one of them",
+        "--workers",
+        "1",
+        "--dask",
+        "localhost:8786",
+    )
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "distributed", None)
         refused('--dask: needs the package "distributed"', "--dask", "localhost:8786")
     refused("--dask nowhere: must be HOST:PORT", "--dask", "nowhere")
     for text in ("{}", "[[", '{"address": 5}', "[contacts]"):
         (tmp_path / "scheduler").write_text(text)
-        refused("scheduler: must be HOST:PORT of a scheduler or a file", "--dask", str(tmp_path / "scheduler"))
+        refused(
+            "scheduler: must be HOST:PORT of a scheduler or a file",
+            "--dask",
+            str(tmp_path / "scheduler"),
+        )
     monkeypatch.setattr(distributed, "Client", silent)
-    refused("--dask localhost:9: no scheduler answers (timed out)", "--dask", "localhost:9")
+    refused(
+        "--dask localhost:9: no scheduler answers (timed out)", "--dask", "localhost:9"
+    )
 
 
 class Watched(Executor):
-    """Runs what it is sent at once, through pickles as a process would; may forget a share, or fail at one."""
+    """Runs what it is sent at once, through pickles as a process would; may forget a
+    share, or fail at one."""
 
     def __init__(self, forget=None, fail=None):
         self.sent, self.returned, self.forget, self.fail = [], [], forget, fail
@@ -172,13 +222,18 @@ class Watched(Executor):
 
 @pytest.mark.parametrize("replicas", [1, 40])
 def test_few_shares_small_messages_and_progress(replicas):
-    """Four shares a worker; each is sent the tables once and returns sums over points, whatever the contacts."""
+    """Four shares a worker; each is sent the tables once and returns sums over points,
+    whatever the contacts."""
     executor, told = Watched(), []
-    found = bits(THERMAL, "stationary", replicas, threads=(executor, 3), progress=told.append)
+    found = bits(
+        THERMAL, "stationary", replicas, threads=(executor, 3), progress=told.append
+    )
     assert found == bits(THERMAL, "stationary", replicas)
     assert len(executor.sent) == 12
     assert max(executor.sent) < 2**20
-    sums = 102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)  # deposits, windows, counts, replicas
+    sums = (
+        102 * 6 + 64 * 2 * 6 + 2 + (2 * 101 if replicas > 1 else 0)
+    )  # deposits, windows, counts, replicas
     assert max(executor.returned) < 8 * sums + 1000
     assert told[-1] == found[-1]
 
@@ -193,7 +248,9 @@ def test_no_block_below_the_lanes():
 def test_a_lost_share_shows():
     """Negative control: without one of the shares the bits differ."""
     whole = trajectory(THERMAL, Drive(0.1, 4.0), points=101)
-    less = trajectory(THERMAL, Drive(0.1, 4.0), points=101, threads=(Watched(forget=3), 2))
+    less = trajectory(
+        THERMAL, Drive(0.1, 4.0), points=101, threads=(Watched(forget=3), 2)
+    )
     assert not np.array_equal(whole.force, less.force)
     assert less.lives < whole.lives
 

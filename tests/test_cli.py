@@ -1,4 +1,5 @@
-"""The command line, in process where that is enough and as a real process where it matters."""
+"""The command line, in process where that is enough and as a real process where it
+matters."""
 
 import importlib.metadata
 import inspect
@@ -67,7 +68,14 @@ def test_run_writes_table_summary_and_picture(run_file):
     out = run_file.parent / "out" / "small"
     assert tree(out) == ["force.png", "summary.json", "trajectory.parquet"]
     table = pq.read_table(out / "trajectory.parquet")
-    assert table.column_names == ["X", "t", "force", "pinned", "force_stderr", "pinned_stderr"]
+    assert table.column_names == [
+        "X",
+        "t",
+        "force",
+        "pinned",
+        "force_stderr",
+        "pinned_stderr",
+    ]
     columns = {name: table[name].to_numpy() for name in table.column_names}
     np.testing.assert_allclose(columns["X"], np.linspace(0, 10, 51), rtol=1e-15)
     np.testing.assert_allclose(columns["t"], columns["X"] / 0.1, rtol=1e-15)
@@ -77,28 +85,50 @@ def test_run_writes_table_summary_and_picture(run_file):
     assert origin["settings"]["contacts"]["count"] == 2000
     assert set(origin["versions"]) == {"python", "eqsim", "numpy", "numba", "scipy"}
     summary = json.loads((out / "summary.json").read_text())
-    assert {"friction", "pinned", "break_stretch", "lives", "engine_seconds", "threads", "seed", "versions"} <= set(
-        summary
-    )
+    assert {
+        "friction",
+        "pinned",
+        "break_stretch",
+        "lives",
+        "engine_seconds",
+        "threads",
+        "seed",
+        "versions",
+    } <= set(summary)
     assert summary["force_reliable"]
     assert "force_stderr" not in result.output
     friction = summary["friction"]
-    assert abs(friction["value"] - summary["steady"]["friction"]["value"]) < 5 * friction["stderr"]
+    assert (
+        abs(friction["value"] - summary["steady"]["friction"]["value"])
+        < 5 * friction["stderr"]
+    )
     assert (out / "force.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
-    result = call("run", run_file, "--out", tmp_path / "o", "--set", "contacts.count=1", "--set", "drive.distance=1e-6")
+    result = call(
+        "run",
+        run_file,
+        "--out",
+        tmp_path / "o",
+        "--set",
+        "contacts.count=1",
+        "--set",
+        "drive.distance=1e-6",
+    )
     (row,) = [line for line in result.stdout.splitlines() if "break_stretch" in line]
     assert "none seen" in row
     assert "exact" not in row
 
 
 def test_error_bars_that_cannot_be_trusted_say_so(tmp_path):
-    """Three contacts; one threshold of 4000 is so strong that it would make most of the force's scatter."""
+    """Three contacts; one threshold of 4000 is so strong that it would make most of the
+    force's scatter."""
     (tmp_path / "broad.csv").write_text("threshold\n" + "1.0\n" * 3999 + "10.0\n")
     run = tmp_path / "broad.toml"
-    run.write_text('[contacts]\ncount = 3\n[thresholds]\nlaw = "table"\nfile = "broad.csv"\n[drive]\nvelocity = 1.0\n')
+    run.write_text(
+        '[contacts]\ncount = 3\n[thresholds]\nlaw = "table"\nfile = "broad.csv"\n[drive]\nvelocity = 1.0\n'
+    )
     said = call("run", run, "--set", "output.points=11").output
     assert "force_stderr: not to be trusted" in said
     assert "unreliable" in said
@@ -109,7 +139,17 @@ def test_error_bars_that_cannot_be_trusted_say_so(tmp_path):
 
 def test_run_json_and_replicas(run_file, tmp_path):
     out = tmp_path / "o"
-    result = call("run", run_file, "--out", out, "--json", "--set", "output.replicas=4", "--seed", 3)
+    result = call(
+        "run",
+        run_file,
+        "--out",
+        out,
+        "--json",
+        "--set",
+        "output.replicas=4",
+        "--seed",
+        3,
+    )
     summary = json.loads(result.stdout)
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["seed"] == 3
@@ -118,71 +158,115 @@ def test_run_json_and_replicas(run_file, tmp_path):
     table = pq.read_table(out / "trajectory.parquet")
     assert "force_replica_std" in table.column_names
     output = json.loads(table.schema.metadata[b"eqsim"])["settings"]["output"]
-    assert output == {"points": 51, "seed": 3, "replicas": 4, "series": False, "breaks": False}
+    assert output == {
+        "points": 51,
+        "seed": 3,
+        "replicas": 4,
+        "series": False,
+        "breaks": False,
+    }
 
 
 def test_same_bytes_for_any_threads(run_file, tmp_path):
     files = []
     for threads in (1, 2):
         out = tmp_path / str(threads)
-        assert call("run", run_file, "--out", out, "--threads", threads, "--quiet").output == ""
-        files.append([(out / name).read_bytes() for name in ("trajectory.parquet", "force.png")])
+        assert (
+            call("run", run_file, "--out", out, "--threads", threads, "--quiet").output
+            == ""
+        )
+        files.append(
+            [(out / name).read_bytes() for name in ("trajectory.parquet", "force.png")]
+        )
     assert files[0] == files[1]
 
 
 def test_steady_and_info(run_file):
     found = json.loads(call("steady", run_file, "--json", "--rel-error", "1e-4").stdout)
     assert set(found) == {*OBSERVABLES, "lives", "seed", "reached", "reference", "z"}
-    assert all(abs(found["z"][name]) < 4.5 for name in ("friction", "pinned", "break_stretch"))
+    assert all(
+        abs(found["z"][name]) < 4.5 for name in ("friction", "pinned", "break_stretch")
+    )
     assert set(found["friction"]) == {"value", "stderr", "n", "dof", "reliable"}
     assert found["friction"]["stderr"] <= 1e-4 * found["friction"]["value"]
     assert "relative error" in call("steady", run_file).output
     groups = json.loads(call("info", run_file, "--json").stdout)
     assert groups["b"] == pytest.approx(5.0, rel=1e-15, abs=0)
     assert groups["v tau/x_*"] == pytest.approx(0.1, rel=1e-15, abs=0)
-    exact = json.loads(call("info", run_file, "--json", "--set", "contacts.stiffness_law=uniform").stdout)["v_*"]
-    assert exact == pytest.approx(3 * np.sqrt(np.pi) / 4 * (1 + 5 / 3) / 36, rel=1e-9, abs=0)  # nt12
+    exact = json.loads(
+        call(
+            "info", run_file, "--json", "--set", "contacts.stiffness_law=uniform"
+        ).stdout
+    )["v_*"]
+    assert exact == pytest.approx(
+        3 * np.sqrt(np.pi) / 4 * (1 + 5 / 3) / 36, rel=1e-9, abs=0
+    )  # nt12
     assert "annealed ensemble" in call("info", run_file).output
 
 
 def test_long_estimates_say_how_long(run_file, monkeypatch):
-    """From the speed of the attempt before, here of a clock that ticks once a look: 1000 lives a second."""
+    """From the speed of the attempt before, here of a clock that ticks once a look:
+    1000 lives a second."""
     seconds, notes, told = iter(range(100)), [], []
     monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(seconds)))
     progress = terminal.announcing(lambda *both: told.append(both), notes.append)
-    calls = [(0, 2000), (1000, 2000), (2000, 2000), (0, 20_000), (20_000, 20_000), (0, 10**6), (10**6, 10**6)]
+    calls = [
+        (0, 2000),
+        (1000, 2000),
+        (2000, 2000),
+        (0, 20_000),
+        (20_000, 20_000),
+        (0, 10**6),
+        (10**6, 10**6),
+    ]
     for both in calls:
         progress(*both)
     assert told == calls
-    assert notes == ["about 50 s to go: 1 M lives at 20 k/s"]  # and 20 s are none worth a note
+    assert notes == [
+        "about 50 s to go: 1 M lives at 20 k/s"
+    ]  # and 20 s are none worth a note
     monkeypatch.undo()
     monkeypatch.setattr(terminal, "_LONG", 0.0)
     args = ("steady", run_file, "--rel-error", "2e-5")
-    assert re.search(r"^about \S+ m?s to go: \S+ [kM] lives at \S+ [kM]/s\n", call(*args).stdout)
+    assert re.search(
+        r"^about \S+ m?s to go: \S+ [kM] lives at \S+ [kM]/s\n", call(*args).stdout
+    )
     assert "to go" not in call(*args, "--json").stdout
 
 
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["--set", "contacts.cuont=5"], 'contacts.cuont: unknown key; did you mean "count"?'),
+        (
+            ["--set", "contacts.cuont=5"],
+            'contacts.cuont: unknown key; did you mean "count"?',
+        ),
         (["--set", "thermal.kt=1"], 'thermal.kt: unknown key; did you mean "kT"?'),
         (["--set", "kt=1"], 'kt: unknown key; did you mean "thermal.kT"?'),
         (["--set", "aging.rate=1"], "aging.rule: is required with rate; must be"),
         (["--set", "thermal.kT=-1"], "thermal.kT = -1.0: must be a finite number >= 0"),
         (["--set", "thermal.kT=hot"], "thermal.kT = 'hot': must be a valid number"),
-        (["--set", "drive.velocity=0"], "drive.velocity = 0.0: must be a finite number > 0"),
+        (
+            ["--set", "drive.velocity=0"],
+            "drive.velocity = 0.0: must be a finite number > 0",
+        ),
         (["--set", "drive.distance=0"], "drive.distance = 0.0"),
         (["--set", "nonsense"], "--set nonsense: must be section.key=value"),
         (["--set", ".count=1"], "--set .count=1: must be section.key=value"),
         (["--set", "output.points=1"], "points = 1: must be an integer from 2"),
         (["--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
-        (["--set", "thresholds.law=table", "--set", "thresholds.file=no.csv"], "no.csv: cannot be read"),
+        (
+            ["--set", "thresholds.law=table", "--set", "thresholds.file=no.csv"],
+            "no.csv: cannot be read",
+        ),
         (["--set", "contacts.count=1000000000000"], "lives, more than --max-lives"),
         (["--max-lives", "100"], "more than --max-lives = 100"),
         (["--threads", "0"], "--threads = 0: must be an integer from 1"),
         (["--set", "drive.velocity=1e-300"], "must be a finite number"),
-        (["--set", "drive.distance=1e300"], "drive.distance = 1e+300: must be a finite number > 0"),
+        (
+            ["--set", "drive.distance=1e300"],
+            "drive.distance = 1e+300: must be a finite number > 0",
+        ),
         (["--set", "delay.time=1e300"], "delay"),
     ],
 )
@@ -199,18 +283,51 @@ def test_bad_input(run_file, args, message):
 @pytest.mark.parametrize(
     ("args", "said"),
     [
-        (["steady", "RUN", "--rel-error", "0"], "--rel-error = 0.0: must be a finite number > 0"),
-        (["steady", "RUN", "--max-lives", "-1"], "--max-lives = -1.0: must be a finite number > 0"),
-        (["steady", "RUN", "--max-lives", "10"], "this needs 6.55e+04 lives, more than --max-lives = 10"),
+        (
+            ["steady", "RUN", "--rel-error", "0"],
+            "--rel-error = 0.0: must be a finite number > 0",
+        ),
+        (
+            ["steady", "RUN", "--max-lives", "-1"],
+            "--max-lives = -1.0: must be a finite number > 0",
+        ),
+        (
+            ["steady", "RUN", "--max-lives", "10"],
+            "this needs 6.55e+04 lives, more than --max-lives = 10",
+        ),
         (["run", "RUN", "--max-lives", "10"], "more than --max-lives = 10"),
-        (["run", "RUN", "--seed", "-1"], "--seed = -1: must be an integer from 0 to 9223372036854775807"),
-        (["run", "RUN", "--set", "output.seed=-1"], "output.seed = -1: must be an integer from 0"),
-        (["reference", "RUN", "--transient", "--closure"], "--transient, --closure: only one of them"),
-        (["material", "steel", "--temperature", "-1"], "--temperature = -1.0: must be a finite number >= 0"),
-        (["material", "steel", "--toml", "--velocity", "0"], "--velocity = 0.0: must be a finite number > 0"),
-        (["material", "steel", "--toml", "--disorder", "frozen"], "--disorder = 'frozen': must be one of"),
-        (["material", "steel", "--velocity", "1"], "--velocity 1.0: is of the run file that --toml prints"),
-        (["material", "steel", "--disorder", "x"], "--disorder x: is of the run file that --toml prints"),
+        (
+            ["run", "RUN", "--seed", "-1"],
+            "--seed = -1: must be an integer from 0 to 9223372036854775807",
+        ),
+        (
+            ["run", "RUN", "--set", "output.seed=-1"],
+            "output.seed = -1: must be an integer from 0",
+        ),
+        (
+            ["reference", "RUN", "--transient", "--closure"],
+            "--transient, --closure: only one of them",
+        ),
+        (
+            ["material", "steel", "--temperature", "-1"],
+            "--temperature = -1.0: must be a finite number >= 0",
+        ),
+        (
+            ["material", "steel", "--toml", "--velocity", "0"],
+            "--velocity = 0.0: must be a finite number > 0",
+        ),
+        (
+            ["material", "steel", "--toml", "--disorder", "frozen"],
+            "--disorder = 'frozen': must be one of",
+        ),
+        (
+            ["material", "steel", "--velocity", "1"],
+            "--velocity 1.0: is of the run file that --toml prints",
+        ),
+        (
+            ["material", "steel", "--disorder", "x"],
+            "--disorder x: is of the run file that --toml prints",
+        ),
     ],
 )
 def test_options_are_named_as_they_are_typed(run_file, args, said):
@@ -230,7 +347,10 @@ def test_options_are_named_as_they_are_typed(run_file, args, said):
         (["run", "a", "--bogus", "3"], "--bogus"),
         (["run", "a", "--threads", "two"], "'--threads': 'two' .*valid integer"),
         (["run", "a", "--seed", "1.5"], "'--seed': '1.5' .*valid integer"),
-        (["run", "a", "--max-lives", "many"], "'--max-lives': 'many' .*valid (float|number)"),
+        (
+            ["run", "a", "--max-lives", "many"],
+            "'--max-lives': 'many' .*valid (float|number)",
+        ),
         (["steady", "a", "--rel-error"], "--rel-error.* requires an argument"),
         (["sweep", "a"], "--out"),
     ],
@@ -243,7 +363,10 @@ def test_errors_of_usage_are_one_line_too(args, said):
 
 
 def test_bad_files(tmp_path, run_file):
-    for path, message in ((tmp_path / "none.toml", "cannot be read"), (tmp_path, "cannot be read")):
+    for path, message in (
+        (tmp_path / "none.toml", "cannot be read"),
+        (tmp_path, "cannot be read"),
+    ):
         result = call("run", path)
         assert result.exit_code == 2
         assert message in result.stderr
@@ -259,7 +382,10 @@ def test_bad_files(tmp_path, run_file):
 def test_unwritable_folder(run_file, tmp_path):
     dangling = tmp_path / "dangling"
     dangling.symlink_to(tmp_path / "nowhere" / "at all")
-    lives = ["--set", "contacts.count=1000000000000"]  # what is refused first needs no such work
+    lives = [
+        "--set",
+        "contacts.count=1000000000000",
+    ]  # what is refused first needs no such work
     for out in (dangling, dangling / "below"):
         result = call("run", run_file, "--out", out, *lives)
         assert result.exit_code == 2
@@ -283,7 +409,11 @@ def test_full_disk_leaves_nothing(run_file, tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     done = subprocess.run(
-        [*EQSIM, "run", str(run_file), "--out", str(out)], preexec_fn=limit, capture_output=True, text=True, timeout=120
+        [*EQSIM, "run", str(run_file), "--out", str(out)],
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert done.returncode == 2
     assert "cannot be written" in done.stderr
@@ -291,9 +421,12 @@ def test_full_disk_leaves_nothing(run_file, tmp_path):
     assert not out.exists() or tree(out) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_interrupt_leaves_nothing(run_file, tmp_path, number):
-    """Ctrl-C, or a batch system's SIGTERM, in mid-run: 128 + its number, one line, no file."""
+    """Ctrl-C, or a batch system's SIGTERM, in mid-run: 128 + its number, one line, no
+    file."""
     out = tmp_path / "out"
     process = subprocess.Popen(
         [*EQSIM, "run", str(run_file), "--out", str(out), "--threads", "1", "--set", "contacts.count=300000000"],
@@ -310,8 +443,12 @@ def test_interrupt_leaves_nothing(run_file, tmp_path, number):
 
 
 def simulating(pid):
-    """Whether one of its threads but the first has worked for half a second: the minutes of simulation have begun."""
-    return any(thread.id != pid and thread.user_time > 0.5 for thread in psutil.Process(pid).threads())
+    """Whether one of its threads but the first has worked for half a second: the
+    minutes of simulation have begun."""
+    return any(
+        thread.id != pid and thread.user_time > 0.5
+        for thread in psutil.Process(pid).threads()
+    )
 
 
 def test_help_needs_no_numba():
@@ -319,7 +456,12 @@ def test_help_needs_no_numba():
     code = "import sys, eqsim.cli.app; print(sorted({'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr
-    for args in (["--help"], ["run", "--help"], ["steady", "--help"], ["info", "--help"]):
+    for args in (
+        ["--help"],
+        ["run", "--help"],
+        ["steady", "--help"],
+        ["info", "--help"],
+    ):
         assert call(*args).exit_code == 0
 
 
@@ -340,7 +482,8 @@ def test_printed_errors(value, stderr, text):
 
 
 def test_reference_curves(tmp_path):
-    """Transients as JSON columns; the closure of aging annealed contacts, and its refusal of others in one line."""
+    """Transients as JSON columns; the closure of aging annealed contacts, and its
+    refusal of others in one line."""
     path = tmp_path / "a.toml"
     path.write_text(
         'disorder = "annealed"\n[contacts]\nstiffness_law = "uniform"\n[thresholds]\nx_star = 0.5\n'
@@ -358,7 +501,12 @@ def test_reference_curves(tmp_path):
         name = flag.removeprefix("--") + ".parquet"
         assert f"{name}, {flag.removeprefix('--')}.png, 21 rows" in said.stdout
         assert said.stdout.count("\n") < 25
-        assert (tmp_path / "o" / name).with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+        assert (
+            (tmp_path / "o" / name)
+            .with_suffix(".png")
+            .read_bytes()
+            .startswith(b"\x89PNG")
+        )
         table = pq.read_table(tmp_path / "o" / name)
         assert table.column_names == list(columns)
         assert table["force"].to_pylist() == columns["force"]
@@ -366,10 +514,19 @@ def test_reference_curves(tmp_path):
         assert again.exit_code == 0, again.output
         shutil.rmtree(tmp_path / "o")
     assert call("reference", path, "--transient", "--quiet").exit_code == 0
-    assert tree(tmp_path / "out") == ["a", "a/transient.parquet", "a/transient.png"]  # where `run` puts its results
+    assert tree(tmp_path / "out") == [
+        "a",
+        "a/transient.parquet",
+        "a/transient.png",
+    ]  # where `run` puts its results
     for option in (("--out", tmp_path / "o"), ("--format", "pdf")):
-        assert "is for the table and the picture of --transient" in call("reference", path, *option).stderr
-    result = CliRunner().invoke(app, ["reference", str(path), "--closure", "--set", "disorder=quenched"])
+        assert (
+            "is for the table and the picture of --transient"
+            in call("reference", path, *option).stderr
+        )
+    result = CliRunner().invoke(
+        app, ["reference", str(path), "--closure", "--set", "disorder=quenched"]
+    )
     assert result.exit_code == 2
     assert result.stderr.startswith("eqsim: disorder")
     assert result.stderr.count("\n") == 1
@@ -385,9 +542,12 @@ COMMANDS = [info.callback.__name__ for info in app.registered_commands]
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_says_what_is_written(command, monkeypatch):
-    """Every word of docstrings, options and epilogs, also [sections], which rich takes for markup; -h is --help."""
+    """Every word of docstrings, options and epilogs, also [sections], which rich takes
+    for markup; -h is --help."""
     monkeypatch.setenv("COLUMNS", "300")
-    (info,) = [info for info in app.registered_commands if info.callback.__name__ == command]
+    (info,) = [
+        info for info in app.registered_commands if info.callback.__name__ == command
+    ]
     shown = call(command, "-h")
     assert shown.exit_code == 0
     assert shown.output == call(command, "--help").output
@@ -413,10 +573,18 @@ def test_help_of_everything():
 
 
 @pytest.mark.parametrize(
-    "command", ["info", "steady", "reference", "run", pytest.param("sweep", marks=pytest.mark.long)]
+    "command",
+    [
+        "info",
+        "steady",
+        "reference",
+        "run",
+        pytest.param("sweep", marks=pytest.mark.long),
+    ],
 )
 def test_mixed_units_are_doubted(command, tmp_path):
-    """Thresholds in nm beside SI: one line on standard error, and the result all the same; none with the scale."""
+    """Thresholds in nm beside SI: one line on standard error, and the result all the
+    same; none with the scale."""
     (tmp_path / "x.csv").write_text("xs_nm\n2.1\n1.9\n3.0\n")
     path = tmp_path / "a.toml"
     path.write_text(
@@ -434,23 +602,39 @@ def test_mixed_units_are_doubted(command, tmp_path):
             assert "thresholds.scale = 1e-9" in found.stderr
     if command == "info":
         assert call(command, path, "--quiet").stderr == ""
-        short = call(command, path, "--set", "thermal.kT=0", "--set", "drive.distance=1e-8")
+        short = call(
+            command, path, "--set", "thermal.kT=0", "--set", "drive.distance=1e-8"
+        )
         assert "hardly any contact breaks" in short.stderr
 
 
 def test_words_of_tables_are_explained():
     """One word for a difference in standard errors, and two for two kinds of errors."""
     for command in ("run", "steady", "validate", "sweep", "figures"):
-        assert "z: difference from the expected value in standard errors" in words(call(command, "-h").output)
+        assert "z: difference from the expected value in standard errors" in words(
+            call(command, "-h").output
+        )
     shown = words(call("sweep", "-h").output)
-    for word in ("_stderr, _reference_error and _z", "stderr: statistical", "error: bound of the error of a numerical"):
+    for word in (
+        "_stderr, _reference_error and _z",
+        "stderr: statistical",
+        "error: bound of the error of a numerical",
+    ):
         assert word in shown
     assert "f_k: F/(N_c k)" in words(call("reference", "-h").output)
 
 
 WIDE = [
     (
-        ("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict"),
+        (
+            "kind",
+            "scores",
+            "chi-square",
+            "p",
+            "largest |z|",
+            "p (of so many)",
+            "verdict",
+        ),
         ("transient variance", "55", "49.1/46", "0.61", "2.48", "0.51", "passed"),
     ),
     (
@@ -459,16 +643,26 @@ WIDE = [
     ),
     (
         ("", "best", "68 %", "95 %", ""),
-        ("thermal.attempt_frequency", "0.01123", "0.00995 to 0.0123", "0.00895 to 0.0143", "determined"),
+        (
+            "thermal.attempt_frequency",
+            "0.01123",
+            "0.00995 to 0.0123",
+            "0.00895 to 0.0143",
+            "determined",
+        ),
     ),
-    (("", "value", "unit", "meaning"), ("contact_radius", "4.7124e+05", "kg/m^3", "elastic correlation " * 6)),
+    (
+        ("", "value", "unit", "meaning"),
+        ("contact_radius", "4.7124e+05", "kg/m^3", "elastic correlation " * 6),
+    ),
 ]
 
 
 @pytest.mark.parametrize(("columns", "row"), WIDE)
 @pytest.mark.parametrize("width", [60, 80])
 def test_tables_break_no_word(columns, row, width, capsys, monkeypatch):
-    """At 80 columns all fit; on a narrower terminal a table is wider than that rather than cut."""
+    """At 80 columns all fit; on a narrower terminal a table is wider than that rather
+    than cut."""
     monkeypatch.setenv("COLUMNS", str(width))
     Report(None, "suite", columns, [row]).show()
     lines = capsys.readouterr().out.splitlines()[1:]
@@ -478,7 +672,10 @@ def test_tables_break_no_word(columns, row, width, capsys, monkeypatch):
     assert sorted(shown) == sorted(" ".join([*columns, *row]).split())
 
 
-@pytest.mark.parametrize("command", [("info",), ("reference",), ("steady",), ("run", "--out", "o"), ("material",)])
+@pytest.mark.parametrize(
+    "command",
+    [("info",), ("reference",), ("steady",), ("run", "--out", "o"), ("material",)],
+)
 def test_tables_of_commands_fit(command, run_file, tmp_path, monkeypatch):
     """On a terminal of 80 columns, and in a file."""
     monkeypatch.chdir(tmp_path)
@@ -505,7 +702,9 @@ def test_the_bar_tells_of_compiling_that_takes_time(monkeypatch, capsys, least, 
                 with locked_folder("test"):
                     time.sleep(0.3)  # ten looks a second
             progress(1, 2)
-        assert ("compiling kernels" in capsys.readouterr().err) == (long and turn == "compiled")
+        assert ("compiling kernels" in capsys.readouterr().err) == (
+            long and turn == "compiled"
+        )
 
 
 @pytest.mark.parametrize("text", ["", "  "])
@@ -519,7 +718,8 @@ def test_the_bar_tells_of_compiling_that_takes_time(monkeypatch, capsys, least, 
     ],
 )  # fmt: skip
 def test_no_path_is_empty(tmp_path, monkeypatch, words, text):
-    """As an unset variable of a shell leaves it: one line, exit code 2, and nothing in the current folder."""
+    """As an unset variable of a shell leaves it: one line, exit code 2, and nothing in
+    the current folder."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("[drive]\nvelocity = 1.0\n")
     done = CliRunner().invoke(app, [*words.replace("RUN", "a.toml").split(), text])

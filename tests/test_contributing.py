@@ -1,4 +1,5 @@
-"""CONTRIBUTING.md: the law that it adds works as it stands there, and what else it says is so."""
+"""CONTRIBUTING.md: the law that it adds works as it stands there, and what else it says
+is so."""
 
 import json
 import os
@@ -73,12 +74,16 @@ def block(language):
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
-    """The package with the law of CONTRIBUTING.md, and a law that differs from it by 2 % in the inverse of the hazard
-    alone; a function that runs Python there."""
+    """The package with the law of CONTRIBUTING.md, and a law that differs from it by 2
+    % in the inverse of the hazard alone; a function that runs Python there."""
     folder = tmp_path_factory.mktemp("copy")
-    shutil.copytree(ROOT / "eqsim", folder / "eqsim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "eqsim", folder / "eqsim", ignore=shutil.ignore_patterns("__pycache__")
+    )
     law, listed = block("python"), folder / LISTED
-    wrong = law.replace("slope * clock *", "slope * 1.02 * clock *").replace("Bell", "Wrong")
+    wrong = law.replace("slope * clock *", "slope * 1.02 * clock *").replace(
+        "Bell", "Wrong"
+    )
     assert wrong.count("1.02") == 1
     listed.with_name("bell.py").write_text(law, encoding="utf-8")
     listed.with_name("wrong.py").write_text(wrong, encoding="utf-8")
@@ -90,9 +95,15 @@ def copy(tmp_path_factory):
             text = text.replace(line, "")
         else:  # no import comes after
             text += f"\n{line}\n"
-    plain = law.split("@stretch.register")[0].replace("Bell", "Plain")  # whose hazard nobody inverts
+    plain = law.split("@stretch.register")[0].replace(
+        "Bell", "Plain"
+    )  # whose hazard nobody inverts
     listed.with_name("plain.py").write_text(plain, encoding="utf-8")
-    lacking = plain.split("@height.register")[0].replace("Plain", "Lacking").replace("def exponent", "def height_of")
+    lacking = (
+        plain.split("@height.register")[0]
+        .replace("Plain", "Lacking")
+        .replace("def exponent", "def height_of")
+    )
     listed.with_name("lacking.py").write_text(lacking, encoding="utf-8")
     for name in ("wrong", "plain", "lacking"):
         text += f'\nfrom eqsim.laws.barrier.{name} import {name.title()}\nBARRIERS["{name}"] = {name.title()}\n'
@@ -100,19 +111,30 @@ def copy(tmp_path_factory):
 
     def python(*arguments):
         path = os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", "")))
-        environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder / "cache")}
-        return subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+        environment = os.environ | {
+            "PYTHONPATH": path,
+            "NUMBA_CACHE_DIR": str(folder / "cache"),
+        }
+        return subprocess.run(
+            [sys.executable, *arguments],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
 
     found = python("-c", "import eqsim; print(eqsim.__file__)")
     assert found.stdout.strip() == str(folder / "eqsim" / "__init__.py"), found.stderr
     return python
 
 
-@pytest.mark.parametrize("which", ["quenched", pytest.param("all", marks=pytest.mark.verification)])
+@pytest.mark.parametrize(
+    "which", ["quenched", pytest.param("all", marks=pytest.mark.verification)]
+)
 def test_the_law_agrees_with_its_reference(copy, which):
-    """Engine against reference at kT = 0.3, v = 0.1: steady averages, with -m verification of both ensembles, and the
-    force at one X. |z| < 4.5 in two or five scores: false alarm 4e-5 for a fresh seed. Negative control: an inverse 2 %
-    off."""
+    """Engine against reference at kT = 0.3, v = 0.1: steady averages, with -m
+    verification of both ensembles, and the force at one X. |z| < 4.5 in two or five
+    scores: false alarm 4e-5 for a fresh seed. Negative control: an inverse 2 % off."""
     done = copy("-c", COMPARE, which)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -123,23 +145,33 @@ def test_the_law_agrees_with_its_reference(copy, which):
 
 @pytest.mark.verification  # compiles the law for three drives
 def test_the_law_works_in_every_drive(copy):
-    """Along a programme with a hold, a reversal and a motion too slow for a stretch to resolve, from a fresh and a
-    stationary start, and behind a stage: forces at the ends of segments against the renewal equation and the mean
-    field, and of the same law without its closed forms. |z| < 4.5 in 14 scores: false alarm 1e-4 for a fresh
-    seed. Negative control: kT 17 % off."""
+    """Along a programme with a hold, a reversal and a motion too slow for a stretch to
+    resolve, from a fresh and a stationary start, and behind a stage: forces at the ends
+    of segments against the renewal equation and the mean field, and of the same law
+    without its closed forms. |z| < 4.5 in 14 scores: false alarm 1e-4 for a fresh seed.
+    Negative control: kT 17 % off."""
     done = copy("-c", DRIVES)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    right = [z for scores in (*found["right"].values(), found["without closed forms"]) for z in scores]
+    right = [
+        z
+        for scores in (*found["right"].values(), found["without closed forms"])
+        for z in scores
+    ]
     assert len(right) == 14
     assert max(map(abs, right)) < 4.5
     assert max(map(abs, found["wrong"])) > 4.5
 
 
-@pytest.mark.parametrize("drive", ["velocity = 0.1", "programme = [{ velocity = 0.0, time = 1.0 }]"])
+@pytest.mark.parametrize(
+    "drive", ["velocity = 0.1", "programme = [{ velocity = 0.0, time = 1.0 }]"]
+)
 def test_a_law_that_lacks_something_is_refused_in_a_line(copy, tmp_path, drive):
     path = tmp_path / "run.toml"
-    path.write_text(f'[thermal]\nkT = 0.3\nbarrier = "lacking"\n[drive]\n{drive}\n', encoding="utf-8")
+    path.write_text(
+        f'[thermal]\nkT = 0.3\nbarrier = "lacking"\n[drive]\n{drive}\n',
+        encoding="utf-8",
+    )
     done = copy("-m", "eqsim", "run", str(path), "--out", str(tmp_path / "out"))
     assert done.returncode == 2
     assert (
@@ -156,19 +188,27 @@ def test_a_law_that_lacks_something_is_refused_in_a_line(copy, tmp_path, drive):
 def test_the_law_works_in_run_files(copy, tmp_path):
     """And an unknown one is refused with the list of laws."""
     path = tmp_path / "run.toml"
-    path.write_text('[thermal]\nkT = 0.3\nbarrier = "bell"\n[drive]\nvelocity = 0.1\n', encoding="utf-8")
+    path.write_text(
+        '[thermal]\nkT = 0.3\nbarrier = "bell"\n[drive]\nvelocity = 0.1\n',
+        encoding="utf-8",
+    )
     done = copy("-m", "eqsim", "steady", str(path), "--json", "--quiet")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert max(abs(found["z"][name]) for name in ("friction", "break_stretch")) < 4.5
     done = copy("-m", "eqsim", "steady", str(path), "--set", "thermal.barrier=cusp")
     assert done.returncode == 2
-    assert 'thermal.barrier = \'cusp\': must be one of "soft", "stiff", "bell"' in done.stderr
+    assert (
+        'thermal.barrier = \'cusp\': must be one of "soft", "stiff", "bell"'
+        in done.stderr
+    )
 
 
 def test_the_law_touches_two_files_and_four_functions():
     assert len(re.findall(r"^ *def ", block("python"), re.MULTILINE)) == 4
-    assert re.findall(r"one new file, `(.+)`, with|`(.+)`, where the barriers are listed", TEXT) == [
+    assert re.findall(
+        r"one new file, `(.+)`, with|`(.+)`, where the barriers are listed", TEXT
+    ) == [
         ("eqsim/laws/barrier/bell.py", ""),
         ("", LISTED),
     ]
@@ -178,7 +218,11 @@ def test_the_law_touches_two_files_and_four_functions():
 def test_the_law_is_written_like_the_others(command):
     name = ["--stdin-filename", "eqsim/laws/barrier/bell.py"]
     done = subprocess.run(
-        [sys.executable, "-m", "ruff", *command, *name], input=block("python"), cwd=ROOT, capture_output=True, text=True
+        [sys.executable, "-m", "ruff", *command, *name],
+        input=block("python"),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -193,4 +237,8 @@ def test_observables_are_estimated_where_it_says():
     ]  # fmt: skip
     for name, path in zip(found, [*found[1:], ""], strict=True):
         if path.endswith(".py"):
-            assert re.search(rf"^(class|def) {name}\b", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE), path
+            assert re.search(
+                rf"^(class|def) {name}\b",
+                (ROOT / path).read_text(encoding="utf-8"),
+                re.MULTILINE,
+            ), path

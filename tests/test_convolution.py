@@ -1,4 +1,5 @@
-"""Transients against a plain convolution on a lattice: laws with jumps, kinks, atoms and infinite densities."""
+"""Transients against a plain convolution on a lattice: laws with jumps, kinks, atoms
+and infinite densities."""
 
 from typing import NamedTuple
 
@@ -8,7 +9,17 @@ from cases import chosen
 from convolution import Contacts, means
 from scipy import stats
 
-from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, Table, Thermal, transient
+from eqsim import (
+    Delay,
+    Delta,
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    Table,
+    Thermal,
+    transient,
+)
 from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 
 VELOCITY = 0.1
@@ -20,7 +31,8 @@ KINDS = [
 
 
 class Case(NamedTuple):
-    """Contacts as eqsim and as the lattice has them, how far they slide and how much finer the lattice is."""
+    """Contacts as eqsim and as the lattice has them, how far they slide and how much
+    finer the lattice is."""
 
     ensemble: Ensemble
     contacts: Contacts
@@ -38,7 +50,9 @@ def law_of(kind, rng):
     if kind == "gamma":
         return Gamma(float(np.exp(rng.uniform(-2.0, 3.0))))
     if kind == "narrow":
-        return [Gamma(0.25 / width**2), Lognormal(width), Normal(width)][rng.integers(3)]
+        return [Gamma(0.25 / width**2), Lognormal(width), Normal(width)][
+            rng.integers(3)
+        ]
     if kind == "lognormal":
         return Lognormal(float(rng.uniform(0.1, 1.0)))
     if kind == "weibull":
@@ -54,14 +68,20 @@ def law_of(kind, rng):
         return Pareto(float(rng.uniform(3.05, 30.0)), on_lattice(rng.uniform(0.3, 1.0)))
     if kind == "histogram":
         bins = rng.integers(1, 5)
-        edges = np.sort(rng.choice(np.arange(10, 200), bins + 1, replace=False)) * LATTICE
+        edges = (
+            np.sort(rng.choice(np.arange(10, 200), bins + 1, replace=False)) * LATTICE
+        )
         counts = rng.integers(0, 5, bins)
         counts[[0, -1]] += 1
         return Distribution(stats.rv_histogram((counts, edges), density=True))
     if kind == "beta":
         return Distribution(stats.beta(*rng.uniform(0.4, 1.0, 2).tolist()))
     if kind == "triang":
-        return Distribution(stats.triang(float(rng.uniform(0.05, 0.95)), loc=float(rng.uniform(0.0, 0.5))))
+        return Distribution(
+            stats.triang(
+                float(rng.uniform(0.05, 0.95)), loc=float(rng.uniform(0.0, 0.5))
+            )
+        )
     if kind == "trapezoid":
         return Distribution(stats.trapezoid(0.2, 0.7, loc=0.3))
     if kind == "loguniform":
@@ -100,29 +120,43 @@ def drawn(kind, seed):
 
 def ensemble_of(c):
     """The same contacts for eqsim, k = 1."""
-    heat = Thermal(0.5 / c.b, c.attempts * VELOCITY, c.barrier) if c.attempts else Thermal()
+    heat = (
+        Thermal(0.5 / c.b, c.attempts * VELOCITY, c.barrier)
+        if c.attempts
+        else Thermal()
+    )
     delay = Delay(c.delay / VELOCITY, "exponential" if c.random else "fixed")
     disorder = "annealed" if c.annealed else "quenched"
-    return Ensemble(c.law, heat, delay, stiffness_law=c.stiffness, disorder=disorder, eta=c.drag / VELOCITY)
+    return Ensemble(
+        c.law,
+        heat,
+        delay,
+        stiffness_law=c.stiffness,
+        disorder=disorder,
+        eta=c.drag / VELOCITY,
+    )
 
 
 def scores(case):
-    """How much force and pinned share differ from those of the lattice by more than its error, in quoted errors, arrays
-    (points,); at X = 0 nothing is to be told."""
+    """How much force and pinned share differ from those of the lattice by more than its
+    error, in quoted errors, arrays (points,); at X = 0 nothing is to be told."""
     points = round(case.distance / LATTICE)
     exact = means(case.contacts, LATTICE / case.finer, points * case.finer)
     found = transient(case.ensemble, Drive(VELOCITY, case.distance), points + 1)
     z = []
     for name in ("force", "pinned"):
-        known, missed = (getattr(exact, part)[:: case.finer] for part in (name, f"{name}_error"))
+        known, missed = (
+            getattr(exact, part)[:: case.finer] for part in (name, f"{name}_error")
+        )
         apart = np.maximum(np.abs(getattr(found, name) - known) - missed, 0.0)
         z.append((apart / np.maximum(getattr(found, f"{name}_error"), 1e-300))[1:])
     return z
 
 
 def test_the_lattice_by_closed_forms():
-    """Exponential thresholds break at the rate 1: F = 1 - exp(-X); identical ones are a saw-tooth; with a fixed delay
-    all are detached after the first break. Half of a jump is told where it is."""
+    """Exponential thresholds break at the rate 1: F = 1 - exp(-X); identical ones are a
+    saw-tooth; with a fixed delay all are detached after the first break. Half of a jump
+    is told where it is."""
     X = 0.01 * np.arange(401)
     found = means(Contacts(Exponential()), 0.01, 400)
     assert np.all(np.abs(found.force - (1.0 - np.exp(-X))) <= found.force_error)
@@ -130,40 +164,65 @@ def test_the_lattice_by_closed_forms():
     teeth = means(Contacts(Delta(1.0), delay=0.5), 0.01, 400)
     phase = np.mod(X, 1.5)
     inside = (np.abs(phase - 1.0) > 1e-9) & (phase > 1e-9) & (phase < 1.5 - 1e-9)
-    np.testing.assert_allclose(teeth.pinned[inside], np.where(phase < 1.0, 1.0, 0.0)[inside], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(teeth.force[inside], np.where(phase < 1.0, phase, 0.0)[inside], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        teeth.pinned[inside], np.where(phase < 1.0, 1.0, 0.0)[inside], rtol=0, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        teeth.force[inside],
+        np.where(phase < 1.0, phase, 0.0)[inside],
+        rtol=0,
+        atol=1e-9,
+    )
 
 
-# one of each kind, and seeds with heat, annealed contacts and delays of both laws among them
+# one of each kind, and seeds with heat, annealed contacts and delays of both laws among
+# them
 FEW = [(kind, seed) for seed, kind in enumerate(KINDS)]
 
 
-@chosen(("kind", "seed"), FEW, [case for case in FEW if case[0] not in ("narrow", "normal")])  # which take longest
+@chosen(
+    ("kind", "seed"), FEW, [case for case in FEW if case[0] not in ("narrow", "normal")]
+)  # which take longest
 def test_transients_are_those_of_the_lattice(kind, seed):
-    """Quoted errors are bounds: none of the hundreds of points of either observable is beyond."""
+    """Quoted errors are bounds: none of the hundreds of points of either observable is
+    beyond."""
     assert max(z.max() for z in scores(drawn(kind, seed))) <= 1.0
 
 
 def test_a_wrong_delay_and_a_wrong_edge_are_seen():
-    """Negative control: a delay that is 1 percent longer, and a law whose lower end is 1 percent higher."""
+    """Negative control: a delay that is 1 percent longer, and a law whose lower end is
+    1 percent higher."""
     contacts = Contacts(Uniform(0.9, 1.1), delay=0.5)
-    for wrong in (Contacts(Uniform(0.9, 1.1), delay=0.51), Contacts(Uniform(0.91, 1.1), delay=0.5)):
+    for wrong in (
+        Contacts(Uniform(0.9, 1.1), delay=0.51),
+        Contacts(Uniform(0.91, 1.1), delay=0.5),
+    ):
         case = Case(ensemble_of(wrong), contacts, 3.0, 16)
         assert max(z.max() for z in scores(case)) > 100.0
-    assert max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16))) <= 1.0
+    assert (
+        max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16)))
+        <= 1.0
+    )
 
 
 def test_panels_across_a_kink_are_seen(monkeypatch):
-    """Negative control: without panels that end where a density jumps, and are split where one is missed."""
+    """Negative control: without panels that end where a density jumps, and are split
+    where one is missed."""
     monkeypatch.setattr(Uniform, "kinks", property(lambda _: np.empty(0)))
     monkeypatch.setattr("eqsim.master.profile._NARROWEST", 0.05)
     contacts = Contacts(Uniform(0.9, 1.1))
-    assert max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16))) > 3.0
+    assert (
+        max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16)))
+        > 3.0
+    )
 
 
 def test_errors_are_those_of_the_force_that_is_there():
     """Thresholds far away are no unit of errors: F = X, known to a millionth of itself."""
-    for ensemble in (Ensemble(Delta(1e6)), Ensemble(Delta(1e6), delay=Delay(1.0, "exponential"), eta=1.0)):
+    for ensemble in (
+        Ensemble(Delta(1e6)),
+        Ensemble(Delta(1e6), delay=Delay(1.0, "exponential"), eta=1.0),
+    ):
         found = transient(ensemble, Drive(VELOCITY, 5.0), 6)
         np.testing.assert_allclose(found.force, found.X, rtol=1e-9, atol=0.0)
         assert np.all(found.force_error <= 2e-6 * found.X + 1e-15)
@@ -171,7 +230,14 @@ def test_errors_are_those_of_the_force_that_is_there():
 
 @pytest.mark.verification
 def test_many_transients_are_those_of_the_lattice():
-    """Of 210 random ensembles: no point in a thousand beyond its quoted error, and none beyond twice that."""
-    z = np.concatenate([np.concatenate(scores(drawn(kind, seed))) for kind in KINDS for seed in range(100, 114)])
+    """Of 210 random ensembles: no point in a thousand beyond its quoted error, and none
+    beyond twice that."""
+    z = np.concatenate(
+        [
+            np.concatenate(scores(drawn(kind, seed)))
+            for kind in KINDS
+            for seed in range(100, 114)
+        ]
+    )
     assert (z > 1.0).mean() < 1e-3
     assert z.max() < 2.0

@@ -1,4 +1,5 @@
-"""CSV files: every row is read or refused with its line, whatever comments hold; what is written is read again."""
+"""CSV files: every row is read or refused with its line, whatever comments hold; what
+is written is read again."""
 
 import math
 import string
@@ -20,7 +21,8 @@ from eqsim.io.export import as_csv
 from eqsim.io.runfile import check, read_drive, read_thresholds
 
 ROWS = [(0.0, 0.0), (1.0, 0.5), (2.0, 1.5), (3.0, 2.0)]
-# Two comments with an odd quote each: to a reader that looks for quotes first, all between them is a single cell.
+# Two comments with an odd quote each: to a reader that looks for quotes first, all
+# between them is a single cell.
 SWALLOWING = [
     "# the run of Tuesday",
     "t,X",
@@ -64,7 +66,9 @@ def bytes_of(lines, end="\n", mark=""):
 
 FORMS = {
     "comments with quotes": bytes_of(SWALLOWING),
-    "comments in quotes": bytes_of(['# a "b" c', "t,X", "0,0", '#"', "1,0.5", "2,1.5", '  # "x', "3,2"]),
+    "comments in quotes": bytes_of(
+        ['# a "b" c', "t,X", "0,0", '#"', "1,0.5", "2,1.5", '  # "x', "3,2"]
+    ),
     "byte-order mark": bytes_of(SWALLOWING, mark="\ufeff"),
     "byte-order mark before the names": bytes_of(SWALLOWING[1:], mark="\ufeff"),
     "Windows": bytes_of(SWALLOWING, end="\r\n"),
@@ -73,7 +77,15 @@ FORMS = {
     "blanks": bytes_of([" t ,\tX", "  ", "0 , 0", "1,  0.5", "", " 2,1.5 ", "3\t,2"]),
     "quotes": bytes_of(['"t","X"', '"0", "0"', '"1" ,"0.5"', "2,1.5", '3 , "2" ']),
     "commas at the end": bytes_of(["t,X,,", "0,0,,", "1,0.5,,", "2,1.5", "3,2,,,"]),
-    "more columns": bytes_of(["X,note,t", '0,"a, b",0', '0.5,"# no comment",1', '1.5,5" disc,2', '2,"say ""no""",3']),
+    "more columns": bytes_of(
+        [
+            "X,note,t",
+            '0,"a, b",0',
+            '0.5,"# no comment",1',
+            '1.5,5" disc,2',
+            '2,"say ""no""",3',
+        ]
+    ),
     "separators of lines inside a cell": bytes_of(
         ["t,X,note", "0,0,a\x0bb", "1,0.5,\u2028", "2,1.5,\x85x", "3,2,\x0c"]
     ),
@@ -89,10 +101,14 @@ def test_every_row_is_read(tmp_path, form, reader):
 
 def test_comments_with_quotes_in_tables_of_thresholds_and_measurements(tmp_path):
     path = tmp_path / "x.csv"
-    path.write_text('# "\n\ufeffthreshold\n'.replace("\ufeff", "") + '1\n# note, "off\n2\n3\n# on"\n4\n')
+    path.write_text(
+        '# "\n\ufeffthreshold\n'.replace("\ufeff", "")
+        + '1\n# note, "off\n2\n3\n# on"\n4\n'
+    )
     assert read_thresholds(path).steps.tolist() == [1, 2, 3, 4]
     path.write_text(
-        '\ufeff# "\ndrive.velocity,friction\n1,1\n# note, "off\n2,2\n3,3\n# on"\n4,4\n,\n', encoding="utf-8"
+        '\ufeff# "\ndrive.velocity,friction\n1,1\n# note, "off\n2,2\n3,3\n# on"\n4,4\n,\n',
+        encoding="utf-8",
     )
     fit = {"noise": {"relative": 0.1}, "free": {"thresholds.n": {"bounds": [0.5, 2.0]}}}
     file = check({"fit": fit})
@@ -136,12 +152,20 @@ def test_a_line_that_is_no_row_is_refused(tmp_path, content, message):
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.lists(st.text('"#,; \t1.5aé', max_size=8), max_size=12), st.sampled_from(["\n", "\r\n", "\r"]))
+@given(
+    st.lists(st.text('"#,; \t1.5aé', max_size=8), max_size=12),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+)
 def test_no_row_is_lost_in_silence(tmp_path_factory, lines, end):
-    """Any lines: as many rows as there are lines that are neither empty nor a comment, or an error."""
+    """Any lines: as many rows as there are lines that are neither empty nor a comment,
+    or an error."""
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_bytes(end.join(["a,b", *lines]).encode())
-    wanted = [number for number, line in enumerate(lines, 2) if line.strip() and not line.strip().startswith("#")]
+    wanted = [
+        number
+        for number, line in enumerate(lines, 2)
+        if line.strip() and not line.strip().startswith("#")
+    ]
     try:
         found = [number for number, _ in csv.read(path, "file").rows()]
     except InputError as error:
@@ -151,8 +175,14 @@ def test_no_row_is_lost_in_silence(tmp_path_factory, lines, end):
     assert found == wanted
 
 
-TEXTS = st.text(st.characters(exclude_characters="\r\n", exclude_categories=["Cs"]), max_size=8)
-NAMES = st.text(string.ascii_letters + string.digits + '.,"# _é', min_size=1, max_size=8).map(str.strip).filter(bool)
+TEXTS = st.text(
+    st.characters(exclude_characters="\r\n", exclude_categories=["Cs"]), max_size=8
+)
+NAMES = (
+    st.text(string.ascii_letters + string.digits + '.,"# _é', min_size=1, max_size=8)
+    .map(str.strip)
+    .filter(bool)
+)
 COLUMNS = [
     (pa.float64(), st.none() | st.floats()),
     (pa.int64(), st.none() | st.integers(-(2**63), 2**63 - 1)),
@@ -167,16 +197,23 @@ def tables(draw):
     count = draw(st.integers(0, 5))
     kinds = [draw(st.sampled_from(COLUMNS)) for _ in names]
     return pa.table(
-        [pa.array(draw(st.lists(values, min_size=count, max_size=count)), kind) for kind, values in kinds], names
+        [
+            pa.array(draw(st.lists(values, min_size=count, max_size=count)), kind)
+            for kind, values in kinds
+        ],
+        names,
     )
 
 
 def read_as(cell, value):
-    """Whether a cell holds a value, to the last bit. Missing numbers, NaN and missing text are empty cells."""
+    """Whether a cell holds a value, to the last bit. Missing numbers, NaN and missing
+    text are empty cells."""
     if value is None or value != value:
         return cell == ""
     if isinstance(value, float):
-        return float(cell) == value and math.copysign(1, float(cell)) == math.copysign(1, value)
+        return float(cell) == value and math.copysign(1, float(cell)) == math.copysign(
+            1, value
+        )
     return cell == value if isinstance(value, str) else cell == str(value)
 
 
@@ -190,13 +227,23 @@ def test_what_is_exported_is_read_again(tmp_path_factory, table):
     assert found.columns == table.column_names
     rows = list(found.rows())
     assert len(rows) == table.num_rows
-    for (_, cells), row in zip(rows, zip(*(column.to_pylist() for column in table.columns), strict=True), strict=True):
+    for (_, cells), row in zip(
+        rows,
+        zip(*(column.to_pylist() for column in table.columns), strict=True),
+        strict=True,
+    ):
         assert all(map(read_as, cells, row)), (cells, row)
 
 
 def test_pandas_reads_what_is_exported(tmp_path):
-    """Whole numbers beyond 2^53, too, beside missing ones, and names with commas and comment signs."""
-    columns = {"a,b": [2**63 - 1, 1], "c # d": ["# x", 'say "no"'], "e": [math.nan, 0.1], "f": [2**53 + 1, None]}
+    """Whole numbers beyond 2^53, too, beside missing ones, and names with commas and
+    comment signs."""
+    columns = {
+        "a,b": [2**63 - 1, 1],
+        "c # d": ["# x", 'say "no"'],
+        "e": [math.nan, 0.1],
+        "f": [2**53 + 1, None],
+    }
     pq.write_table(pa.table(columns), tmp_path / "t.parquet")
     (tmp_path / "t.csv").write_bytes(as_csv([tmp_path / "t.parquet"]))
     found = pd.read_csv(tmp_path / "t.csv", comment="#", dtype={"f": "Int64"})

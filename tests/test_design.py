@@ -22,32 +22,49 @@ ROWS = list(coverage.TABLE.items())
 
 @pytest.mark.parametrize(
     ("case", "values"),
-    [pytest.param(*row, marks=[pytest.mark.verification] if i % 3 else []) for i, row in enumerate(ROWS)],
-    ids=[f"{case.disorder}-{case.b:g}-{case.law}-{case.decades:g}-{len(case.heats)}" for case, _ in ROWS],
+    [
+        pytest.param(*row, marks=[pytest.mark.verification] if i % 3 else [])
+        for i, row in enumerate(ROWS)
+    ],
+    ids=[
+        f"{case.disorder}-{case.b:g}-{case.law}-{case.decades:g}-{len(case.heats)}"
+        for case, _ in ROWS
+    ],
 )
 def test_expected_errors(case, values):
     """Values printed to two or three digits, good to 5 %."""
     found = coverage.expected(coverage.problem(case))
-    assert [found[key] for key in coverage.COLUMNS] == pytest.approx(values, rel=0.05, abs=0)
+    assert [found[key] for key in coverage.COLUMNS] == pytest.approx(
+        values, rel=0.05, abs=0
+    )
 
 
 def test_a_fixed_n_helps():
     """sd(ln b) of 1.12 becomes .17 (two digits, 5 %)."""
     free = ("thermal.kT", "thermal.attempt_frequency")
-    found = coverage.expected(coverage.problem(coverage.Case("annealed", 5.0, "uniform", 4.0, (1.0,)), free))
+    found = coverage.expected(
+        coverage.problem(coverage.Case("annealed", 5.0, "uniform", 4.0, (1.0,)), free)
+    )
     assert found["thermal.kT"] == pytest.approx(0.17, rel=0.05, abs=0)
 
 
 def test_derivatives():
-    """By central differences: halving the step changes them by less than 1e-6 of the largest, three times the step's
-    square; and the rows of a linear parameter are exact."""
-    problem = coverage.problem(coverage.Case("annealed", 5.0, "uniform", 3.0, (1.0, 1.3)))
+    """By central differences: halving the step changes them by less than 1e-6 of the
+    largest, three times the step's square; and the rows of a linear parameter are
+    exact."""
+    problem = coverage.problem(
+        coverage.Case("annealed", 5.0, "uniform", 3.0, (1.0, 1.3))
+    )
     u = problem.start
     for i in range(u.size):
-        up, down = (u + sign * 0.5 * STEP * (np.arange(u.size) == i) for sign in (1.0, -1.0))
+        up, down = (
+            u + sign * 0.5 * STEP * (np.arange(u.size) == i) for sign in (1.0, -1.0)
+        )
         column = (problem.given(up) - problem.given(down)) / STEP / problem.sigma
         jacobian = problem.jacobian(u)[:, i]
-        np.testing.assert_allclose(jacobian, column, rtol=0, atol=1e-6 * np.abs(jacobian).max())
+        np.testing.assert_allclose(
+            jacobian, column, rtol=0, atol=1e-6 * np.abs(jacobian).max()
+        )
 
 
 def test_singular_directions_have_no_bound():
@@ -83,24 +100,38 @@ def folder(tmp_path):
     """Exact data, and a fit that found the truth."""
     exact = coverage.problem(coverage.Case("annealed", 5.0, "uniform", 3.0, (1.0,)))
     velocities = coverage.Case("annealed", 5.0, "uniform", 3.0, (1.0,)).velocities
-    lines = [f"{v:.15g},300,{F:.15g}" for v, F in zip(velocities, exact.value, strict=True)]
-    (tmp_path / "data.csv").write_text("drive.velocity,temperature,friction\n" + "\n".join(lines))
+    lines = [
+        f"{v:.15g},300,{F:.15g}" for v, F in zip(velocities, exact.value, strict=True)
+    ]
+    (tmp_path / "data.csv").write_text(
+        "drive.velocity,temperature,friction\n" + "\n".join(lines)
+    )
     (tmp_path / "run.toml").write_text(RUN)
     file = load(tmp_path / "run.toml")
-    truth = {"thermal.kT": 0.1, "thermal.attempt_frequency": 1.0, "thresholds.n": 1.0, "fit.scale": 1.0}
+    truth = {
+        "thermal.kT": 0.1,
+        "thermal.attempt_frequency": 1.0,
+        "thresholds.n": 1.0,
+        "fit.scale": 1.0,
+    }
     digest = read_table(tmp_path / "data.csv", file, section_of(file)).sha256
-    found = {"parameters": {key: {"estimate": value} for key, value in truth.items()}, "data_sha256": digest}
+    found = {
+        "parameters": {key: {"estimate": value} for key, value in truth.items()},
+        "data_sha256": digest,
+    }
     (tmp_path / "fit.json").write_text(json.dumps(found))
     return tmp_path
 
 
 def call(folder, *args):
-    return CliRunner().invoke(app, ["design", str(folder / "run.toml"), "--fit", str(folder), *map(str, args)])
+    return CliRunner().invoke(
+        app, ["design", str(folder / "run.toml"), "--fit", str(folder), *map(str, args)]
+    )
 
 
 def test_the_next_measurement(folder):
-    """12 velocities over 3 decades: one more at 1e-4 v_*, 1.3 T takes sd(ln b) from 2.10 to .53, where to repeat all
-    gives 1.49 (three digits, 1 %)."""
+    """12 velocities over 3 decades: one more at 1e-4 v_*, 1.3 T takes sd(ln b) from
+    2.10 to .53, where to repeat all gives 1.49 (three digits, 1 %)."""
     star = coverage.Case("annealed", 5.0, "uniform", 3.0, (1.0,)).velocities
     slow = 1e-4 * math.sqrt(star[0] * star[-1])
     one = call(folder, "--for", "thermal.kT", "--next", 1, "--velocity", f"{slow},{slow}", "--temperature", "390,390",
@@ -112,7 +143,9 @@ def test_the_next_measurement(folder):
     assert found["repeated"] == pytest.approx(1.49, rel=0.01, abs=0)
     table = call(folder, "--for", "thermal.kT", "--temperature", "300,390")
     assert table.exit_code == 0, table.output
-    many = json.loads(call(folder, "--for", "thermal.kT", "--temperature", "300,390", "--json").output)
+    many = json.loads(
+        call(folder, "--for", "thermal.kT", "--temperature", "300,390", "--json").output
+    )
     sd = [many["now"], *(step["sd"] for step in many["steps"])]
     assert len(sd) == 5
     assert np.all(np.diff(sd) < 0)  # every measurement helps
@@ -128,7 +161,10 @@ def test_the_next_measurement(folder):
         (["--for", "thermal.kT", "--temperature", "0,1"], "--temperature = 0"),
         (["--for", "thermal.kT", "--next", "0"], "--next = 0"),
         (["--for", "thermal.kT", "--fit", "nowhere"], "holds no fit.json"),
-        (["--for", "thermal.kT", "--set", "fit.data='other.csv'"], "is a fit of other data"),
+        (
+            ["--for", "thermal.kT", "--set", "fit.data='other.csv'"],
+            "is a fit of other data",
+        ),
         (["--for", "thermal.kT", "--set", "fit.scale=1.0"], "has other free keys"),
     ],
 )
@@ -143,22 +179,27 @@ def test_bad_input(folder, arguments, said):
 @pytest.mark.verification
 @pytest.mark.parametrize("name", coverage.COVERED)
 def test_intervals_cover(name):
-    """60 data sets: counts of 68 and 95 % for four keys are within the binomial range of 99.9 % each, which fails by
-    chance in less than 8 of a thousand cases; intervals at a third of their levels do not (negative control)."""
+    """60 data sets: counts of 68 and 95 % for four keys are within the binomial range
+    of 99.9 % each, which fails by chance in less than 8 of a thousand cases; intervals
+    at a third of their levels do not (negative control)."""
     every = list(coverage.rises(coverage.COVERED[name](), 60, 1))
     for part, holds in ((1.0, all), (1 / 3, lambda found: not all(found))):
         checked = []
         for level, rise in LEVELS.items():
             low, high = coverage.binomial(60, int(level) / 100)
             for key in every[0]:
-                checked.append(low <= np.mean([one[key] < part * rise for one in every]) <= high)
+                checked.append(
+                    low <= np.mean([one[key] < part * rise for one in every]) <= high
+                )
         assert holds(checked)
 
 
 def test_exact_data_are_fitted_exactly():
-    """Chi-square of data without noise is 0, from another start: below 1e-6, which is a thousandth of a standard error,
-    the largest of which is .54."""
-    problem = coverage.problem(coverage.Case("annealed", 5.0, "uniform", 4.0, (1.0, 1.3)))
+    """Chi-square of data without noise is 0, from another start: below 1e-6, which is a
+    thousandth of a standard error, the largest of which is .54."""
+    problem = coverage.problem(
+        coverage.Case("annealed", 5.0, "uniform", 4.0, (1.0, 1.3))
+    )
     found = minimise(problem, problem.start + 0.3)
     assert found.converged
     assert found.chi2 < 1e-6

@@ -1,7 +1,9 @@
-"""The documentation: it can be built without a warning, and what it shows is what happens.
+"""The documentation: it can be built without a warning, and what it shows is what
+happens.
 
-`tests/pages.py` says what a block is. By default the site is built, every command that is shown is parsed and every run
-file read; with -m long all of them run, and print what is shown.
+`tests/pages.py` says what a block is. By default the site is built, every command that
+is shown is parsed and every run file read; with -m long all of them run, and print what
+is shown.
 """
 
 import ast
@@ -22,7 +24,11 @@ from eqsim.materials import from_constants
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
 PAGES = pages.pages()
-BLOCKS = [(page, block) for page in PAGES for block in pages.blocks(page.read_text(encoding="utf-8"))]
+BLOCKS = [
+    (page, block)
+    for page in PAGES
+    for block in pages.blocks(page.read_text(encoding="utf-8"))
+]
 
 
 def names(page):
@@ -54,7 +60,9 @@ def test_the_site_can_be_built(tmp_path):
     assert done.returncode == 0, done.stderr
     html = (tmp_path / "reference" / "runfile.html").read_text(encoding="utf-8")
     assert "attempt_frequency" in html
-    assert "eqsim stability" in (tmp_path / "reference" / "commands.html").read_text(encoding="utf-8")
+    assert "eqsim stability" in (tmp_path / "reference" / "commands.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_a_broken_reference_is_noticed(tmp_path):
@@ -64,7 +72,10 @@ def test_a_broken_reference_is_noticed(tmp_path):
     assert "nowhere.md" in done.stderr
 
 
-@pytest.mark.parametrize(("formula", "right"), [(r"\frac{a}{b}", True), (r"\frok{a}{b}", False), ("a & b", False)])
+@pytest.mark.parametrize(
+    ("formula", "right"),
+    [(r"\frac{a}{b}", True), (r"\frok{a}{b}", False), ("a & b", False)],
+)
 def test_formulas_are_checked(formula, right, monkeypatch, caplog):
     monkeypatch.syspath_prepend(DOCS / "extensions")
     import mathml
@@ -99,14 +110,20 @@ def test_commands_can_be_parsed():
     assert len(typed) > 40
     for words in typed:
         parsed(words)
-    assert {words[0] for words in typed} == set(get_command(app).commands)  # each is shown
+    assert {words[0] for words in typed} == set(
+        get_command(app).commands
+    )  # each is shown
     with pytest.raises(Exception, match="--no-such"):
         parsed(["run", "x.toml", "--no-such", "1"])
 
 
 @pytest.mark.parametrize(
     "block",
-    [pytest.param(block, id=f"{page.stem}:{block.line}") for page, block in BLOCKS if block.kind == "toml"],
+    [
+        pytest.param(block, id=f"{page.stem}:{block.line}")
+        for page, block in BLOCKS
+        if block.kind == "toml"
+    ],
 )
 def test_toml_is_valid(block):
     """Run files, whole ones and parts, and the constants of materials."""
@@ -126,11 +143,26 @@ def test_python_is_python():
 
 def test_nothing_is_shown_that_is_not_run():
     """Languages that no test knows, and what cannot be run."""
-    assert {block.kind for _, block in BLOCKS} <= {"console", "python", "output", "toml", "text", "diff"}
-    left = [pages.typed(shown) for _, b in BLOCKS if b.kind == "console" for shown, _ in pages.commands(b.body)]
+    assert {block.kind for _, block in BLOCKS} <= {
+        "console",
+        "python",
+        "output",
+        "toml",
+        "text",
+        "diff",
+    }
+    left = [
+        pages.typed(shown)
+        for _, b in BLOCKS
+        if b.kind == "console"
+        for shown, _ in pages.commands(b.body)
+    ]
     left = [command for command in left if not pages.is_run(command)]
     assert all(command.startswith("pip install") for command in left), left
-    assert len([b for _, b in BLOCKS if b.kind == "python" and not pages.is_run(b.body)]) == 1  # Slurm
+    assert (
+        len([b for _, b in BLOCKS if b.kind == "python" and not pages.is_run(b.body)])
+        == 1
+    )  # Slurm
 
 
 def test_pictures_are_drawn_by_commands():
@@ -144,7 +176,9 @@ def test_pictures_are_drawn_by_commands():
     found = set((DOCS / "pictures").glob("*.png"))
     assert found - shown == set()
     measured = {"ns-by-part.png"}  # by a benchmark
-    assert {path.name for path in found} - {"readme.png"} - measured == set(pages.pictures())
+    assert {path.name for path in found} - {"readme.png"} - measured == set(
+        pages.pictures()
+    )
     assert sum(path.stat().st_size for path in found) < 4_000_000
 
 
@@ -152,7 +186,11 @@ def test_pictures_are_drawn_by_commands():
     ("shown", "found", "same"),
     [
         ("a 1\n", "a 1\n", True),
-        ("65 k lives in 0.14 s (462 k/s), 2 threads\n", "65 k lives in 3.1 s (1.2 M/s), 16 threads\n", True),
+        (
+            "65 k lives in 0.14 s (462 k/s), 2 threads\n",
+            "65 k lives in 3.1 s (1.2 M/s), 16 threads\n",
+            True,
+        ),
         ("│ x │ 2.3e-11 │\n", "│ x │ 9.9e-13 │\n", True),
         ("friction 0.97\n", "friction 0.98\n", False),
         ("a\n...\nz\n", "a\nb\nc\nz\n", True),
@@ -180,7 +218,9 @@ def test_a_wrong_output_is_noticed(tmp_path):
 
     new, differences = pages.run(Page(page), tmp_path)
     assert [one.found for one in differences] == ["1\n", "[exit code 1]\n", "3\n"]
-    assert new == text.replace("2\n$", "1\n$").replace("false\n", "false\n[exit code 1]\n").replace("4\n", "3\n")
+    assert new == text.replace("2\n$", "1\n$").replace(
+        "false\n", "false\n[exit code 1]\n"
+    ).replace("4\n", "3\n")
 
 
 @pytest.mark.long

@@ -1,4 +1,5 @@
-"""Vectorised elementary functions in units of the last place of 60 digits, and loops with them that do vectorise."""
+"""Vectorised elementary functions in units of the last place of 60 digits, and loops
+with them that do vectorise."""
 
 import functools
 import math
@@ -18,17 +19,40 @@ from eqsim.numerics.tables import look_up, look_up_all, octave_edges, octave_tab
 RNG = np.random.default_rng(5)
 UNIT = RNG.random(4000)  # of (0, 1)
 ARGUMENTS = {
-    "log": [UNIT, 1.0 - 1e-3 * UNIT, 1.0 + 1e-9 * UNIT, 0.5 + UNIT, 2.0 ** (2000 * UNIT - 1000), 2.0 ** -np.arange(50)],
-    "exp": [1416 * UNIT - 708, 4 * UNIT - 2, 1e-9 * UNIT, np.arange(-20, 21) * math.log(2) / 2, [-708.0, 0.0, 708.0]],
+    "log": [
+        UNIT,
+        1.0 - 1e-3 * UNIT,
+        1.0 + 1e-9 * UNIT,
+        0.5 + UNIT,
+        2.0 ** (2000 * UNIT - 1000),
+        2.0 ** -np.arange(50),
+    ],
+    "exp": [
+        1416 * UNIT - 708,
+        4 * UNIT - 2,
+        1e-9 * UNIT,
+        np.arange(-20, 21) * math.log(2) / 2,
+        [-708.0, 0.0, 708.0],
+    ],
     "exp_less_one": [
         1416 * UNIT - 708,
         4 * UNIT - 2,
         -(10.0 ** (300 * UNIT - 300)),
         np.arange(-20, 21) * math.log(2) / 2,
     ],
-    "quarter_sine": [2 * UNIT - 1, 10.0 ** (300 * UNIT - 300), 1.0 - 1e-9 * UNIT, [-1.0, 0.0, 1.0]],
+    "quarter_sine": [
+        2 * UNIT - 1,
+        10.0 ** (300 * UNIT - 300),
+        1.0 - 1e-9 * UNIT,
+        [-1.0, 0.0, 1.0],
+    ],
     "log_one_plus": [UNIT, 10.0 ** (600 * UNIT - 300), [0.0, 1e-17, 2.0**-53, 1e16]],
-    "two_thirds_power": [UNIT, 2.0 ** (120 * UNIT - 60), 1.0 + 7 * UNIT, [1e-17, 1.0, 8.0]],
+    "two_thirds_power": [
+        UNIT,
+        2.0 ** (120 * UNIT - 60),
+        1.0 + 7 * UNIT,
+        [1e-17, 1.0, 8.0],
+    ],
 }
 EXACT = {
     "log": mpmath.log,
@@ -63,7 +87,10 @@ def loop(name):
 @functools.cache
 def exact_values(name):
     with mpmath.workdps(60):
-        return [EXACT[name](mpmath.mpf(float(value))) for value in np.concatenate(ARGUMENTS[name])]
+        return [
+            EXACT[name](mpmath.mpf(float(value)))
+            for value in np.concatenate(ARGUMENTS[name])
+        ]
 
 
 def worst(name, change=lambda y: y):
@@ -74,7 +101,8 @@ def worst(name, change=lambda y: y):
     y, exact = change(y), exact_values(name)
     with mpmath.workdps(60):
         errors = [
-            abs(mpmath.mpf(float(a)) - b) / float(np.spacing(abs(float(b)))) for a, b in zip(y, exact, strict=True)
+            abs(mpmath.mpf(float(a)) - b) / float(np.spacing(abs(float(b))))
+            for a, b in zip(y, exact, strict=True)
         ]
     return float(max(errors))
 
@@ -82,7 +110,9 @@ def worst(name, change=lambda y: y):
 @pytest.mark.parametrize("name", STATED)
 def test_stated_error(name):
     assert worst(name) < STATED[name]
-    assert worst(name, lambda y: y * (1 + 4 * np.finfo(float).eps)) > STATED[name]  # negative control
+    assert (
+        worst(name, lambda y: y * (1 + 4 * np.finfo(float).eps)) > STATED[name]
+    )  # negative control
 
 
 def test_exp_ends_at_its_bounds():
@@ -95,7 +125,8 @@ def test_exp_ends_at_its_bounds():
 
 @pytest.mark.parametrize("name", STATED)
 def test_loops_vectorise(name):
-    """A loop over lanes holds packed multiplications of doubles, on any processor that has them; libm's does not."""
+    """A loop over lanes holds packed multiplications of doubles, on any processor that
+    has them; libm's does not."""
 
     def packed(function):
         x = np.ones(128)
@@ -107,19 +138,25 @@ def test_loops_vectorise(name):
         for i in range(x.size):
             y[i] = math.log(x[i])
 
-    fewest = 3 if name == "exp_less_one" else 4  # which holds three, besides those that are fused with additions
+    fewest = (
+        3 if name == "exp_less_one" else 4
+    )  # which holds three, besides those that are fused with additions
     assert packed(loop(name)) >= fewest
     assert packed(libm) == 0
 
 
 def test_fma_rounds_once():
-    """What the product of two numbers loses to rounding, exactly; additions and multiplications would find 0."""
+    """What the product of two numbers loses to rounding, exactly; additions and
+    multiplications would find 0."""
 
     @numba.njit
     def lost(x, y):
         return fma(x, y, -(x * y))
 
-    exact = [float(Fraction(x) * Fraction(y) - Fraction(x * y)) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)]
+    exact = [
+        float(Fraction(x) * Fraction(y) - Fraction(x * y))
+        for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)
+    ]
     assert [lost(x, y) for x, y in zip(UNIT[:50], UNIT[50:100], strict=True)] == exact
     assert any(exact)
 
@@ -127,10 +164,28 @@ def test_fma_rounds_once():
 def test_uniforms_are_rounded_once():
     """Two words make 63 bits, which are rounded once, ties to even, as Python does."""
     draw = compiled(uniform)
-    ties = [2**k + step for k in range(53, 63) for step in (1, 2 ** (k - 53), 3 * 2 ** (k - 53), 2 ** (k - 53) + 1)]
-    whole = [0, 1, 2**32 - 1, 2**32, 2**53 - 1, 2**63 - 1, *ties, *RNG.integers(0, 2**63, 500).tolist()]
-    words = [(np.uint64(2 * number % 2**32), np.uint64(2 * number // 2**32)) for number in whole]
-    expected = [min((float(number) + 0.5) * 2.0**-63, 1.0 - 2.0**-53) for number in whole]
+    ties = [
+        2**k + step
+        for k in range(53, 63)
+        for step in (1, 2 ** (k - 53), 3 * 2 ** (k - 53), 2 ** (k - 53) + 1)
+    ]
+    whole = [
+        0,
+        1,
+        2**32 - 1,
+        2**32,
+        2**53 - 1,
+        2**63 - 1,
+        *ties,
+        *RNG.integers(0, 2**63, 500).tolist(),
+    ]
+    words = [
+        (np.uint64(2 * number % 2**32), np.uint64(2 * number // 2**32))
+        for number in whole
+    ]
+    expected = [
+        min((float(number) + 0.5) * 2.0**-63, 1.0 - 2.0**-53) for number in whole
+    ]
     assert [draw(*pair) for pair in words] == expected
 
 

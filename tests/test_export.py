@@ -72,12 +72,29 @@ def test_a_run(made, tmp_path):
 
 def test_an_export_is_a_drive_and_a_record(made, tmp_path):
     """The run file in its comments has quotes, in the title and around laws."""
-    assert call("export", made / "out" / "a" / "trajectory.parquet", "--out", tmp_path / "x.csv").exit_code == 0
+    assert (
+        call(
+            "export",
+            made / "out" / "a" / "trajectory.parquet",
+            "--out",
+            tmp_path / "x.csv",
+        ).exit_code
+        == 0
+    )
     table = pd.read_parquet(made / "out" / "a" / "trajectory.parquet")
-    assert [segment.time for segment in read_drive(tmp_path / "x.csv")] == list(np.diff(table["t"]))
-    fit = {"record": {"file": "x.csv"}, "noise": {"absolute": 1.0}, "free": {"fit.offset": {"bounds": [-1.0, 1.0]}}}
+    assert [segment.time for segment in read_drive(tmp_path / "x.csv")] == list(
+        np.diff(table["t"])
+    )
+    fit = {
+        "record": {"file": "x.csv"},
+        "noise": {"absolute": 1.0},
+        "free": {"fit.offset": {"bounds": [-1.0, 1.0]}},
+    }
     found = read_record(tmp_path / "x.csv", section_of(check({"fit": fit})))
-    assert (list(found.time), list(found.value)) == (list(table["t"]), list(table["force"]))
+    assert (list(found.time), list(found.value)) == (
+        list(table["t"]),
+        list(table["force"]),
+    )
 
 
 @pytest.mark.parametrize("path", ["swept", "swept/sweep.parquet"])
@@ -86,7 +103,8 @@ def test_a_sweep(made, path):
     assert call("export", made / path).exit_code == 0
     assert same(made / "swept.csv", made / "swept")
     assert (
-        "# friction_reference_error: bound of the error of the reference (length)\n" in (made / "swept.csv").read_text()
+        "# friction_reference_error: bound of the error of the reference (length)\n"
+        in (made / "swept.csv").read_text()
     )
     (made / "swept.csv").unlink()
     refused = call("export", made / path, "--out", made / "swept" / "x.csv")
@@ -96,7 +114,8 @@ def test_a_sweep(made, path):
 
 @pytest.mark.parametrize("parts", ["parts", "_parts"])
 def test_an_unfinished_sweep(made, tmp_path, parts):
-    """While it is at work, and just before its table has its name: what is on disk is exported, drawn and counted."""
+    """While it is at work, and just before its table has its name: what is on disk is
+    exported, drawn and counted."""
     folder = tmp_path / "half"
     (folder / parts).mkdir(parents=True)
     (folder / "_sweep.json").write_text('{"points": 3}')
@@ -109,7 +128,10 @@ def test_an_unfinished_sweep(made, tmp_path, parts):
     for path in (folder, files[0]):
         assert call("export", path).exit_code == 0
         assert same(tmp_path / "half.csv", made / "swept")
-        assert "# 2 of 3 points: the sweep is not finished\n" in (tmp_path / "half.csv").read_text()
+        assert (
+            "# 2 of 3 points: the sweep is not finished\n"
+            in (tmp_path / "half.csv").read_text()
+        )
         (tmp_path / "half.csv").unlink()
     drawn = call("plot", folder, "--out", tmp_path / "half.png", "--json")
     assert drawn.exit_code == 0, drawn.output
@@ -135,10 +157,15 @@ def test_a_sweep_that_was_stopped(made, tmp_path):
 
 
 def test_units(made, tmp_path):
-    """Each column has the unit of its numbers, those of the run file if it names them, in every table."""
-    given = '[units]\nlength = "um"\ntime = "s"\nforce = "mN"\n[interface]\narea = 1.0\n'
+    """Each column has the unit of its numbers, those of the run file if it names them,
+    in every table."""
+    given = (
+        '[units]\nlength = "um"\ntime = "s"\nforce = "mN"\n[interface]\narea = 1.0\n'
+    )
     (tmp_path / "b.toml").write_text(
-        RUN.replace("[contacts]", given + "[contacts]").replace("points = 11", "points = 11\nreplicas = 2")
+        RUN.replace("[contacts]", given + "[contacts]").replace(
+            "points = 11", "points = 11\nreplicas = 2"
+        )
     )
     for command in (["run"], ["sweep", "--out", tmp_path / "swept", "--workers", 1], ["reference", "--transient"],
                     ["fluctuations", "--points", 3, "--lives", 0, "--out", tmp_path / "out" / "b"]):  # fmt: skip
@@ -149,14 +176,20 @@ def test_units(made, tmp_path):
         assert call("export", table, "--out", tmp_path / "x.csv").exit_code == 0
         lines = (tmp_path / "x.csv").read_text().splitlines()
         assert "# units: length um, time s, force mN" in lines
-        return dict(line.removeprefix("# ").split(": ", 1) for line in lines if line.startswith("# ") and ": " in line)
+        return dict(
+            line.removeprefix("# ").split(": ", 1)
+            for line in lines
+            if line.startswith("# ") and ": " in line
+        )
 
     run = header(tmp_path / "out" / "b" / "trajectory.parquet")
     assert run["force"] == "friction force over N k, <F>/(N k) (um)"
     assert run["force_stderr"] == "statistical standard error (um)"
     assert run["force_replica_std"] == "standard deviation between replicas (um)"
     assert (run["t"], run["pinned"]) == ("time (s)", "pinned fraction N_c / N")
-    assert header(tmp_path / "out" / "b" / "transient.parquet")["force_error"].endswith("(um)")
+    assert header(tmp_path / "out" / "b" / "transient.parquet")["force_error"].endswith(
+        "(um)"
+    )
     lags = header(tmp_path / "out" / "b" / "fluctuations.parquet")
     assert (lags["lag"], lags["covariance"]) == (
         "displacement between two forces (um)", "N times the autocovariance of F/(N k) (um^2)",
@@ -167,41 +200,69 @@ def test_units(made, tmp_path):
     assert swept["friction_force_stderr"] == "statistical standard error (mN)"
     assert swept["friction_z"] == "difference from the reference in standard errors"
     assert swept["shear_stress"].endswith("(Pa)")
-    assert (swept["drive.velocity"], swept["contacts.stiffness"]) == ("(um/s)", "(mN/um)")
+    assert (swept["drive.velocity"], swept["contacts.stiffness"]) == (
+        "(um/s)",
+        "(mN/um)",
+    )
     table = pd.read_parquet(tmp_path / "swept")
-    np.testing.assert_allclose(table["friction_force"], 100 * table["friction"], rtol=1e-14)  # N k = 100 mN/um
-    np.testing.assert_allclose(table["shear_stress"], table["friction_force"] * 1e-3 / 1e-12, rtol=1e-14)
+    np.testing.assert_allclose(
+        table["friction_force"], 100 * table["friction"], rtol=1e-14
+    )  # N k = 100 mN/um
+    np.testing.assert_allclose(
+        table["shear_stress"], table["friction_force"] * 1e-3 / 1e-12, rtol=1e-14
+    )
 
 
 def test_a_sweep_of_version_1(made, tmp_path):
-    """`force` in the unit of forces: exported and drawn as such, and asked for by its old name in a new one."""
+    """`force` in the unit of forces: exported and drawn as such, and asked for by its
+    old name in a new one."""
     rows = pq.read_table(made / "swept" / "sweep.parquet")
     origin = rows.schema.metadata
-    old = rows.append_column("force", rows["friction"]).append_column("force_stderr", rows["friction_stderr"])
+    old = rows.append_column("force", rows["friction"]).append_column(
+        "force_stderr", rows["friction_stderr"]
+    )
     (tmp_path / "old").mkdir()
-    pq.write_table(old.replace_schema_metadata(origin), tmp_path / "old" / "sweep.parquet")
+    pq.write_table(
+        old.replace_schema_metadata(origin), tmp_path / "old" / "sweep.parquet"
+    )
     assert call("export", tmp_path / "old" / "sweep.parquet").exit_code == 0
-    assert "# force: friction force (force)\n" in (tmp_path / "old" / "sweep.csv").read_text()
+    assert (
+        "# force: friction force (force)\n"
+        in (tmp_path / "old" / "sweep.csv").read_text()
+    )
     (tmp_path / "old" / "sweep.csv").unlink()
     for name in ("force", "friction_force"):
-        drawn = call("plot", tmp_path / "old", "--y", name, "--out", tmp_path / "old.png")
+        drawn = call(
+            "plot", tmp_path / "old", "--y", name, "--out", tmp_path / "old.png"
+        )
         assert drawn.exit_code == 0, drawn.output
         assert ("is called friction_force" in drawn.stderr) == (name == "force")
 
 
 def test_text_with_comment_signs(tmp_path):
     """And a table that eqsim has not written."""
-    pq.write_table(pa.table({"a": [1.5, None], "text": ["x # y", 'say "no"']}), tmp_path / "t.parquet")
+    pq.write_table(
+        pa.table({"a": [1.5, None], "text": ["x # y", 'say "no"']}),
+        tmp_path / "t.parquet",
+    )
     assert call("export", tmp_path / "t.parquet").exit_code == 0
     assert same(tmp_path / "t.csv", tmp_path / "t.parquet")
 
 
 def test_meanings():
     """The longest suffix decides; keys of the run file explain themselves."""
-    assert meaning("friction_reference_error") == "bound of the error of the reference (length)"
-    assert meaning("force_error") == "bound of the error of a numerical solution (length)"
+    assert (
+        meaning("friction_reference_error")
+        == "bound of the error of the reference (length)"
+    )
+    assert (
+        meaning("force_error") == "bound of the error of a numerical solution (length)"
+    )
     assert meaning("friction") == "friction <F> / (N k) (length)"
-    assert meaning("force_variance", command="sweep") == "force variance Var(F) / (N k^2) (length^2)"
+    assert (
+        meaning("force_variance", command="sweep")
+        == "force variance Var(F) / (N k^2) (length^2)"
+    )
     assert meaning("drive.velocity") == "(length/time)"
     assert meaning("thermal.temperature") == "(K)"
     assert meaning("disorder") == ""

@@ -1,4 +1,5 @@
-"""Whatever ends a command or stands in its way: nothing half-written, nobody left behind, one clear line.
+"""Whatever ends a command or stands in its way: nothing half-written, nobody left
+behind, one clear line.
 
 The kills at random moments, and what needs minutes, are in `pytest -m long`.
 """
@@ -32,16 +33,22 @@ from eqsim.sweeps.workers import Processes
 
 EQSIM = "from eqsim.__main__ import main; main()"
 EAGER = (  # rows reach the disk at once
-    "import eqsim.sweeps.scheduler as s, eqsim.sweeps.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; " + EQSIM
+    "import eqsim.sweeps.scheduler as s, eqsim.sweeps.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; "
+    + EQSIM
 )
 RUN = (
-    '[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n'
+    '[contacts]\ncount = 500\nstiffness_law = "uniform"\n'
+    "[drive]\nvelocity = 0.1\ndistance = 5\n[output]\npoints = 51\n"
 )
-SWEEP = RUN + '[sweep]\n"thermal.kT" = { log = [0.03, 1.0, 20] }\n"delay.time" = { linear = [0.0, 1.0, 50] }\n'
+SWEEP = (
+    RUN
+    + '[sweep]\n"thermal.kT" = { log = [0.03, 1.0, 20] }\n"delay.time" = { linear = [0.0, 1.0, 50] }\n'
+)
 WARM = "[thermal]\nkT = 0.05\n[delay]\ntime = 1.0\n[drive]\n"
 TURNS = "{ velocity = 0.1, distance = 500.0 }, { velocity = -0.1, distance = 500.0 }"
 LONGER = {  # run files of work that takes minutes, in mean field or for other contacts
-    "warm": WARM + "velocity = 0.1\ndistance = 400.0\n[drive.stage]\nstiffness = 0.1\ndamping = 0.1\npreload = 7.5\n",
+    "warm": WARM
+    + "velocity = 0.1\ndistance = 400.0\n[drive.stage]\nstiffness = 0.1\ndamping = 0.1\npreload = 7.5\n",
     "programme": WARM + f"programme = [{TURNS}]\n",
     "langevin": '[aging]\nrule = "langevin"\nrate = 0.3\nx_star_final = 2.0\n[drive]\nvelocity = 0.1\n',
     "elastic": "[drive]\nvelocity = 1.0\ndistance = 1000.0\n[elastic]\nblocks = 50\ncoupling = 20.0\n"
@@ -60,15 +67,20 @@ def run_file(tmp_path):
     path.write_text(RUN)
     (tmp_path / "grid.toml").write_text(SWEEP)
     for name, text in LONGER.items():
-        (tmp_path / f"{name}.toml").write_text('[contacts]\ncount = 1000\nstiffness_law = "uniform"\n' + text)
+        (tmp_path / f"{name}.toml").write_text(
+            '[contacts]\ncount = 1000\nstiffness_law = "uniform"\n' + text
+        )
     return path
 
 
 def start(*args, code=EQSIM, limit=lambda: None, **options):
-    """A command in a process group of its own, as a terminal or a batch system starts it."""
+    """A command in a process group of its own, as a terminal or a batch system starts
+    it."""
 
     def ready():
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # shells have jobs in the background ignore it
+        signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        )  # shells have jobs in the background ignore it
         limit()
 
     return subprocess.Popen(
@@ -78,7 +90,8 @@ def start(*args, code=EQSIM, limit=lambda: None, **options):
 
 
 def ended(process, timeout=60):
-    """Exit code, output and errors; nobody of its process group outlives it by more than 10 seconds."""
+    """Exit code, output and errors; nobody of its process group outlives it by more
+    than 10 seconds."""
     output, errors = process.communicate(timeout=timeout)
     deadline = time.monotonic() + 10
     while group(process.pid) and time.monotonic() < deadline:
@@ -92,7 +105,10 @@ def group(leader):
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, ProcessLookupError):
-            if os.getpgid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE:
+            if (
+                os.getpgid(process.pid) == leader
+                and process.status() != psutil.STATUS_ZOMBIE
+            ):
                 found.append(process)
     return found
 
@@ -131,14 +147,22 @@ main()
 """
 
 
-@pytest.mark.parametrize(("command", "output"), [("info", ""), ("steady", "swallowed\n"), ("reference", "")])
+@pytest.mark.parametrize(
+    ("command", "output"), [("info", ""), ("steady", "swallowed\n"), ("reference", "")]
+)
 def test_an_interrupt_that_is_lost_ends_the_process_all_the_same(command, output):
-    """Lost in a finaliser, lost in a library that catches everything, or turned into another error by one."""
-    assert ended(start(command, "a.toml", code=SWALLOWED), timeout=30) == (130, output, OVER)
+    """Lost in a finaliser, lost in a library that catches everything, or turned into
+    another error by one."""
+    assert ended(start(command, "a.toml", code=SWALLOWED), timeout=30) == (
+        130,
+        output,
+        OVER,
+    )
 
 
 def test_ctrl_c_does_not_reach_a_worker_that_starts():
-    """A terminal sends it to all; a worker is deaf from its first moment on, and its parent decides."""
+    """A terminal sends it to all; a worker is deaf from its first moment on, and its
+    parent decides."""
     pool = Processes(1)
     try:
         future = pool.executor.submit(os.getpid)
@@ -158,24 +182,30 @@ def test_ctrl_c_does_not_reach_a_worker_that_starts():
 
 @pytest.mark.parametrize("hurry", [False, True])
 def test_one_thread_is_asked_of_workers_alone(monkeypatch, hurry):
-    """Libraries read these when they are loaded: what belongs to workers must not outlive them."""
+    """Libraries read these when they are loaded: what belongs to workers must not
+    outlive them."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     before = dict(os.environ)
     pool = Processes(1)
-    assert {os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL")} == {"1"}
+    assert {
+        os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL")
+    } == {"1"}
     assert pool.executor.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
     pool.close(hurry)
     assert dict(os.environ) == before
 
 
 def test_killed_workers_leave_no_thread_behind(monkeypatch):
-    """Not even if there is more to send than a pipe holds and somebody tries to cancel it."""
+    """Not even if there is more to send than a pipe holds and somebody tries to cancel
+    it."""
     complaints, before = [], set(threading.enumerate())
     monkeypatch.setattr(threading, "excepthook", complaints.append)
     pool = Processes(1)
-    futures = [pool.executor.submit(time.sleep, 60)] + [pool.executor.submit(len, bytes(10**6)) for _ in range(4)]
+    futures = [pool.executor.submit(time.sleep, 60)] + [
+        pool.executor.submit(len, bytes(10**6)) for _ in range(4)
+    ]
     once(futures[1].running)  # and waits in the pipe
     for future in futures:
         future.cancel()
@@ -190,18 +220,28 @@ def test_killed_workers_leave_no_thread_behind(monkeypatch):
 
 
 @pytest.mark.long
-def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(run_file, tmp_path):
+def test_sigterm_ends_a_sweep_and_its_workers_and_a_second_sweep_is_refused(
+    run_file, tmp_path
+):
     grid, out = tmp_path / "grid.toml", tmp_path / "o"
     process = start("sweep", grid, "--out", out, *WORKERS, code=EAGER)
     once(lambda: [*(out / "parts").glob("part-*")], process)
     second = CliRunner().invoke(app, ["sweep", str(grid), "--out", str(out)])
-    assert (second.exit_code, second.stderr) == (2, f"eqsim: --out {out}: another sweep is at work in this folder\n")
+    assert (second.exit_code, second.stderr) == (
+        2,
+        f"eqsim: --out {out}: another sweep is at work in this folder\n",
+    )
     os.killpg(process.pid, signal.SIGTERM)
     code, _, errors = ended(process)
     assert code == 143
-    said = re.fullmatch(r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n", errors)
+    said = re.fullmatch(
+        r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n",
+        errors,
+    )
     assert said, errors
-    assert sum(pq.read_metadata(part).num_rows for part in (out / "parts").iterdir()) == int(said[1])
+    assert sum(
+        pq.read_metadata(part).num_rows for part in (out / "parts").iterdir()
+    ) == int(said[1])
 
 
 SLOW = (
@@ -212,7 +252,8 @@ SLOW = (
 
 @pytest.mark.long
 def test_a_sweep_interrupted_again_and_again_counts_what_is_on_disk(run_file, tmp_path):
-    """Impatience, or `timeout`, which sends its signal to the leader and to the group; writing takes its time."""
+    """Impatience, or `timeout`, which sends its signal to the leader and to the group;
+    writing takes its time."""
     out = tmp_path / "o"
     process = start("sweep", tmp_path / "grid.toml", "--out", out, *WORKERS, code=SLOW)
     once(lambda: [*(out / "parts").glob("part-*")], process)
@@ -222,14 +263,21 @@ def test_a_sweep_interrupted_again_and_again_counts_what_is_on_disk(run_file, tm
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGINT)
     code, _, errors = ended(process)
-    said = re.fullmatch(r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n", errors)
+    said = re.fullmatch(
+        r"eqsim: interrupted; (\d+) of 1000 points are on disk; the same command continues\n",
+        errors,
+    )
     assert said, errors
     assert code == 130
-    assert sum(pq.read_metadata(part).num_rows for part in (out / "parts").iterdir()) == int(said[1])
+    assert sum(
+        pq.read_metadata(part).num_rows for part in (out / "parts").iterdir()
+    ) == int(said[1])
 
 
 def test_a_signal_while_modules_are_imported(tmp_path):
-    (tmp_path / "typer.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n")
+    (tmp_path / "typer.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
+    )
     code = "import runpy; runpy.run_module('eqsim', run_name='__main__')"
     process = start("--help", code=code, env=os.environ | {"PYTHONPATH": str(tmp_path)})
     assert ended(process, timeout=30) == (130, "", OVER)
@@ -243,16 +291,47 @@ COMMANDS = {
     "sweep": ("sweep", "grid.toml", "--out", "o", *WORKERS),
     "figures": ("figures", "--out", "o", *WORKERS),
     "replay": ("replay", "made/trajectory.parquet"),
-    "steady, fluctuating": ("steady", "langevin.toml", "--rel-error", "1e-7", "--max-lives", "1e15"),
+    "steady, fluctuating": (
+        "steady",
+        "langevin.toml",
+        "--rel-error",
+        "1e-7",
+        "--max-lives",
+        "1e15",
+    ),
     "run with a stage": ("run", "warm.toml", "--out", "o"),
     "reference with a stage": ("reference", "warm.toml", "--transient"),
     "reference of a programme": ("reference", "programme.toml", "--transient"),
     "stability": ("stability", "warm.toml", "--critical"),
     "borders": ("stability", "warm.toml", "--critical", "--out", "o"),
     "elastic": ("run", "elastic.toml", "--out", "o"),
-    "fit": ("fit", str(RUNS / "fit-synthetic.toml"), "--out", "o", "--starts", "500", *WORKERS),
-    "fit of a record": ("fit", str(RUNS / "fit-basalt-step.toml"), "--out", "o", "--workers", "1"),
-    "fit, posterior": ("fit", str(RUNS / "fit-synthetic.toml"), "--out", "o", "--starts", "1", "--posterior", *WORKERS),
+    "fit": (
+        "fit",
+        str(RUNS / "fit-synthetic.toml"),
+        "--out",
+        "o",
+        "--starts",
+        "500",
+        *WORKERS,
+    ),
+    "fit of a record": (
+        "fit",
+        str(RUNS / "fit-basalt-step.toml"),
+        "--out",
+        "o",
+        "--workers",
+        "1",
+    ),
+    "fit, posterior": (
+        "fit",
+        str(RUNS / "fit-synthetic.toml"),
+        "--out",
+        "o",
+        "--starts",
+        "1",
+        "--posterior",
+        *WORKERS,
+    ),
 }
 
 
@@ -262,14 +341,17 @@ SHORT = {"design", "export", "fluctuations", "info", "material", "plot"}
 
 def test_no_command_is_forgotten():
     long = {words[0] for words in COMMANDS.values()}
-    assert sorted([*long, *SHORT]) == sorted(info.callback.__name__ for info in app.registered_commands)
+    assert sorted([*long, *SHORT]) == sorted(
+        info.callback.__name__ for info in app.registered_commands
+    )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, number):
-    """Twelve moments of the first six seconds, to the whole process group or to its leader."""
+    """Twelve moments of the first six seconds, to the whole process group or to its
+    leader."""
     if command == "replay":
         long_table(tmp_path / "made")
     moments = [0.3 * 1.3**turn for turn in range(12)]
@@ -281,14 +363,26 @@ def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, 
         code, output, errors = ended(process, ALLOWED)
         assert code == 128 + number
         assert re.fullmatch(r"eqsim: interrupted; .*\n", errors), errors
-        assert command == "sweep" or output == "" or (command == "steady" and output.startswith("about "))  # to go
+        assert (
+            command == "sweep"
+            or output == ""
+            or (command == "steady" and output.startswith("about "))
+        )  # to go
         if command == "sweep":
-            assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {"_lock", "_sweep.json", "parts"}
+            assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {
+                "_lock",
+                "_sweep.json",
+                "parts",
+            }
         elif command.startswith("fit"):  # goes on with finished fits
             assert all(".unfinished-" in name for name in names(tmp_path / "o"))
             assert not any(".eqsim-" in name for name in names(tmp_path / "o"))
         elif command == "figures":  # each is whole as soon as its points are there
-            assert {name.partition(".")[2] for name in names(tmp_path / "o")} <= {"pdf", "png", "parquet"}
+            assert {name.partition(".")[2] for name in names(tmp_path / "o")} <= {
+                "pdf",
+                "png",
+                "parquet",
+            }
         else:
             assert not (tmp_path / "o").exists()
 
@@ -297,7 +391,9 @@ def long_table(folder):
     """A table that says it was made by a run of minutes."""
     file = eqsim.load(folder.parent / "a.toml", {"contacts.count": 300_000_000})
     folder.mkdir()
-    content = storage.parquet({"X": [0.0]}, storage.provenance("run", file.model_dump(), RUN, 1, folder))
+    content = storage.parquet(
+        {"X": [0.0]}, storage.provenance("run", file.model_dump(), RUN, 1, folder)
+    )
     (folder / "trajectory.parquet").write_bytes(content)
 
 
@@ -327,7 +423,8 @@ storage.save(out / "c", b"new c")
 
 
 def test_killed_at_every_step_of_writing(tmp_path):
-    """A file has its old content or its new one, whichever call to the system was the last, and a repeat works."""
+    """A file has its old content or its new one, whichever call to the system was the
+    last, and a repeat works."""
     kills = 0
     for turn, known in itertools.product(range(200), (False, True)):
         out = tmp_path / f"{turn} {known}"
@@ -335,10 +432,20 @@ def test_killed_at_every_step_of_writing(tmp_path):
         if known:
             for name in "abc":
                 (out / name).write_text(f"old {name}")
-        pid = os.posix_spawn(sys.executable, [sys.executable, "-c", DIES, str(out), str(turn)], os.environ)
+        pid = os.posix_spawn(
+            sys.executable,
+            [sys.executable, "-c", DIES, str(out), str(turn)],
+            os.environ,
+        )
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        found = {path.name: path.read_text() for path in out.iterdir() if not path.name.startswith(".eqsim-")}
-        assert all(text in (f"new {name}", f"old {name}") for name, text in found.items())
+        found = {
+            path.name: path.read_text()
+            for path in out.iterdir()
+            if not path.name.startswith(".eqsim-")
+        }
+        assert all(
+            text in (f"new {name}", f"old {name}") for name, text in found.items()
+        )
         if code == 0:
             assert found == {name: f"new {name}" for name in "abc"}
             break
@@ -368,7 +475,9 @@ def test_a_sweep_clears_what_a_killed_command_has_left(run_file, tmp_path):
     (out / ".eqsim-folder" / "force.png").write_bytes(b"half")
     (out / ".eqsim-file").write_bytes(b"half")
     run_file.write_text(RUN + '[sweep]\n"thermal.kT" = [0.1]\n')
-    done = CliRunner().invoke(app, ["sweep", str(run_file), "--out", str(out), "--workers", "1"])
+    done = CliRunner().invoke(
+        app, ["sweep", str(run_file), "--out", str(out), "--workers", "1"]
+    )
     assert done.exit_code == 0, done.output
     assert names(out) == ["_lock", "_sweep.json", "sweep.parquet"]
 
@@ -398,7 +507,10 @@ def test_killed_at_any_moment(run_file, tmp_path, command, files, kills, longest
         ended(process)
         for name in names(tmp_path / "o"):
             if not name.startswith(".eqsim-"):
-                assert name == "summary.json" or (tmp_path / "o" / name).read_bytes() == whole[name]
+                assert (
+                    name == "summary.json"
+                    or (tmp_path / "o" / name).read_bytes() == whole[name]
+                )
     code, _, errors = ended(start(*command, cwd=tmp_path), timeout=300)
     assert (code, errors) == (0, "")
     assert set(files) <= set(names(tmp_path / "o"))
@@ -408,11 +520,18 @@ def test_killed_at_any_moment(run_file, tmp_path, command, files, kills, longest
 @pytest.mark.parametrize("command", ["run --workers", "figures"])
 def test_a_killed_worker_ends_what_cannot_go_on_without_it(run_file, tmp_path, command):
     process = start(*COMMANDS[command], cwd=tmp_path)
-    workers = once(lambda: [c for c in group(process.pid) if "spawn_main" in " ".join(c.cmdline())], process)
+    workers = once(
+        lambda: [
+            c for c in group(process.pid) if "spawn_main" in " ".join(c.cmdline())
+        ],
+        process,
+    )
     workers[0].kill()
     code, output, errors = ended(process)
     assert (code, output) == (2, "")
-    assert re.fullmatch(r"eqsim: --workers: a worker was lost, perhaps for want of memory .*\n", errors)
+    assert re.fullmatch(
+        r"eqsim: --workers: a worker was lost, perhaps for want of memory .*\n", errors
+    )
     assert not (tmp_path / "o").exists()
 
 
@@ -420,7 +539,8 @@ def test_a_killed_worker_ends_what_cannot_go_on_without_it(run_file, tmp_path, c
 
 
 def powerless():
-    """Drop what lets the superuser write anywhere (CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH); others have not got it."""
+    """Drop what lets the superuser write anywhere (CAP_DAC_OVERRIDE,
+    CAP_DAC_READ_SEARCH); others have not got it."""
     for capability in (1, 2):
         ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
 
@@ -431,8 +551,15 @@ def small_files():
 
 @pytest.mark.long
 def test_no_home_and_no_temporary_folder(run_file, tmp_path):
-    home = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "TMPDIR": "/nowhere", "MPLCONFIGDIR": str(tmp_path)}
-    process = start("run", run_file, "--out", tmp_path / "o", "--quiet", env=os.environ | home)
+    home = {
+        "HOME": "/dev/null",
+        "XDG_CACHE_HOME": "/dev/null",
+        "TMPDIR": "/nowhere",
+        "MPLCONFIGDIR": str(tmp_path),
+    }
+    process = start(
+        "run", run_file, "--out", tmp_path / "o", "--quiet", env=os.environ | home
+    )
     assert ended(process) == (0, "", "")
     assert names(tmp_path / "o") == FILES
 
@@ -441,32 +568,61 @@ def test_a_sweep_on_a_full_disk_names_the_file(run_file, tmp_path):
     """Rows that were written before remain; the rest is one line."""
     out = tmp_path / "o"
     process = start(
-        "sweep", tmp_path / "grid.toml", "--out", out, "--workers", "1", "--quiet", code=EAGER, limit=small_files
+        "sweep",
+        tmp_path / "grid.toml",
+        "--out",
+        out,
+        "--workers",
+        "1",
+        "--quiet",
+        code=EAGER,
+        limit=small_files,
     )
     code, output, errors = ended(process)
     assert (code, output) == (2, "")
-    assert re.fullmatch(rf"eqsim: {re.escape(str(out))}/.*: cannot be written \(File too large\)\n", errors)
+    assert re.fullmatch(
+        rf"eqsim: {re.escape(str(out))}/.*: cannot be written \(File too large\)\n",
+        errors,
+    )
     assert not [name for name in names(out) if ".eqsim-" in name]
 
 
-@pytest.mark.parametrize("command", [("info", "a.toml"), pytest.param(("--help",), marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "command", [("info", "a.toml"), pytest.param(("--help",), marks=pytest.mark.long)]
+)
 def test_output_that_cannot_be_written(run_file, tmp_path, command):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-c", EQSIM, *command], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", EQSIM, *command],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
         )
-    assert (done.returncode, done.stderr) == (2, "eqsim: file system: No space left on device\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "eqsim: file system: No space left on device\n",
+    )
 
 
 @pytest.mark.parametrize(
-    "command", [("steady", "a.toml"), pytest.param(("info", "a.toml", "--json"), marks=pytest.mark.long), ("--help",)]
+    "command",
+    [
+        ("steady", "a.toml"),
+        pytest.param(("info", "a.toml", "--json"), marks=pytest.mark.long),
+        ("--help",),
+    ],
 )
 def test_reader_that_has_left(run_file, tmp_path, command):
     """As with `eqsim ... | head`: nothing is wrong, and nobody listens."""
     unread, output = os.pipe()
     os.close(unread)
     done = subprocess.run(
-        [sys.executable, "-c", EQSIM, *command], cwd=tmp_path, stdout=output, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", EQSIM, *command],
+        cwd=tmp_path,
+        stdout=output,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     os.close(output)
     assert (done.returncode, done.stderr) == (0, "")
@@ -483,27 +639,59 @@ def test_a_run_file_without_an_end(tmp_path, command):
 
 @pytest.mark.parametrize("command", ["run", "sweep"])
 def test_a_device_is_no_folder(tmp_path, run_file, command):
-    done = CliRunner().invoke(app, [command, str(tmp_path / "grid.toml"), "--out", "/dev/full"])
-    assert (done.exit_code, done.stderr) == (2, "eqsim: --out /dev/full: /dev/full is not a folder\n")
+    done = CliRunner().invoke(
+        app, [command, str(tmp_path / "grid.toml"), "--out", "/dev/full"]
+    )
+    assert (done.exit_code, done.stderr) == (
+        2,
+        "eqsim: --out /dev/full: /dev/full is not a folder\n",
+    )
 
 
 @pytest.mark.long
 def test_nothing_can_be_written_but_the_results(run_file, tmp_path):
-    """A package, a home and a cache that are read-only: kernels are compiled for this one run."""
+    """A package, a home and a cache that are read-only: kernels are compiled for this
+    one run."""
     package = tmp_path / "package"
-    shutil.copytree(Path(eqsim.__file__).parent, package / "eqsim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        Path(eqsim.__file__).parent,
+        package / "eqsim",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     sealed = [package, *(path for path in package.rglob("*") if path.is_dir())]
     for folder in sealed:
         folder.chmod(0o500)
-    home = {"HOME": str(package), "XDG_CACHE_HOME": str(package), "PYTHONPATH": str(package)}
+    home = {
+        "HOME": str(package),
+        "XDG_CACHE_HOME": str(package),
+        "PYTHONPATH": str(package),
+    }
     home |= {"MPLCONFIGDIR": str(tmp_path)}
-    code = "from eqsim.numerics.kernel_folder import kernel_folder as f; assert f() is None, f(); " + EQSIM
-    process = start("steady", run_file, code=code, limit=powerless, env=os.environ | home, cwd=tmp_path)
+    code = (
+        "from eqsim.numerics.kernel_folder import kernel_folder as f; assert f() is None, f(); "
+        + EQSIM
+    )
+    process = start(
+        "steady",
+        run_file,
+        code=code,
+        limit=powerless,
+        env=os.environ | home,
+        cwd=tmp_path,
+    )
     try:
         code, output, errors = ended(process, timeout=300)
         assert (code, errors) == (0, "")
         assert "friction" in output
-        process = start("run", run_file, "--out", package / "o", limit=powerless, env=os.environ | home, cwd=tmp_path)
+        process = start(
+            "run",
+            run_file,
+            "--out",
+            package / "o",
+            limit=powerless,
+            env=os.environ | home,
+            cwd=tmp_path,
+        )
         said = f"eqsim: --out {package / 'o'}: cannot be written (Permission denied)\n"
         assert ended(process, timeout=300) == (2, "", said)
     finally:

@@ -1,4 +1,5 @@
-"""`eqsim fit` on tables of steady observables: what it says, what it refuses, and that its intervals are right."""
+"""`eqsim fit` on tables of steady observables: what it says, what it refuses, and that
+its intervals are right."""
 
 import json
 import math
@@ -46,15 +47,21 @@ TRUTH = {"kT": 0.1, "scale": 3.0}
 def measured(seed, relative=0.05, velocities=VELOCITIES, heat=1.0, **laws):
     """Friction with errors: a table's lines."""
     laws = {"disorder": "annealed", "stiffness_law": "uniform", **laws}
-    known = curve(Ensemble(Gamma(1.0), Thermal(TRUTH["kT"] * heat), **laws), velocities).friction
+    known = curve(
+        Ensemble(Gamma(1.0), Thermal(TRUTH["kT"] * heat), **laws), velocities
+    ).friction
     noise = np.random.default_rng(seed).standard_normal(velocities.size)
-    return zip(velocities, TRUTH["scale"] * known * (1.0 + relative * noise), strict=True)
+    return zip(
+        velocities, TRUTH["scale"] * known * (1.0 + relative * noise), strict=True
+    )
 
 
 @pytest.fixture
 def folder(tmp_path):
     lines = [f"{v:.10g},{F:.10g}" for v, F in measured(1)]
-    (tmp_path / "data.csv").write_text("drive.velocity,friction\n" + "\n".join(lines) + "\n")
+    (tmp_path / "data.csv").write_text(
+        "drive.velocity,friction\n" + "\n".join(lines) + "\n"
+    )
     (tmp_path / "run.toml").write_text(RUN)
     return tmp_path
 
@@ -64,9 +71,12 @@ def call(*args):
 
 
 def test_command(folder):
-    """Files, a table, a run file of the best fit that the reference accepts; and the same from two processes."""
+    """Files, a table, a run file of the best fit that the reference accepts; and the
+    same from two processes."""
     out = folder / "out"
-    result = call("fit", folder / "run.toml", "--out", out, "--starts", "2", "--workers", "1")
+    result = call(
+        "fit", folder / "run.toml", "--out", out, "--starts", "2", "--workers", "1"
+    )
     assert result.exit_code == 0, result.output
     assert "thermal.kT" in result.output
     assert "determined" in result.output
@@ -76,14 +86,24 @@ def test_command(folder):
     found = json.loads((out / "fit.json").read_text())
     kT = found["parameters"]["thermal.kT"]
     assert kT["status"] == "determined"
-    assert kT["interval_95"][0] < kT["interval_68"][0] < kT["estimate"] < kT["interval_68"][1] < kT["interval_95"][1]
+    assert (
+        kT["interval_95"][0]
+        < kT["interval_68"][0]
+        < kT["estimate"]
+        < kT["interval_68"][1]
+        < kT["interval_95"][1]
+    )
     assert found["dof"] == 10
     assert len(found["starts"]) == 2
     assert len(found["eigenvalues"]) == 2
-    assert found["derived"]["F0 = N k x_*"] == found["parameters"]["fit.scale"]["estimate"]
+    assert (
+        found["derived"]["F0 = N k x_*"] == found["parameters"]["fit.scale"]["estimate"]
+    )
     assert len(found["data_sha256"]) == 64
     table = pq.read_table(out / "fitted.parquet").to_pandas()
-    assert np.sum(table["residual"] ** 2) == pytest.approx(found["chi2"], rel=1e-9, abs=0)
+    assert np.sum(table["residual"] ** 2) == pytest.approx(
+        found["chi2"], rel=1e-9, abs=0
+    )
     rises = pq.read_table(out / "profiles.parquet").to_pandas()
     assert set(rises["key"]) == {"thermal.kT", "fit.scale"}
     done = call("reference", out / "run.toml", "--json")
@@ -91,15 +111,28 @@ def test_command(folder):
     best = load(out / "run.toml")
     assert best.thermal.kT == kT["estimate"]
     assert json.loads(done.output)["friction"] > 0
-    twice = call("fit", folder / "run.toml", "--out", folder / "twice", "--starts", "2", "--workers", "2", "--json")
+    twice = call(
+        "fit",
+        folder / "run.toml",
+        "--out",
+        folder / "twice",
+        "--starts",
+        "2",
+        "--workers",
+        "2",
+        "--json",
+    )
     assert twice.exit_code == 0, twice.output
     assert json.loads(twice.output) == found
-    assert (folder / "twice" / "profiles.parquet").read_bytes() == (out / "profiles.parquet").read_bytes()
+    assert (folder / "twice" / "profiles.parquet").read_bytes() == (
+        out / "profiles.parquet"
+    ).read_bytes()
 
 
 def test_a_stopped_fit_goes_on(folder, monkeypatch):
-    """What was finished is not computed again, the result is that of a fit which was not stopped, and nothing of it
-    stays in the folder; another fit does not take it for its own."""
+    """What was finished is not computed again, the result is that of a fit which was
+    not stopped, and nothing of it stays in the folder; another fit does not take it for
+    its own."""
     file, out, calls = load(folder / "run.toml"), folder / "out", []
 
     def counted(function, most):
@@ -132,17 +165,26 @@ def test_a_stopped_fit_goes_on(folder, monkeypatch):
 
 
 def test_intervals_are_those_of_the_likelihood(folder):
-    """At the ends of an interval chi-square, with the scale at its best, is above its least value by the levels of its
-    law, found on a grid of kT (to .02 by which the ends are sought)."""
+    """At the ends of an interval chi-square, with the scale at its best, is above its
+    least value by the levels of its law, found on a grid of kT (to .02 by which the
+    ends are sought)."""
     found = fit(load(folder / "run.toml"), folder, starts=1)
     kT = found.intervals[0]
 
     def chi2(value):
-        f = curve(Ensemble(Gamma(1.0), Thermal(value), disorder="annealed", stiffness_law="uniform"), VELOCITIES)
+        f = curve(
+            Ensemble(
+                Gamma(1.0), Thermal(value), disorder="annealed", stiffness_law="uniform"
+            ),
+            VELOCITIES,
+        )
         a, b = found.table.value / found.table.sigma, f.friction / found.table.sigma
         return np.sum((a - b * (a @ b) / (b @ b)) ** 2)
 
-    for name, level in (("68", stats.chi2.ppf(0.68, 1)), ("95", stats.chi2.ppf(0.95, 1))):
+    for name, level in (
+        ("68", stats.chi2.ppf(0.68, 1)),
+        ("95", stats.chi2.ppf(0.95, 1)),
+    ):
         for end in kT.intervals[name]:
             assert chi2(end) - found.goodness.chi2 == pytest.approx(level, abs=0.03)
     grid = np.exp(np.linspace(-0.05, 0.05, 21)) * kT.estimate
@@ -150,16 +192,19 @@ def test_intervals_are_those_of_the_likelihood(folder):
 
 
 def test_errors_of_measurements(folder):
-    """A column of standard errors counts, and where a cell of it is empty the noise, whose parts add in quadrature."""
-    (folder / "data.csv").write_text("drive.velocity,friction,friction_stderr\n1,2,0.7\n2,4,\n")
+    """A column of standard errors counts, and where a cell of it is empty the noise,
+    whose parts add in quadrature."""
+    (folder / "data.csv").write_text(
+        "drive.velocity,friction,friction_stderr\n1,2,0.7\n2,4,\n"
+    )
     file = load(folder / "run.toml", {"fit.noise": {"relative": 0.05, "absolute": 0.1}})
     table = read_table(folder / "data.csv", file, section_of(file))
     assert table.sigma == pytest.approx([0.7, math.hypot(0.2, 0.1)], rel=1e-12, abs=0)
 
 
 def test_particles(folder):
-    """The committed data of simulated contacts, 24 points to about 1 %: every key within 4 standard deviations of what
-    made them, and a fit that is not rejected."""
+    """The committed data of simulated contacts, 24 points to about 1 %: every key
+    within 4 standard deviations of what made them, and a fit that is not rejected."""
     path = Path(__file__).parent.parent / "runs" / "fit-synthetic.toml"
     problem = prepare(load(path), path.parent, None, False).problem
     found = minimise(problem, problem.start)
@@ -172,7 +217,9 @@ def test_particles(folder):
 
 def test_levels():
     for name, level in profiles.LEVELS.items():
-        assert level == pytest.approx(stats.chi2.ppf(int(name) / 100, 1), rel=1e-4, abs=0)
+        assert level == pytest.approx(
+            stats.chi2.ppf(int(name) / 100, 1), rel=1e-4, abs=0
+        )
 
 
 def test_open_sides(folder):
@@ -185,52 +232,83 @@ def test_open_sides(folder):
     found = fit(load(folder / "run.toml"), folder, starts=2, allow_degenerate=True)
     assert found.warnings
     kT, scale = found.intervals
-    assert (kT.intervals["68"], kT.intervals["95"], kT.status) == ((None, None), (None, None), "degenerate")
+    assert (kT.intervals["68"], kT.intervals["95"], kT.status) == (
+        (None, None),
+        (None, None),
+        "degenerate",
+    )
     assert scale.status == "determined"
     assert report.summary(found)["eigenvalues"][-1]["ratio"] < 1e-7
 
 
 def test_sets_have_their_own_scale(folder):
     """Two sets that differ by a factor: two scales, and kT from both."""
-    lines = [f"{v},{F},a" for v, F in measured(1)] + [f"{v},{10 * F},b" for v, F in measured(2)]
+    lines = [f"{v},{F},a" for v, F in measured(1)] + [
+        f"{v},{10 * F},b" for v, F in measured(2)
+    ]
     (folder / "data.csv").write_text("drive.velocity,friction,set\n" + "\n".join(lines))
     found = fit(load(folder / "run.toml"), folder, starts=1)
     values = found.values
-    assert values["fit.scale.b"] / values["fit.scale.a"] == pytest.approx(10.0, rel=0.2, abs=0)
+    assert values["fit.scale.b"] / values["fit.scale.a"] == pytest.approx(
+        10.0, rel=0.2, abs=0
+    )
     assert found.goodness.dof == 21
 
 
 def test_outliers(folder):
-    """Two of 12 points off by a factor 4: Student's law keeps kT within 3 of its standard deviations, Gauss's not."""
+    """Two of 12 points off by a factor 4: Student's law keeps kT within 3 of its
+    standard deviations, Gauss's not."""
     rows = [[v, F] for v, F in measured(1)]
     rows[2][1] *= 4.0
     rows[7][1] /= 4.0
-    (folder / "data.csv").write_text("drive.velocity,friction\n" + "\n".join(f"{v},{F}" for v, F in rows))
+    (folder / "data.csv").write_text(
+        "drive.velocity,friction\n" + "\n".join(f"{v},{F}" for v, F in rows)
+    )
     off = {}
     for loss in ("gaussian", "student"):
         found = fit(load(folder / "run.toml", {"fit.loss": loss}), folder, starts=2)
-        off[loss] = abs(math.log(found.values["thermal.kT"] / TRUTH["kT"])) / found.intervals[0].sd
+        off[loss] = (
+            abs(math.log(found.values["thermal.kT"] / TRUTH["kT"]))
+            / found.intervals[0].sd
+        )
         assert found.rejected
     assert off["student"] < 3.0 < off["gaussian"]
 
 
 def test_temperatures(folder):
-    """kT of a row is thermal.kT T/reference_temperature, and empty cells are the run file's values."""
-    lines = [f"{v},{300 * heat},{F}" for heat in (1.0, 1.3) for v, F in measured(round(10 * heat), heat=heat)]
+    """kT of a row is thermal.kT T/reference_temperature, and empty cells are the run
+    file's values."""
+    lines = [
+        f"{v},{300 * heat},{F}"
+        for heat in (1.0, 1.3)
+        for v, F in measured(round(10 * heat), heat=heat)
+    ]
     lines[0] = lines[0].replace(f"{VELOCITIES[0]}", "", 1)
-    (folder / "data.csv").write_text("drive.velocity,temperature,friction\n" + "\n".join(lines))
-    changes = {"fit.temperature": "temperature", "fit.reference_temperature": 300.0, "drive.velocity": VELOCITIES[0]}
+    (folder / "data.csv").write_text(
+        "drive.velocity,temperature,friction\n" + "\n".join(lines)
+    )
+    changes = {
+        "fit.temperature": "temperature",
+        "fit.reference_temperature": 300.0,
+        "drive.velocity": VELOCITIES[0],
+    }
     found = fit(load(folder / "run.toml", changes), folder, starts=1)
-    assert abs(math.log(found.values["thermal.kT"] / TRUTH["kT"])) < 4.0 * found.intervals[0].sd
+    assert (
+        abs(math.log(found.values["thermal.kT"] / TRUTH["kT"]))
+        < 4.0 * found.intervals[0].sd
+    )
     assert not found.rejected
 
 
 def test_compared_and_rejected(folder):
-    """Data of quenched contacts, to .2 %: the annealed model is rejected, exit code 1; the right one is exact."""
+    """Data of quenched contacts, to .2 %: the annealed model is rejected, exit code 1;
+    the right one is exact."""
     contacts = Ensemble(thermal=Thermal(0.1), stiffness_law="uniform")
     known = zip(VELOCITIES, curve(contacts, VELOCITIES).friction, strict=True)
     lines = [f"{v:.10g},{F:.10g},{0.002 * F:.10g}" for v, F in known]
-    (folder / "data.csv").write_text("drive.velocity,friction,friction_stderr\n" + "\n".join(lines))
+    (folder / "data.csv").write_text(
+        "drive.velocity,friction,friction_stderr\n" + "\n".join(lines)
+    )
     (folder / "other.toml").write_text(RUN.replace("annealed", "quenched"))
     result = call(
         "fit", folder / "run.toml", "--out", folder / "out", "--compare", folder / "other.toml", "--starts", "1",
@@ -249,21 +327,29 @@ def test_priors(folder):
     content = file.model_dump(exclude_unset=True)
     content["fit"]["free"]["thermal.kT"]["prior"] = {"normal": [math.log(0.3), 1e-3]}
     found = fit(check(content), folder, starts=1)
-    assert math.log(found.values["thermal.kT"]) == pytest.approx(math.log(0.3), abs=3e-3)
+    assert math.log(found.values["thermal.kT"]) == pytest.approx(
+        math.log(0.3), abs=3e-3
+    )
     assert found.goodness.dof == 11
 
 
 def test_derived_contacts_per_area(folder):
-    """scale = N k: contacts per area are scale/(k area); of a coefficient of friction, scale stress/k."""
+    """scale = N k: contacts per area are scale/(k area); of a coefficient of friction,
+    scale stress/k."""
     changes = {"contacts.stiffness": 2.0, "fit.area": 4.0}
     found = report.summary(fit(load(folder / "run.toml", changes), folder, starts=1))
     scale = found["parameters"]["fit.scale"]["estimate"]
-    assert found["derived"]["contacts per area"] == pytest.approx(scale / 8.0, rel=1e-12, abs=0)
-    assert found["derived"]["spacing of contacts"] == pytest.approx(math.sqrt(8.0 / scale), rel=1e-12, abs=0)
+    assert found["derived"]["contacts per area"] == pytest.approx(
+        scale / 8.0, rel=1e-12, abs=0
+    )
+    assert found["derived"]["spacing of contacts"] == pytest.approx(
+        math.sqrt(8.0 / scale), rel=1e-12, abs=0
+    )
 
 
 def test_the_interface_of_the_run_file_serves_a_fit(folder):
-    """Its area or normal stress, unless the section has its own, or both are given: a force, or a coefficient?"""
+    """Its area or normal stress, unless the section has its own, or both are given: a
+    force, or a coefficient?"""
 
     def seen(**changes):
         found = section_of(load(folder / "run.toml", changes))
@@ -271,17 +357,29 @@ def test_the_interface_of_the_run_file_serves_a_fit(folder):
 
     assert seen() == (None, None)
     assert seen(**{"interface.area": 4.0}) == (4.0, None)
-    assert seen(**{"interface.contacts_per_area": 1.0, "interface.normal_stress": 2.0}) == (None, 2.0)
+    assert seen(
+        **{"interface.contacts_per_area": 1.0, "interface.normal_stress": 2.0}
+    ) == (None, 2.0)
     assert seen(**{"interface.area": 4.0, "fit.area": 3.0}) == (3.0, None)
-    assert seen(**{"interface.area": 4.0, "interface.normal_stress": 2.0}) == (None, None)
+    assert seen(**{"interface.area": 4.0, "interface.normal_stress": 2.0}) == (
+        None,
+        None,
+    )
     units = {"units.length": "m", "units.force": "N", "thermal.temperature": 300.0}
     free = {"thermal.temperature": {"bounds": [1.0, 1e3]}}
     file = load(folder / "run.toml", {**units, "fit.free": free})
-    with pytest.raises(InputError, match=r"fit\.free\.thermal\.temperature: must be thermal\.kT"):
+    with pytest.raises(
+        InputError, match=r"fit\.free\.thermal\.temperature: must be thermal\.kT"
+    ):
         parameters_of(file, section_of(file))
 
 
-ALL = ["thermal.kT", "thermal.attempt_frequency", "contacts.stiffness", "thresholds.x_star"]
+ALL = [
+    "thermal.kT",
+    "thermal.attempt_frequency",
+    "contacts.stiffness",
+    "thresholds.x_star",
+]
 DATA = "drive.velocity,friction\n0.01,0.2\n0.03,0.3\n0.1,0.5\n0.3,0.6\n1,0.7\n3,0.7\n10,0.75\n30,0.76\n"
 
 
@@ -316,7 +414,12 @@ def test_symmetries_are_refused_by_name(tmp_path, name):
             "disorder": "annealed",
             "thermal": {"kT": changes.get("kT", 0.1)},
             "thresholds": {"n": 1.0, "x_star": 1.0},
-            "fit": {"data": "data.csv", "noise": {"relative": 0.05}, "scale": scale, "free": free},
+            "fit": {
+                "data": "data.csv",
+                "noise": {"relative": 0.05},
+                "scale": scale,
+                "free": free,
+            },
         }
     )
     with pytest.raises(InputError) as error:
@@ -326,11 +429,17 @@ def test_symmetries_are_refused_by_name(tmp_path, name):
     assert prepare(file, tmp_path, None, True).warnings
 
 
-@pytest.mark.parametrize("powers", [symmetry._LENGTH, symmetry._ENERGY], ids=["length", "energy"])
-@pytest.mark.parametrize("aging", [{}, {"rule": "flow", "rate": 0.3, "x_star_final": 2.0}], ids=["none", "aging"])
+@pytest.mark.parametrize(
+    "powers", [symmetry._LENGTH, symmetry._ENERGY], ids=["length", "energy"]
+)
+@pytest.mark.parametrize(
+    "aging",
+    [{}, {"rule": "flow", "rate": 0.3, "x_star_final": 2.0}],
+    ids=["none", "aging"],
+)
 def test_symmetries_leave_every_prediction(powers, aging):
-    """Measured friction of contacts with a delay and drag, annealed and quenched, to 1e-9; but not if one key stays
-    behind (negative control)."""
+    """Measured friction of contacts with a delay and drag, annealed and quenched, to
+    1e-9; but not if one key stays behind (negative control)."""
     for disorder in ("annealed", "quenched"):
         content = {
             "disorder": disorder if not aging else "annealed",
@@ -345,12 +454,24 @@ def test_symmetries_leave_every_prediction(powers, aging):
 
         def scaled(factor, file=file, left_out=None):
             known = parameters(file)
-            keys = [key for key in powers if known.get(key) and key not in (left_out, "fit.scale")]
-            changed = at(file, {key: known[key] * factor ** powers[key] for key in keys}).ensemble(Path("."))
-            return factor ** powers.get("fit.scale", 0) * curve(changed, VELOCITIES).friction
+            keys = [
+                key
+                for key in powers
+                if known.get(key) and key not in (left_out, "fit.scale")
+            ]
+            changed = at(
+                file, {key: known[key] * factor ** powers[key] for key in keys}
+            ).ensemble(Path("."))
+            return (
+                factor ** powers.get("fit.scale", 0)
+                * curve(changed, VELOCITIES).friction
+            )
 
         np.testing.assert_allclose(scaled(1.7), scaled(1.0), rtol=1e-8)
-        assert np.abs(scaled(1.7, left_out="contacts.stiffness") / scaled(1.0) - 1.0).max() > 0.01
+        assert (
+            np.abs(scaled(1.7, left_out="contacts.stiffness") / scaled(1.0) - 1.0).max()
+            > 0.01
+        )
 
 
 @pytest.mark.parametrize(
@@ -364,7 +485,11 @@ def test_symmetries_leave_every_prediction(powers, aging):
 def test_what_is_no_symmetry_is_not_refused(tmp_path, free, data):
     (tmp_path / "data.csv").write_text(data)
     scale = {"start": 1.0, "bounds": [0.01, 100.0]} if "friction" in data else 1.0
-    content = {"disorder": "annealed", "thermal": {"kT": 0.1}, "fit": {"data": "data.csv", "noise": {"relative": 0.05}}}
+    content = {
+        "disorder": "annealed",
+        "thermal": {"kT": 0.1},
+        "fit": {"data": "data.csv", "noise": {"relative": 0.05}},
+    }
     content["fit"] |= {"scale": scale, "free": bounds(*free)}
     prepared = prepare(check(content), tmp_path, None, free == ALL[:3])
     assert len(prepared.warnings) == (free == ALL[:3])
@@ -437,11 +562,19 @@ def test_bad_input(tmp_path, name):
     (tmp_path / "data.csv").write_text(data)
     content = {"disorder": "annealed", "thermal": {"kT": 0.1}, **changes}
     if section is not None:
-        given = {"data": "data.csv", "noise": {"relative": 0.05}, "scale": {"start": 1.0, "bounds": [0.01, 100.0]}}
+        given = {
+            "data": "data.csv",
+            "noise": {"relative": 0.05},
+            "scale": {"start": 1.0, "bounds": [0.01, 100.0]},
+        }
         content["fit"] = {"free": FREE, **given, **section}
-        content["fit"] = {key: value for key, value in content["fit"].items() if value is not None}
+        content["fit"] = {
+            key: value for key, value in content["fit"].items() if value is not None
+        }
     (tmp_path / "run.toml").write_text("\n".join(report.to_toml(content)))
-    result = call("fit", tmp_path / "run.toml", "--out", tmp_path / "out", "--workers", "1")
+    result = call(
+        "fit", tmp_path / "run.toml", "--out", tmp_path / "out", "--workers", "1"
+    )
     assert result.exit_code == 2, result.output
     assert said in result.output
     assert len(result.output.splitlines()) == 1
@@ -449,22 +582,38 @@ def test_bad_input(tmp_path, name):
 
 
 def test_free_keys_of_a_stage_are_keys():
-    content = {"drive": {"programme": [{"velocity": 1.0, "distance": 1.0}], "stage": {"stiffness": 0.1}}}
-    content["fit"] = {"free": bounds("drive.stage.stiffness"), "record": {"file": "x.csv"}}
+    content = {
+        "drive": {
+            "programme": [{"velocity": 1.0, "distance": 1.0}],
+            "stage": {"stiffness": 0.1},
+        }
+    }
+    content["fit"] = {
+        "free": bounds("drive.stage.stiffness"),
+        "record": {"file": "x.csv"},
+    }
     file = check(content)
     assert parameters_of(file, section_of(file))[0].start == math.log(0.1)
 
 
 def test_other_commands_ignore_the_section(folder):
-    assert call("reference", folder / "run.toml", "--set", "drive.velocity=1.0").exit_code == 0
+    assert (
+        call("reference", folder / "run.toml", "--set", "drive.velocity=1.0").exit_code
+        == 0
+    )
 
 
 def test_ladder():
-    """Eigenvalues and directions of a matrix made of known ones; a null direction has no bound."""
+    """Eigenvalues and directions of a matrix made of known ones; a null direction has
+    no bound."""
     turned, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
     rungs = ladder(["a", "b", "c"], np.diag([10.0, 1.0, 0.0]) @ turned)
-    assert [rung.eigenvalue for rung in rungs] == pytest.approx([100.0, 1.0, 0.0], abs=1e-12)
-    assert [rung.sd for rung in rungs][:2] == pytest.approx([0.1, 1.0], rel=1e-12, abs=0)
+    assert [rung.eigenvalue for rung in rungs] == pytest.approx(
+        [100.0, 1.0, 0.0], abs=1e-12
+    )
+    assert [rung.sd for rung in rungs][:2] == pytest.approx(
+        [0.1, 1.0], rel=1e-12, abs=0
+    )
     assert rungs[2].sd > 1e10
     for rung, row in zip(rungs, turned, strict=True):
         found = np.array(list(rung.components.values()))
@@ -482,15 +631,18 @@ def test_starts_are_spread(folder):
     every = np.array(starts(problem, 8, 1))
     np.testing.assert_array_equal(every[0], problem.start)
     assert np.all((every >= problem.low) & (every <= problem.high))
-    strata = np.sort((every[1:, 0] - problem.low[0]) / (problem.high[0] - problem.low[0]) * 7).astype(int)
+    strata = np.sort(
+        (every[1:, 0] - problem.low[0]) / (problem.high[0] - problem.low[0]) * 7
+    ).astype(int)
     np.testing.assert_array_equal(strata, np.arange(7))
     np.testing.assert_array_equal(every, starts(problem, 8, 1))
 
 
 def test_intervals_cover(folder):
-    """40 sets of data: how often the profile is below its level at the truth, one constrained fit each. The number of
-    misses of 95 % is binomial: more than 7 have a probability below 1e-3, and intervals at a tenth of the level miss
-    more often than 7 times but with a probability of 1e-6."""
+    """40 sets of data: how often the profile is below its level at the truth, one
+    constrained fit each. The number of misses of 95 % is binomial: more than 7 have a
+    probability below 1e-3, and intervals at a tenth of the level miss more often than 7
+    times but with a probability of 1e-6."""
     file = load(folder / "run.toml")
     problem = prepare(file, folder, None, False).problem
     truth = np.log([TRUTH["kT"], TRUTH["scale"]])
@@ -514,7 +666,17 @@ def test_a_side_of_a_parabola():
 
     one = Parameter("thermal.kT", "log", -3.0, 30.0, 0.0)
     none = np.array([-1, -1])
-    problem = Problem(Line(), [one], np.array([2.0, 0.0]), np.full(2, 1.5), none, 1.0, none > 0, None, 1.0)
+    problem = Problem(
+        Line(),
+        [one],
+        np.array([2.0, 0.0]),
+        np.full(2, 1.5),
+        none,
+        1.0,
+        none > 0,
+        None,
+        1.0,
+    )
     best = minimise(problem, np.zeros(1))
     assert best.u[0] == pytest.approx(2.0, abs=1e-6)
     right = profiles.side(problem, best, 0, 1, 1.5)
@@ -522,6 +684,8 @@ def test_a_side_of_a_parabola():
         assert right.ends[name] == pytest.approx(2.0 + 1.5 * math.sqrt(level), abs=0.01)
     left = profiles.side(problem, best, 0, -1, 1.5)
     assert left.ends["68"] is not None
-    assert left.ends["95"] == pytest.approx(2.0 - 1.5 * math.sqrt(profiles.LEVELS["95"]), abs=0.01)
+    assert left.ends["95"] == pytest.approx(
+        2.0 - 1.5 * math.sqrt(profiles.LEVELS["95"]), abs=0.01
+    )
     near = profiles.side(problem, Minimum(np.array([2.0]), 0.0, True, 1), 0, 1, 100.0)
     assert near.ends["95"] == pytest.approx(right.ends["95"], abs=0.02)

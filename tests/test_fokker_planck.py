@@ -1,4 +1,5 @@
-"""Fluctuating thresholds: the Fokker-Planck solver against tabulated values, exact limits and a simulation.
+"""Fluctuating thresholds: the Fokker-Planck solver against tabulated values, exact
+limits and a simulation.
 
 What fails by chance: `test_simulation` alone, see there; its seeds are fixed.
 """
@@ -21,7 +22,16 @@ ROWS = list(aging("langevin").itertuples())
 
 def numbers(n, final, mobility, stiffness, barrier, b, log_w):
     """The laws of fluctuating contacts, mobility = D/(v x_*i)."""
-    s = contacts(Gamma(n), stiffness, barrier, b, log_w, final, 4 * mobility / final**2, fluctuates=True)
+    s = contacts(
+        Gamma(n),
+        stiffness,
+        barrier,
+        b,
+        log_w,
+        final,
+        4 * mobility / final**2,
+        fluctuates=True,
+    )
     return s.aging, s.stiffness, s.barrier
 
 
@@ -63,16 +73,21 @@ def averages(row, life):
 def test_table(row):
     """Every row within its own accuracy and the quoted error, which is below 1e-5."""
     values, errors = averages(row, solve(row))
-    for value, error, expected in zip(values, errors, (row.friction, row.pinned, row.break_stretch), strict=True):
+    for value, error, expected in zip(
+        values, errors, (row.friction, row.pinned, row.break_stretch), strict=True
+    ):
         assert value == pytest.approx(expected, rel=row.rel_accuracy + error, abs=0)
         assert error < 1e-5
 
 
 @pytest.mark.parametrize(
-    ("wrong", "rows"), [({"mobility": 1.05}, (0, 2, 6, 7)), ({"final": 1.05}, (0, 1, 3, 5))], ids=["diffusion", "drift"]
+    ("wrong", "rows"),
+    [({"mobility": 1.05}, (0, 2, 6, 7)), ({"final": 1.05}, (0, 1, 3, 5))],
+    ids=["diffusion", "drift"],
 )
 def test_table_control(wrong, rows):
-    """A diffusion or (by the final law) a drift that is 5 % off fails, in lives short and long, cold and warm."""
+    """A diffusion or (by the final law) a drift that is 5 % off fails, in lives short
+    and long, cold and warm."""
     for row in (ROWS[i] for i in rows):
         values, errors = averages(row, solve(row, **wrong))
         assert abs(values[0] / row.friction - 1) > row.rel_accuracy + errors[0]
@@ -84,10 +99,13 @@ def test_table_control(wrong, rows):
     [(0.01, 0.228496), (10.0, 0.100408)],
 )
 def test_aging(v, friction):
-    """x_*i = .1, x_*f = 1, D = .1, T = 0, uniform (friction printed to six digits, that is to 5e-7)."""
+    """x_*i = .1, x_*f = 1, D = .1, T = 0, uniform (friction printed to six digits, that
+    is to 5e-7)."""
     life = survival(1.0, 10.0, 0.1 / (0.1 * v), "uniform", None, 1.0, 0.0)
     found = 0.1 * life.work / life.stretch
-    assert found == pytest.approx(friction, abs=5e-7 + found * (life.work_error / life.work + 1e-6))
+    assert found == pytest.approx(
+        friction, abs=5e-7 + found * (life.work_error / life.work + 1e-6)
+    )
 
 
 UNAGED = [
@@ -106,31 +124,46 @@ UNAGED = [
     [(0.0, UNAGED[0]), (1e-10, UNAGED[2]), (0.0, UNAGED[4])],
 )
 def test_without_mobility(mobility, case):
-    """The joint kinetic equation by quadrature, without aging. At 1e-10 the thresholds drift by 2e-10 xi/rho^2 per
-    stretch, and fluctuations change rates in proportion to b: `slack` is several times the sum."""
+    """The joint kinetic equation by quadrature, without aging. At 1e-10 the thresholds
+    drift by 2e-10 xi/rho^2 per stretch, and fluctuations change rates in proportion to
+    b: `slack` is several times the sum."""
     n, final, law = case
-    life, exact = survival(n, final, mobility, *law), quenched.stationary(contacts(Gamma(n), *law))
+    life, exact = (
+        survival(n, final, mobility, *law),
+        quenched.stationary(contacts(Gamma(n), *law)),
+    )
     slack = 10 * mobility * max(law[2], math.sqrt(n + 1.0) / final**2, 1.0)
-    assert abs(life.stretch / exact.stretch - 1) < life.stretch_error / life.stretch + 1e-11 + slack
+    assert (
+        abs(life.stretch / exact.stretch - 1)
+        < life.stretch_error / life.stretch + 1e-11 + slack
+    )
     assert abs(life.work / exact.work - 1) < life.work_error / life.work + 1e-11 + slack
     inside = np.flatnonzero(life.x > 1e-6)[:-1]
     profile = np.array(quenched.survivors_at(contacts(Gamma(n), *law), life.x[inside]))
-    assert np.all(np.abs(life.values[:, inside] - profile) < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack)
+    assert np.all(
+        np.abs(life.values[:, inside] - profile)
+        < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack
+    )
 
 
 def test_rate_that_forgets_the_threshold():
-    """Without a barrier every contact breaks at the rate omega, whatever its threshold does (exact): S exp(-w x)."""
+    """Without a barrier every contact breaks at the rate omega, whatever its threshold
+    does (exact): S exp(-w x)."""
     cold = survival(0.5, 4.0, 0.7, "sqrt", None, 1.0, 0.0)
     warm = survival(0.5, 4.0, 0.7, "sqrt", "soft", 1e-100, 0.5)
-    exact = CubicSpline(np.log(cold.x[1:]), cold.values[:, 1:], axis=1)(np.log(warm.x[1:]))
+    exact = CubicSpline(np.log(cold.x[1:]), cold.values[:, 1:], axis=1)(
+        np.log(warm.x[1:])
+    )
     exact *= np.exp(-math.exp(0.5) * warm.x[1:])
-    assert np.abs(warm.values[:, 1:] - exact).max() < 2e-6  # both errors, and that of the spline
+    assert (
+        np.abs(warm.values[:, 1:] - exact).max() < 2e-6
+    )  # both errors, and that of the spline
 
 
 @chosen("final", [0.3, 1.0, 3.0], [0.3, 3.0])
 def test_unbroken_law(final):
-    """While hardly a contact has broken E[(k_i/k)^2] = <xi^2>/(n+1) = s(x)^2, the scale of the unbroken law (exact):
-    n = 30, P(xi < 0.5 s) < 1e-16."""
+    """While hardly a contact has broken E[(k_i/k)^2] = <xi^2>/(n+1) = s(x)^2, the scale
+    of the unbroken law (exact): n = 30, P(xi < 0.5 s) < 1e-16."""
     life = survival(30.0, final, 2.0, "sqrt", None, 1.0, 0.0)
     s2 = final**2 - (final**2 - 1) * np.exp(-8.0 * life.x / final**2)
     early = life.x < 0.5 * np.sqrt(s2)
@@ -141,7 +174,8 @@ def test_unbroken_law(final):
 
 @pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
 def test_profile(stiffness):
-    """S falls from 1 to nothing; its spline integrates to `stretch`, and x times the second to `work`."""
+    """S falls from 1 to nothing; its spline integrates to `stretch`, and x times the
+    second to `work`."""
     life = survival(2.5, 3.0, 0.3, stiffness, "stiff", 10.0, 4.0)
     assert life.x[0] == 0.0
     assert np.all(np.diff(life.x) > 0)
@@ -151,17 +185,24 @@ def test_profile(stiffness):
     if stiffness == "uniform":
         assert np.allclose(life.values[1:], life.values[0], rtol=1e-12, atol=0.0)
     log_x, x = np.log(life.x[1:]), life.x[1:]
-    for values, power, total in ((life.values[0], 1, life.stretch), (life.values[1], 2, life.work)):
+    for values, power, total in (
+        (life.values[0], 1, life.stretch),
+        (life.values[1], 2, life.work),
+    ):
         spline = CubicSpline(log_x, values[1:] * x**power)
-        assert spline.integrate(log_x[0], log_x[-1]) == pytest.approx(total, rel=1e-5, abs=0)
+        assert spline.integrate(log_x[0], log_x[-1]) == pytest.approx(
+            total, rel=1e-5, abs=0
+        )
 
 
 def simulated(seed, contacts, steps, n, final, mobility, stiffness, barrier, b, log_w):
-    """Stretch and work of contacts that are followed in small steps, shape (2, contacts): no equation of density.
+    """Stretch and work of contacts that are followed in small steps, shape (2,
+    contacts): no equation of density.
 
-    The threshold moves as the norm of a (2n+2)-dimensional Ornstein-Uhlenbeck process, exactly over a step. Contacts
-    carry the probability that they are still pinned: between steps the gap is a Brownian bridge, which has met 0 with
-    probability exp(-g g'/(D h)), and the thermal rate is averaged over its values at both ends.
+    The threshold moves as the norm of a (2n+2)-dimensional Ornstein-Uhlenbeck process,
+    exactly over a step. Contacts carry the probability that they are still pinned:
+    between steps the gap is a Brownian bridge, which has met 0 with probability exp(-g
+    g'/(D h)), and the thermal rate is averaged over its values at both ends.
     """
     rng = np.random.default_rng(seed)
     xi = np.sqrt(rng.gamma(n + 1.0, size=contacts))
@@ -188,7 +229,11 @@ def simulated(seed, contacts, steps, n, final, mobility, stiffness, barrier, b, 
         x = later
         new_gap = xi - x
         kappa, rate = state()
-        alive = alive * np.where(new_gap > 0, -np.expm1(-gap * np.maximum(new_gap, 0.0) / (mobility * h)), 0.0)
+        alive = alive * np.where(
+            new_gap > 0,
+            -np.expm1(-gap * np.maximum(new_gap, 0.0) / (mobility * h)),
+            0.0,
+        )
         alive = alive * np.exp(-0.5 * h * (before[2] + rate))
         total[0] += 0.5 * h * (before[0] + alive)
         total[1] += 0.5 * h * (before[1] + kappa * alive * x)
@@ -207,7 +252,8 @@ CASES = [
 
 
 def scores(case, mobility=1.0, final=1.0):
-    """z of stretch and work of a simulation, the solver being given other values by these factors."""
+    """z of stretch and work of a simulation, the solver being given other values by
+    these factors."""
     n, rho, d, *rest = case
     total = simulated(11, 30_000, 200, *case)
     life = survival(n, final * rho, mobility * d, *rest)
@@ -215,14 +261,17 @@ def scores(case, mobility=1.0, final=1.0):
     return (mean - (life.stretch, life.work)) / stderr
 
 
-@chosen("case", CASES[2:5], [CASES[2], CASES[4]], ids=str)  # by default each barrier once
+@chosen(
+    "case", CASES[2:5], [CASES[2], CASES[4]], ids=str
+)  # by default each barrier once
 def test_simulation(case):
     """|z| < 4.5 for 12 scores: a false alarm once in 10 000 seeds."""
     assert np.abs(scores(case)).max() < 4.5
 
 
 def test_simulation_control():
-    """A diffusion 5 % off fails, in either law of stiffness and with and without a barrier."""
+    """A diffusion 5 % off fails, in either law of stiffness and with and without a
+    barrier."""
     for case in (CASES[0], CASES[4]):
         assert np.abs(scores(case, mobility=1.05)).max() > 4.5
 
@@ -246,7 +295,8 @@ DRAWN = [drawn(RNG) for _ in range(20)]
 
 @chosen("case", DRAWN, [DRAWN[0], DRAWN[3]], ids=str)  # by default a barrier and none
 def test_error_estimate(case, monkeypatch):
-    """Halving cells and steps changes nothing by more than the quoted errors, at any stretch."""
+    """Halving cells and steps changes nothing by more than the quoted errors, at any
+    stretch."""
     fine = survival(*case)
     assert fine.stretch_error < 3e-5 * fine.stretch
     assert fine.work_error < 3e-5 * fine.work
@@ -266,19 +316,24 @@ def test_error_estimate(case, monkeypatch):
     "case",
     [
         (1.0, 10.0, 1.0, "uniform", None, 1.0, 0.0),
-        pytest.param((0.0, 0.3, 30.0, "sqrt", "soft", 3.0, 3.0), marks=pytest.mark.verification),
+        pytest.param(
+            (0.0, 0.3, 30.0, "sqrt", "soft", 3.0, 3.0), marks=pytest.mark.verification
+        ),
         (2.5, 2.0, 0.01, "sqrt", "stiff", 30.0, 6.0),
     ],
     ids=str,
 )
 def test_order(case):
-    """Halving the cells divides the change by 4 (second order: 3.5 to 4.5 while cells are finite), halving the steps
-    by 16 (fourth order; at least 8, as long as rounding does not show)."""
+    """Halving the cells divides the change by 4 (second order: 3.5 to 4.5 while cells
+    are finite), halving the steps by 16 (fourth order; at least 8, as long as rounding
+    does not show)."""
     life = fokker_planck._Life(*numbers(*case))
     first = fokker_planck._march(life, fokker_planck._Grid(life, 0.12))
 
     def totals(dz, stops):
-        return fokker_planck._march(life, fokker_planck._Grid(life, dz), stops).totals[:, -1]
+        return fokker_planck._march(life, fokker_planck._Grid(life, dz), stops).totals[
+            :, -1
+        ]
 
     one, two, three = (totals(dz, first.x) for dz in (0.12, 0.06, 0.03))
     assert (one - two) / (two - three) == pytest.approx(4.0, abs=0.5)
@@ -290,9 +345,13 @@ def test_order(case):
 
 
 def test_laws_with_equal_numbers():
-    """Solutions are remembered, and those of a soft and a stiff barrier of the same b and log_w are not the same."""
+    """Solutions are remembered, and those of a soft and a stiff barrier of the same b
+    and log_w are not the same."""
     case = Gamma(1.0), "uniform"
-    soft, stiff = (contacts(*case, name, 3.0, 1.0, 1.0, 4.0, fluctuates=True) for name in ("soft", "stiff"))
+    soft, stiff = (
+        contacts(*case, name, 3.0, 1.0, 1.0, 4.0, fluctuates=True)
+        for name in ("soft", "stiff")
+    )
     assert soft != stiff
     assert tuple(soft.barrier) == tuple(stiff.barrier)
     found = [fokker_planck.survival(s).stretch for s in (soft, stiff)]

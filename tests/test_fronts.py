@@ -1,4 +1,5 @@
-"""The share of a cell and a stratum that heat has broken, against sums to many digits and a plain average."""
+"""The share of a cell and a stratum that heat has broken, against sums to many digits
+and a plain average."""
 
 import mpmath as mp
 import numpy as np
@@ -13,7 +14,10 @@ def test_second_integral(y):
     """The table's knots against the series, to 1e-13 of it."""
     with mp.workdps(60 + int(2 * np.exp(y))):
         z = mp.e ** mp.mpf(y)
-        terms = ((-1) ** (n + 1) * z**n / (n**2 * mp.factorial(n)) for n in range(1, int(60 + 5 * np.exp(y))))
+        terms = (
+            (-1) ** (n + 1) * z**n / (n**2 * mp.factorial(n))
+            for n in range(1, int(60 + 5 * np.exp(y)))
+        )
         exact = mp.fsum(terms)
     found = fronts.table_of_w()[round((y - fronts._FIRST) * fronts._PER_UNIT), 0]
     assert found == pytest.approx(float(exact), rel=1e-13, abs=0)
@@ -21,13 +25,17 @@ def test_second_integral(y):
 
 @pytest.mark.parametrize("middle", [-12.0, -1.0, 0.4, 3.0, 9.0])
 @pytest.mark.parametrize(
-    ("by_threshold", "by_birth"), [(-0.1, 0.05), (-12.0, 0.2), (-3.0, 7.0), (-150.0, 40.0), (0.0, 0.0)]
+    ("by_threshold", "by_birth"),
+    [(-0.1, 0.05), (-12.0, 0.2), (-3.0, 7.0), (-150.0, 40.0), (0.0, 0.0)],
 )
 def test_share_that_is_broken(middle, by_threshold, by_birth):
-    """By 2000 x 500 midpoints, .075 and .08 apart at most, which miss (.075^2 + .08^2)/24 times a curvature that
-    averages out but at the corners, 1e-4; and what small differences are taken for, .03^2/24, 4e-5."""
+    """By 2000 x 500 midpoints, .075 and .08 apart at most, which miss (.075^2 +
+    .08^2)/24 times a curvature that averages out but at the corners, 1e-4; and what
+    small differences are taken for, .03^2/24, 4e-5."""
     u, v = ((np.arange(count) + 0.5) / count - 0.5 for count in (2000, 500))
     y = middle + by_threshold * u[:, None] + by_birth * v
     exact = -np.expm1(-np.exp(np.minimum(y, 50.0))).mean()
-    found = compiled(fronts._broken)(fronts.table_of_w(), middle, by_threshold, by_birth)
+    found = compiled(fronts._broken)(
+        fronts.table_of_w(), middle, by_threshold, by_birth
+    )
     assert found == pytest.approx(exact, rel=1.4e-4, abs=1e-9)

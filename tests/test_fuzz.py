@@ -1,5 +1,6 @@
-"""Bad input in bulk: whatever a user gives is used, or refused in one clear line that names the field. Never a
-traceback, a hang, a file half-written, or a number that is none."""
+"""Bad input in bulk: whatever a user gives is used, or refused in one clear line that
+names the field. Never a traceback, a hang, a file half-written, or a number that is
+none."""
 
 import contextlib
 import datetime
@@ -32,7 +33,12 @@ from eqsim.sweeps.plan import Plan
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
 LONGEST = 600  # characters of a message beyond those of the path
-WORDS = {word for key in keys() for word in key.split(".")} | {"sweep", "max_lives", "--max-lives", "title"}
+WORDS = {word for key in keys() for word in key.split(".")} | {
+    "sweep",
+    "max_lives",
+    "--max-lives",
+    "title",
+}
 EQSIM = [sys.executable, "-c", "from eqsim.__main__ import main; main()"]
 FASTEST = 100.0  # alpha of `langevin` aging: a life takes as many steps, and a kernel cannot be interrupted
 CHEAP = 65_536  # lives of the first attempt of `steady`
@@ -60,7 +66,11 @@ def judge(message, path):
     assert message.isprintable(), message
     assert len(message) < LONGEST + 2 * len(str(path)), message
     words = re.findall(r"--[a-z-]+|\w+", message)
-    named = str(path) in message or ": unknown key; " in message or not WORDS.isdisjoint(words)
+    named = (
+        str(path) in message
+        or ": unknown key; " in message
+        or not WORDS.isdisjoint(words)
+    )
     assert named, f"names no field: {message}"
 
 
@@ -72,13 +82,21 @@ def toml(value):
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):
-        return str(value) if abs(value) < 10**4000 else f"0x{abs(value):x}"  # as Python prints no more
+        return (
+            str(value) if abs(value) < 10**4000 else f"0x{abs(value):x}"
+        )  # as Python prints no more
     if isinstance(value, str):
         return json.dumps(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(toml, value)) + "]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key)} = {toml(part)}" for key, part in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(
+                f"{json.dumps(key)} = {toml(part)}" for key, part in value.items()
+            )
+            + "}"
+        )
     if isinstance(value, datetime.date | datetime.time):
         return value.isoformat()
     return repr(value)
@@ -86,11 +104,17 @@ def toml(value):
 
 def document(data):
     """A run file as text."""
-    lines = [f"{json.dumps(key)} = {toml(value)}" for key, value in data.items() if not isinstance(value, dict)]
+    lines = [
+        f"{json.dumps(key)} = {toml(value)}"
+        for key, value in data.items()
+        if not isinstance(value, dict)
+    ]
     for section, content in data.items():
         if isinstance(content, dict):
             lines += [f"[{json.dumps(section)}]"]
-            lines += [f"{json.dumps(key)} = {toml(value)}" for key, value in content.items()]
+            lines += [
+                f"{json.dumps(key)} = {toml(value)}" for key, value in content.items()
+            ]
     return "\n".join(lines) + "\n"
 
 
@@ -113,11 +137,24 @@ def sensible(rng):
             "stiffness_law": rng.choice(["sqrt", "uniform"]),
         },
         "thresholds": thresholds,
-        "thermal": {"kT": rng.choice([0.0, 0.1, 1e-9]), "attempt_frequency": rng.choice([0.0, 1.0])},
-        "delay": {"time": rng.choice([0.0, 2.0]), "law": rng.choice(["fixed", "exponential"])},
+        "thermal": {
+            "kT": rng.choice([0.0, 0.1, 1e-9]),
+            "attempt_frequency": rng.choice([0.0, 1.0]),
+        },
+        "delay": {
+            "time": rng.choice([0.0, 2.0]),
+            "law": rng.choice(["fixed", "exponential"]),
+        },
         "viscosity": {"eta": rng.choice([0.0, 1.0])},
-        "drive": {"velocity": 10 ** rng.uniform(-3, 3), "start": rng.choice(["fresh", "stationary"])},
-        "output": {"points": 11, "seed": rng.randrange(2**40), "replicas": rng.choice([1, 2])},
+        "drive": {
+            "velocity": 10 ** rng.uniform(-3, 3),
+            "start": rng.choice(["fresh", "stationary"]),
+        },
+        "output": {
+            "points": 11,
+            "seed": rng.randrange(2**40),
+            "replicas": rng.choice([1, 2]),
+        },
         "sweep": {"drive.velocity": [0.1, 1.0]},
     }
     data["thermal"]["barrier"] = rng.choice(["soft", "stiff"])
@@ -126,16 +163,40 @@ def sensible(rng):
         final = thresholds["x_star"] * rng.choice([0.5, 1.0, 2.0])
         data["aging"] = {"rule": rule, "rate": 0.1 * final**2, "x_star_final": final}
     elif data["disorder"] == "quenched" and rng.random() < 0.3:
-        data["aging"] = {"rule": "logarithmic", "beta": rng.choice([0.0, 0.05, 2.0]), "cutoff_time": 0.1}
+        data["aging"] = {
+            "rule": "logarithmic",
+            "beta": rng.choice([0.0, 0.05, 2.0]),
+            "cutoff_time": 0.1,
+        }
     for name in list(data):
-        if rng.random() < 0.2 and name not in ("drive", "thresholds", "output", "contacts"):
+        if rng.random() < 0.2 and name not in (
+            "drive",
+            "thresholds",
+            "output",
+            "contacts",
+        ):
             del data[name]
     return data
 
 
 def magnitude(rng):
     """A number of any size."""
-    special = [0, 0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-310, 1e100, 1e-100, 1e16, 1e-16]
+    special = [
+        0,
+        0.0,
+        -0.0,
+        math.nan,
+        math.inf,
+        -math.inf,
+        1e308,
+        -1e308,
+        5e-324,
+        1e-310,
+        1e100,
+        1e-100,
+        1e16,
+        1e-16,
+    ]
     special += [2**31, 2**53 + 1, 2**63 - 1, 2**63, -(2**63), 10**18, 1.5, -1, True]
     return rng.choice(
         [
@@ -166,7 +227,18 @@ def anything(rng):
         "sqrt",
         "flow",
     ]
-    odd += [True, [], [1.0], [[1.0], "a"], {}, {"a": 1}, {"kT": 1.0}, moment, moment.date(), moment.time()]
+    odd += [
+        True,
+        [],
+        [1.0],
+        [[1.0], "a"],
+        {},
+        {"a": 1},
+        {"kT": 1.0},
+        moment,
+        moment.date(),
+        moment.time(),
+    ]
     return magnitude(rng) if rng.random() < 0.5 else rng.choice(odd)
 
 
@@ -191,12 +263,21 @@ def mutate(data, rng):
     content = data.get(section)
     inside = isinstance(content, dict) and content and rng.random() < 0.9
     place, key = (content, rng.choice(list(content))) if inside else (data, section)
-    kind = rng.choice(["scale"] * 6 + ["number", "number", "number", "type", "name", "move", "add", "drop", "any"])
+    kind = rng.choice(
+        ["scale"] * 6
+        + ["number", "number", "number", "type", "name", "move", "add", "drop", "any"]
+    )
     if kind == "scale":  # plausible in type, not in size
-        floats = [name.split(".") for name, type_ in keys().items() if type_ is float and name != "thresholds.n"]
+        floats = [
+            name.split(".")
+            for name, type_ in keys().items()
+            if type_ is float and name != "thresholds.n"
+        ]
         widest = rng.choice([3, 30, 110])
         for home, last in rng.sample(floats, rng.choice([1, 2, 4])):
-            if isinstance(data.get(home), dict) and isinstance(data[home].get(last, 1.0), int | float):
+            if isinstance(data.get(home), dict) and isinstance(
+                data[home].get(last, 1.0), int | float
+            ):
                 data[home][last] = 10.0 ** rng.uniform(-widest, widest)
     elif kind in ("number", "type"):
         place[key] = magnitude(rng) if kind == "number" else anything(rng)
@@ -228,10 +309,16 @@ def damage(text, rng):
             lambda: text.encode("utf-16"),
             lambda: b"\xef\xbb\xbf" + whole,
             lambda: whole[:at] + b"\0" + whole[at:],
-            lambda: whole[:at] + bytes(rng.randrange(256) for _ in range(4)) + whole[at:],
+            lambda: (
+                whole[:at] + bytes(rng.randrange(256) for _ in range(4)) + whole[at:]
+            ),
             lambda: whole.replace(b"\n", rng.choice([b"\r\n", b"\r", b"\n\n", b""])),
             lambda: b"a = " + b"[" * nest + b"]" * nest + b"\n" + whole,
-            lambda: b".".join([rng.choice([b"sweep", b"a", b"drive"]), *[b"a"] * nest]) + b" = 1\n" + whole,
+            lambda: (
+                b".".join([rng.choice([b"sweep", b"a", b"drive"]), *[b"a"] * nest])
+                + b" = 1\n"
+                + whole
+            ),
             lambda: whole + b"[sweep.x]\ny = " + b"{a = " * nest + b"1" + b"}" * nest,
             lambda: whole + whole,
             lambda: b"" if rng.random() < 0.5 else b"\n# nothing\n",
@@ -255,7 +342,8 @@ def finite(*values):
 
 
 def endless(ensemble, drive):
-    """Fluctuating thresholds whose lives take the engine too many steps for a suite of thousands."""
+    """Fluctuating thresholds whose lives take the engine too many steps for a suite of
+    thousands."""
     aging = ensemble.aging
     if aging.rule != "langevin" or ensemble.disorder == "annealed":
         return False
@@ -296,12 +384,15 @@ def solve(ensemble, drive):
 
 
 def agree(found, exact):
-    """Within six joint standard errors and 1e-6: events of less than that share, worth as much, may not be drawn."""
+    """Within six joint standard errors and 1e-6: events of less than that share, worth
+    as much, may not be drawn."""
     for name in BASIC:
         one, other = getattr(found, name), getattr(exact, name)
         if one.reliable:
             far = abs(one.value - other.value)
-            assert far <= 6 * math.hypot(one.stderr, other.stderr) + 1e-6 * abs(other.value), (name, one, other)
+            assert far <= 6 * math.hypot(one.stderr, other.stderr) + 1e-6 * abs(
+                other.value
+            ), (name, one, other)
 
 
 def fuzz(folder, seeds, solved):
@@ -315,10 +406,16 @@ def fuzz(folder, seeds, solved):
         stage = "refused"
         try:
             with limited(), warnings.catch_warnings():
-                warnings.simplefilter("error")  # a warning is a second line on standard error
+                warnings.simplefilter(
+                    "error"
+                )  # a warning is a second line on standard error
                 _, ensemble, drive = use(path)
                 outcomes["used"] += 1
-                if drive and outcomes["solved"] + outcomes["not solved"] < solved and ensemble.aging.rule != "langevin":
+                if (
+                    drive
+                    and outcomes["solved"] + outcomes["not solved"] < solved
+                    and ensemble.aging.rule != "langevin"
+                ):
                     stage = "not solved"
                     found, exact = solve(ensemble, drive)
                     agree(found, exact)
@@ -335,7 +432,9 @@ def fuzz(folder, seeds, solved):
 @pytest.mark.long  # 9 s: the default suite has to end in time on a machine that others use as well
 def test_run_files(tmp_path):
     outcomes = fuzz(tmp_path, range(200), solved=6)
-    assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 6  # neither all is refused nor all taken
+    assert (
+        min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 6
+    )  # neither all is refused nor all taken
 
 
 @pytest.mark.long
@@ -356,19 +455,35 @@ def test_the_judge_is_strict(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("[contacts]\ncount = 0x" + "f" * 5000, "contacts.count = about 1e6020: must be an integer"),
-        ("[drive]\nvelocity = 0x" + "f" * 5000, "drive.velocity = about 1e6020: must be a valid number"),
-        ("[contacts]\ncount = 1e308", "contacts.count = about 1e308: must be an integer from 1"),
+        (
+            "[contacts]\ncount = 0x" + "f" * 5000,
+            "contacts.count = about 1e6020: must be an integer",
+        ),
+        (
+            "[drive]\nvelocity = 0x" + "f" * 5000,
+            "drive.velocity = about 1e6020: must be a valid number",
+        ),
+        (
+            "[contacts]\ncount = 1e308",
+            "contacts.count = about 1e308: must be an integer from 1",
+        ),
         (".".join(["a"] * 3000) + " = 1", "a: unknown key"),
         ('"a\\nb" = 1', "a\\nb: unknown key"),
         ("sweep." + ".".join(["a"] * 300) + " = 1", "is nested too deep"),
-        ('[sweep]\n"drive.velocity" = [1979-05-27]', "sweep.drive.velocity = datetime.date(1979, 5, 27): must be"),
-        ("[sweep]\nx = 0x" + "f" * 5000, "sweep.x = about 1e6020: must be numbers or text"),
+        (
+            '[sweep]\n"drive.velocity" = [1979-05-27]',
+            "sweep.drive.velocity = datetime.date(1979, 5, 27): must be",
+        ),
+        (
+            "[sweep]\nx = 0x" + "f" * 5000,
+            "sweep.x = about 1e6020: must be numbers or text",
+        ),
         ('title = "' + "a" * 10_000 + '"', "must have at most 200 characters"),
     ],
 )
 def test_once_a_traceback(tmp_path, content, message):
-    """Found by this suite: integers that Python does not print, endless nesting, what JSON cannot hold."""
+    """Found by this suite: integers that Python does not print, endless nesting, what
+    JSON cannot hold."""
     path = tmp_path / "run.toml"
     path.write_text(content)
     with pytest.raises(InputError) as caught:
@@ -388,20 +503,58 @@ def test_a_byte_order_mark_is_no_error(tmp_path):
 
 def table_case(rng):
     """The bytes of a threshold table."""
-    odd = ["", " ", "soft", "-1", "0", "nan", "inf", "1e400", "1e-400", "1e300", "1_0", "1,5", '"2"', '"2', "0x10", "١"]
-    odd += ["9" * 500, "1e-90", "1e90", "\u0000", "é", "1;2", "'1'", "1\t2", "x" * 200_000]
+    odd = [
+        "",
+        " ",
+        "soft",
+        "-1",
+        "0",
+        "nan",
+        "inf",
+        "1e400",
+        "1e-400",
+        "1e300",
+        "1_0",
+        "1,5",
+        '"2"',
+        '"2',
+        "0x10",
+        "١",
+    ]
+    odd += [
+        "9" * 500,
+        "1e-90",
+        "1e90",
+        "\u0000",
+        "é",
+        "1;2",
+        "'1'",
+        "1\t2",
+        "x" * 200_000,
+    ]
     values = [repr(10 ** rng.uniform(-2, 2)) for _ in range(rng.choice([0, 1, 3, 50]))]
     for _ in range(rng.choice([0, 1, 1, 2])):
         values.insert(rng.randrange(len(values) + 1), rng.choice(odd))
-    head = rng.choice(["threshold"] * 6 + ["Threshold", "xi", "", '"threshold"', " threshold ", "threshold,threshold"])
+    head = rng.choice(
+        ["threshold"] * 6
+        + ["Threshold", "xi", "", '"threshold"', " threshold ", "threshold,threshold"]
+    )
     end = rng.choice(["\n", "\r\n", "\r"])
     text = end.join([head, *values]) + rng.choice(["", end])
     if rng.random() < 0.2:
-        text = end.join(f"{index},{value}" for index, value in enumerate(["a," + head, *values])).removeprefix("0,")
-    whole = text.encode(rng.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "latin-1"]), "replace")
+        text = end.join(
+            f"{index},{value}" for index, value in enumerate(["a," + head, *values])
+        ).removeprefix("0,")
+    whole = text.encode(
+        rng.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "latin-1"]), "replace"
+    )
     if rng.random() < 0.1:
         at = rng.randrange(len(whole) + 1)
-        whole = whole[:at] + bytes(rng.randrange(256) for _ in range(rng.choice([0, 3]))) + whole[at + 2 :]
+        whole = (
+            whole[:at]
+            + bytes(rng.randrange(256) for _ in range(rng.choice([0, 3])))
+            + whole[at + 2 :]
+        )
     return whole
 
 
@@ -411,7 +564,9 @@ def fuzz_tables(folder, seeds):
     for seed in seeds:
         path.unlink(missing_ok=True)
         path.write_bytes(table_case(random.Random(seed)))
-        read_thresholds.__globals__["_thresholds"].cache_clear()  # may be as long and as old as the one before
+        read_thresholds.__globals__[
+            "_thresholds"
+        ].cache_clear()  # may be as long and as old as the one before
         try:
             with limited():
                 steps = read_thresholds(path).steps
@@ -437,7 +592,10 @@ def test_many_threshold_tables(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("threshold\n1,5\n2,5\n", "line 2: more values than columns (a decimal comma?)"),
+        (
+            "threshold\n1,5\n2,5\n",
+            "line 2: more values than columns (a decimal comma?)",
+        ),
         ("threshold,threshold\n1,2\n", '2 columns "threshold"'),
         ("threshold\n1_5\n", "'1_5' must be a finite number"),
         ('threshold\n1\n"2\n', "line 3: '\"2' is no cell; a quote must be closed"),
@@ -455,11 +613,18 @@ def test_tables_once_misread(tmp_path, content, message):
 
 
 def test_a_table_that_is_no_file(tmp_path):
-    """A pipe nobody writes to, a device without end, links to nowhere and to themselves."""
+    """A pipe nobody writes to, a device without end, links to nowhere and to
+    themselves."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "dangling").symlink_to("nowhere")
     (tmp_path / "circular").symlink_to("circular")
-    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path / "dangling", tmp_path / "circular", tmp_path):
+    for path in (
+        tmp_path / "pipe",
+        Path("/dev/zero"),
+        tmp_path / "dangling",
+        tmp_path / "circular",
+        tmp_path,
+    ):
         with limited(10), pytest.raises(InputError) as caught:
             read_thresholds(path)
         judge(str(caught.value), path)
@@ -478,19 +643,31 @@ def points_case(rng):
     rows = rng.choice([0, 1, 2, 3])
     moment = datetime.datetime(2001, 2, 3, tzinfo=datetime.UTC)
     makers = [
-        lambda: pa.array([rng.choice([None, math.nan, math.inf, 0.5, -1.0, 1e308]) for _ in range(rows)], pa.float64()),
+        lambda: pa.array(
+            [
+                rng.choice([None, math.nan, math.inf, 0.5, -1.0, 1e308])
+                for _ in range(rows)
+            ],
+            pa.float64(),
+        ),
         lambda: pa.array([rng.uniform(0.1, 1.0) for _ in range(rows)]),
         lambda: pa.array([rng.randrange(1, 9) for _ in range(rows)], pa.int8()),
-        lambda: pa.array([rng.choice(["quenched", "", "é", None]) for _ in range(rows)], pa.string()),
+        lambda: pa.array(
+            [rng.choice(["quenched", "", "é", None]) for _ in range(rows)], pa.string()
+        ),
         lambda: pa.array([b"\xff"] * rows, pa.binary()),
         lambda: pa.array([moment] * rows),
         lambda: pa.array([[1.0]] * rows, pa.list_(pa.float64())),
         lambda: pa.array([{"a": 1}] * rows, pa.struct([("a", pa.int64())])),
         lambda: pa.array([None] * rows, pa.null()),
         lambda: pa.array(["a"] * rows).dictionary_encode(),
-        lambda: pa.array([rng.uniform(0.1, 1.0) for _ in range(rows)], pa.float64()).cast(pa.float32()),
+        lambda: pa.array(
+            [rng.uniform(0.1, 1.0) for _ in range(rows)], pa.float64()
+        ).cast(pa.float32()),
     ]
-    table = pa.Table.from_arrays([rng.choice(makers)() for _ in names], names)  # names may repeat
+    table = pa.Table.from_arrays(
+        [rng.choice(makers)() for _ in names], names
+    )  # names may repeat
     buffer = io.BytesIO()
     pq.write_table(table, buffer)
     whole = buffer.getvalue()
@@ -538,17 +715,46 @@ def test_many_points_files(tmp_path):
 def test_a_points_file_that_is_no_file(tmp_path):
     (tmp_path / "run.toml").write_text(POINTS_RUN)
     place = tmp_path / "points.parquet"
-    for make in (place.mkdir, lambda: place.symlink_to("points.parquet"), lambda: os.mkfifo(place)):
+    for make in (
+        place.mkdir,
+        lambda: place.symlink_to("points.parquet"),
+        lambda: os.mkfifo(place),
+    ):
         make()
-        with limited(10), pytest.raises(InputError, match=r"sweep\.file = .*points\.parquet: "):
+        with (
+            limited(10),
+            pytest.raises(InputError, match=r"sweep\.file = .*points\.parquet: "),
+        ):
             Plan(load(tmp_path / "run.toml"), tmp_path)
         place.rmdir() if place.is_dir() else place.unlink()
-    pq.write_table(pa.table([["quenched"], ["annealed"]], ["disorder", "disorder"]), place)
+    pq.write_table(
+        pa.table([["quenched"], ["annealed"]], ["disorder", "disorder"]), place
+    )
     with pytest.raises(InputError, match="cannot be read as Parquet"):
         Plan(load(tmp_path / "run.toml"), tmp_path)
 
 
-AXES = [0, 1, -1, 0.5, 1e308, -1e308, math.inf, math.nan, 10**30, 10**299, "a", "", True, [], {}, [1], 5e-324, 3, 2.0]
+AXES = [
+    0,
+    1,
+    -1,
+    0.5,
+    1e308,
+    -1e308,
+    math.inf,
+    math.nan,
+    10**30,
+    10**299,
+    "a",
+    "",
+    True,
+    [],
+    {},
+    [1],
+    5e-324,
+    3,
+    2.0,
+]
 
 
 def axis_case(rng):
@@ -556,25 +762,46 @@ def axis_case(rng):
 
     def spec():
         few = [rng.choice(AXES) for _ in range(rng.choice([0, 1, 2, 3]))]
-        ends = [rng.choice(AXES), rng.choice(AXES), rng.choice([2, 3, 3.0, 1, 10**7, math.inf, "3", *AXES])]
-        forms = [few, few, {"log": ends}, {"linear": ends}, {"linear": few}, {"log": ends, "linear": ends}]
+        ends = [
+            rng.choice(AXES),
+            rng.choice(AXES),
+            rng.choice([2, 3, 3.0, 1, 10**7, math.inf, "3", *AXES]),
+        ]
+        forms = [
+            few,
+            few,
+            {"log": ends},
+            {"linear": ends},
+            {"linear": few},
+            {"log": ends, "linear": ends},
+        ]
         good = [[0.25, 0.5], {"linear": [1, 2.0, 3]}]
         return rng.choice([*forms, rng.choice(AXES), *good * 4])
 
     def name():
-        return misspelt(rng.choice(list(keys())), rng) if rng.random() < 0.1 else rng.choice(list(keys()))
+        return (
+            misspelt(rng.choice(list(keys())), rng)
+            if rng.random() < 0.1
+            else rng.choice(list(keys()))
+        )
 
     table = {name(): spec() for _ in range(rng.choice([1, 1, 2]))}
     if rng.random() < 0.3:
         group = {name(): spec() for _ in range(rng.choice([0, 1, 2]))}
-        table["zip"] = rng.choice([group, [group], [], [[]], [group, group], rng.choice(AXES)])
+        table["zip"] = rng.choice(
+            [group, [group], [], [[]], [group, group], rng.choice(AXES)]
+        )
     return table
 
 
 def fuzz_axes(folder, seeds):
     path, planned = folder / "run.toml", 0
     for seed in seeds:
-        content = {"contacts": {"count": 10}, "drive": {"velocity": 1.0}, "sweep": axis_case(random.Random(seed))}
+        content = {
+            "contacts": {"count": 10},
+            "drive": {"velocity": 1.0},
+            "sweep": axis_case(random.Random(seed)),
+        }
         path.write_text(document(content))
         try:
             with limited(), warnings.catch_warnings():
@@ -631,7 +858,11 @@ def test_odd_names(tmp_path, name):
     for start in (path, tmp_path / "link.toml")[len(name) > 20 :]:
         result = call("run", start, "--out", tmp_path / "out", "--threads", 1)
         assert result.exit_code == 0, result.output
-        assert tree(tmp_path / "out") == ["force.png", "summary.json", "trajectory.parquet"]
+        assert tree(tmp_path / "out") == [
+            "force.png",
+            "summary.json",
+            "trajectory.parquet",
+        ]
 
 
 def test_links_to_nowhere(tmp_path):
@@ -645,7 +876,9 @@ def test_links_to_nowhere(tmp_path):
     assert tree(tmp_path) == ["circular", "dangling", "good.toml"]
 
 
-@pytest.mark.parametrize("place", ["/proc/eqsim", "/dev/null", "/dev/null/below", "good.toml"])
+@pytest.mark.parametrize(
+    "place", ["/proc/eqsim", "/dev/null", "/dev/null/below", "good.toml"]
+)
 def test_places_nobody_can_write_to(tmp_path, place):
     """Not even the superuser."""
     path, out = tmp_path / "good.toml", tmp_path / place
@@ -668,11 +901,15 @@ def test_a_full_disk(tmp_path, monkeypatch):
             patch.setattr(os, name, full)
             refused(call("run", path, "--out", tmp_path / "out"), "out")
             assert tree(tmp_path) == ["good.toml"]
-            result = call("sweep", path, "--out", tmp_path / "s", "--workers", 1, "--quiet")
+            result = call(
+                "sweep", path, "--out", tmp_path / "s", "--workers", 1, "--quiet"
+            )
             assert result.exit_code == 2, result.output
             assert result.stderr.count("\n") == 1
             assert "No space left" in result.stderr
-            left = [name for name in tree(tmp_path / "s") if name not in ("_lock", "parts")]
+            left = [
+                name for name in tree(tmp_path / "s") if name not in ("_lock", "parts")
+            ]
             assert left == []
             (tmp_path / "s" / "_lock").unlink(missing_ok=True)
             for folder in (tmp_path / "s" / "parts", tmp_path / "s"):
@@ -684,8 +921,16 @@ def test_a_full_disk(tmp_path, monkeypatch):
 
 
 def judge_process(command, path, out):
-    """A result, or exit code 2 with one line; nothing else on standard error, and nothing half-written."""
-    args = [command, str(path), *(["--out", str(out)] if command == "run" else []), "--json", "--threads", "1"]
+    """A result, or exit code 2 with one line; nothing else on standard error, and
+    nothing half-written."""
+    args = [
+        command,
+        str(path),
+        *(["--out", str(out)] if command == "run" else []),
+        "--json",
+        "--threads",
+        "1",
+    ]
     if command in ("run", "steady"):
         args += ["--max-lives", "1e5"]
     if command == "steady":
@@ -724,7 +969,13 @@ def fuzz_processes(folder, seeds):
             ensemble, drive = file.ensemble(folder), file.driven(folder)
             if endless(ensemble, drive) or ensemble.aging.rule == "langevin":
                 continue
-        codes.append(judge_process(("info", "run", "steady", "reference")[seed % 4], path, folder / f"out {seed}"))
+        codes.append(
+            judge_process(
+                ("info", "run", "steady", "reference")[seed % 4],
+                path,
+                folder / f"out {seed}",
+            )
+        )
     return codes
 
 
@@ -746,9 +997,16 @@ def test_names_no_terminal_can_show(tmp_path):
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/n\xff.toml"))
     path.write_text('title = "\u2603"\n' + GOOD)
     environment = {**os.environ, "PYTHONIOENCODING": "ascii:strict"}
-    done = subprocess.run([*EQSIM, "info", path], capture_output=True, env=environment, timeout=5 * SECONDS)
+    done = subprocess.run(
+        [*EQSIM, "info", path],
+        capture_output=True,
+        env=environment,
+        timeout=5 * SECONDS,
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"\\u2603" in done.stdout
-    result = call("run", path, "--out", tmp_path / "out", "--set", "title=", "--json")  # the picture is named after it
+    result = call(
+        "run", path, "--out", tmp_path / "out", "--set", "title=", "--json"
+    )  # the picture is named after it
     assert result.exit_code == 0, result.output
     refused(call("info", path, "--set", "title=\udcff"), path)

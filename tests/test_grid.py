@@ -37,17 +37,45 @@ def test_axes_and_their_product():
         {"thermal.kT": 1, "delay.law": "fixed"},
         {"thermal.kT": 1, "delay.law": "exponential"},
     ]
-    log = [point["drive.velocity"] for point in grid("drive.velocity = { log = [1e-3, 1e2, 6] }")]
-    assert log == [0.001, 0.01, 0.1, 1.0, 10.0, 100.0]  # to the last bit, whatever made the powers
-    assert [p["delay.time"] for p in grid('"delay.time" = { linear = [0, 1, 5] }')] == [0, 0.25, 0.5, 0.75, 1]
-    assert [p["contacts.count"] for p in grid('"contacts.count" = { log = [10, 1000, 5] }')] == [10, 32, 100, 316, 1000]
-    assert [p["disorder"] for p in grid('disorder = ["quenched", "annealed"]')] == ["quenched", "annealed"]
+    log = [
+        point["drive.velocity"]
+        for point in grid("drive.velocity = { log = [1e-3, 1e2, 6] }")
+    ]
+    assert log == [
+        0.001,
+        0.01,
+        0.1,
+        1.0,
+        10.0,
+        100.0,
+    ]  # to the last bit, whatever made the powers
+    assert [p["delay.time"] for p in grid('"delay.time" = { linear = [0, 1, 5] }')] == [
+        0,
+        0.25,
+        0.5,
+        0.75,
+        1,
+    ]
+    assert [
+        p["contacts.count"] for p in grid('"contacts.count" = { log = [10, 1000, 5] }')
+    ] == [10, 32, 100, 316, 1000]
+    assert [p["disorder"] for p in grid('disorder = ["quenched", "annealed"]')] == [
+        "quenched",
+        "annealed",
+    ]
 
 
 def test_inner_values_of_an_axis_have_twelve_digits():
-    """Rounded to half a unit of the twelfth, that is by up to 5e-12 of themselves; ends are as they were written."""
-    log = [point["drive.velocity"] for point in grid("drive.velocity = { log = [0.0123456789012345, 1e2, 8] }")]
-    linear = [point["delay.time"] for point in grid('"delay.time" = { linear = [0.1, 1.23456789012345, 8] }')]
+    """Rounded to half a unit of the twelfth, that is by up to 5e-12 of themselves; ends
+    are as they were written."""
+    log = [
+        point["drive.velocity"]
+        for point in grid("drive.velocity = { log = [0.0123456789012345, 1e2, 8] }")
+    ]
+    linear = [
+        point["delay.time"]
+        for point in grid('"delay.time" = { linear = [0.1, 1.23456789012345, 8] }')
+    ]
     share = np.arange(8) / 7
     exact = 0.0123456789012345 * (1e2 / 0.0123456789012345) ** share
     np.testing.assert_allclose(log, exact, rtol=5.1e-12)
@@ -64,7 +92,11 @@ def test_zipped_axes_advance_together():
 
 
 def test_points_file(tmp_path):
-    columns = {"thresholds.law": ["gamma", "delta"], "thresholds.n": [2.0, None], "contacts.count": [5, 6]}
+    columns = {
+        "thresholds.law": ["gamma", "delta"],
+        "thresholds.n": [2.0, None],
+        "contacts.count": [5, 6],
+    }
     pq.write_table(pa.table(columns), tmp_path / "points.parquet")
     points = grid('file = "points.parquet"', folder=tmp_path)
     assert points == [
@@ -114,9 +146,17 @@ def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
     swept = BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
     ids_ = ids(swept)
     assert ids_ == ids(swept.replace("small", "other title"))
-    assert ids_[::-1] == ids(swept.replace("[0.1, 1.0]", "[1, 0.1]"))  # neither order nor 1 for 1.0
-    assert ids_[0] in ids(swept.replace("[0.1, 1.0]", "[0.1, 2.0, 3.0]"))  # nor the rest of the grid
-    assert ids_ == ids(BASE + "[thresholds]\nn = 1.0\nx_star = 1\n" + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n')
+    assert ids_[::-1] == ids(
+        swept.replace("[0.1, 1.0]", "[1, 0.1]")
+    )  # neither order nor 1 for 1.0
+    assert ids_[0] in ids(
+        swept.replace("[0.1, 1.0]", "[0.1, 2.0, 3.0]")
+    )  # nor the rest of the grid
+    assert ids_ == ids(
+        BASE
+        + "[thresholds]\nn = 1.0\nx_star = 1\n"
+        + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
+    )
     seeds = ids(BASE + '[sweep]\n"thermal.kT" = [0.1]\n"output.seed" = [1, 2]\n')
     assert seeds[0] == ids_[0]
     assert seeds[1] not in ids_
@@ -127,11 +167,16 @@ def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
 
 
 def test_seeds_of_points_differ():
-    """They have 63 bits: two of 3e5 points share one with probability 5e-9, and with 31 bits a score would."""
-    ids = [hashlib.sha256(str(number).encode()).hexdigest() for number in range(300_000)]
+    """They have 63 bits: two of 3e5 points share one with probability 5e-9, and with 31
+    bits a score would."""
+    ids = [
+        hashlib.sha256(str(number).encode()).hexdigest() for number in range(300_000)
+    ]
     seeds = np.array([seed_of(point_id) for point_id in ids])
     assert np.unique(seeds).size == seeds.size
-    assert np.unique(seeds % 2**31).size < seeds.size - 5  # the control: some 21 are expected to be the same
+    assert (
+        np.unique(seeds % 2**31).size < seeds.size - 5
+    )  # the control: some 21 are expected to be the same
     assert seed_of("f" * 64) == 2**63 - 1
 
 
@@ -147,18 +192,28 @@ def test_a_table_of_thresholds_enters_with_its_values(tmp_path):
 
 
 def test_rates_without_a_rule_are_refused():
-    """Nothing would age, and nobody would know; with a rule, or the rule as an axis, something does."""
+    """Nothing would age, and nobody would know; with a rule, or the rule as an axis,
+    something does."""
     rates = '[sweep]\n"aging.rate" = [0.1, 1.0]\n'
-    with pytest.raises(InputError, match=r"point 1 of 2: aging.rule: is required with rate"):
+    with pytest.raises(
+        InputError, match=r"point 1 of 2: aging.rule: is required with rate"
+    ):
         plan_of(BASE + rates)
-    assert plan_of(BASE + '[aging]\nrule = "flow"\nx_star_final = 2.0\n' + rates).size == 2
+    assert (
+        plan_of(BASE + '[aging]\nrule = "flow"\nx_star_final = 2.0\n' + rates).size == 2
+    )
     aging = "[aging]\nrate = 0.1\nx_star_final = 2.0\n"
-    assert plan_of(BASE + aging + '[sweep]\n"aging.rule" = ["none", "flow"]\n').size == 2
+    assert (
+        plan_of(BASE + aging + '[sweep]\n"aging.rule" = ["none", "flow"]\n').size == 2
+    )
 
 
 @pytest.mark.parametrize("key", ["thermal.kT", "disorder"])
 def test_a_file_of_points_with_a_column_twice(tmp_path, key):
     """A row would keep the last of the two."""
-    pq.write_table(pa.Table.from_arrays([pa.array([0.1]), pa.array([0.2])], [key, key]), tmp_path / "points.parquet")
+    pq.write_table(
+        pa.Table.from_arrays([pa.array([0.1]), pa.array([0.2])], [key, key]),
+        tmp_path / "points.parquet",
+    )
     with pytest.raises(InputError, match=r"points\.parquet: cannot be read as Parquet"):
         plan_of(BASE + '[sweep]\nfile = "points.parquet"\n', tmp_path)

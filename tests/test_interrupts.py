@@ -1,5 +1,5 @@
-"""Ctrl-C while kernels run, from Python and at the command line: the work, which would take 20 s to hours, ends within
-`waiting.ALLOWED`, and so do its threads."""
+"""Ctrl-C while kernels run, from Python and at the command line: the work, which would
+take 20 s to hours, ends within `waiting.ALLOWED`, and so do its threads."""
 
 import math
 import signal
@@ -41,7 +41,8 @@ def until_told(begun, ended):
 
 
 def broken_off(work):
-    """Interrupt the thread that waits for some work of another one as soon as that has begun."""
+    """Interrupt the thread that waits for some work of another one as soon as that has
+    begun."""
     begun = threading.Event()
     with ThreadPool(1) as pool:
         futures = work(pool, begun)
@@ -52,7 +53,12 @@ def broken_off(work):
 def test_an_interrupt_stops_threads_and_cancels_what_has_not_begun():
     ended = threading.Event()
     with pytest.raises(KeyboardInterrupt) as stopped:
-        broken_off(lambda pool, begun: (pool.submit(until_told, begun, ended), pool.submit(len, "never begun")))
+        broken_off(
+            lambda pool, begun: (
+                pool.submit(until_told, begun, ended),
+                pool.submit(len, "never begun"),
+            )
+        )
     assert ended.wait(ALLOWED)
     first, second = stopped.value.args[0]
     assert second.cancelled()
@@ -63,7 +69,9 @@ def test_an_interrupt_stops_threads_and_cancels_what_has_not_begun():
 def test_pools_of_threads_are_stopped_with_them():
     ended = threading.Event()
     with pytest.raises(KeyboardInterrupt):
-        broken_off(lambda pool, begun: pool.submit(interruptibly, until_told, begun, ended))
+        broken_off(
+            lambda pool, begun: pool.submit(interruptibly, until_told, begun, ended)
+        )
     assert ended.wait(ALLOWED)
     assert current_stop() is NEVER
     assert not NEVER[0]
@@ -99,7 +107,9 @@ def test_a_thread_that_does_not_look_is_abandoned():
 
 def test_results_keep_their_order_and_errors_their_type():
     with ThreadPool(3) as pool:
-        assert list(pool.map(lambda x: x * x, range(100))) == [x * x for x in range(100)]
+        assert list(pool.map(lambda x: x * x, range(100))) == [
+            x * x for x in range(100)
+        ]
         with pytest.raises(ZeroDivisionError):
             pool.submit(divmod, 1, 0).result()
     assert interruptibly(max, 1, 2) == 2
@@ -107,7 +117,9 @@ def test_results_keep_their_order_and_errors_their_type():
 
 # ---- kernels ----
 
-WARM = Ensemble(count=1000, thermal=Thermal(0.05), delay=Delay(1.0), stiffness_law="uniform")
+WARM = Ensemble(
+    count=1000, thermal=Thermal(0.05), delay=Delay(1.0), stiffness_law="uniform"
+)
 PULLED = Programme([Segment(0.1, time=4.0)], stage=Stage(0.1, damping=0.1, preload=7.5))
 
 
@@ -118,7 +130,9 @@ def test_kernels_end_when_they_are_told():
     t = np.linspace(0.0, 1.0, 50)
     path = numerics.path(t, course.at(t), 1.0)
     assert march(numerics.contacts(1.0), path).force[-1] > 0.0
-    assert not np.array(march(numerics.contacts(1.0), path._replace(stop=SET)))[:, 1:].any()
+    assert not np.array(march(numerics.contacts(1.0), path._replace(stop=SET)))[
+        :, 1:
+    ].any()
     c = contacts(Ensemble(), 0.1)
     for stop, travels in ((NEVER, True), (SET, False)):
         sums = PlainSums.empty(0, 0, 2, stop)
@@ -129,10 +143,14 @@ def test_kernels_end_when_they_are_told():
 @pytest.mark.parametrize(("stop", "breaks"), [(NEVER, True), (SET, False)])
 def test_avalanches_end_when_they_are_told(stop, breaks):
     ensemble = Ensemble(count=100, stiffness_law="uniform")
-    with Slider(ensemble, Programme([Segment(0.1, time=50.0)], stage=Stage(0.1)), 1, 0, 1) as pulled:
+    with Slider(
+        ensemble, Programme([Segment(0.1, time=50.0)], stage=Stage(0.1)), 1, 0, 1
+    ) as pulled:
         state = np.zeros(1, avalanches.STATE)
         state["stiffness"] = 1.0
-        queue = avalanches.queue_of(*(pulled.population[name] for name in ("threshold", "stretch", "lives")))
+        queue = avalanches.queue_of(
+            *(pulled.population[name] for name in ("threshold", "stretch", "lives"))
+        )
         way, events = avalanches.Way(0.1, 40.0, stop), np.empty(1, avalanches.EVENT)
         avalanches.load(pulled.laws, pulled.stream, 0, queue, state, way, events)
     assert (state["breaks"][0] > 0) == breaks
@@ -206,7 +224,10 @@ def start(*command, **options):
 
 def at_work(process):
     """Whether one of its threads but the first has worked for a moment: in a kernel."""
-    return any(one.id != process.pid and one.user_time > 0.2 for one in psutil.Process(process.pid).threads())
+    return any(
+        one.id != process.pid and one.user_time > 0.2
+        for one in psutil.Process(process.pid).threads()
+    )
 
 
 def answer(process, number):
@@ -229,18 +250,32 @@ WORK = {
 
 
 @pytest.mark.parametrize(
-    "work", [pytest.param(name, marks=[pytest.mark.long] if name != "transient" else []) for name in WORK]
+    "work",
+    [
+        pytest.param(name, marks=[pytest.mark.long] if name != "transient" else [])
+        for name in WORK
+    ],
 )
 def test_ctrl_c_from_python(tmp_path, work):
     (tmp_path / "a.py").write_text(LONG.format(work=WORK[work]))
-    assert answer(start(tmp_path / "a.py"), signal.SIGINT) == (0, "KeyboardInterrupt\n", "")
+    assert answer(start(tmp_path / "a.py"), signal.SIGINT) == (
+        0,
+        "KeyboardInterrupt\n",
+        "",
+    )
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM]
+)
 def test_a_signal_while_the_mean_field_is_solved(tmp_path, number):
     (tmp_path / "a.toml").write_text(RUN)
     process = start("-m", "eqsim", "reference", "a.toml", "--transient", cwd=tmp_path)
-    assert answer(process, number) == (128 + number, "", "eqsim: interrupted; nothing is half-written\n")
+    assert answer(process, number) == (
+        128 + number,
+        "",
+        "eqsim: interrupted; nothing is half-written\n",
+    )
 
 
 DEAF = """
@@ -265,9 +300,19 @@ def test_a_process_that_cannot_answer_leaves_no_temporary_file(tmp_path):
 
     (tmp_path / "x").mkdir()
     storage.publish(tmp_path / "x", {"a.parquet": storage.parquet({"X": [0.0]}, {})})
-    process = start("-c", DEAF, "export", tmp_path / "x" / "a.parquet", "--out", tmp_path / "y" / "b.csv")
+    process = start(
+        "-c",
+        DEAF,
+        "export",
+        tmp_path / "x" / "a.parquet",
+        "--out",
+        tmp_path / "y" / "b.csv",
+    )
     _, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (143, "eqsim: interrupted; nothing is half-written\n")
+    assert (process.returncode, errors) == (
+        143,
+        "eqsim: interrupted; nothing is half-written\n",
+    )
     assert [path.name for path in tmp_path.rglob("*")] == ["x", "a.parquet"]
 
 

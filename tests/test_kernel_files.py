@@ -1,5 +1,5 @@
-"""Kernels: which machine code a call takes, and what processes that start at once, kills,
-damaged files and full disks do to the files in which it is kept.
+"""Kernels: which machine code a call takes, and what processes that start at once,
+kills, damaged files and full disks do to the files in which it is kept.
 
 Each test but those of `_kind` runs processes that compile a function of one line.
 """

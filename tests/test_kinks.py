@@ -10,7 +10,8 @@ from eqsim.laws.threshold import Distribution
 
 
 class TwoSided(stats.rv_continuous):
-    """The square root of the distance from 1/4 has even odds: the density is infinite inside."""
+    """The square root of the distance from 1/4 has even odds: the density is infinite
+    inside."""
 
     _ends = 0.5 + np.sqrt(0.75)
 
@@ -50,6 +51,7 @@ KINKS = {
 
 @pytest.mark.parametrize(("law", "kinks"), KINKS.values(), ids=KINKS)
 def test_kinks(law, kinks):
-    """Known from what the laws are; SciPy's inside are sought in values of the density, down to 1e-9 of windows that
-    are narrower than the law, and there to the rounding of its second differences."""
+    """Known from what the laws are; SciPy's inside are sought in values of the density,
+    down to 1e-9 of windows that are narrower than the law, and there to the rounding of
+    its second differences."""
     assert law.kinks == pytest.approx(np.array(kinks), rel=1e-9, abs=0)

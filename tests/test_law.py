@@ -18,7 +18,14 @@ from eqsim.laws.named import THRESHOLDS
 from eqsim.laws.newborn import LAWS
 from eqsim.laws.threshold import Gamma
 
-NUMBERS = [Mechanical, *BARRIERS.values(), Unaged, *RULES.values(), *DELAYS.values(), *LAWS.values()]
+NUMBERS = [
+    Mechanical,
+    *BARRIERS.values(),
+    Unaged,
+    *RULES.values(),
+    *DELAYS.values(),
+    *LAWS.values(),
+]
 
 
 def of_ones(law):
@@ -32,7 +39,11 @@ def test_every_law_is_unequal_to_every_other():
         assert of_ones(one) != of_ones(other)
         assert not operator.eq(of_ones(one), of_ones(other))
     assert len({of_ones(law) for law in NUMBERS}) == len(NUMBERS)
-    same = [(one, other) for one, other in combinations(NUMBERS, 2) if len(one._fields) == len(other._fields)]
+    same = [
+        (one, other)
+        for one, other in combinations(NUMBERS, 2)
+        if len(one._fields) == len(other._fields)
+    ]
     assert len(same) > 20  # whose numbers are equal
 
 
@@ -69,4 +80,6 @@ def test_kernels_tell_them_apart():
     assert numba.typeof(soft) != numba.typeof(stiff)
     height_of = compiled(height)
     found = [height_of(law, 1.0, 0.25, 3.0) for law in (soft, stiff)]
-    assert found == pytest.approx([3.0 * (1.0 - 0.0625), 3.0 * 0.75**1.5], rel=1e-14, abs=0)
+    assert found == pytest.approx(
+        [3.0 * (1.0 - 0.0625), 3.0 * 0.75**1.5], rel=1e-14, abs=0
+    )

@@ -1,4 +1,5 @@
-"""Solvers of the master equations where they are hardest: laws with edges, very short lives, steep layers."""
+"""Solvers of the master equations where they are hardest: laws with edges, very short
+lives, steep layers."""
 
 import itertools
 import math
@@ -19,17 +20,25 @@ LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
 
 
 def exponent(barrier, x, xi, a):
-    return a * (xi - x) * (xi + x) if barrier == "soft" else a * xi**2 * (1 - x / xi) ** 1.5
+    return (
+        a * (xi - x) * (xi + x)
+        if barrier == "soft"
+        else a * xi**2 * (1 - x / xi) ** 1.5
+    )
 
 
 def rate(barrier, x, xi, a):
     """The bare rate of `laws.barrier`, whose integrals are closed forms there."""
-    return (1.0 if barrier == "soft" else math.sqrt(1 - x / xi)) * math.exp(-exponent(barrier, x, xi, a))
+    return (1.0 if barrier == "soft" else math.sqrt(1 - x / xi)) * math.exp(
+        -exponent(barrier, x, xi, a)
+    )
 
 
-# ------------------------------------------------------------------------------------------- annealed, laws with edges
+# -------------------------------------------------------------------------------------------
+# annealed, laws with edges
 
-# densities constant between edges; lengths in units of the mean, as the solvers have them
+# densities constant between edges; lengths in units of the mean, as the solvers have
+# them
 EDGED = {
     "above 0": ([1.0, 2.0], [1.0]),
     "from 0": ([0.0, 1.0], [1.0]),
@@ -45,19 +54,26 @@ def histogram(name):
 
 
 def plain_annealed(edges, density, rms, stiffness, barrier, b, w):
-    """C and work by SciPy: an adaptive quadrature of the bare rate inside an ODE solver."""
+    """C and work by SciPy: an adaptive quadrature of the bare rate inside an ODE
+    solver."""
     pieces = list(zip(edges[:-1], edges[1:], density, strict=True))
 
     def beyond(x, power):
         """E[xi^power; xi > x]."""
-        return sum(p * (hi ** (power + 1) - max(lo, x) ** (power + 1)) / (power + 1) for lo, hi, p in pieces if hi > x)
+        return sum(
+            p * (hi ** (power + 1) - max(lo, x) ** (power + 1)) / (power + 1)
+            for lo, hi, p in pieces
+            if hi > x
+        )
 
     def pooled(x):
         def term(xi):
             return rate(barrier, x, xi, b * xi / rms if stiffness == "sqrt" else b)
 
         return sum(
-            p * integrate.quad(term, max(lo, x), hi, epsabs=1e-14, epsrel=1e-11)[0] for lo, hi, p in pieces if hi > x
+            p * integrate.quad(term, max(lo, x), hi, epsabs=1e-14, epsrel=1e-11)[0]
+            for lo, hi, p in pieces
+            if hi > x
         )
 
     def slope(x, y):
@@ -67,12 +83,15 @@ def plain_annealed(edges, density, rms, stiffness, barrier, b, w):
 
     state = np.zeros(3)
     for pair in itertools.pairwise(np.unique(np.append(0.0, edges))):
-        state = integrate.solve_ivp(slope, pair, state, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+        state = integrate.solve_ivp(
+            slope, pair, state, "DOP853", rtol=1e-10, atol=1e-12
+        ).y[:, -1]
     return state[1:]
 
 
 def test_uniform_law_above_zero():
-    """Thresholds even on (1, 2), kT = v = 1: C = 1.1232368 by nested adaptive quadrature (7 digits: 5e-8)."""
+    """Thresholds even on (1, 2), kT = v = 1: C = 1.1232368 by nested adaptive
+    quadrature (7 digits: 5e-8)."""
     law = Distribution(scipy.stats.uniform(1, 1))
     m = annealed.stationary(contacts(law, "uniform", "soft", 1.5**2 / 2, math.log(1.5)))
     assert 1.5 * m.stretch == pytest.approx(1.1232368, abs=6e-8)
@@ -85,15 +104,20 @@ def test_uniform_law_above_zero():
     [(LAWS[0], "above 0"), (LAWS[0], "gap and jumps"), (LAWS[3], "from 0")],
 )
 def test_annealed_laws_with_edges(name, law):
-    """Both moments to 1e-8, the ODE solver being good to some 1e-9; a law moved by 1e-4 is 1000 times that off."""
+    """Both moments to 1e-8, the ODE solver being good to some 1e-9; a law moved by 1e-4
+    is 1000 times that off."""
     (barrier, stiffness), (law, edges, density) = law, histogram(name)
     for b, w in ((1.0, 2.0), (40.0, 100.0)):
         m = annealed.stationary(contacts(law, stiffness, barrier, b, math.log(w)))
-        plain = plain_annealed(edges, density, law.rms / law.scale, stiffness, barrier, b, w)
+        plain = plain_annealed(
+            edges, density, law.rms / law.scale, stiffness, barrier, b, w
+        )
         assert m[:2] == pytest.approx(plain, rel=1e-8, abs=0)
         assert m.stretch_error < 1e-9 * m.stretch
         assert m.work_error < 1e-9 * m.work
-        moved = annealed.stationary(contacts(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001)))
+        moved = annealed.stationary(
+            contacts(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001))
+        )
         assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
 
 
@@ -103,9 +127,10 @@ def test_annealed_laws_with_edges(name, law):
     [("soft", [1e-6, 0.3, 2.0]), ("stiff", [1e-4, 1.0])],
 )
 def test_annealed_thresholds_of_many_scales(thresholds, barrier):
-    """C and work, lives from longer than the greatest threshold to shorter than the least, against an ODE solver that
-    starts anew above each threshold. Each of some hundred intervals is solved to 1e-9, all to 1e-7; 1e-30 is nothing
-    beside the least work, C^2 ~ 1e-14. What e^-60 survive adds nothing."""
+    """C and work, lives from longer than the greatest threshold to shorter than the
+    least, against an ODE solver that starts anew above each threshold. Each of some
+    hundred intervals is solved to 1e-9, all to 1e-7; 1e-30 is nothing beside the least
+    work, C^2 ~ 1e-14. What e^-60 survive adds nothing."""
     law, b = Table(thresholds), 1.5
     xi = law.steps / law.scale
     for w in 10.0 ** np.arange(-1.0, 8.0):
@@ -117,11 +142,15 @@ def test_annealed_thresholds_of_many_scales(thresholds, barrier):
 
         state = np.zeros(3)
         for low, high in itertools.pairwise(np.append(0.0, xi)):
-            grid = low + np.append(0.0, np.geomspace(1e-9 * min(xi[0], 1 / w), high - low, 100))
+            grid = low + np.append(
+                0.0, np.geomspace(1e-9 * min(xi[0], 1 / w), high - low, 100)
+            )
             for left, right in itertools.pairwise(grid):
                 right = min(right, np.nextafter(high, 0.0))
                 if state[0] < 60.0:
-                    state = integrate.solve_ivp(slope, (left, right), state, "DOP853", rtol=1e-9, atol=1e-30).y[:, -1]
+                    state = integrate.solve_ivp(
+                        slope, (left, right), state, "DOP853", rtol=1e-9, atol=1e-30
+                    ).y[:, -1]
         m = annealed.stationary(contacts(law, "uniform", barrier, b, math.log(w)))
         assert m.stretch == pytest.approx(state[1], rel=1e-7, abs=0)
         assert m.work == pytest.approx(state[2], rel=1e-7, abs=0)
@@ -132,25 +161,39 @@ def test_annealed_thresholds_of_many_scales(thresholds, barrier):
 @pytest.mark.parametrize("b", [1e-3, 1.0, 30.0])
 @pytest.mark.parametrize("n", [0.0, 1.0, 30.0])
 def test_annealed_lives_much_shorter_than_any_threshold(n, b):
-    """Soft, uniform: the rate of newborn contacts is omega (1 + b)^-(n+1) (nt15), so C is (v/omega) (1 + b)^(n+1) as
-    long as that is small; corrections are of relative order b C^2 = 1e-38."""
+    """Soft, uniform: the rate of newborn contacts is omega (1 + b)^-(n+1) (nt15), so C
+    is (v/omega) (1 + b)^(n+1) as long as that is small; corrections are of relative
+    order b C^2 = 1e-38."""
     C = math.exp(-46.0)
-    m = annealed.stationary(contacts(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b)))
+    m = annealed.stationary(
+        contacts(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b))
+    )
     assert m.stretch == pytest.approx(C, rel=1e-10, abs=0)
     assert m.work == pytest.approx(C**2, rel=1e-10, abs=0)
 
 
-@pytest.mark.parametrize("law", [*(histogram(name)[0] for name in EDGED), Gamma(0.0), Gamma(0.37), Gamma(1000.0)])
+@pytest.mark.parametrize(
+    "law",
+    [*(histogram(name)[0] for name in EDGED), Gamma(0.0), Gamma(0.37), Gamma(1000.0)],
+)
 def test_annealed_attempts_without_a_barrier(law):
-    """Soft, b -> 0: h = J_c, hence C = int J_c exp(-(omega/v) int J_c) dx = (v/omega) (1 - exp(-omega <xi>/v))
-    for any law (derived), within the quoted error and a rounding of 1e-13."""
+    """Soft, b -> 0: h = J_c, hence C = int J_c exp(-(omega/v) int J_c) dx = (v/omega)
+    (1 - exp(-omega <xi>/v)) for any law (derived), within the quoted error and a
+    rounding of 1e-13."""
     mean = law.mean / law.scale
     for w in (1e-3, 1.0, 30.0):
         for stiffness in ("uniform", "sqrt"):
-            m = annealed.stationary(contacts(law, stiffness, "soft", 1e-15, math.log(w)))
-            assert abs(m.stretch + math.expm1(-w * mean) / w) < m.stretch_error + 1e-13 * m.stretch
+            m = annealed.stationary(
+                contacts(law, stiffness, "soft", 1e-15, math.log(w))
+            )
+            assert (
+                abs(m.stretch + math.expm1(-w * mean) / w)
+                < m.stretch_error + 1e-13 * m.stretch
+            )
             assert m.stretch_error < 1e-9 * m.stretch
-        wrong = annealed.stationary(contacts(law, "uniform", "stiff", 1e-15, math.log(w)))
+        wrong = annealed.stationary(
+            contacts(law, "uniform", "stiff", 1e-15, math.log(w))
+        )
         assert abs(wrong.stretch + math.expm1(-w * mean) / w) > 1e3 * m.stretch_error
 
 
@@ -163,27 +206,32 @@ OTHERS = [
 
 
 def scan(laws, seed):
-    """Random b from 1e-3 to 1e9 and log_w from -50 to 50 for each law, barrier and stiffness."""
+    """Random b from 1e-3 to 1e9 and log_w from -50 to 50 for each law, barrier and
+    stiffness."""
     rng = np.random.default_rng(seed)
     for law, (barrier, stiffness) in itertools.product(laws, LAWS):
         yield law, stiffness, barrier, 10 ** rng.uniform(-3, 9), rng.uniform(-50, 50)
 
 
 def covered(law, m, exact):
-    """Errors cover the difference; they are below 1e-9 except for laws whose density has no power series at an end."""
+    """Errors cover the difference; they are below 1e-9 except for laws whose density
+    has no power series at an end."""
     for value, error, true in zip(m[:2], m[2:4], exact[:2], strict=True):
         assert 0 < error < (1e-9 if law is not OTHERS[1] else 1e-6) * value
         assert abs(value - true) < error
 
 
 def test_annealed_errors_cover_a_refined_result(monkeypatch):
-    """The quoted errors, always below 1e-9, against twice as many panels, of x and of the rate, with more nodes."""
+    """The quoted errors, always below 1e-9, against twice as many panels, of x and of
+    the rate, with more nodes."""
     cases = list(scan(SMOOTH + OTHERS, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = [annealed.stationary(contacts(*case)) for case in cases]
     between = np.sqrt(annealed._EXPONENTS[1:] * annealed._EXPONENTS[:-1])
-    monkeypatch.setattr(annealed, "_EXPONENTS", np.sort(np.append(annealed._EXPONENTS, between)))
+    monkeypatch.setattr(
+        annealed, "_EXPONENTS", np.sort(np.append(annealed._EXPONENTS, between))
+    )
     monkeypatch.setattr(annealed, "_NEAR_ENDS", 10.0 ** np.arange(-13.0, 0.0, 0.5))
     monkeypatch.setattr(annealed, "_UNSEEN", -60.0)
     monkeypatch.setattr(annealed, "_RISE", 2.2)
@@ -193,14 +241,16 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
         covered(case[0], m, annealed.stationary(contacts(*case)))
 
 
-# ---------------------------------------------------------------------------------------------- quenched, short lives
+# ----------------------------------------------------------------------------------------------
+# quenched, short lives
 
 
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])
 @pytest.mark.parametrize("stiffness", ["uniform", "sqrt"])
 def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
-    """Every contact breaks at the rate of a newborn one: C = (v/omega) E[exp(barrier/kT)] by quadrature over xi, work =
-    E[(k_i/k) exp(2 barrier/kT)] (v/omega)^2, both barriers alike; corrections are of the order of C. To the quoted
+    """Every contact breaks at the rate of a newborn one: C = (v/omega)
+    E[exp(barrier/kT)] by quadrature over xi, work = E[(k_i/k) exp(2 barrier/kT)]
+    (v/omega)^2, both barriers alike; corrections are of the order of C. To the quoted
     1e-11 and the quadrature's 1e-12; another n fails."""
     law = Gamma(1.0)
     for b, log_w in ((1e-3, 50.0), (1e-3, 40.0), (0.02, 45.0)):
@@ -209,9 +259,16 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
         def mean(power, b=b):
             def term(xi):
                 kappa = float(relative_stiffness(stiffness, xi, law.rms))
-                return float(law.pdf(xi)) * kappa ** (power - 1) * math.exp(power * b * kappa * xi**2)
+                return (
+                    float(law.pdf(xi))
+                    * kappa ** (power - 1)
+                    * math.exp(power * b * kappa * xi**2)
+                )
 
-            return integrate.quad(term, 0, 4, epsabs=0, epsrel=1e-13)[0] + integrate.quad(term, 4, 12, epsabs=0)[0]
+            return (
+                integrate.quad(term, 0, 4, epsabs=0, epsrel=1e-13)[0]
+                + integrate.quad(term, 4, 12, epsabs=0)[0]
+            )
 
         assert m.stretch == pytest.approx(math.exp(-log_w) * mean(1), rel=2e-11, abs=0)
         assert m.work == pytest.approx(math.exp(-2 * log_w) * mean(2), rel=2e-11, abs=0)
@@ -221,18 +278,21 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
 
 def test_heavy_tailed_short_lives():
     """Stiff, uniform, b = 1, log_w = 50: C = 2.2494e-19 (five digits)."""
-    assert quenched.stationary(contacts(Gamma(1.0), "uniform", "stiff", 1.0, 50.0)).stretch == pytest.approx(
-        2.2494e-19, rel=3e-5, abs=0
-    )
+    assert quenched.stationary(
+        contacts(Gamma(1.0), "uniform", "stiff", 1.0, 50.0)
+    ).stretch == pytest.approx(2.2494e-19, rel=3e-5, abs=0)
 
 
 @chosen("n", [0.0, 0.37, 1.0, 30.0], [0.0, 30.0])
 def test_quenched_errors_cover_another_solver(n):
-    """Against the solver for aging contacts, without aging: it has the bare rate and panels of its own."""
+    """Against the solver for aging contacts, without aging: it has the bare rate and
+    panels of its own."""
     law = Gamma(n)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = [(*case, quenched.stationary(contacts(*case))) for case in scan([law] * 4, 2)]
+        found = [
+            (*case, quenched.stationary(contacts(*case))) for case in scan([law] * 4, 2)
+        ]
     for law, stiffness, barrier, b, log_w, m in found:
         other = flow.stationary(contacts(law, stiffness, barrier, b, log_w, 1.0, 1.0))
         assert 0 < m.stretch_error < 1e-9 * m.stretch
@@ -242,7 +302,8 @@ def test_quenched_errors_cover_another_solver(n):
 
 
 def test_quenched_errors_cover_a_refined_result(monkeypatch):
-    """The quoted errors against a start from a hundred panels; chance agreement of two rules has no say in them."""
+    """The quoted errors against a start from a hundred panels; chance agreement of two
+    rules has no say in them."""
     cases = [*scan(SMOOTH + OTHERS, 3), (Gamma(1.0), "uniform", "soft", 1e3, 50.0)]
     found = [quenched.stationary(contacts(*case)) for case in cases]
     monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 101))
@@ -252,19 +313,29 @@ def test_quenched_errors_cover_a_refined_result(monkeypatch):
 
 
 def test_levels_are_where_the_hazard_says():
-    """Stiff: (omega/v) H at the stretches of `stretch_at` is exp(level) to 1e-12 however short the lives."""
+    """Stiff: (omega/v) H at the stretches of `stretch_at` is exp(level) to 1e-12
+    however short the lives."""
     xi, log_w = np.array([0.1, 1.0, 3.0]), 50.0
     for b in (1e-3, 1.0, 1e3):
         a = np.full(3, b)
         stiff = barrier_of("stiff", 1.0, log_w)
         x = stiff.stretch_at(quenched._LEVELS, xi, a)
         inside = x < xi[:, None]
-        reached = stiff.log_hazard(np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b) + log_w
+        reached = (
+            stiff.log_hazard(np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b)
+            + log_w
+        )
         far = inside & (x < 0.9 * xi[:, None])
-        np.testing.assert_allclose(reached[far], np.broadcast_to(quenched._LEVELS, x.shape)[far], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(
+            reached[far],
+            np.broadcast_to(quenched._LEVELS, x.shape)[far],
+            rtol=0,
+            atol=1e-10,
+        )
 
 
-# ------------------------------------------------------------------------------------------------ quenched, survivors
+# ------------------------------------------------------------------------------------------------
+# quenched, survivors
 
 
 @chosen(
@@ -273,29 +344,50 @@ def test_levels_are_where_the_hazard_says():
     [(*LAWS[0], Gamma(0.0)), (*LAWS[3], Gamma(1.0))],
 )
 def test_survivors(law, barrier, stiffness):
-    """S, E[k] and E[k^2] against adaptive quadrature over thresholds, cut where S passes 1/2, to 1e-10 of their values
-    at 0. A temperature 1e-4 off shows."""
+    """S, E[k] and E[k^2] against adaptive quadrature over thresholds, cut where S
+    passes 1/2, to 1e-10 of their values at 0. A temperature 1e-4 off shows."""
     rms = law.rms
 
     def hazard(b, log_w, x, xi):
-        """ln((omega/v) H(x)) through the bare rate at its end: closed forms written anew."""
+        """ln((omega/v) H(x)) through the bare rate at its end: closed forms written
+        anew."""
         a = b * float(relative_stiffness(stiffness, xi, rms))
         if barrier == "soft":
-            return log_w - exponent("soft", x, xi, a) + math.log(special.dawsn(math.sqrt(a) * x) / math.sqrt(a))
+            return (
+                log_w
+                - exponent("soft", x, xi, a)
+                + math.log(special.dawsn(math.sqrt(a) * x) / math.sqrt(a))
+            )
         most, least = exponent("stiff", 0.0, xi, a), exponent("stiff", x, xi, a)
         spent = -most * math.expm1(1.5 * math.log1p(-x / xi))
-        return log_w + math.log(2 / (3 * a * xi)) - least + math.log(-math.expm1(-spent))
+        return (
+            log_w + math.log(2 / (3 * a * xi)) - least + math.log(-math.expm1(-spent))
+        )
 
     worst = 0.0
-    for b, log_w, x in ((1e3, 10.0, 0.0338), (1.0, 10.0, 0.05), (1.0, 10.0, 1e-6), (30.0, 4.0, 0.6), (1e6, 30.0, 0.2)):
-        found = quenched.survivors_at(contacts(law, stiffness, barrier, b, log_w), np.array([x]))
-        off = quenched.survivors_at(contacts(law, stiffness, barrier, 1.0001 * b, log_w), np.array([x]))
+    for b, log_w, x in (
+        (1e3, 10.0, 0.0338),
+        (1.0, 10.0, 0.05),
+        (1.0, 10.0, 1e-6),
+        (30.0, 4.0, 0.6),
+        (1e6, 30.0, 0.2),
+    ):
+        found = quenched.survivors_at(
+            contacts(law, stiffness, barrier, b, log_w), np.array([x])
+        )
+        off = quenched.survivors_at(
+            contacts(law, stiffness, barrier, 1.0001 * b, log_w), np.array([x])
+        )
         depth = np.geomspace(1e-12, 8.0, 241)
         drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
         middle = 0.0
         if drop[0] and not drop[-1]:
             bracket = depth[drop.index(False) - 1], depth[drop.index(False)]
-            middle = optimize.brentq(lambda d, b=b, w=log_w, x=x: hazard(b, w, x, x + d) + 0.37, *bracket, xtol=1e-15)
+            middle = optimize.brentq(
+                lambda d, b=b, w=log_w, x=x: hazard(b, w, x, x + d) + 0.37,
+                *bracket,
+                xtol=1e-15,
+            )
         edges = x + np.unique(np.concatenate(([0.0, middle], depth[::6])))
         for power in range(3):
 
@@ -303,22 +395,31 @@ def test_survivors(law, barrier, stiffness):
                 if xi <= x:
                     return 0.0
                 alive = math.exp(-math.exp(min(hazard(b, log_w, x, xi), 7.0)))
-                return float(law.pdf(xi)) * alive * float(relative_stiffness(stiffness, xi, rms)) ** power
+                return (
+                    float(law.pdf(xi))
+                    * alive
+                    * float(relative_stiffness(stiffness, xi, rms)) ** power
+                )
 
-            plain = sum(integrate.quad(term, *pair, epsabs=1e-13)[0] for pair in itertools.pairwise(edges))
+            plain = sum(
+                integrate.quad(term, *pair, epsabs=1e-13)[0]
+                for pair in itertools.pairwise(edges)
+            )
             assert found[power][0] == pytest.approx(plain, abs=1e-10)
             worst = max(worst, abs(off[power][0] - plain))
     assert worst > 1e-8
 
 
-# ---------------------------------------------------------------------------------------------------- barely a moment
+# ----------------------------------------------------------------------------------------------------
+# barely a moment
 
 
 @pytest.mark.parametrize("a", [3.02, 3.05, 3.5])
 @pytest.mark.parametrize("barrier", [None, "soft"])
 def test_moments_that_hardly_exist(a, barrier):
-    """Pareto's law, J_c = x^-a, sqrt law: work = <xi^3>/(2 xi_rms) at T = 0 (exact), of which 4 % are beyond any table
-    of thresholds if a = 3.02. Heat and annealing that hardly break a contact change less than 1e-9 of it."""
+    """Pareto's law, J_c = x^-a, sqrt law: work = <xi^3>/(2 xi_rms) at T = 0 (exact), of
+    which 4 % are beyond any table of thresholds if a = 3.02. Heat and annealing that
+    hardly break a contact change less than 1e-9 of it."""
     law = Distribution(scipy.stats.pareto(a))
     exact = a / (a - 3) / (2 * law.rms) / law.scale**2
     found = quenched.stationary(contacts(law, "sqrt", barrier, 1.0, -30.0))

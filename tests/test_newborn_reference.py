@@ -1,5 +1,6 @@
-"""The reference for contacts born stretched: against a table of exact values, closed forms, identities of the master
-equation, and lives drawn one by one. Closed forms are derived; rho is r/x_*, lengths are in x_*."""
+"""The reference for contacts born stretched: against a table of exact values, closed
+forms, identities of the master equation, and lives drawn one by one. Closed forms are
+derived; rho is r/x_*, lengths are in x_*."""
 
 import math
 from pathlib import Path
@@ -34,8 +35,20 @@ from eqsim.master.stability import stability
 from eqsim.master.transient import fluctuations, transient
 
 ROWS = pd.read_csv(Path(__file__).parent / "data" / "newborn.csv")
-NAMES = ("friction", "pinned", "break_stretch", "travel", "birth_stretch", "force_variance")
-NUMBERS = {"delta": ("stretch",), "uniform": ("low", "high"), "exponential": ("mean",), "normal": ("mean", "std")}
+NAMES = (
+    "friction",
+    "pinned",
+    "break_stretch",
+    "travel",
+    "birth_stretch",
+    "force_variance",
+)
+NUMBERS = {
+    "delta": ("stretch",),
+    "uniform": ("low", "high"),
+    "exponential": ("mean",),
+    "normal": ("mean", "std"),
+}
 F_K0, C_0 = 0.75225277806367505, 1.3293403881791370  # 4/(3 sqrt(pi)), 3 sqrt(pi)/4
 
 
@@ -45,7 +58,12 @@ def born(law, *numbers, of="length"):
 
 def contacts(newborn, disorder="quenched", law=None, **more):
     given = {"stiffness_law": "uniform", "thermal": Thermal(0.0, 1.0)}
-    return Ensemble(thresholds=law or Gamma(1.0), newborn=newborn, disorder=disorder, **(given | more))
+    return Ensemble(
+        thresholds=law or Gamma(1.0),
+        newborn=newborn,
+        disorder=disorder,
+        **(given | more),
+    )
 
 
 def solve(newborn, disorder="quenched", v=1.0, **more):
@@ -59,14 +77,17 @@ def covered(estimate, exact):
 
 @pytest.mark.parametrize("row", list(ROWS.itertuples()), ids=lambda row: row.id)
 def test_table(row):
-    """Every row to ten times its own accuracy, or 1e-7; the quoted errors are no larger than that."""
+    """Every row to ten times its own accuracy, or 1e-7; the quoted errors are no larger
+    than that."""
     newborn = born(
         row.birth_law,
         *[row.birth_a, row.birth_b][: len(NUMBERS[row.birth_law])],
         of="threshold" if row.rule == "fraction" else "length",
     )
     ensemble = Ensemble(
-        thresholds=Gamma(row.n, row.x_star) if row.threshold_law == "gamma" else Delta(row.x_star),
+        thresholds=Gamma(row.n, row.x_star)
+        if row.threshold_law == "gamma"
+        else Delta(row.x_star),
         thermal=Thermal(row.kT, row.attempt_frequency, row.barrier),
         delay=Delay(row.delay),
         eta=row.eta,
@@ -79,8 +100,12 @@ def test_table(row):
     within = max(10 * row.rel_accuracy, 1e-7)
     for name in NAMES:
         estimate, value = getattr(result, name), getattr(row, name)
-        # births that cancel are zero on the scale of x_*; a variance of next to nothing is that of two squares
-        size = {"birth_stretch": row.x_star, "force_variance": row.friction**2 + row.force_variance}.get(name, 0.0)
+        # births that cancel are zero on the scale of x_*; a variance of next to nothing
+        # is that of two squares
+        size = {
+            "birth_stretch": row.x_star,
+            "force_variance": row.friction**2 + row.force_variance,
+        }.get(name, 0.0)
         size = max(abs(value), size if abs(value) < 1e-4 * size else 0.0)
         assert estimate.value == pytest.approx(value, rel=0, abs=within * size), name
         assert estimate.stderr <= 1e-7 * size, name
@@ -92,7 +117,8 @@ def test_table(row):
     )
 
 
-# ------------------------------------------------------------------------------------------------- T = 0, exactly
+# -------------------------------------------------------------------------------------------------
+# T = 0, exactly
 
 
 def erfcx_travel(r):
@@ -107,19 +133,31 @@ def f(z):
 def uniform_travel_n0(r):
     hyper = float(mpmath.hyp2f2(1, 1, 1.5, 2, r * r))
     return (
-        math.sqrt(math.pi) / (2 * r) * (math.sqrt(math.pi) / 2 * special.erfi(r) - r * r / math.sqrt(math.pi) * hyper)
+        math.sqrt(math.pi)
+        / (2 * r)
+        * (
+            math.sqrt(math.pi) / 2 * special.erfi(r)
+            - r * r / math.sqrt(math.pi) * hyper
+        )
     )
 
 
 def exponential_travel_n0(m):
     s = 1 / m
-    return s / 4 * math.exp(-s * s / 4) * (math.pi * special.erfi(s / 2) - special.expi(s * s / 4))
+    return (
+        s
+        / 4
+        * math.exp(-s * s / 4)
+        * (math.pi * special.erfi(s / 2) - special.expi(s * s / 4))
+    )
 
 
 def normal_travel_n0(sd):
     c = 1 / (2 * sd * sd) - 1
     root = math.sqrt(abs(c))
-    positive = (math.atan if c > 0 else math.atanh)(root) / (sd * math.sqrt(2 * math.pi) * root)
+    positive = (math.atan if c > 0 else math.atanh)(root) / (
+        sd * math.sqrt(2 * math.pi) * root
+    )
     return 0.5 * (positive + math.sqrt(math.pi) / 2 + sd * math.sqrt(2 / math.pi))
 
 
@@ -138,15 +176,34 @@ CLOSED = [  # births, disorder, n, travel, work
     (("delta", -0.9), "annealed", 1.0, C_1 + 0.9, (2 - 0.81) / 2),
     (("delta", -0.9), "annealed", 0.0, C_00 + 0.9, (1 - 0.81) / 2),
     (("delta", -2.5), "annealed", 0.0, C_00 + 2.5, (1 - 6.25) / 2),
-    (("uniform", -0.7, 0.7), "annealed", 1.0, None, 0.25 + math.atan(0.7) / 2.8 + (2 - 0.49 / 3) / 4),
-    (("normal", 0.0, 0.5), "annealed", 0.0, normal_travel_n0(0.5), 0.25 + (1 - 0.25) / 4),
-    (("normal", 0.0, 0.9), "annealed", 0.0, normal_travel_n0(0.9), 0.25 + (1 - 0.81) / 4),
+    (
+        ("uniform", -0.7, 0.7),
+        "annealed",
+        1.0,
+        None,
+        0.25 + math.atan(0.7) / 2.8 + (2 - 0.49 / 3) / 4,
+    ),
+    (
+        ("normal", 0.0, 0.5),
+        "annealed",
+        0.0,
+        normal_travel_n0(0.5),
+        0.25 + (1 - 0.25) / 4,
+    ),
+    (
+        ("normal", 0.0, 0.9),
+        "annealed",
+        0.0,
+        normal_travel_n0(0.9),
+        0.25 + (1 - 0.81) / 4,
+    ),
 ]
 
 
 @pytest.mark.parametrize(("law", "disorder", "n", "travel", "work"), CLOSED)
 def test_closed_forms(law, disorder, n, travel, work):
-    """Travel and work without heat, n = 0 and 1: the quoted errors cover the closed forms."""
+    """Travel and work without heat, n = 0 and 1: the quoted errors cover the closed
+    forms."""
     result = solve(born(*law), disorder, law=Gamma(n))
     assert covered(result.friction, work / result.travel.value)
     assert travel is None or covered(result.travel, travel)
@@ -155,18 +212,24 @@ def test_closed_forms(law, disorder, n, travel, work):
 @pytest.mark.parametrize("n", [0.0, 0.3, 1.0, 6.5])
 @pytest.mark.parametrize("r", [0.01, 0.9, 4.0, -0.9])
 def test_identical_births(n, r):
-    """travel = E[xi | xi > |r|] - r, E[W] = (E[xi^2 | xi > |r|] - r^2)/2 and V = (E[xi^3 | xi > |r|] - r^3)/3 by
-    incomplete gamma functions, which lose the digits by which the threshold is larger than the birth."""
+    """travel = E[xi | xi > |r|] - r, E[W] = (E[xi^2 | xi > |r|] - r^2)/2 and V =
+    (E[xi^3 | xi > |r|] - r^3)/3 by incomplete gamma functions, which lose the digits by
+    which the threshold is larger than the birth."""
     result = solve(born("delta", r), law=Gamma(n))
     J = special.gammaincc(n + 1, r * r)
-    mean = [special.gammaincc(n + 1 + p / 2, r * r) * special.poch(n + 1, p / 2) / J for p in (1, 2, 3)]
+    mean = [
+        special.gammaincc(n + 1 + p / 2, r * r) * special.poch(n + 1, p / 2) / J
+        for p in (1, 2, 3)
+    ]
     travel, work, square = mean[0] - r, (mean[1] - r**2) / 2, (mean[2] - r**3) / 3
     for estimate, exact in (
         (result.travel, travel),
         (result.friction, work / travel),
         (result.force_variance, square / travel - (work / travel) ** 2),
     ):
-        assert abs(estimate.value - exact) <= estimate.stderr + 1e-14 * abs(r) ** 2 / travel + 1e-13 * abs(r)
+        assert abs(estimate.value - exact) <= estimate.stderr + 1e-14 * abs(
+            r
+        ) ** 2 / travel + 1e-13 * abs(r)
 
 
 @pytest.mark.parametrize("rho", [-0.9, -0.2, 0.3, 0.999])
@@ -201,27 +264,39 @@ def test_anchors(law, disorder, f_k, travel):
     """Values printed to six decimals."""
     result = solve(born(*law), disorder)
     assert result.f_k.value == pytest.approx(f_k, rel=0, abs=6e-7)
-    assert travel is None or result.travel.value == pytest.approx(travel, rel=0, abs=6e-7)
+    assert travel is None or result.travel.value == pytest.approx(
+        travel, rel=0, abs=6e-7
+    )
 
 
 def test_best_birth():
-    """With a delay there is a best fraction: rho* = .31337, friction .471464 against .429306 of unstressed ones."""
-    best = solve(born("delta", 0.31337, of="threshold"), delay=Delay(1.0)).friction.value
+    """With a delay there is a best fraction: rho* = .31337, friction .471464 against
+    .429306 of unstressed ones."""
+    best = solve(
+        born("delta", 0.31337, of="threshold"), delay=Delay(1.0)
+    ).friction.value
     assert best == pytest.approx(0.471464, rel=0, abs=6e-7)
-    assert reference(contacts(Newborn(), delay=Delay(1.0)), Drive(1.0)).friction.value == pytest.approx(
-        0.429306, rel=0, abs=6e-7
-    )
+    assert reference(
+        contacts(Newborn(), delay=Delay(1.0)), Drive(1.0)
+    ).friction.value == pytest.approx(0.429306, rel=0, abs=6e-7)
     for rho in (0.30, 0.33):
-        assert solve(born("delta", rho, of="threshold"), delay=Delay(1.0)).friction.value < best
+        assert (
+            solve(born("delta", rho, of="threshold"), delay=Delay(1.0)).friction.value
+            < best
+        )
 
 
-# --------------------------------------------------------------------------------------------------- identities
+# ---------------------------------------------------------------------------------------------------
+# identities
 
 
 @pytest.mark.parametrize("stiffness_law", ["uniform", "sqrt"])
-@pytest.mark.parametrize("law", [("delta", 0.7), ("uniform", 0.1, 1.5), ("exponential", 0.4)])
+@pytest.mark.parametrize(
+    "law", [("delta", 0.7), ("uniform", 0.1, 1.5), ("exponential", 0.4)]
+)
 def test_theorem(law, stiffness_law):
-    """Without heat, and births on y >= 0, literal contacts are those of the master equation."""
+    """Without heat, and births on y >= 0, literal contacts are those of the master
+    equation."""
     quenched, annealed = (
         solve(born(*law), disorder, law=Gamma(0.5), stiffness_law=stiffness_law)
         for disorder in ("quenched", "annealed")
@@ -234,18 +309,26 @@ def test_theorem(law, stiffness_law):
 @pytest.mark.parametrize("kT", [0.0, 0.5])
 @pytest.mark.parametrize("r", [-0.6, 0.4])
 def test_slope(kT, r):
-    """d f_k/dr = (f_k - r)/L(r) of identical births, at any temperature. Central differences: h^2 f'''/6 is about
-    1e-8, the errors over h are 2e-7."""
+    """d f_k/dr = (f_k - r)/L(r) of identical births, at any temperature. Central
+    differences: h^2 f'''/6 is about 1e-8, the errors over h are 2e-7."""
     h, thermal = 1e-4, Thermal(kT, 1.0)
-    low, middle, high = (solve(born("delta", r + d), "annealed", 0.3, thermal=thermal) for d in (-h, 0.0, h))
+    low, middle, high = (
+        solve(born("delta", r + d), "annealed", 0.3, thermal=thermal)
+        for d in (-h, 0.0, h)
+    )
     slope = (high.f_k.value - low.f_k.value) / (2 * h)
-    assert slope == pytest.approx((middle.f_k.value - r) / middle.travel.value, rel=0, abs=1e-6)
+    assert slope == pytest.approx(
+        (middle.f_k.value - r) / middle.travel.value, rel=0, abs=1e-6
+    )
 
 
 def test_small_births():
-    """f_k = f_k0 (1 + <y>/C_0 + O(y^2)), of symmetric ones f_k0 (1 - <y^2>/<xi^2> + O(y^4)): halving births halves
-    the slope's error, and quarters that of the curvature."""
-    errors = [solve(born("delta", y)).f_k.value / F_K0 - 1 - y / C_0 for y in (2e-3, 1e-3)]
+    """f_k = f_k0 (1 + <y>/C_0 + O(y^2)), of symmetric ones f_k0 (1 - <y^2>/<xi^2> +
+    O(y^4)): halving births halves the slope's error, and quarters that of the
+    curvature."""
+    errors = [
+        solve(born("delta", y)).f_k.value / F_K0 - 1 - y / C_0 for y in (2e-3, 1e-3)
+    ]
     assert errors[1] == pytest.approx(errors[0] / 4, rel=0.01, abs=0)
     errors = []
     for half in (0.2, 0.1):
@@ -262,7 +345,8 @@ def test_far_births():
         assert abs(result.travel.value * 2 * r - 1) < r**-2
 
 
-# ------------------------------------------------------------------------------------------------ sign, low velocity
+# ------------------------------------------------------------------------------------------------
+# sign, low velocity
 
 
 def test_negative_friction():
@@ -273,7 +357,9 @@ def test_negative_friction():
         assert result.friction.value == pytest.approx(value, rel=0, abs=6e-7)
         assert 0 < result.friction.stderr < 1e-9
         assert result.f_k.value == result.friction.value
-    assert solve(born("delta", -0.5), "annealed", 1e-6, thermal=thermal).friction.value == pytest.approx(
+    assert solve(
+        born("delta", -0.5), "annealed", 1e-6, thermal=thermal
+    ).friction.value == pytest.approx(
         -0.5,
         rel=0,
         abs=3e-6,  # a thousandth of what is missing at 1e-3
@@ -281,19 +367,29 @@ def test_negative_friction():
 
 
 def symmetric(v):
-    return solve(born("uniform", -1.0, 1.0, of="threshold"), v=v, thermal=Thermal(3.0, 1.0)).friction
+    return solve(
+        born("uniform", -1.0, 1.0, of="threshold"), v=v, thermal=Thermal(3.0, 1.0)
+    ).friction
 
 
 def test_linear_creep():
-    """Fractions between -1 and 1: friction/v -> (E[t^2 (1 - 2 a y^2)] - 1/2)/E[t], t = exp(a (xi^2 - y^2))/omega, as
-    births in the layer xi - |y| < v/omega break mechanically on one side only; what is left is of first order in v."""
+    """Fractions between -1 and 1: friction/v -> (E[t^2 (1 - 2 a y^2)] - 1/2)/E[t], t =
+    exp(a (xi^2 - y^2))/omega, as births in the layer xi - |y| < v/omega break
+    mechanically on one side only; what is left is of first order in v."""
     a = 1 / 6
 
     def over(power, curved):
         def inner(xi):
             u, w = special.roots_legendre(60)
             t = np.exp(a * xi**2 * (1 - u**2)) ** power
-            return 0.5 * w @ (t * (1 - 2 * a * (xi * u) ** 2 if curved else 1)) * 2 * xi**3 * math.exp(-(xi**2))
+            return (
+                0.5
+                * w
+                @ (t * (1 - 2 * a * (xi * u) ** 2 if curved else 1))
+                * 2
+                * xi**3
+                * math.exp(-(xi**2))
+            )
 
         return integrate.quad(inner, 0, 9, epsabs=1e-13, epsrel=1e-13)[0]
 
@@ -303,12 +399,15 @@ def test_linear_creep():
     first, second = at[0].value / 1e-4, at[1].value / 1e-5
     assert second == pytest.approx(limit, rel=0, abs=2e-6)
     # a straight line through both ends at the limit
-    assert (10 * second - first) / 9 == pytest.approx(limit, rel=0, abs=2 * at[1].stderr / 1e-5)
+    assert (10 * second - first) / 9 == pytest.approx(
+        limit, rel=0, abs=2 * at[1].stderr / 1e-5
+    )
 
 
 @pytest.mark.verification
 def test_linear_creep_forwards():
-    """The same by the stationary density of each threshold, an initial-value problem upwards in x."""
+    """The same by the stationary density of each threshold, an initial-value problem
+    upwards in x."""
     a, v, total = 1 / 6, 1e-3, np.zeros(2)
     x, weights = special.roots_legendre(24)
     for low, high in ((0, 0.1), (0.1, 1), (1, 2.5), (2.5, 6)):
@@ -319,12 +418,23 @@ def test_linear_creep_forwards():
                 (-xi, xi), [0, 0, 0], method="Radau", rtol=1e-11, atol=1e-17,
                 jac=lambda x, q, xi=xi: [[-math.exp(-a * (xi * xi - x * x)) / v, 0, 0], [1, 0, 0], [x, 0, 0]],
             )  # fmt: skip
-            total += weight * 0.5 * (high - low) * 2 * xi**3 * math.exp(-xi * xi) * solved.y[1:, -1]
+            total += (
+                weight
+                * 0.5
+                * (high - low)
+                * 2
+                * xi**3
+                * math.exp(-xi * xi)
+                * solved.y[1:, -1]
+            )
     estimate = symmetric(v)
-    assert estimate.value == pytest.approx(total[1] / total[0], rel=1e-8, abs=estimate.stderr)
+    assert estimate.value == pytest.approx(
+        total[1] / total[0], rel=1e-8, abs=estimate.stderr
+    )
 
 
-# ------------------------------------------------------------------------------------------------ drawn lives
+# ------------------------------------------------------------------------------------------------
+# drawn lives
 
 
 def pooled_rate(a, x):
@@ -333,8 +443,9 @@ def pooled_rate(a, x):
 
 
 def drawn(newborn, rng, count, kT, v, *, pooled=False, conditioned=True, ignored=False):
-    """Births, breaks and forces over k of contacts with n = 1 thresholds and a soft barrier of k = omega = 1: draw y,
-    xi and a clock, and add up the hazard cell by cell."""
+    """Births, breaks and forces over k of contacts with n = 1 thresholds and a soft
+    barrier of k = omega = 1: draw y, xi and a clock, and add up the hazard cell by
+    cell."""
     y = np.zeros(count) if ignored else {
         "delta": lambda: np.full(count, newborn.stretch),
         "uniform": lambda: rng.uniform(newborn.low, newborn.high, count),
@@ -352,10 +463,16 @@ def drawn(newborn, rng, count, kT, v, *, pooled=False, conditioned=True, ignored
     step, end, hazard = (xi - y) / cells, xi.copy(), np.zeros(count)
     for i in range(cells):
         x = np.abs(y + (i + 0.5) * step)
-        rate = pooled_rate(a, x) if pooled else np.where(x < xi, np.exp(-a * (xi**2 - x**2)), 1.0)
+        rate = (
+            pooled_rate(a, x)
+            if pooled
+            else np.where(x < xi, np.exp(-a * (xi**2 - x**2)), 1.0)
+        )
         more = hazard + rate * step / v
         breaks = (hazard < clock) & (more >= clock)
-        end[breaks] = (y + (i + (clock - hazard) / np.where(rate > 0, more - hazard, 1.0)) * step)[breaks]
+        end[breaks] = (
+            y + (i + (clock - hazard) / np.where(rate > 0, more - hazard, 1.0)) * step
+        )[breaks]
         hazard = more
     return y, end
 
@@ -365,7 +482,10 @@ def scores(exact, y, end):
     travel = end - y
     found = [(travel.mean() - exact.travel.value) / (travel.std() / math.sqrt(y.size))]
     square = exact.force_variance.value + exact.friction.value**2
-    for total, value in (((end**2 - y**2) / 2, exact.friction.value), ((end**3 - y**3) / 3, square)):
+    for total, value in (
+        ((end**2 - y**2) / 2, exact.friction.value),
+        ((end**3 - y**3) / 3, square),
+    ):
         residual = total - value * travel
         found.append(residual.mean() / (residual.std() / math.sqrt(y.size)))
     return np.abs(found)
@@ -387,57 +507,79 @@ def exact_of(newborn, disorder):
 
 @chosen(("newborn", "disorder"), DRAWN, [DRAWN[0], DRAWN[4]])
 def test_drawn_lives(newborn, disorder):
-    """Fifteen scores below 4.5: one false alarm in 10^4. Cells of the midpoint rule are wrong by 1e-5, a hundredth of
-    the statistical error."""
-    lives = drawn(newborn, np.random.default_rng(5), COUNT, KT, V, pooled=disorder == "annealed")
+    """Fifteen scores below 4.5: one false alarm in 10^4. Cells of the midpoint rule are
+    wrong by 1e-5, a hundredth of the statistical error."""
+    lives = drawn(
+        newborn, np.random.default_rng(5), COUNT, KT, V, pooled=disorder == "annealed"
+    )
     assert (scores(exact_of(newborn, disorder), *lives) < 4.5).all()
 
 
 def test_drawn_lives_notice():
-    """Mistakes are seen: births ignored, thresholds not conditioned, the stretch at breaking for the travel."""
+    """Mistakes are seen: births ignored, thresholds not conditioned, the stretch at
+    breaking for the travel."""
     newborn = born("delta", -0.7)
     exact, rng = exact_of(newborn, "quenched"), np.random.default_rng(6)
     assert scores(exact, *drawn(newborn, rng, COUNT, KT, V, ignored=True)).max() > 9
-    assert scores(exact, *drawn(newborn, rng, COUNT, KT, V, conditioned=False)).max() > 9
+    assert (
+        scores(exact, *drawn(newborn, rng, COUNT, KT, V, conditioned=False)).max() > 9
+    )
     y, end = drawn(newborn, rng, COUNT, KT, V)
     assert scores(exact, 0 * y, end).max() > 9
 
 
-# --------------------------------------------------------------------------------------------------------- corners
+# ---------------------------------------------------------------------------------------------------------
+# corners
 
 
 def test_short_lives():
-    """Attempts so frequent that contacts hardly move: the mean travel is E[v/(omega r(y, xi))], for given births at y
-    with n = 1, a = 1/(2 kT) < 1: (v/omega) E[exp(a (xi^2 - y^2)) | xi > y]. What is left is of the order of it."""
+    """Attempts so frequent that contacts hardly move: the mean travel is E[v/(omega
+    r(y, xi))], for given births at y with n = 1, a = 1/(2 kT) < 1: (v/omega) E[exp(a
+    (xi^2 - y^2)) | xi > y]. What is left is of the order of it."""
     v, a, y = 1e-9, 0.25, 0.6
     result = solve(born("delta", y), v=v, thermal=Thermal(2.0, 1.0))
     share = (1 + y * y) * math.exp(-y * y)
-    mean = math.exp(-a * y * y) * (1 + (1 - a) * y * y) * math.exp(-(1 - a) * y * y) / (1 - a) ** 2 / share
+    mean = (
+        math.exp(-a * y * y)
+        * (1 + (1 - a) * y * y)
+        * math.exp(-(1 - a) * y * y)
+        / (1 - a) ** 2
+        / share
+    )
     assert result.travel.value == pytest.approx(v * mean, rel=1e-7, abs=0)
     assert result.friction.value == pytest.approx(y, rel=1e-7, abs=0)
 
 
 @pytest.mark.parametrize("width", [0.03, 1e-6])
 def test_births_in_a_small_part_of_the_way(width):
-    """A narrow uniform law among strong contacts is one of identical births in its middle, but for width^2/24 times the
-    second derivative, some 10 in units of the travel; panels that end at its jumps are much narrower than rounding
-    allows to tell from one another."""
+    """A narrow uniform law among strong contacts is one of identical births in its
+    middle, but for width^2/24 times the second derivative, some 10 in units of the
+    travel; panels that end at its jumps are much narrower than rounding allows to tell
+    from one another."""
     thermal = Thermal(0.547, 1.0, "stiff")
     narrow, one = (
         solve(newborn, v=2.32e-6, law=Gamma(6.0), thermal=thermal, stiffness_law="sqrt")
-        for newborn in (born("uniform", 0.02 - width / 2, 0.02 + width / 2), born("delta", 0.02))
+        for newborn in (
+            born("uniform", 0.02 - width / 2, 0.02 + width / 2),
+            born("delta", 0.02),
+        )
     )
     assert narrow.travel.stderr < 1e-9
-    assert narrow.travel.value == pytest.approx(one.travel.value, rel=width**2 + 1e-9, abs=0)
+    assert narrow.travel.value == pytest.approx(
+        one.travel.value, rel=width**2 + 1e-9, abs=0
+    )
 
 
 @pytest.mark.parametrize("gap", [1e-3, 1e-9])
 def test_births_next_to_breaking(gap):
-    """Identical contacts without heat: f_k = (xi + r)/2 and travel xi - r, which 1 - r knows to 1e-16."""
+    """Identical contacts without heat: f_k = (xi + r)/2 and travel xi - r, which 1 - r
+    knows to 1e-16."""
     result = solve(born("delta", 1.0 - gap), law=Delta(1.0))
     assert result.travel.value == pytest.approx(gap, rel=1e-10 + 2e-16 / gap, abs=0)
     assert result.f_k.value == pytest.approx(1.0 - gap / 2, rel=1e-10, abs=0)
-    near = solve(born("delta", 1.0 - gap, of="threshold"), thermal=Thermal(1.0, 1.0), v=1.0)
+    near = solve(
+        born("delta", 1.0 - gap, of="threshold"), thermal=Thermal(1.0, 1.0), v=1.0
+    )
     assert near.travel.value == pytest.approx(gap * C_0, rel=2 * gap + 1e-7, abs=0)
 
 
@@ -457,7 +599,9 @@ def test_units(disorder, of):
     one, other = found
     for name, power in zip(NAMES, (1, 0, 1, 1, 1, 2), strict=True):
         scale = 1e-9**power
-        assert getattr(other, name).value == pytest.approx(getattr(one, name).value * scale, rel=1e-9, abs=0)
+        assert getattr(other, name).value == pytest.approx(
+            getattr(one, name).value * scale, rel=1e-9, abs=0
+        )
         assert getattr(other, name).stderr <= 2e-9 * scale
 
 
@@ -467,20 +611,34 @@ def test_units(disorder, of):
         (Table([0.6, 0.9, 1.4]), born("delta", 0.7)),
         (Table([0.6, 0.9, 1.4]), born("uniform", -0.5, 1.0)),
         (Distribution(scipy.stats.uniform(0.5, 1.0)), born("uniform", -0.7, 0.9)),
-        pytest.param(Distribution(scipy.stats.lognorm(0.4)), born("exponential", 0.2), marks=pytest.mark.verification),
+        pytest.param(
+            Distribution(scipy.stats.lognorm(0.4)),
+            born("exponential", 0.2),
+            marks=pytest.mark.verification,
+        ),
     ],
 )
 def test_other_laws(law, newborn):
     """Without heat by direct quadrature over births: E[xi^p | xi > |y|]."""
     edges = [0.5, 0.6, 0.7, 0.9, 1.4]
     births = newborn.reduced(1.0)
-    grid = np.unique(np.clip([*edges, *[-edge for edge in edges], 0.0, *births.range], *births.range))
+    grid = np.unique(
+        np.clip([*edges, *[-edge for edge in edges], 0.0, *births.range], *births.range)
+    )
     if newborn.law == "exponential":
         grid = np.unique(np.append(np.linspace(0.0, 1.0, 15), np.linspace(1.0, 7.0, 9)))
     x, weights = special.roots_legendre(30)
     half = 0.5 * np.diff(grid)[:, None]
-    y = np.array([newborn.stretch]) if newborn.law == "delta" else (grid[:-1, None] + half * (1 + x)).ravel()
-    weight = np.ones(1) if newborn.law == "delta" else (half * weights).ravel() * births.pdf(y)
+    y = (
+        np.array([newborn.stretch])
+        if newborn.law == "delta"
+        else (grid[:-1, None] + half * (1 + x)).ravel()
+    )
+    weight = (
+        np.ones(1)
+        if newborn.law == "delta"
+        else (half * weights).ravel() * births.pdf(y)
+    )
     total = np.zeros(2)
     for at, w in zip(y, weight, strict=True):
         if isinstance(law, Table):
@@ -489,7 +647,9 @@ def test_other_laws(law, newborn):
         else:
             low, high = max(abs(at), law.support[0]), min(law.support[1], 30.0)
             u, v = special.roots_legendre(120)
-            z = np.exp(0.5 * (math.log(max(low, 1e-3)) * (1 - u) + math.log(high) * (1 + u)))
+            z = np.exp(
+                0.5 * (math.log(max(low, 1e-3)) * (1 - u) + math.log(high) * (1 + u))
+            )
             p = v * z * law.pdf(z) * 0.5 * math.log(high / max(low, 1e-3))
             first, second = p @ z / p.sum(), p @ z**2 / p.sum()
         total += w * np.array([first - at, (second - at**2) / 2])
@@ -499,11 +659,13 @@ def test_other_laws(law, newborn):
     assert result.friction.value == pytest.approx(total[1] / total[0], rel=1e-8, abs=0)
 
 
-# ------------------------------------------------------------------------------------------------------ transients
+# ------------------------------------------------------------------------------------------------------
+# transients
 
 
 def volterra(r, X, cells):
-    """Force at X of contacts born at r >= 0 with n = 1 thresholds, without heat and delay, by the trapezoid rule."""
+    """Force at X of contacts born at r >= 0 with n = 1 thresholds, without heat and
+    delay, by the trapezoid rule."""
     h = X / cells
     z = r + h * np.arange(cells + 1)
     share = (1 + r * r) * math.exp(-r * r)
@@ -513,30 +675,43 @@ def volterra(r, X, cells):
     for i in range(1, cells + 1):
         inner = births[1:i] @ g[i - 1 : 0 : -1] + 0.5 * births[0] * g[i]
         births[i] = (g[i] + h * inner) / (1 - 0.5 * h * g[0])
-    return m[-1] + h * (births[1:-1] @ m[-2:0:-1] + 0.5 * (births[0] * m[-1] + births[-1] * m[0]))
+    return m[-1] + h * (
+        births[1:-1] @ m[-2:0:-1] + 0.5 * (births[0] * m[-1] + births[-1] * m[0])
+    )
 
 
 @pytest.mark.parametrize("disorder", ["quenched", "annealed"])
 def test_transient(disorder):
-    """F(.5), F(1) and F(1.5) of births at .5 by another solution of the renewal equation, extrapolated."""
+    """F(.5), F(1) and F(1.5) of births at .5 by another solution of the renewal
+    equation, extrapolated."""
     way = transient(contacts(born("delta", 0.5), disorder), Drive(1.0, distance=1.5), 4)
     assert way.force[0] == pytest.approx(0.5, rel=1e-9, abs=0)
     for index, printed in ((1, 0.923447), (2, 1.068416), (3, 1.056560)):
         coarse, fine = (volterra(0.5, 0.5 * index, cells) for cells in (400, 800))
         exact = (4 * fine - coarse) / 3
-        assert abs(way.force[index] - exact) <= way.force_error[index] + abs(fine - coarse) * 1e-2
+        assert (
+            abs(way.force[index] - exact)
+            <= way.force_error[index] + abs(fine - coarse) * 1e-2
+        )
         assert exact == pytest.approx(printed, rel=0, abs=3e-6)
 
 
 def test_transient_with_delay():
-    way = transient(contacts(born("delta", 0.5), delay=Delay(0.5)), Drive(1.0, distance=3.0), 7)
-    assert way.force[[1, 2, 6]] == pytest.approx([0.75579, 0.68424, 0.66198], rel=0, abs=6e-6)
+    way = transient(
+        contacts(born("delta", 0.5), delay=Delay(0.5)), Drive(1.0, distance=3.0), 7
+    )
+    assert way.force[[1, 2, 6]] == pytest.approx(
+        [0.75579, 0.68424, 0.66198], rel=0, abs=6e-6
+    )
 
 
 def test_transient_of_spread_births():
-    """Births on either side of 0: the force of the master equation, and the difference that knowing |y| makes."""
+    """Births on either side of 0: the force of the master equation, and the difference
+    that knowing |y| makes."""
     published, literal = (
-        transient(contacts(born("uniform", -0.4, 0.6), disorder), Drive(1.0, distance=1.0), 2).force[-1]
+        transient(
+            contacts(born("uniform", -0.4, 0.6), disorder), Drive(1.0, distance=1.0), 2
+        ).force[-1]
         for disorder in ("annealed", "quenched")
     )
     assert published == pytest.approx(0.790850, rel=0, abs=2e-6)
@@ -561,42 +736,73 @@ LONG = [
 
 @pytest.mark.parametrize(("newborn", "disorder", "barrier", "stiffness_law"), LONG)
 def test_long_run(newborn, disorder, barrier, stiffness_law):
-    """Force, pinned fraction and variance end at their steady values, found by other equations."""
+    """Force, pinned fraction and variance end at their steady values, found by other
+    equations."""
     ensemble = contacts(
-        newborn, disorder, thermal=Thermal(0.2, 1.0, barrier), delay=Delay(0.5), eta=0.3, stiffness_law=stiffness_law
+        newborn,
+        disorder,
+        thermal=Thermal(0.2, 1.0, barrier),
+        delay=Delay(0.5),
+        eta=0.3,
+        stiffness_law=stiffness_law,
     )
     way = transient(ensemble, Drive(0.1, distance=40.0), 9, variance=True)
     exact = reference(ensemble, Drive(0.1))
     assert abs(way.force[-1] - exact.friction.value) <= way.force_error[-1]
     assert abs(way.pinned[-1] - exact.pinned.value) <= way.pinned_error[-1]
-    assert abs(way.force_variance[-1] - exact.force_variance.value) <= way.force_variance_error[-1]
+    assert (
+        abs(way.force_variance[-1] - exact.force_variance.value)
+        <= way.force_variance_error[-1]
+    )
     assert (way.force_error[-1], way.force_variance_error[-1]) < (1e-6, 1e-6)
-    assert way.breaks[-1] == pytest.approx(exact.pinned.value / exact.travel.value, rel=1e-5, abs=0)
+    assert way.breaks[-1] == pytest.approx(
+        exact.pinned.value / exact.travel.value, rel=1e-5, abs=0
+    )
 
 
 def test_stationary_start_and_fluctuations():
     """Nothing changes; the autocovariance begins at the variance and is forgotten."""
-    ensemble = contacts(born("delta", -0.5), "annealed", thermal=Thermal(0.2, 1.0), delay=Delay(0.5), eta=0.3)
+    ensemble = contacts(
+        born("delta", -0.5),
+        "annealed",
+        thermal=Thermal(0.2, 1.0),
+        delay=Delay(0.5),
+        eta=0.3,
+    )
     exact = reference(ensemble, Drive(0.1))
-    way = transient(ensemble, Drive(0.1, distance=5.0, start="stationary"), 3, variance=True)
+    way = transient(
+        ensemble, Drive(0.1, distance=5.0, start="stationary"), 3, variance=True
+    )
     assert way.force == pytest.approx([exact.friction.value] * 3, rel=1e-14, abs=0)
-    assert way.force_variance == pytest.approx([exact.force_variance.value] * 3, rel=1e-14, abs=0)
-    assert way.breaks == pytest.approx([exact.pinned.value / exact.travel.value] * 3, rel=1e-12, abs=0)
+    assert way.force_variance == pytest.approx(
+        [exact.force_variance.value] * 3, rel=1e-14, abs=0
+    )
+    assert way.breaks == pytest.approx(
+        [exact.pinned.value / exact.travel.value] * 3, rel=1e-12, abs=0
+    )
     found = fluctuations(ensemble, Drive(0.1, distance=30.0), 11)
-    assert abs(found.covariance[0] - exact.force_variance.value) <= found.error[0] + exact.force_variance.stderr
+    assert (
+        abs(found.covariance[0] - exact.force_variance.value)
+        <= found.error[0] + exact.force_variance.stderr
+    )
     assert abs(found.covariance[-1]) <= found.error[-1]
 
 
-# -------------------------------------------------------------------------------------------------- the rest of it
+# --------------------------------------------------------------------------------------------------
+# the rest of it
 
 
 def test_unstressed():
-    """Travel and stretch at breaking are the same, and the variance is that of T = 0, v = 1, tau = 1, eta = 2, whose
-    standard deviation at N = 20 is .163412."""
+    """Travel and stretch at breaking are the same, and the variance is that of T = 0, v
+    = 1, tau = 1, eta = 2, whose standard deviation at N = 20 is .163412."""
     ensemble = contacts(Newborn(), delay=Delay(1.0), eta=2.0)
-    plain, full = (reference(ensemble, Drive(1.0), variance=variance) for variance in (False, True))
+    plain, full = (
+        reference(ensemble, Drive(1.0), variance=variance) for variance in (False, True)
+    )
     assert plain.force_variance.value is None
-    assert math.sqrt(full.force_variance.value / 20) == pytest.approx(0.163412, rel=0, abs=6e-7)
+    assert math.sqrt(full.force_variance.value / 20) == pytest.approx(
+        0.163412, rel=0, abs=6e-7
+    )
     assert full.travel == full.break_stretch
     assert full.birth_stretch.value == 0
 
@@ -605,9 +811,14 @@ def test_continuous_at_0():
     """Births at next to nothing are unstressed ones."""
     for disorder in ("quenched", "annealed"):
         more = {"thermal": Thermal(0.3, 1.0, "stiff"), "stiffness_law": "sqrt"}
-        near, at = (solve(newborn, disorder, 0.2, **more) for newborn in (born("delta", 1e-12), Newborn()))
+        near, at = (
+            solve(newborn, disorder, 0.2, **more)
+            for newborn in (born("delta", 1e-12), Newborn())
+        )
         for name in ("friction", "travel"):
-            assert getattr(near, name).value == pytest.approx(getattr(at, name).value, rel=1e-10, abs=0)
+            assert getattr(near, name).value == pytest.approx(
+                getattr(at, name).value, rel=1e-10, abs=0
+            )
 
 
 def test_refused():

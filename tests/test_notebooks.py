@@ -1,4 +1,5 @@
-"""The notebooks: committed with their results, and every assertion in them holds when they run at reduced size."""
+"""The notebooks: committed with their results, and every assertion in them holds when
+they run at reduced size."""
 
 import re
 from pathlib import Path
@@ -9,7 +10,9 @@ import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 LONGEST = 300  # seconds for one cell, compilation of all kernels included; a warm notebook takes less than 25 in all
-MACHINE = re.compile(r"/(?:home|root|tmp|usr|opt|var|work|mnt|Users|private)/|[A-Z]:\\\\|site-packages|\.py:\d")
+MACHINE = re.compile(
+    r"/(?:home|root|tmp|usr|opt|var|work|mnt|Users|private)/|[A-Z]:\\\\|site-packages|\.py:\d"
+)
 
 
 def read(path):
@@ -24,21 +27,43 @@ def code(notebook):
 
 def failures(notebook):
     """What a committed notebook should not be."""
-    found = [f"{cell.id}: not executed" for cell in code(notebook) if cell.execution_count is None]
+    found = [
+        f"{cell.id}: not executed"
+        for cell in code(notebook)
+        if cell.execution_count is None
+    ]
     outputs = [(cell.id, output) for cell in code(notebook) for output in cell.outputs]
-    found += [f"{name}: {output.ename}" for name, output in outputs if output.output_type == "error"]
-    found += [f"{name}: {output.text}" for name, output in outputs if output.get("name") == "stderr"]
-    found += [f"{name}: a path of a machine" for name, output in outputs if MACHINE.search(text_of(output))]
+    found += [
+        f"{name}: {output.ename}"
+        for name, output in outputs
+        if output.output_type == "error"
+    ]
+    found += [
+        f"{name}: {output.text}"
+        for name, output in outputs
+        if output.get("name") == "stderr"
+    ]
+    found += [
+        f"{name}: a path of a machine"
+        for name, output in outputs
+        if MACHINE.search(text_of(output))
+    ]
     if not any("image/png" in output.get("data", {}) for _, output in outputs):
         found.append("no picture")
-    if [cell.execution_count for cell in code(notebook)] != list(range(1, len(code(notebook)) + 1)):
+    if [cell.execution_count for cell in code(notebook)] != list(
+        range(1, len(code(notebook)) + 1)
+    ):
         found.append("not executed from top to bottom in a fresh kernel")
     return found
 
 
 def text_of(output):
     """All of an output but its pictures."""
-    data = {kind: part for kind, part in output.get("data", {}).items() if kind != "image/png"}
+    data = {
+        kind: part
+        for kind, part in output.get("data", {}).items()
+        if kind != "image/png"
+    }
     return str({**output, "data": data})
 
 
@@ -50,7 +75,9 @@ def test_there_are_notebooks():
 def test_committed_with_results(path):
     notebook = read(path)
     assert failures(notebook) == []
-    assert not any("execution" in cell.metadata for cell in notebook.cells)  # times of execution change for nothing
+    assert not any(
+        "execution" in cell.metadata for cell in notebook.cells
+    )  # times of execution change for nothing
     assert notebook.metadata.kernelspec.name == "python3"
     assert path.stat().st_size < 800_000  # some ten pictures of 150 dpi
 
@@ -65,7 +92,10 @@ def test_runs_at_reduced_size(path, tmp_path, monkeypatch):
     for cell in code(notebook):
         cell.outputs, cell.execution_count = [], None
     client = nbclient.NotebookClient(
-        notebook, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+        notebook,
+        timeout=LONGEST,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(tmp_path)}},
     )
     client.execute()
     assert failures(notebook) == []
@@ -73,8 +103,13 @@ def test_runs_at_reduced_size(path, tmp_path, monkeypatch):
 
 
 def test_a_failed_assertion_is_noticed(tmp_path):
-    """What a notebook asserts is what is tested: the same machinery fails on a false statement."""
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("assert 1 + 1 == 3")])
+    """What a notebook asserts is what is tested: the same machinery fails on a false
+    statement."""
+    notebook = nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell("assert 1 + 1 == 3")]
+    )
     with pytest.raises(nbclient.exceptions.CellExecutionError):
-        nbclient.NotebookClient(notebook, timeout=60, resources={"metadata": {"path": str(tmp_path)}}).execute()
+        nbclient.NotebookClient(
+            notebook, timeout=60, resources={"metadata": {"path": str(tmp_path)}}
+        ).execute()
     assert any("AssertionError" in failure for failure in failures(notebook))

@@ -1,4 +1,5 @@
-"""Tables in octaves: the documented error of powers, exact nodes, both ends, and no overshoot."""
+"""Tables in octaves: the documented error of powers, exact nodes, both ends, and no
+overshoot."""
 
 import math
 
@@ -39,8 +40,8 @@ def test_edges():
 
 @pytest.mark.parametrize("p", [0.1, 1 / 3, 0.5, 1.5, 2.5, 3.5, 6.0])
 def test_documented_error_of_powers(p):
-    """Below |p(p-1)(p-2)(p-3)| / (384 * 64^4), plus 4 eps of rounding; and not ten times below, so that the test can
-    fail."""
+    """Below |p(p-1)(p-2)(p-3)| / (384 * 64^4), plus 4 eps of rounding; and not ten
+    times below, so that the test can fail."""
     s = random_arguments(-40, 40)
     error = np.abs(looked_up(power_table(p, -40, 40), s) / s**p - 1)
     bound = abs(p * (p - 1) * (p - 2) * (p - 3)) / (384 * CELLS**4)
@@ -51,7 +52,9 @@ def test_documented_error_of_powers(p):
 @pytest.mark.parametrize("p", [1.0, 2.0, 3.0])
 def test_cubics_are_exact(p):
     s = random_arguments(-40, 40)
-    np.testing.assert_allclose(looked_up(power_table(p, -40, 40), s), s**p, rtol=8 * EPS)
+    np.testing.assert_allclose(
+        looked_up(power_table(p, -40, 40), s), s**p, rtol=8 * EPS
+    )
 
 
 def test_nodes_are_exact_and_cells_join():
@@ -67,16 +70,21 @@ def test_beyond_the_ends():
     """A line through the origin below, a constant above, for arguments of any size."""
     table = power_table(0.5, -4, 4)
     for s in (5e-324, 1e-300, 2.0**-5, np.nextafter(2.0**-4, 0)):
-        assert look_up(table, s) == pytest.approx(0.25 * (s * 16), rel=4 * EPS, abs=5e-324)
+        assert look_up(table, s) == pytest.approx(
+            0.25 * (s * 16), rel=4 * EPS, abs=5e-324
+        )
     for s in (16.0, np.nextafter(16.0, 17), 1e300, np.inf):
         assert look_up(table, s) == pytest.approx(4.0, rel=4 * EPS, abs=0)
 
 
 def test_rising_data_give_a_rising_function():
-    """Steps, plateaus, and slopes that would overshoot: limited to a monotone function that keeps the nodes."""
+    """Steps, plateaus, and slopes that would overshoot: limited to a monotone function
+    that keeps the nodes."""
     rng = np.random.default_rng(2)
     edges = octave_edges(-1, 1)
-    y = 1.0 + np.cumsum(rng.exponential(size=edges.size) * (rng.random(edges.size) < 0.3))
+    y = 1.0 + np.cumsum(
+        rng.exponential(size=edges.size) * (rng.random(edges.size) < 0.3)
+    )
     table = octave_table(-1, y, rng.exponential(1e3, edges.size))
     s = np.linspace(0.5, 2.0, 100_001)[:-1]
     found = looked_up(table, s)
@@ -89,4 +97,6 @@ def test_rising_data_give_a_rising_function():
 def test_search_is_that_of_numpy(values, side):
     values = np.array(values)
     for x in (-1.0, 0.0, 0.25, 0.5, 1.0, 2.0, 3.0, math.inf):
-        assert compiled(search)(values, x, side == "right") == np.searchsorted(values, x, side=side)
+        assert compiled(search)(values, x, side == "right") == np.searchsorted(
+            values, x, side=side
+        )

@@ -1,4 +1,5 @@
-"""The event-driven engine against a time-stepped simulation of the same contacts, as the time step goes to 0."""
+"""The event-driven engine against a time-stepped simulation of the same contacts, as
+the time step goes to 0."""
 
 import functools
 
@@ -9,13 +10,16 @@ from oracle import Contacts, settled, simulate
 from eqsim import Delay, Drive, Ensemble, Gamma, Programme, Segment, Thermal, trajectory
 from eqsim.laws.aging import Aging
 
-STEP = 0.02  # finer step of the oracle, in units of x_*; the coarser one is twice as long
+# finer step of the oracle, in units of x_*; the coarser one is twice as long
+STEP = 0.02
 COUNT, ENGINE_COUNT = 30_000, 250_000  # four times as many with -m verification
 RECORDS, SPACING = 6, 0.6  # compared at X = 0.6, 1.2 .. 3.6 x_*
 LIMIT = 4.5
-# What extrapolation leaves. The expectation of the oracle obeys a renewal equation in steps; solved for all the cases
-# with steps 2h, h, h/2 and h/4 (h = STEP) it gives errors of first order up to 1.3e-2 at step h, and of second order
-# up to 1.9e-4, falling by 3.96 to 4.02 when h is halved, after extrapolation: 0.1 of the standard errors below.
+# What extrapolation leaves. The expectation of the oracle obeys a renewal equation in
+# steps; solved for all the cases with steps 2h, h, h/2 and h/4 (h = STEP) it gives
+# errors of first order up to 1.3e-2 at step h, and of second order up to 1.9e-4,
+# falling by 3.96 to 4.02 when h is halved, after extrapolation: 0.1 of the standard
+# errors below.
 REMAINDER = 2e-4
 
 HOLD, BACK = (1.0, 0.0, 1.0, 0.25, 0.0, 1.0), (1.0, 1.0, -1.0, -0.5, 0.0, -1.0)
@@ -94,7 +98,8 @@ CASES = {
 }  # fmt: skip
 
 
-# By default each kind of kernel that other tests compile, too; four times as many contacts of all with -m verification.
+# By default each kind of kernel that other tests compile, too; four times as many
+# contacts of all with -m verification.
 CHOSEN = [
     "mechanical sqrt",
     "quenched soft uniform, units, fixed delay, viscous",
@@ -115,7 +120,10 @@ WRONG = [
     ("annealed aging uniform, soft", {"rate": 0.2}),
     ("logarithmic sqrt, soft", {"cutoff_time": 0.8}),
     ("hold and steps, langevin sqrt, soft", {"frozen": True}),
-    ("reversal, annealed soft sqrt, fixed delay", {"factors": (1.0, 1.0, 1.0, 0.5, 0.0, 1.0)}),
+    (
+        "reversal, annealed soft sqrt, fixed delay",
+        {"factors": (1.0, 1.0, 1.0, 0.5, 0.0, 1.0)},
+    ),
 ]
 
 
@@ -137,16 +145,26 @@ def engine(c, times=1):
     drive = Drive(c.velocity, RECORDS * SPACING * c.x_star)
     if c.factors:
         time = SPACING * c.x_star / c.velocity
-        drive = Programme([Segment(factor * c.velocity, time=time, points=1) for factor in c.factors])
+        drive = Programme(
+            [Segment(factor * c.velocity, time=time, points=1) for factor in c.factors]
+        )
     return trajectory(ensemble, drive, points=RECORDS + 1, seed=17, threads=2)
 
 
 def oracle(c, seed=23, times=1):
-    """Values at step 0 by Richardson extrapolation of two independent runs, 2 F(h) - F(2h), and standard errors."""
+    """Values at step 0 by Richardson extrapolation of two independent runs, 2 F(h) -
+    F(2h), and standard errors."""
     if c.disorder == "annealed" and c.aging != "none":
         c = settled(c, times * COUNT // 2, STEP * c.x_star, seed)
     fine, coarse = (
-        simulate(c, times * COUNT, step * c.x_star, round(SPACING / step), RECORDS, seed=(seed, i))
+        simulate(
+            c,
+            times * COUNT,
+            step * c.x_star,
+            round(SPACING / step),
+            RECORDS,
+            seed=(seed, i),
+        )
         for i, step in enumerate((STEP, 2 * STEP))
     )
     return (
@@ -158,17 +176,32 @@ def oracle(c, seed=23, times=1):
 
 
 def scores(simulated, result, x_star, more=0.0):
-    """Differences of force and pinned fraction in standard errors, beyond the remainder."""
+    """Differences of force and pinned fraction in standard errors, beyond the
+    remainder."""
     force, force_stderr, pinned, pinned_stderr = simulated
 
     def z(value, stderr, reference, reference_stderr, remainder):
         excess = np.maximum(np.abs(value - reference) - remainder, 0.0)
         sigma = np.hypot(stderr, reference_stderr)
-        return np.divide(excess, sigma, out=np.where(excess > 0, np.inf, 0.0), where=sigma > 0)
+        return np.divide(
+            excess, sigma, out=np.where(excess > 0, np.inf, 0.0), where=sigma > 0
+        )
 
     return np.append(
-        z(force, force_stderr, result.force[1:], result.force_stderr[1:], (REMAINDER + more) * x_star),
-        z(pinned, pinned_stderr, result.pinned[1:], result.pinned_stderr[1:], REMAINDER + more),
+        z(
+            force,
+            force_stderr,
+            result.force[1:],
+            result.force_stderr[1:],
+            (REMAINDER + more) * x_star,
+        ),
+        z(
+            pinned,
+            pinned_stderr,
+            result.pinned[1:],
+            result.pinned_stderr[1:],
+            REMAINDER + more,
+        ),
     )
 
 
@@ -178,15 +211,21 @@ def scores(simulated, result, x_star, more=0.0):
     [(1, name) for name in CHOSEN[:-1]],
 )
 def test_engine_agrees_with_time_steps(name, times):
-    """|z| < 4.5 at every X for force and, with delay, pinned fraction: 258 scores in all cases, false alarm 7e-6
-    each, 1.8e-3 together. `langevin` has a remainder of 1e-3 more, for the steps of the engine's paths."""
+    """|z| < 4.5 at every X for force and, with delay, pinned fraction: 258 scores in
+    all cases, false alarm 7e-6 each, 1.8e-3 together. `langevin` has a remainder of
+    1e-3 more, for the steps of the engine's paths."""
     c = CASES[name]
     steps = 1e-3 if c.aging == "langevin" else 0.0
-    assert scores(oracle(c, times=times), engine(c, times), c.x_star, steps).max() < LIMIT
+    assert (
+        scores(oracle(c, times=times), engine(c, times), c.x_star, steps).max() < LIMIT
+    )
 
 
 @chosen(("name", "wrong"), WRONG, WRONG[:5])
 def test_another_model_fails(name, wrong):
-    """Negative controls: contacts of a slightly different kind do not pass for those of the case."""
+    """Negative controls: contacts of a slightly different kind do not pass for those of
+    the case."""
     c = CASES[name]
-    assert scores(oracle(Contacts(**(vars(c) | wrong))), engine(c), c.x_star).max() > LIMIT
+    assert (
+        scores(oracle(Contacts(**(vars(c) | wrong))), engine(c), c.x_star).max() > LIMIT
+    )

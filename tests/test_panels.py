@@ -14,7 +14,9 @@ def integral(function, edges, converged=1e-12, **given):
     def evaluate(left, right, _):
         half = 0.5 * (right - left)[:, None]
         y = function(left[:, None] + half * (1 + ClenshawCurtis.nodes)) * half
-        return np.array([y @ ClenshawCurtis.weights, np.abs(y @ ClenshawCurtis.tail).sum(axis=1)])
+        return np.array(
+            [y @ ClenshawCurtis.weights, np.abs(y @ ClenshawCurtis.tail).sum(axis=1)]
+        )
 
     def judge(p):
         return p.values[1] > converged, p.values[0].sum()
@@ -25,20 +27,29 @@ def integral(function, edges, converged=1e-12, **given):
 
 @pytest.mark.parametrize("width", [1.0, 1e-3, 1e-6])
 def test_a_peak(width):
-    """A Lorentzian peak at 0.3, to the 1e-12 left unresolved by each of some ten panels; without splits it is lost."""
+    """A Lorentzian peak at 0.3, to the 1e-12 left unresolved by each of some ten
+    panels; without splits it is lost."""
     exact = math.atan(0.7 / width) + math.atan(0.3 / width)
     total, ends = integral(lambda x: width / (width**2 + (x - 0.3) ** 2), [0.0, 1.0])
     assert total == pytest.approx(exact, rel=1e-11, abs=0)
     assert np.all(np.diff(ends) > 0)
     assert (ends[0], ends[-1]) == (0.0, 1.0)
-    rough, _ = integral(lambda x: width / (width**2 + (x - 0.3) ** 2), [0.0, 1.0], most=0)
+    rough, _ = integral(
+        lambda x: width / (width**2 + (x - 0.3) ** 2), [0.0, 1.0], most=0
+    )
     assert (abs(rough / exact - 1) > 1e-3) == (width < 1.0)
 
 
 def test_pieces():
-    """A root is reached in few panels if these crowd towards 0; intervals are apart from each other."""
+    """A root is reached in few panels if these crowd towards 0; intervals are apart
+    from each other."""
     even = integral(np.sqrt, [0.0, 1.0])
-    crowded = integral(np.sqrt, [0.0, 1.0], pieces=np.array([0, 0.5, 1]), pieces_at_0=np.array([0, 1e-3, 1]))
+    crowded = integral(
+        np.sqrt,
+        [0.0, 1.0],
+        pieces=np.array([0, 0.5, 1]),
+        pieces_at_0=np.array([0, 1e-3, 1]),
+    )
     for total, _ in (even, crowded):
         assert total == pytest.approx(2 / 3, rel=1e-11, abs=0)
     assert crowded[1].size < even[1].size
@@ -48,7 +59,10 @@ def test_pieces():
         return np.array([(left + half) ** 2 * 2 * half * (1 + interval), 2 * half])
 
     p, _ = refined(
-        evaluate, lambda p: ((p.values[1] > 1e-3) & (p.interval == 1), None), np.array([0.0, 1.0]), intervals=3
+        evaluate,
+        lambda p: ((p.values[1] > 1e-3) & (p.interval == 1), None),
+        np.array([0.0, 1.0]),
+        intervals=3,
     )
     assert np.bincount(p.interval).tolist() == [1, 1024, 1]
     sums = np.bincount(p.interval, p.values[0])
@@ -56,13 +70,15 @@ def test_pieces():
 
 
 def test_interpolated():
-    """A step of width 1e-3 in ln x, and a smooth function, to the 1e-9 asked for, in far fewer evaluations than
-    points."""
+    """A step of width 1e-3 in ln x, and a smooth function, to the 1e-9 asked for, in
+    far fewer evaluations than points."""
     asked = []
 
     def step(x):
         asked.append(x.size)
-        return np.array([1 / (1 + np.exp(np.clip(1e3 * np.log(x), -700, 700))), np.exp(-x)])
+        return np.array(
+            [1 / (1 + np.exp(np.clip(1e3 * np.log(x), -700, 700))), np.exp(-x)]
+        )
 
     x = np.geomspace(1e-10, 1e3, 200_001)
     found = interpolated(step, x, 1e-9)

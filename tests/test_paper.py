@@ -1,4 +1,5 @@
-"""The numbers of equations and figures in the published article, beside the labels that the code cites."""
+"""The numbers of equations and figures in the published article, beside the labels that
+the code cites."""
 
 import re
 from pathlib import Path
@@ -20,11 +21,16 @@ def test_every_label_that_the_code_cites_has_a_number():
         for path in (ROOT / folder).rglob("*.py"):
             cited |= set(LABEL.findall(path.read_text(encoding="utf-8")))
     assert len(cited) > 20
-    assert {label for label in cited if not re.fullmatch(r"Eqs?\. \d+(-\d+)?", printed(label))} == set()
+    assert {
+        label
+        for label in cited
+        if not re.fullmatch(r"Eqs?\. \d+(-\d+)?", printed(label))
+    } == set()
 
 
 def test_numbers():
-    """From one on, each once; the article refers to b as Eq. 21 and to the crossover velocity as Eq. 26."""
+    """From one on, each once; the article refers to b as Eq. 21 and to the crossover
+    velocity as Eq. 26."""
     assert sorted(EQUATIONS.values()) == list(range(1, 50))
     assert sorted(FIGURES.values()) == list(range(1, 8))
     assert equation("nt08a") == "Eq. 21, nt08a"

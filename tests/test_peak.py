@@ -1,4 +1,5 @@
-"""The static peak after a fresh start: of the exact mean, of simulated contacts, and what `eqsim run` says of it."""
+"""The static peak after a fresh start: of the exact mean, of simulated contacts, and
+what `eqsim run` says of it."""
 
 import json
 
@@ -6,7 +7,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eqsim import Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, reference, trajectory
+from eqsim import (
+    Delay,
+    Delta,
+    Drive,
+    Ensemble,
+    Gamma,
+    Table,
+    Thermal,
+    load,
+    reference,
+    trajectory,
+)
 from eqsim.cli.app import app
 from eqsim.errors import InputError
 from eqsim.estimate import difference
@@ -26,13 +38,21 @@ CONTACTS = {
 @pytest.mark.parametrize("ensemble", CONTACTS.values(), ids=CONTACTS)
 def test_it_is_that_of_fits(ensemble):
     """`peak_X` and `peak_ratio`, to the last bits of a quotient."""
-    found, steady = first_peak(ensemble, 0.1), reference(ensemble, Drive(0.1)).friction.value
-    assert found.X.value == pytest.approx(_other(ensemble, 0.1, "peak_X")[0], rel=1e-12, abs=0)
-    assert found.force.value / steady == pytest.approx(_other(ensemble, 0.1, "peak_ratio")[0], rel=1e-9, abs=0)
+    found, steady = (
+        first_peak(ensemble, 0.1),
+        reference(ensemble, Drive(0.1)).friction.value,
+    )
+    assert found.X.value == pytest.approx(
+        _other(ensemble, 0.1, "peak_X")[0], rel=1e-12, abs=0
+    )
+    assert found.force.value / steady == pytest.approx(
+        _other(ensemble, 0.1, "peak_ratio")[0], rel=1e-9, abs=0
+    )
 
 
 def test_contacts_in_step_have_the_first_of_many_peaks():
-    """F(X) = X mod x_*: the first tooth, not the highest of teeth that differ by rounding, and no parabola over it."""
+    """F(X) = X mod x_*: the first tooth, not the highest of teeth that differ by
+    rounding, and no parabola over it."""
     contacts = Ensemble(Delta(1.0), count=100)
     exact, drive = first_peak(contacts, 0.1), Drive(0.1, 20.0)
     assert exact.X.value == pytest.approx(0.99, abs=0.02)
@@ -41,13 +61,21 @@ def test_contacts_in_step_have_the_first_of_many_peaks():
     assert found.force.value == pytest.approx(0.99, abs=1e-9)
 
 
-@pytest.mark.parametrize(("name", "points"), [("sqrt", 2001), ("sharp", 2001), ("warm", 2001), ("table", 20001)])
+@pytest.mark.parametrize(
+    ("name", "points"),
+    [("sqrt", 2001), ("sharp", 2001), ("warm", 2001), ("table", 20001)],
+)
 def test_simulated_peaks_are_the_exact_one(name, points):
-    """Of 12 seeds each, on the default grid: |z| < 4.5 (one in 10^4 if z is normal), and the mean within 1.5 of 0,
-    which is 5 standard errors. The largest of neighbours is a little too large, hence not closer. Of thresholds with
-    steps the peak is a kink between two points. Negative control: the steady friction is further off."""
+    """Of 12 seeds each, on the default grid: |z| < 4.5 (one in 10^4 if z is normal),
+    and the mean within 1.5 of 0, which is 5 standard errors. The largest of neighbours
+    is a little too large, hence not closer. Of thresholds with steps the peak is a kink
+    between two points. Negative control: the steady friction is further off."""
     contacts = CONTACTS[name]
-    exact, steady, drive = first_peak(contacts, 0.1), reference(contacts, Drive(0.1)).friction, Drive(0.1)
+    exact, steady, drive = (
+        first_peak(contacts, 0.1),
+        reference(contacts, Drive(0.1)).friction,
+        Drive(0.1),
+    )
     z, wrong = [], []
     for seed in range(12):
         run = trajectory(contacts, drive, points=points, seed=seed)
@@ -62,25 +90,38 @@ def test_simulated_peaks_are_the_exact_one(name, points):
 
 
 def test_no_peak(tmp_path):
-    """None of a stationary start; no value where the force has not come to it; unreliable on a plateau, where it would
-    be the largest of many; no exact one where friction only rises."""
+    """None of a stationary start; no value where the force has not come to it;
+    unreliable on a plateau, where it would be the largest of many; no exact one where
+    friction only rises."""
     contacts = CONTACTS["sqrt"]
     at_rest = Drive(0.1, 5.0, start="stationary")
-    assert static_peak(contacts, at_rest, trajectory(contacts, at_rest, points=51)) is None
+    assert (
+        static_peak(contacts, at_rest, trajectory(contacts, at_rest, points=51)) is None
+    )
     short = Drive(0.1, 0.5)
     found = static_peak(contacts, short, trajectory(contacts, short, points=51))
-    assert (found.X.value, found.force.value, found.force.reliable) == (None, None, False)
+    assert (found.X.value, found.force.value, found.force.reliable) == (
+        None,
+        None,
+        False,
+    )
     flat = Ensemble(thermal=Thermal(kT=5.0), count=2000)
     drive = Drive(0.1, 20.0)
-    assert not static_peak(flat, drive, trajectory(flat, drive, points=501)).force.reliable
-    slow = Ensemble(thermal=Thermal(kT=30.0), stiffness_law="uniform", disorder="annealed")
+    assert not static_peak(
+        flat, drive, trajectory(flat, drive, points=501)
+    ).force.reliable
+    slow = Ensemble(
+        thermal=Thermal(kT=30.0), stiffness_law="uniform", disorder="annealed"
+    )
     with pytest.raises(InputError, match="rises without a first peak"):
         first_peak(slow, 0.01)
 
 
 def test_run_tells_it(tmp_path):
     path = tmp_path / "a.toml"
-    path.write_text("[contacts]\ncount = 2000\n[drive]\nvelocity = 0.1\ndistance = 10.0\n[output]\npoints = 501\n")
+    path.write_text(
+        "[contacts]\ncount = 2000\n[drive]\nvelocity = 0.1\ndistance = 10.0\n[output]\npoints = 501\n"
+    )
     done = CliRunner().invoke(app, ["run", str(path)])
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "out" / "a" / "summary.json").read_text())
@@ -94,5 +135,7 @@ def test_run_tells_it(tmp_path):
         assert abs(peak[name]["value"] - exact[name]) < 4.5 * peak[name]["stderr"]
     for row in ("peak_force", "peak_X"):
         assert row in done.stdout
-    still = CliRunner().invoke(app, ["run", str(path), "--set", "drive.start=stationary", "--json"])
+    still = CliRunner().invoke(
+        app, ["run", str(path), "--set", "drive.start=stationary", "--json"]
+    )
     assert "peak" not in json.loads(still.stdout)

@@ -1,4 +1,5 @@
-"""Pictures of runs: what their titles, axes and legends say, in which formats they are, and what colours they have."""
+"""Pictures of runs: what their titles, axes and legends say, in which formats they are,
+and what colours they have."""
 
 import json
 from itertools import combinations
@@ -65,9 +66,16 @@ def test_a_run_shows_its_title_its_contacts_and_its_transient(run_file):
     assert title.startswith("A \\$ film, k_i\n50 quenched contacts, $k_i \\propto")
     assert "k_B T = 0.1" in title
     first, whole = figure.axes[:2]
-    assert first.get_xlim()[1] < 0.1 * whole.get_xlim()[1] == pytest.approx(10.0, rel=1e-12, abs=0)
+    assert (
+        first.get_xlim()[1]
+        < 0.1 * whole.get_xlim()[1]
+        == pytest.approx(10.0, rel=1e-12, abs=0)
+    )
     assert first.get_ylabel() == "friction  $F / (N k)$\n[length unit of the run file]"
-    assert any("± 2 standard deviations between ensembles of N = 50" in text for text in texts(figure))
+    assert any(
+        "± 2 standard deviations between ensembles of N = 50" in text
+        for text in texts(figure)
+    )
     # the legend stands below the panels
     style.saved(figure)
     lowest = min(axes.get_window_extent().y0 for axes in figure.axes)
@@ -78,21 +86,46 @@ def test_a_run_shows_its_title_its_contacts_and_its_transient(run_file):
 
 def test_titles_say_what_is_simulated(run_file):
     """Whatever the run file's own title says, in pictures and tables."""
-    changes = {"disorder": "annealed", "output.replicas": 3, "contacts.stiffness_law": "uniform", "thermal.kT": 0.0}
-    figure = simulated(run_file, {**changes, "drive.distance": 5.0, "output.points": 51})
+    changes = {
+        "disorder": "annealed",
+        "output.replicas": 3,
+        "contacts.stiffness_law": "uniform",
+        "thermal.kT": 0.0,
+    }
+    figure = simulated(
+        run_file, {**changes, "drive.distance": 5.0, "output.points": 51}
+    )
     assert "50 annealed contacts, uniform stiffness, $T = 0$" in figure.get_suptitle()
-    assert any("mean of 3 simulated ensembles, ± 2 standard errors" in text for text in texts(figure))
+    assert any(
+        "mean of 3 simulated ensembles, ± 2 standard errors" in text
+        for text in texts(figure)
+    )
     shown = (
-        CliRunner().invoke(app, ["steady", str(run_file), "--set", "disorder=annealed", "--rel-error", "0.1"]).stdout
+        CliRunner()
+        .invoke(
+            app,
+            [
+                "steady",
+                str(run_file),
+                "--set",
+                "disorder=annealed",
+                "--rel-error",
+                "0.1",
+            ],
+        )
+        .stdout
     )
     assert "50 annealed contacts, k_i ~ sqrt(f_si), kT = 0.1 k x_*^2" in shown
     assert "quenched" not in shown
 
 
 def test_exact_curves(tmp_path):
-    """Against X, and along a programme against t; panels below the force where there is something to see in them."""
+    """Against X, and along a programme against t; panels below the force where there is
+    something to see in them."""
     path = tmp_path / "run.toml"
-    path.write_text('title = "A film"\n[drive]\nvelocity = 0.1\ndistance = 4.0\n[output]\npoints = 21\n')
+    path.write_text(
+        'title = "A film"\n[drive]\nvelocity = 0.1\ndistance = 4.0\n[output]\npoints = 21\n'
+    )
     steps = "[drive]\nprogramme = [{ velocity = 0.1, distance = 1.0 }, { velocity = 1.0, distance = 1.0 }]\n"
     every = {
         "force": {},
@@ -115,7 +148,11 @@ def test_exact_curves(tmp_path):
         np.testing.assert_array_equal(line.get_xdata(), columns[along])
         np.testing.assert_array_equal(line.get_ydata(), columns["force"])
         assert label in labels[1:] or (label in ("force", "time") and len(labels) == 1)
-        assert figure.axes[-1].get_xlabel().startswith("time" if along == "t" else "slider displacement")
+        assert (
+            figure.axes[-1]
+            .get_xlabel()
+            .startswith("time" if along == "t" else "slider displacement")
+        )
         assert "quenched contacts" in figure.axes[0].get_title()
 
 
@@ -128,7 +165,9 @@ def test_units_are_on_the_axes(run_file):
     (right,) = top.child_axes
     assert right.get_ylabel() == "friction coefficient"
     style.saved(figure)
-    assert right.get_ylim()[1] == pytest.approx(0.5 * top.get_ylim()[1], rel=1e-9, abs=0)  # 50 uN/um over 100 uN
+    assert right.get_ylim()[1] == pytest.approx(
+        0.5 * top.get_ylim()[1], rel=1e-9, abs=0
+    )  # 50 uN/um over 100 uN
 
 
 def test_formats(run_file, tmp_path):
@@ -148,7 +187,9 @@ def test_formats(run_file, tmp_path):
     result = CliRunner().invoke(app, [*args, "--set", "output.points=21"])
     assert result.exit_code == 0, result.output
     begins = {"force.png": b"\x89PNG", "force.pdf": b"%PDF", "force.svg": b"<?xml"}
-    assert all((out / name).read_bytes().startswith(begin) for name, begin in begins.items())
+    assert all(
+        (out / name).read_bytes().startswith(begin) for name, begin in begins.items()
+    )
     assert "force.png, force.pdf, force.svg" in " ".join(result.stdout.split())
     refused = call("run", run_file, "--out", tmp_path / "p", "--format", "gif")
     assert refused.exit_code == 2
@@ -178,28 +219,49 @@ def test_every_key_and_observable_has_a_label(run_file):
             bare += [name] * (label == name)
             figure.text(0, 0, label)
     style.saved(figure)
-    assert {name.partition(".")[0] for name in bare} <= {"newborn", "output", "drive", "elastic", "thresholds"}
-    assert labels.axis("drive.velocity", Units("um", "s")) == "driving velocity  $v$  [µm/s]"
-    assert labels.axis("thermal.kT", Units("m", "s", "N")) == "thermal energy  $k_B T$  [J]"
+    assert {name.partition(".")[0] for name in bare} <= {
+        "newborn",
+        "output",
+        "drive",
+        "elastic",
+        "thresholds",
+    }
+    assert (
+        labels.axis("drive.velocity", Units("um", "s"))
+        == "driving velocity  $v$  [µm/s]"
+    )
+    assert (
+        labels.axis("thermal.kT", Units("m", "s", "N"))
+        == "thermal energy  $k_B T$  [J]"
+    )
     assert labels.axis("force_variance", Units("nm")).endswith("[nm$^{2}$]")
     assert labels.axis("friction", Units("x_*")).endswith("[$x_*$]")
 
 
 def seen(color, matrix):
-    """A colour as an eye without one kind of cone sees it (Vienot, Brettel and Mollon, 1999), linear RGB."""
+    """A colour as an eye without one kind of cone sees it (Vienot, Brettel and Mollon,
+    1999), linear RGB."""
     rgb = np.asarray(matplotlib.colors.to_rgb(color))
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return matrix @ linear
 
 
-PROTANOPE = np.array([[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]])
-DEUTERANOPE = np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]])
+PROTANOPE = np.array(
+    [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]]
+)
+DEUTERANOPE = np.array(
+    [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]]
+)
 
 
 def nearest(colors):
     """The least distance of two colours, for the three kinds of eyes."""
     views = (np.eye(3), PROTANOPE, DEUTERANOPE)
-    return min(np.linalg.norm(seen(a, m) - seen(b, m)) for m in views for a, b in combinations(colors, 2))
+    return min(
+        np.linalg.norm(seen(a, m) - seen(b, m))
+        for m in views
+        for a, b in combinations(colors, 2)
+    )
 
 
 def test_colours_are_told_apart_by_all_eyes():
@@ -209,7 +271,8 @@ def test_colours_are_told_apart_by_all_eyes():
 
 
 def test_the_figure_of_the_readme(tmp_path):
-    """Few points: every line and marker of two ensembles at three temperatures, on both panels."""
+    """Few points: every line and marker of two ensembles at three temperatures, on both
+    panels."""
     from analysis.friction import plot
 
     figure = plot(points=2, fine=3)

@@ -22,7 +22,10 @@ VELOCITIES, TEMPERATURES = np.geomspace(1e-3, 10.0, 9), [0.01, 0.1, 1.0]
 
 def points(stiffnesses=(1.0,)):
     """A made-up sweep: friction = 0.75 v/(v + kT/10), drawn 1 standard error too high."""
-    v, kT, k = (a.ravel() for a in np.meshgrid(VELOCITIES, TEMPERATURES, stiffnesses, indexing="ij"))
+    v, kT, k = (
+        a.ravel()
+        for a in np.meshgrid(VELOCITIES, TEMPERATURES, stiffnesses, indexing="ij")
+    )
     exact = 0.75 * v / (v + kT / 10)
     table = pd.DataFrame(
         {
@@ -73,17 +76,28 @@ def test_every_point_bar_and_line_is_where_it_should_be():
     figure, notes = drawn(table, "drive.velocity", "friction", "thermal.kT", title="T")
     axes = figure.axes[0]
     good = table[table.status != "failed"]
-    expected = zip(good["drive.velocity"], good.friction, good.status == "ok", strict=True)
+    expected = zip(
+        good["drive.velocity"], good.friction, good.status == "ok", strict=True
+    )
     assert sorted(marks(axes)) == sorted(expected)
     bars = np.concatenate([c.get_segments() for c in axes.collections])
-    np.testing.assert_allclose(bars[:, 1, 1] - bars[:, 0, 1], 4 * 0.01, rtol=1e-12)  # +- 2 standard errors
-    # nothing is known of the run file: references are dashes at the points, not lines that pretend to be curves
+    np.testing.assert_allclose(
+        bars[:, 1, 1] - bars[:, 0, 1], 4 * 0.01, rtol=1e-12
+    )  # +- 2 standard errors
+    # nothing is known of the run file: references are dashes at the points, not lines
+    # that pretend to be curves
     assert all(line.get_linestyle() == "None" for line in axes.lines)
-    dashes = [line for line in axes.lines if line.get_marker() == "_" and line.get_markersize() == 13]
+    dashes = [
+        line
+        for line in axes.lines
+        if line.get_marker() == "_" and line.get_markersize() == 13
+    ]
     assert len(dashes) == 3
     for line, kT in zip(dashes, TEMPERATURES, strict=True):
         here = good[good["thermal.kT"] == kT]
-        np.testing.assert_array_equal(line.get_data(), [here["drive.velocity"], here.friction_reference])
+        np.testing.assert_array_equal(
+            line.get_data(), [here["drive.velocity"], here.friction_reference]
+        )
     assert notes == ["left out: 1 failed"]
     assert axes.get_title() == "T\nleft out: 1 failed"
     assert axes.get_xscale() == "log"
@@ -93,7 +107,11 @@ def test_every_point_bar_and_line_is_where_it_should_be():
     legend = figure.legends[0]
     texts = [text.get_text() for text in legend.get_texts()]
     assert texts[:4] == ["thermal energy  $k_B T$", "0.01", "0.1", "1"]
-    assert texts[4:] == ["dashes: master equation", "bars: ± 2 standard errors", "open: unreliable"]
+    assert texts[4:] == [
+        "dashes: master equation",
+        "bars: ± 2 standard errors",
+        "open: unreliable",
+    ]
     assert len({handle.get_marker() for handle in legend.legend_handles[1:4]}) == 3
 
 
@@ -104,7 +122,13 @@ def test_legend_covers_no_data():
 
     def savefig(figure, *args, **kwargs):
         save(figure, *args, **kwargs)
-        seen.append((figure.legends[0].get_window_extent(), figure.axes[0].get_window_extent(), figure.bbox))
+        seen.append(
+            (
+                figure.legends[0].get_window_extent(),
+                figure.axes[0].get_window_extent(),
+                figure.bbox,
+            )
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(matplotlib.figure.Figure, "savefig", savefig)
@@ -118,7 +142,12 @@ def test_legend_covers_no_data():
 
 @pytest.mark.parametrize(
     ("spread", "log_x", "scale"),
-    [(29.0, None, "linear"), (31.0, None, "log"), (31.0, False, "linear"), (2.0, True, "log")],
+    [
+        (29.0, None, "linear"),
+        (31.0, None, "log"),
+        (31.0, False, "linear"),
+        (2.0, True, "log"),
+    ],
 )
 def test_scale_of_the_axis(spread, log_x, scale):
     table = pd.DataFrame({"drive.velocity": [1.0, spread], "friction": [1.0, 2.0]})
@@ -134,7 +163,10 @@ def test_values_that_cannot_be_drawn_are_counted():
     table.loc[[8, 9], "friction"] = np.nan
     figure, notes = drawn(table, "drive.velocity", "friction", "thermal.kT")
     assert len(marks(figure.axes[0])) == len(table) - 3
-    assert notes == ["left out: 1 failed", "left out: 2 without a finite drive.velocity or friction"]
+    assert notes == [
+        "left out: 1 failed",
+        "left out: 2 without a finite drive.velocity or friction",
+    ]
 
 
 def test_command_writes_one_picture_outside_the_dataset(folder, tmp_path):
@@ -145,13 +177,21 @@ def test_command_writes_one_picture_outside_the_dataset(folder, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["sweep", "sweep.png"]
     assert len(read_sweep(folder).table) == len(pd.read_parquet(folder)) == 27
     other = tmp_path / "deep" / "p.png"
-    result = call(folder, "--y", "pinned", "--where", "thermal.kT=1", "--out", other, "--json")
-    assert json.loads(result.stdout) == {"file": str(other), "points": 9, "notes": ["left out: 1 failed"]}
+    result = call(
+        folder, "--y", "pinned", "--where", "thermal.kT=1", "--out", other, "--json"
+    )
+    assert json.loads(result.stdout) == {
+        "file": str(other),
+        "points": 9,
+        "notes": ["left out: 1 failed"],
+    }
     assert other.exists()
     assert call(folder, "--by", "thermal.kT", "--quiet").output == ""
 
 
-@pytest.mark.parametrize(("suffix", "begin"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
+@pytest.mark.parametrize(
+    ("suffix", "begin"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
+)
 def test_formats_by_suffix(folder, tmp_path, suffix, begin):
     files = [tmp_path / f"{name}.{suffix}" for name in "ab"]
     for file in files:
@@ -161,39 +201,79 @@ def test_formats_by_suffix(folder, tmp_path, suffix, begin):
 
 
 def test_two_columns_choose_colours_and_markers():
-    figure, _ = drawn(points((1.0, 2.0)), "drive.velocity", "friction", "thermal.kT", "contacts.stiffness")
-    series = [line for line in figure.axes[0].lines if line.get_marker() in ("o", "s") and line.get_xdata().size]
+    figure, _ = drawn(
+        points((1.0, 2.0)),
+        "drive.velocity",
+        "friction",
+        "thermal.kT",
+        "contacts.stiffness",
+    )
+    series = [
+        line
+        for line in figure.axes[0].lines
+        if line.get_marker() in ("o", "s") and line.get_xdata().size
+    ]
     looks = {(line.get_color(), line.get_marker()) for line in series}
     assert looks == {(color, marker) for color in COLORS[:3] for marker in "os"}
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts[:7] == ["thermal energy  $k_B T$", "0.01", "0.1", "1", "stiffness of a contact  $k$", "1", "2"]
+    assert texts[:7] == [
+        "thermal energy  $k_B T$",
+        "0.01",
+        "0.1",
+        "1",
+        "stiffness of a contact  $k$",
+        "1",
+        "2",
+    ]
 
 
 def test_many_series_have_a_colour_bar():
     """Not a legend of fifty; text has no scale and keeps its legend."""
     kT = np.repeat(np.geomspace(1e-3, 1.0, 50), 2)
-    table = pd.DataFrame({"drive.velocity": [1.0, 2.0] * 50, "thermal.kT": kT, "friction": 1.0 / (1.0 + kT)})
+    table = pd.DataFrame(
+        {
+            "drive.velocity": [1.0, 2.0] * 50,
+            "thermal.kT": kT,
+            "friction": 1.0 / (1.0 + kT),
+        }
+    )
     figure, _ = drawn(table, "drive.velocity", "friction", "thermal.kT")
-    assert [axes.get_ylabel() for axes in figure.axes[1:]] == ["thermal energy  $k_B T$"]
+    assert [axes.get_ylabel() for axes in figure.axes[1:]] == [
+        "thermal energy  $k_B T$"
+    ]
     assert not figure.legends
-    colors = [tuple(line.get_color()) for line in figure.axes[0].lines if line.get_xdata().size]
+    colors = [
+        tuple(line.get_color())
+        for line in figure.axes[0].lines
+        if line.get_xdata().size
+    ]
     assert len(set(colors)) == 50
-    named = table.assign(**{"thermal.kT": 0.1, "thermal.barrier": [f"b{i // 2:02}" for i in range(100)]})
+    named = table.assign(
+        **{"thermal.kT": 0.1, "thermal.barrier": [f"b{i // 2:02}" for i in range(100)]}
+    )
     figure, _ = drawn(named, "drive.velocity", "friction", "thermal.barrier")
     assert len(figure.axes) == 1
     assert len(figure.legends[0].get_texts()) == 51
 
 
 def test_flat_curves_have_plain_labels():
-    """Friction that differs by rounding only: no offset such as 1e-13 + 1.596e-9 beside the axis."""
-    table = pd.DataFrame({"drive.velocity": [1.0, 2.0, 3.0], "friction": 1.596e-9 * (1 + 1e-13 * np.arange(3.0))})
+    """Friction that differs by rounding only: no offset such as 1e-13 + 1.596e-9 beside
+    the axis."""
+    table = pd.DataFrame(
+        {
+            "drive.velocity": [1.0, 2.0, 3.0],
+            "friction": 1.596e-9 * (1 + 1e-13 * np.arange(3.0)),
+        }
+    )
     figure, _ = drawn(table, "drive.velocity", "friction")
     saved(figure)
     axis = figure.axes[0].yaxis
     assert "+" not in axis.get_offset_text().get_text()
     low, high = figure.axes[0].get_ylim()
     assert (high - low) / 1.596e-9 == pytest.approx(0.01, rel=1e-3, abs=0)
-    varied = table.assign(friction=[1.0, 1.001, 1.002])  # control: limits that show something stay
+    varied = table.assign(
+        friction=[1.0, 1.001, 1.002]
+    )  # control: limits that show something stay
     figure, _ = drawn(varied, "drive.velocity", "friction")
     before = figure.axes[0].get_ylim()
     saved(figure)
@@ -203,7 +283,9 @@ def test_flat_curves_have_plain_labels():
 def test_where_accepts_what_it_prints():
     """Numbers of 12 digits, as grids have them, close neighbours, nothing, and texts."""
     values = [*np.geomspace(1e-3, 10.0, 7), 1.0000001, 1.0000002, np.nan, -2.5e-9]
-    table = pd.DataFrame({"thermal.kT": values, "disorder": ["quenched", *["annealed"] * 10]})
+    table = pd.DataFrame(
+        {"thermal.kT": values, "disorder": ["quenched", *["annealed"] * 10]}
+    )
     with pytest.raises(ValueError, match="no point has this value") as error:
         select(table, {"thermal.kT": "77"})
     printed = str(error.value).partition("there are ")[2].split(", ")
@@ -220,15 +302,22 @@ def test_empty_and_unfinished_sweeps(tmp_path):
     (made / "parts").mkdir(parents=True)
     (made / "_sweep.json").write_text('{"points": 50}')
     result = call(made)
-    assert (result.exit_code, result.stderr) == (2, f"eqsim: {made}: holds no point yet, of 50\n")
+    assert (result.exit_code, result.stderr) == (
+        2,
+        f"eqsim: {made}: holds no point yet, of 50\n",
+    )
     points().to_parquet(made / "parts" / "part-0.parquet")
     result = call(made, "--by", "thermal.kT", "--json")
-    assert json.loads(result.stdout)["notes"] == ["left out: 1 failed", "27 of 50 points so far"]
+    assert json.loads(result.stdout)["notes"] == [
+        "left out: 1 failed",
+        "27 of 50 points so far",
+    ]
 
 
 def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
-    """Of a real sweep, over a temperature in kelvin, before and after its end: the curve between the points is the
-    master equation's, and pandas reads every row once."""
+    """Of a real sweep, over a temperature in kelvin, before and after its end: the
+    curve between the points is the master equation's, and pandas reads every row once.
+    """
     run = tmp_path / "film.toml"
     run.write_text(
         'title = "A film"\ndisorder = "annealed"\n[units]\nlength = "nm"\ntime = "s"\nforce = "nN"\n'
@@ -236,52 +325,85 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
         "[thermal]\nattempt_frequency = 1e3\n[sweep]\n'drive.velocity' = [1.0, 10.0, 100.0]\n"
         "'thermal.temperature' = [100.0, 300.0]\n"
     )
-    command = ["sweep", str(run), "--out", str(tmp_path / "s"), "--workers", "1", "--quiet"]
+    command = [
+        "sweep",
+        str(run),
+        "--out",
+        str(tmp_path / "s"),
+        "--workers",
+        "1",
+        "--quiet",
+    ]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     table = pd.read_parquet(tmp_path / "s")
     assert len(table) == 6
     heat = table["thermal.kT"] / table["thermal.temperature"]
     np.testing.assert_allclose(heat, constants.k / 1e-18, rtol=1e-12)
-    np.testing.assert_allclose(table["shear_stress"], table["friction"] * 1e-3 * 1e-6 * 1e9, rtol=1e-12)
+    np.testing.assert_allclose(
+        table["shear_stress"], table["friction"] * 1e-3 * 1e-6 * 1e9, rtol=1e-12
+    )
     np.testing.assert_allclose(table["shear_stress_stderr"] / table["shear_stress"],
                                table["friction_stderr"] / table["friction"], rtol=1e-9)  # fmt: skip
     found = read_sweep(tmp_path / "s")
     assert found.file.title == "A film"
-    figure, _ = sweep_figure(found, found.table, ("drive.velocity", "shear_stress"), ["thermal.temperature"])
+    figure, _ = sweep_figure(
+        found, found.table, ("drive.velocity", "shear_stress"), ["thermal.temperature"]
+    )
     axes = figure.axes[0]
     assert axes.get_xlabel() == "driving velocity  $v$  [nm/s]"
     assert axes.get_ylabel().startswith(r"shear stress  $\tau$  [")
     lines = [line for line in axes.lines if line.get_linestyle() != "None"]
     assert [line.get_xdata().size > 100 for line in lines] == [True, True]
-    unit = {"mPa": 1e-3, "Pa": 1.0, "kPa": 1e3}[axes.get_ylabel()[:-1].partition("[")[2]]
+    unit = {"mPa": 1e-3, "Pa": 1.0, "kPa": 1e3}[
+        axes.get_ylabel()[:-1].partition("[")[2]
+    ]
     for line, temperature in zip(lines, (100.0, 300.0), strict=True):
         here = found.table[found.table["thermal.temperature"] == temperature]
         x, y = line.get_data()
         at_points = [y[x == v][0] for v in here["drive.velocity"]]
-        np.testing.assert_allclose(at_points, here["shear_stress_reference"] / unit, rtol=1e-6)
+        np.testing.assert_allclose(
+            at_points, here["shear_stress_reference"] / unit, rtol=1e-6
+        )
     # the same over temperature, one solve a point
-    args = (found.table[found.table["drive.velocity"] == 10.0], ("thermal.temperature", "friction"))
-    (line,) = [line for line in sweep_figure(found, *args)[0].axes[0].lines if line.get_linestyle() != "None"]
+    args = (
+        found.table[found.table["drive.velocity"] == 10.0],
+        ("thermal.temperature", "friction"),
+    )
+    (line,) = [
+        line
+        for line in sweep_figure(found, *args)[0].axes[0].lines
+        if line.get_linestyle() != "None"
+    ]
     assert line.get_xdata().size >= 40
     assert np.all(np.diff(line.get_ydata()) < 0)
 
 
 @pytest.mark.parametrize(
-    ("of", "label"), [("threshold", "over threshold"), ("length", " [length unit of the run file]")]
+    ("of", "label"),
+    [("threshold", "over threshold"), ("length", " [length unit of the run file]")],
 )
 def test_stretch_at_birth_is_a_length_or_a_fraction(tmp_path, of, label):
     run = tmp_path / "born.toml"
-    run.write_text(f'[newborn]\nlaw = "delta"\nof = "{of}"\nstretch = 0.3\n[drive]\nvelocity = 0.1\n')
-    table = points()[:3].assign(**{"newborn.stretch": [0.0, 0.2, 0.4], "thermal.kT": 0.0, "drive.velocity": 0.1})
-    figure = sweep_figure(Sweep(table, load(run)), table, ("newborn.stretch", "friction"))[0]
+    run.write_text(
+        f'[newborn]\nlaw = "delta"\nof = "{of}"\nstretch = 0.3\n[drive]\nvelocity = 0.1\n'
+    )
+    table = points()[:3].assign(
+        **{"newborn.stretch": [0.0, 0.2, 0.4], "thermal.kT": 0.0, "drive.velocity": 0.1}
+    )
+    figure = sweep_figure(
+        Sweep(table, load(run)), table, ("newborn.stretch", "friction")
+    )[0]
     assert figure.axes[0].get_xlabel() == f"stretch at birth {label}"
 
 
 def test_an_unfinished_sweep_is_read_whole(tmp_path):
-    """Rows on disk are seen by pandas and by `plot`; a changed base value of a swept key goes on with them."""
+    """Rows on disk are seen by pandas and by `plot`; a changed base value of a swept
+    key goes on with them."""
     run = tmp_path / "grid.toml"
-    run.write_text("[sweep]\n'drive.velocity' = [0.1, 1.0, 10.0]\n[drive]\nvelocity = 3.0\n")
+    run.write_text(
+        "[sweep]\n'drive.velocity' = [0.1, 1.0, 10.0]\n[drive]\nvelocity = 3.0\n"
+    )
     plan, asked = Plan(load(run), tmp_path), Asked(rel_error=0.1)
     store = Store(tmp_path / "s", plan, asked)
     store.add(1, {"friction": 0.5, "status": "ok"})
@@ -302,7 +424,12 @@ def test_partitioned_folders(tmp_path):
     """Folders named KEY=VALUE give numbers to choose and to draw by."""
     points().to_parquet(tmp_path / "d", partition_cols=["thermal.kT"])
     assert call(tmp_path / "d", "--by", "thermal.kT").exit_code == 0
-    assert call(tmp_path / "d", "--x", "thermal.kT", "--where", "drive.velocity=0.001").exit_code == 0
+    assert (
+        call(
+            tmp_path / "d", "--x", "thermal.kT", "--where", "drive.velocity=0.001"
+        ).exit_code
+        == 0
+    )
 
 
 def test_other_parameters_must_be_chosen(tmp_path):
@@ -316,27 +443,67 @@ def test_other_parameters_must_be_chosen(tmp_path):
     assert not (tmp_path / "sweep.png").exists()
     result = call(made)
     assert "thermal.kT (0.01, 0.1, 1)" in result.stderr
-    assert call(made, "--by", "thermal.kT", "--where", "contacts.stiffness=2").exit_code == 0
-    chosen = ["--where", "contacts.stiffness=1", "--where", "thermal.kT=1e-1", "--where", "disorder=annealed"]
+    assert (
+        call(made, "--by", "thermal.kT", "--where", "contacts.stiffness=2").exit_code
+        == 0
+    )
+    chosen = [
+        "--where",
+        "contacts.stiffness=1",
+        "--where",
+        "thermal.kT=1e-1",
+        "--where",
+        "disorder=annealed",
+    ]
     assert json.loads(call(made, *chosen, "--json").stdout)["points"] == 9
 
 
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["--x", "velocity"], '--x velocity: no such column; did you mean "drive.velocity"?'),
-        (["--y", "mass"], "--y mass: no such column; there are disorder, contacts.stiffness"),
+        (
+            ["--x", "velocity"],
+            '--x velocity: no such column; did you mean "drive.velocity"?',
+        ),
+        (
+            ["--y", "mass"],
+            "--y mass: no such column; there are disorder, contacts.stiffness",
+        ),
         (["--by", "kt"], '--by kt: no such column; did you mean "thermal.kT"?'),
         (["--where", "kT=1"], "--where kT: no such column"),
         (["--where", "kT"], "--where kT: must be KEY=VALUE"),
-        (["--where", "thermal.kT=2"], "--where thermal.kT=2: no point has this value; there are 0.01, 0.1, 1"),
-        (["--where", "thermal.kT=hot"], "no point has this value; there are 0.01, 0.1, 1"),
-        (["--where", "disorder=quenched"], "no point has this value; there are annealed"),
-        (["--y", "status"], "--y status: is not a column of numbers but of failed, ok, unreliable"),
-        (["--where", "status=failed"], "--y friction: no point to draw; left out: 1 failed"),
-        (["--x", "pinned", "--y", "contacts.stiffness"], "besides --x and --by other parameters vary"),
-        (["--by", "thermal.kT", "--out", "p.gif"], "--out p.gif: must end in .png, .pdf or .svg"),
-        (["--by", "thermal.kT", "--by", "disorder", "--by", "pinned"], "--by pinned: at most two columns"),
+        (
+            ["--where", "thermal.kT=2"],
+            "--where thermal.kT=2: no point has this value; there are 0.01, 0.1, 1",
+        ),
+        (
+            ["--where", "thermal.kT=hot"],
+            "no point has this value; there are 0.01, 0.1, 1",
+        ),
+        (
+            ["--where", "disorder=quenched"],
+            "no point has this value; there are annealed",
+        ),
+        (
+            ["--y", "status"],
+            "--y status: is not a column of numbers but of failed, ok, unreliable",
+        ),
+        (
+            ["--where", "status=failed"],
+            "--y friction: no point to draw; left out: 1 failed",
+        ),
+        (
+            ["--x", "pinned", "--y", "contacts.stiffness"],
+            "besides --x and --by other parameters vary",
+        ),
+        (
+            ["--by", "thermal.kT", "--out", "p.gif"],
+            "--out p.gif: must end in .png, .pdf or .svg",
+        ),
+        (
+            ["--by", "thermal.kT", "--by", "disorder", "--by", "pinned"],
+            "--by pinned: at most two columns",
+        ),
     ],
 )
 def test_refusals(folder, tmp_path, args, message):
@@ -366,5 +533,10 @@ def test_refused_places(folder, tmp_path):
     zero = tmp_path / "zero"
     zero.mkdir()
     assert call(zero).exit_code == 2
-    pd.DataFrame({"thermal.kT": [0.0, 1.0], "friction": [1.0, 2.0]}).to_parquet(zero / "p.parquet")
-    assert "thermal.kT = 0 is not above 0" in call(zero, "--x", "thermal.kT", "--log-x").stderr
+    pd.DataFrame({"thermal.kT": [0.0, 1.0], "friction": [1.0, 2.0]}).to_parquet(
+        zero / "p.parquet"
+    )
+    assert (
+        "thermal.kT = 0 is not above 0"
+        in call(zero, "--x", "thermal.kT", "--log-x").stderr
+    )

@@ -1,12 +1,14 @@
-"""Results that are the same on every machine: those of tests/data/results.json, on threads, in processes, and on
-other processors.
+"""Results that are the same on every machine: those of tests/data/results.json, on
+threads, in processes, and on other processors.
 
-Random numbers depend on declared parameters and the seed alone. On one machine results are the same to the last bit; on
-two of different make, NumPy's exponentials, quantiles and inverse hazards differ in their last bits, results by some
-1e-12, and numbers of lives not at all. Allowed are 1e-9, and 1e-6 where thresholds fluctuate, whose paths may amplify
-rounding with every step; a single draw out of place makes 1e-5 at the least. A change of streams, or of the order of
-draws, changes every result, and must be meant: `python tests/test_portable.py` writes them anew, and
-`eqsim.results.RESULTS_VERSION` is raised.
+Random numbers depend on declared parameters and the seed alone. On one machine results
+are the same to the last bit; on two of different make, NumPy's exponentials, quantiles
+and inverse hazards differ in their last bits, results by some 1e-12, and numbers of
+lives not at all. Allowed are 1e-9, and 1e-6 where thresholds fluctuate, whose paths may
+amplify rounding with every step; a single draw out of place makes 1e-5 at the least. A
+change of streams, or of the order of draws, changes every result, and must be meant:
+`python tests/test_portable.py` writes them anew, and `eqsim.results.RESULTS_VERSION` is
+raised.
 """
 
 import hashlib
@@ -25,7 +27,19 @@ import pytest
 from cases import chosen
 from numpy._core import _multiarray_umath as built
 
-from eqsim import Aging, Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, load, steady, trajectory
+from eqsim import (
+    Aging,
+    Delay,
+    Delta,
+    Drive,
+    Ensemble,
+    Gamma,
+    Table,
+    Thermal,
+    load,
+    steady,
+    trajectory,
+)
 from eqsim.laws import threshold
 from eqsim.laws.aging import flow, pooled
 from eqsim.laws.barrier import soft
@@ -49,21 +63,46 @@ CASES = {
     "delta": (Ensemble(Delta(1.5), WARM), FRESH, 1),
     "table": (Ensemble(Table([0.5, 1.0, 1.0, 2.0]), STIFF), FRESH, 1),
     "soft": (Ensemble(thermal=WARM, **UNIFORM), FRESH, 1),
-    "soft, sqrt, exponential delay": (Ensemble(thermal=WARM, delay=Delay(5.0, "exponential")), FRESH, 1),
-    "soft, stationary": (Ensemble(thermal=WARM, delay=Delay(5.0), eta=1.0), STATIONARY, 1),
+    "soft, sqrt, exponential delay": (
+        Ensemble(thermal=WARM, delay=Delay(5.0, "exponential")),
+        FRESH,
+        1,
+    ),
+    "soft, stationary": (
+        Ensemble(thermal=WARM, delay=Delay(5.0), eta=1.0),
+        STATIONARY,
+        1,
+    ),
     "soft, b = 5e8": (Ensemble(thermal=Thermal(kT=1e-9)), Drive(1e-9, 7.0), 1),
     "stiff": (Ensemble(thermal=STIFF), FRESH, 1),
     "stiff, replicas": (Ensemble(thermal=STIFF, delay=Delay(1.0)), FRESH, 3),
     "annealed": (Ensemble(thermal=WARM, **ANNEALED), FRESH, 1),
-    "annealed, stiff, stationary": (Ensemble(thermal=STIFF, **UNIFORM, **ANNEALED), STATIONARY, 1),
-    "annealed, aging": (Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0), **UNIFORM, **ANNEALED), FRESH, 1),
+    "annealed, stiff, stationary": (
+        Ensemble(thermal=STIFF, **UNIFORM, **ANNEALED),
+        STATIONARY,
+        1,
+    ),
+    "annealed, aging": (
+        Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0), **UNIFORM, **ANNEALED),
+        FRESH,
+        1,
+    ),
     "flow": (Ensemble(thermal=WARM, aging=Aging("flow", 0.1, 2.0)), FRESH, 1),
-    "flow, stationary": (Ensemble(aging=Aging("flow", 0.1, 0.5), **UNIFORM), STATIONARY, 1),
+    "flow, stationary": (
+        Ensemble(aging=Aging("flow", 0.1, 0.5), **UNIFORM),
+        STATIONARY,
+        1,
+    ),
     "langevin": (Ensemble(aging=Aging("langevin", 0.01, 2.0), **UNIFORM), FRESH, 1),
-    "langevin, warm, sqrt": (Ensemble(thermal=WARM, aging=Aging("langevin", 0.01, 2.0)), FRESH, 1),
+    "langevin, warm, sqrt": (
+        Ensemble(thermal=WARM, aging=Aging("langevin", 0.01, 2.0)),
+        FRESH,
+        1,
+    ),
 }
-# Digests of the stored results of each `RESULTS_VERSION`. Results that change get a new version and a new line; where
-# cases are added, and all others stay, the last line changes.
+# Digests of the stored results of each `RESULTS_VERSION`. Results that change get a new
+# version and a new line; where cases are added, and all others stay, the last line
+# changes.
 VERSIONS = {1: "632e38acfab6a2df"}
 COLUMNS = ("force", "pinned", "force_stderr", "pinned_stderr", "force_replica_std")
 
@@ -73,16 +112,24 @@ def averages(name, threads=1, seed=3):
     ensemble, drive, _ = CASES[name]
     found = steady(ensemble, drive, rel_error=0.1, seed=seed, threads=threads)
     level = list(found.averages().values())[:3]
-    return {"steady lives": found.lives, "steady": [x for e in level for x in (e.value, e.stderr)]}
+    return {
+        "steady lives": found.lives,
+        "steady": [x for e in level for x in (e.value, e.stderr)],
+    }
 
 
 def result(name, threads=1, seed=3):
-    """Of 500 contacts, and the steady averages of the same ensemble: numbers of lives, and columns by name."""
+    """Of 500 contacts, and the steady averages of the same ensemble: numbers of lives,
+    and columns by name."""
     ensemble, drive, replicas = CASES[name]
     ensemble = Ensemble(**{**vars(ensemble), "count": 500})
-    run = trajectory(ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads)
+    run = trajectory(
+        ensemble, drive, points=29, seed=seed, replicas=replicas, threads=threads
+    )
     half = list(run.averages.averages().values())[:3]
-    columns = {name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()}
+    columns = {
+        name: run.columns()[name].tolist() for name in COLUMNS if name in run.columns()
+    }
     columns |= {"second half": [x for e in half for x in (e.value, e.stderr)]}
     count = threads[1] if isinstance(threads, tuple) else threads
     return {"lives": run.lives, **columns, **averages(name, count, seed)}
@@ -96,9 +143,16 @@ def agree(name, found, stored):
             continue
         exact = np.array(stored[column])
         relative = 1e-6 if name.startswith("langevin") else 1e-9
-        # what is left of a difference of larger numbers, a variance that vanishes, is rounding of these
+        # what is left of a difference of larger numbers, a variance that vanishes, is
+        # rounding of these
         rounding = 1e-14 * np.abs(exact).max()
-        np.testing.assert_allclose(found[column], exact, rtol=relative, atol=rounding, err_msg=f"{name}, {column}")
+        np.testing.assert_allclose(
+            found[column],
+            exact,
+            rtol=relative,
+            atol=rounding,
+            err_msg=f"{name}, {column}",
+        )
 
 
 def stored():
@@ -111,7 +165,8 @@ def digest(results):
 
 
 def test_results_have_a_version():
-    """Stored results do not change unless the version does; a last bit of one number is a change."""
+    """Stored results do not change unless the version does; a last bit of one number is
+    a change."""
     results = stored()
     assert digest(results) == VERSIONS[RESULTS_VERSION]
     assert max(VERSIONS) == RESULTS_VERSION
@@ -122,7 +177,9 @@ def test_results_have_a_version():
 
 
 @chosen(  # by default all but two, whose kernels no other test compiles
-    "name", CASES, [name for name in CASES if name not in ("annealed, aging", "flow, stationary")]
+    "name",
+    CASES,
+    [name for name in CASES if name not in ("annealed, aging", "flow, stationary")],
 )
 def test_results(name):
     """As stored, and on two threads the same bits."""
@@ -153,7 +210,8 @@ def test_other_draws_are_told_apart(name):
     ["T = 0, n = 2.5", "soft, stationary", "annealed"],
 )
 def test_last_bits_of_tables_change_no_draw(name, monkeypatch):
-    """All tables an ulp larger, as another processor may find them: the same lives, results within rounding."""
+    """All tables an ulp larger, as another processor may find them: the same lives,
+    results within rounding."""
 
     def larger(first, y, slope):
         table = octave_table(first, y, slope)
@@ -175,18 +233,42 @@ def test_last_bits_of_tables_change_no_draw(name, monkeypatch):
 
 FEATURES = [name for name in built.__cpu_dispatch__ if built.__cpu_features__[name]]
 PLAIN = {"NPY_DISABLE_CPU_FEATURES": " ".join(FEATURES), "OPENBLAS_CORETYPE": "Nehalem"}
-PLAIN |= {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4"}  # other exponentials, too
+PLAIN |= {
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4"
+}  # other exponentials, too
 X86 = platform.machine() in ("x86_64", "AMD64")
-OLD = PLAIN | {"NUMBA_CPU_NAME": "x86-64-v2" if X86 else "generic", "NUMBA_CPU_FEATURES": ""}
-AVX2 = {"OPENBLAS_CORETYPE": "Haswell", "NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
-AVX2 |= {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in FEATURES if "512" in name or name == "X86_V4")}
+OLD = PLAIN | {
+    "NUMBA_CPU_NAME": "x86-64-v2" if X86 else "generic",
+    "NUMBA_CPU_FEATURES": "",
+}
+AVX2 = {
+    "OPENBLAS_CORETYPE": "Haswell",
+    "NUMBA_CPU_NAME": "x86-64-v3",
+    "NUMBA_CPU_FEATURES": "",
+}
+AVX2 |= {
+    "NPY_DISABLE_CPU_FEATURES": " ".join(
+        name for name in FEATURES if "512" in name or name == "X86_V4"
+    )
+}
 PROCESSORS = {"plain": PLAIN, "old": OLD, "AVX2": AVX2}
-# Of each law one. Compiled for old processors a life takes ten times as long, as they have no fused multiply-add.
-SOME = ["T = 0, sqrt", "T = 0, n = 2.5", "delta", "table", "soft, sqrt, exponential delay", "stiff", "annealed", "flow"]
+# Of each law one. Compiled for old processors a life takes ten times as long, as they
+# have no fused multiply-add.
+SOME = [
+    "T = 0, sqrt",
+    "T = 0, n = 2.5",
+    "delta",
+    "table",
+    "soft, sqrt, exponential delay",
+    "stiff",
+    "annealed",
+    "flow",
+]
 
 
 def identities():
-    """Of the points of the committed sweep: a sweep begun on one machine continues on another."""
+    """Of the points of the committed sweep: a sweep begun on one machine continues on
+    another."""
     path = Path(__file__).parent.parent / "runs" / "sweep.toml"
     return Plan(load(path), path.parent).ids
 
@@ -194,7 +276,9 @@ def identities():
 def elsewhere(processor, what, names):
     """Identities and results of a process that takes its processor for another one."""
     command = [sys.executable, __file__, what, *names]
-    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | PROCESSORS[processor])
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=os.environ | PROCESSORS[processor]
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -206,11 +290,17 @@ def elsewhere(processor, what, names):
         pytest.param("plain", "result", [*CASES], marks=pytest.mark.long),
         ("old", "averages", ["T = 0, sqrt", "annealed"]),
         pytest.param("old", "result", [*CASES], marks=pytest.mark.long),
-        pytest.param("AVX2", "result", [*CASES], marks=[pytest.mark.long, pytest.mark.skipif(not X86, reason="x86")]),
+        pytest.param(
+            "AVX2",
+            "result",
+            [*CASES],
+            marks=[pytest.mark.long, pytest.mark.skipif(not X86, reason="x86")],
+        ),
     ],
 )
 def test_other_processors(processor, what, names):
-    """NumPy, the mathematical library, BLAS and the compiler, without what newer processors have."""
+    """NumPy, the mathematical library, BLAS and the compiler, without what newer
+    processors have."""
     points, found = elsewhere(processor, what, names)
     assert points == identities()
     assert list(found) == names
@@ -225,4 +315,6 @@ if __name__ == "__main__":
     else:
         rows = [f"{json.dumps(name)}: {json.dumps(result(name))}" for name in CASES]
         PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n")
-        print(f"{digest(stored())}: raise RESULTS_VERSION, and enter this digest in VERSIONS")
+        print(
+            f"{digest(stored())}: raise RESULTS_VERSION, and enter this digest in VERSIONS"
+        )

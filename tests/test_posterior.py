@@ -1,4 +1,5 @@
-"""Draws from the posterior of a fit: against exact quantiles, and what the command makes of them."""
+"""Draws from the posterior of a fit: against exact quantiles, and what the command
+makes of them."""
 
 import json
 import math
@@ -19,7 +20,11 @@ from eqsim.fitting.model import Problem
 from eqsim.fitting.section import NormalPrior, Parameter
 
 KEYS = ("thermal.kT", "thermal.attempt_frequency")
-MEAN, SD, UPPER = np.array([1.0, 3.0]), np.array([0.5, 2.0]), 4.0  # the second variable ends half a sd above its mean
+MEAN, SD, UPPER = (
+    np.array([1.0, 3.0]),
+    np.array([0.5, 2.0]),
+    4.0,
+)  # the second variable ends half a sd above its mean
 
 
 class Logarithms:
@@ -33,31 +38,44 @@ class Logarithms:
 
 @pytest.fixture
 def line():
-    parameters = [Parameter(KEYS[0], "log", -20.0, 20.0, 0.0), Parameter(KEYS[1], "log", -20.0, UPPER, 0.0)]
+    parameters = [
+        Parameter(KEYS[0], "log", -20.0, 20.0, 0.0),
+        Parameter(KEYS[1], "log", -20.0, UPPER, 0.0),
+    ]
     none = np.array([-1, -1])
     return Problem(Logarithms(), parameters, MEAN, SD, none, 1.0, none > 0, None, 1.0)
 
 
 def drawn(problem, **more):
-    return posterior.sample(problem, MEAN, np.diag(SD**2), np.random.default_rng(1), **more)
+    return posterior.sample(
+        problem, MEAN, np.diag(SD**2), np.random.default_rng(1), **more
+    )
 
 
 def scores(found):
-    """Of the quantiles that intervals end at: exact share of the posterior below less what it should be, in standard
-    errors of as many independent draws."""
-    laws = stats.norm(MEAN[0], SD[0]), stats.truncnorm(-np.inf, (UPPER - MEAN[1]) / SD[1], MEAN[1], SD[1])
+    """Of the quantiles that intervals end at: exact share of the posterior below less
+    what it should be, in standard errors of as many independent draws."""
+    laws = (
+        stats.norm(MEAN[0], SD[0]),
+        stats.truncnorm(-np.inf, (UPPER - MEAN[1]) / SD[1], MEAN[1], SD[1]),
+    )
     for key, law in zip(KEYS, laws, strict=True):
         known = found.intervals[key]
         ends = [(0.5, known["median"])]
-        ends += [pair for name in ("68", "95") for pair in zip(posterior.SHARES[name], known[name], strict=True)]
+        ends += [
+            pair
+            for name in ("68", "95")
+            for pair in zip(posterior.SHARES[name], known[name], strict=True)
+        ]
         for share, value in ends:
             error = math.sqrt(share * (1.0 - share) / found.effective)
             yield (law.cdf(math.log(value)) - share) / error
 
 
 def test_quantiles(line):
-    """Ten quantiles: a fair sampler has one beyond 4 in a thousand times at most; with errors 1.4 times too large in
-    the likelihood the outermost ends miss by more (2.5 % become 0.3 %)."""
+    """Ten quantiles: a fair sampler has one beyond 4 in a thousand times at most; with
+    errors 1.4 times too large in the likelihood the outermost ends miss by more (2.5 %
+    become 0.3 %)."""
     found = drawn(line)
     assert found.converged
     assert max(map(abs, scores(found))) < 4.0
@@ -66,7 +84,9 @@ def test_quantiles(line):
 
 def test_any_number_of_workers(line):
     with ThreadPoolExecutor(2) as pool:
-        np.testing.assert_array_equal(drawn(line).points, drawn(line, executor=pool).points)
+        np.testing.assert_array_equal(
+            drawn(line).points, drawn(line, executor=pool).points
+        )
 
 
 def test_a_short_chain_has_no_intervals(line, monkeypatch):
@@ -78,9 +98,14 @@ def test_a_short_chain_has_no_intervals(line, monkeypatch):
 
 
 def test_priors_and_bounds(line):
-    """The density is that of the likelihood, times a prior where there is one, and zero beyond the bounds."""
+    """The density is that of the likelihood, times a prior where there is one, and zero
+    beyond the bounds."""
     with_prior = replace(
-        line, parameters=[line.parameters[0]._replace(prior=NormalPrior(0.0, 2.0)), line.parameters[1]]
+        line,
+        parameters=[
+            line.parameters[0]._replace(prior=NormalPrior(0.0, 2.0)),
+            line.parameters[1],
+        ],
     )
     u = np.array([2.0, 1.0])
     likelihood = -0.5 * (((u - MEAN) / SD) ** 2).sum()
@@ -91,13 +116,18 @@ def test_priors_and_bounds(line):
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "data.csv").write_text("drive.velocity,friction\n0.003,0.06\n0.03,0.3\n0.3,0.6\n3,0.73\n10,0.74\n")
+    (tmp_path / "data.csv").write_text(
+        "drive.velocity,friction\n0.003,0.06\n0.03,0.3\n0.3,0.6\n3,0.73\n10,0.74\n"
+    )
     (tmp_path / "run.toml").write_text(RUN)
     return tmp_path
 
 
 def call(folder, *more):
-    return CliRunner().invoke(app, ["fit", f"{folder}/run.toml", "--out", f"{folder}/out", "--starts", "1", *more])
+    return CliRunner().invoke(
+        app,
+        ["fit", f"{folder}/run.toml", "--out", f"{folder}/out", "--starts", "1", *more],
+    )
 
 
 def test_command(folder, monkeypatch):

@@ -1,4 +1,5 @@
-"""The exact means along a programme: closed facts, the constant drive, numbers found by others, contacts one by one."""
+"""The exact means along a programme: closed facts, the constant drive, numbers found by
+others, contacts one by one."""
 
 import itertools
 import math
@@ -10,7 +11,17 @@ from cases import chosen
 from scipy import integrate
 from thinning import Script, simulate
 
-from eqsim import Delay, Delta, Drive, Ensemble, Gamma, Table, Thermal, reference, transient
+from eqsim import (
+    Delay,
+    Delta,
+    Drive,
+    Ensemble,
+    Gamma,
+    Table,
+    Thermal,
+    reference,
+    transient,
+)
 from eqsim.errors import InputError
 from eqsim.laws.aging import Aging
 from eqsim.laws.aging.base import AgingLaw
@@ -29,28 +40,35 @@ KINDS = {
 
 def slide_hold_slide(velocity, hold, distance=2.5, points=250):
     """From the steady state; instants 0 to 4 are of the hold, whose end is the 4th."""
-    segments = Segment(0.0, time=hold, points=4), Segment(velocity, distance=distance, points=points)
+    segments = (
+        Segment(0.0, time=hold, points=4),
+        Segment(velocity, distance=distance, points=points),
+    )
     return Programme(segments, "stationary", velocity)
 
 
 def step(before, after, distance=2.5, points=1000):
-    return Programme((Segment(after, distance=distance, points=points),), "stationary", before)
+    return Programme(
+        (Segment(after, distance=distance, points=points),), "stationary", before
+    )
 
 
 def check(found, error, known, stated, low=0.0):
-    """Within both errors, that of the solver below two thousandths of k x_*; `known` may be too low by `low`, as
-    maxima over a coarse grid are."""
+    """Within both errors, that of the solver below two thousandths of k x_*; `known`
+    may be too low by `low`, as maxima over a coarse grid are."""
     assert known - stated - error <= found <= known + stated + low + error
     assert error < 2e-3
 
 
-# ------------------------------------------------------------------------------------- numbers that others have found
+# -------------------------------------------------------------------------------------
+# numbers that others have found
 
 _DIGIT = 2.5e-5  # of what is given to five digits: `test_force_in_a_hold` shows that up to 2.1e-5 was missed
 
-# F at the end of a hold in steady sliding at v = .1, kT = .1, the maximum on sliding again, its error and its place;
-# maxima were over a grid of .05 in X, up to 2e-4 low. The last of quenched sqrt contacts was given as 1.41036(30); by
-# four times the steps and strata it is as below.
+# F at the end of a hold in steady sliding at v = .1, kT = .1, the maximum on sliding
+# again, its error and its place; maxima were over a grid of .05 in X, up to 2e-4 low.
+# The last of quenched sqrt contacts was given as 1.41036(30); by four times the steps
+# and strata it is as below.
 HOLDS = {
     ("quenched uniform", 1): (0.70552, 0.75048, 3e-5, 0.647),
     ("quenched sqrt", 1): (0.88950, 0.93452, 4e-5, 0.807),
@@ -82,7 +100,8 @@ BEFORE = dict(zip(KINDS, (0.74646, 0.92837, 0.62003, 0.63436), strict=True))
     [("quenched sqrt", 1), ("annealed uniform", 10), ("annealed sqrt", 1e4)],
 )
 def test_slide_hold_slide(kind, hold):
-    """Quenched contacts heal without any aging, annealed ones stop at the peak of a fresh start."""
+    """Quenched contacts heal without any aging, annealed ones stop at the peak of a
+    fresh start."""
     end, peak, stated, place = HOLDS[kind, hold]
     found = transient(KINDS[kind], slide_hold_slide(0.1, float(hold)))
     top = 4 + int(np.argmax(found.force[4:]))
@@ -94,28 +113,47 @@ def test_slide_hold_slide(kind, hold):
 
 @pytest.mark.parametrize("hold", [1.0, 10.0, 100.0, 1e3, 1e4])
 def test_force_in_a_hold(hold):
-    """Contacts born in a hold do not pull, and those at stretch x break at a constant rate h, so that from a steady
-    state F(t) = int x Q(x) exp(-h(x) t) dx, for annealed uniform contacts, b = 5, with the closed h = exp(-x^2)
-    (1 + (1 + b) x^2)/(1 + b)^2, Q ~ J_c exp(-int h dx/v) and J_c = (1 + x^2) exp(-x^2)."""
+    """Contacts born in a hold do not pull, and those at stretch x break at a constant
+    rate h, so that from a steady state F(t) = int x Q(x) exp(-h(x) t) dx, for annealed
+    uniform contacts, b = 5, with the closed h = exp(-x^2) (1 + (1 + b) x^2)/(1 + b)^2,
+    Q ~ J_c exp(-int h dx/v) and J_c = (1 + x^2) exp(-x^2)."""
     x = np.linspace(0.0, 7.0, 70_001)
     h = np.exp(-(x**2)) * (1.0 + 6.0 * x**2) / 36.0
-    Q = (1.0 + x**2) * np.exp(-(x**2) - integrate.cumulative_simpson(h, x=x, initial=0.0) / 0.1)
-    known = integrate.simpson(x * Q * np.exp(-h * hold), x=x) / integrate.simpson(Q, x=x)
+    Q = (1.0 + x**2) * np.exp(
+        -(x**2) - integrate.cumulative_simpson(h, x=x, initial=0.0) / 0.1
+    )
+    known = integrate.simpson(x * Q * np.exp(-h * hold), x=x) / integrate.simpson(
+        Q, x=x
+    )
     found = transient(KINDS["annealed uniform"], slide_hold_slide(0.1, hold))
     assert found.force[4] == pytest.approx(known, rel=0, abs=found.force_error[4])
-    assert found.force_error[4] < 1e-5  # the largest is 7e-6, most of it what interpolation may miss
+    assert (
+        found.force_error[4] < 1e-5
+    )  # the largest is 7e-6, most of it what interpolation may miss
 
 
 def test_relaxation_of_quenched_contacts():
-    """Times are known to three digits only: to 5e-3 of the derivative by ln t, which is -.044."""
-    found = transient(KINDS["quenched uniform"], Programme((Segment(time=1e6, points=400),), "stationary", 0.1))
-    for t, force in ((1.02e3, 0.32001), (1.01e4, 0.22946), (9.94e4, 0.16225), (1e6, 0.11308)):
-        assert np.interp(math.log(t), np.log(found.t[1:]), found.force[1:]) == pytest.approx(force, rel=0, abs=2.2e-4)
+    """Times are known to three digits only: to 5e-3 of the derivative by ln t, which is
+    -.044."""
+    found = transient(
+        KINDS["quenched uniform"],
+        Programme((Segment(time=1e6, points=400),), "stationary", 0.1),
+    )
+    for t, force in (
+        (1.02e3, 0.32001),
+        (1.01e4, 0.22946),
+        (9.94e4, 0.16225),
+        (1e6, 0.11308),
+    ):
+        assert np.interp(
+            math.log(t), np.log(found.t[1:]), found.force[1:]
+        ) == pytest.approx(force, rel=0, abs=2.2e-4)
     assert found.force_error.max() < 2e-4
 
 
-# kind, velocities, extreme force, its place, A = (extreme - before)/ln ratio, B = (extreme - after)/ln ratio, and the
-# distance from there in which the rest falls to its e-th part; places again on a coarse grid
+# kind, velocities, extreme force, its place, A = (extreme - before)/ln ratio, B =
+# (extreme - after)/ln ratio, and the distance from there in which the rest falls to its
+# e-th part; places again on a coarse grid
 STEPS = [
     ("quenched uniform", 0.1, 1.0, 0.78302, 0.278, 0.01588, 0.01357, 0.508),
     ("quenched uniform", 1.0, 0.1, 0.71529, 0.230, 0.01585, 0.01354, 0.526),
@@ -126,14 +164,24 @@ STEPS = [
 ]
 
 
-@chosen(("kind", "before", "after", "extreme", "place", "a", "b", "memory"), STEPS, [STEPS[0], *STEPS[4:]])
+@chosen(
+    ("kind", "before", "after", "extreme", "place", "a", "b", "memory"),
+    STEPS,
+    [STEPS[0], *STEPS[4:]],
+)
 def test_velocity_steps(kind, before, after, extreme, place, a, b, memory):
-    """The direct effect A, the evolution effect B and the memory length of rate and state."""
+    """The direct effect A, the evolution effect B and the memory length of rate and
+    state."""
     found = transient(KINDS[kind], step(before, after))
     at = int(np.argmax(found.force if after > before else -found.force))
-    level, ratio = reference(KINDS[kind], Drive(after)).friction.value, math.log(after / before)
+    level, ratio = (
+        reference(KINDS[kind], Drive(after)).friction.value,
+        math.log(after / before),
+    )
     check(found.force[at], found.force_error[at], extreme, _DIGIT)
-    assert (found.force[at] - found.force[0]) / ratio == pytest.approx(a, rel=0, abs=3e-5)
+    assert (found.force[at] - found.force[0]) / ratio == pytest.approx(
+        a, rel=0, abs=3e-5
+    )
     assert (found.force[at] - level) / ratio == pytest.approx(b, rel=0, abs=3e-5)
     rest = np.abs(found.force[at:] - level) < abs(found.force[at] - level) / math.e
     assert abs(found.X[at] - place) < 0.05
@@ -146,7 +194,8 @@ class _Numbers(NamedTuple):
 
 
 class Logarithmic(_Numbers, AgingLaw):
-    """Any growth of all thresholds alike: here 1 + beta ln(1 + t/t_c), the stiffness being that at birth."""
+    """Any growth of all thresholds alike: here 1 + beta ln(1 + t/t_c), the stiffness
+    being that at birth."""
 
     __slots__ = ()
 
@@ -161,7 +210,9 @@ def strengthen(monkeypatch):
 
     def course_of(ensemble, drive):
         s, course = declared(ensemble, drive)
-        return s._replace(aging=Logarithmic(0.05, 0.1 / sum(part.duration for part in drive.segments))), course
+        return s._replace(
+            aging=Logarithmic(0.05, 0.1 / sum(part.duration for part in drive.segments))
+        ), course
 
     monkeypatch.setattr(programme, "course_of", course_of)
 
@@ -197,11 +248,18 @@ WARM_LEVELS = {  # velocity: friction at kT = .1, uniform and sqrt, each with th
 @chosen("velocity", WARM_LEVELS, [1.0, 10.0])  # the slower, the longer it takes
 @pytest.mark.usefixtures("strengthen")
 def test_level_of_warm_contacts_that_strengthen(velocity):
-    """Within both errors, and to 1e-4 of it. The slower, the more happens in a step: errors of 5e-4 are stated."""
+    """Within both errors, and to 1e-4 of it. The slower, the more happens in a step:
+    errors of 5e-4 are stated."""
     uniform, uniform_error, sqrt, sqrt_error = WARM_LEVELS[velocity]
-    for kind, level, stated in (("quenched uniform", uniform, uniform_error), ("quenched sqrt", sqrt, sqrt_error)):
+    for kind, level, stated in (
+        ("quenched uniform", uniform, uniform_error),
+        ("quenched sqrt", sqrt, sqrt_error),
+    ):
         found = transient(KINDS[kind], step(velocity, velocity, 0.1, 2))
-        assert np.all(np.abs(found.force - level) < np.minimum(found.force_error + stated, 1e-4 * level))
+        assert np.all(
+            np.abs(found.force - level)
+            < np.minimum(found.force_error + stated, 1e-4 * level)
+        )
         assert found.force_error.max() < 1e-3
 
 
@@ -217,9 +275,14 @@ HEALING = {  # hold: peak at T = 0, v = 1, uniform and sqrt, over a grid of .02
 @chosen("hold", HEALING, [1.0, 1e4])
 @pytest.mark.usefixtures("strengthen")
 def test_healing_of_contacts_that_strengthen(hold):
-    """At T = 0 the peak grows with ln t and the force at the end of the hold is that before it."""
-    for law, known, level in zip(("uniform", "sqrt"), HEALING[hold], LEVELS[1.0], strict=True):
-        found = transient(Ensemble(stiffness_law=law), slide_hold_slide(1.0, hold, 3.0, 150))
+    """At T = 0 the peak grows with ln t and the force at the end of the hold is that
+    before it."""
+    for law, known, level in zip(
+        ("uniform", "sqrt"), HEALING[hold], LEVELS[1.0], strict=True
+    ):
+        found = transient(
+            Ensemble(stiffness_law=law), slide_hold_slide(1.0, hold, 3.0, 150)
+        )
         assert found.force[4] == pytest.approx(level, rel=0, abs=2e-7)
         top = int(np.argmax(found.force))
         check(found.force[top], found.force_error[top], known, 1e-5)
@@ -237,7 +300,10 @@ def test_healing_of_contacts_that_strengthen(hold):
 @pytest.mark.verification
 @pytest.mark.usefixtures("strengthen")
 def test_healing_of_warm_contacts_that_strengthen(sqrt, hold, end, peak, stated):
-    found = transient(KINDS["quenched sqrt" if sqrt else "quenched uniform"], slide_hold_slide(0.1, hold, 3.0, 150))
+    found = transient(
+        KINDS["quenched sqrt" if sqrt else "quenched uniform"],
+        slide_hold_slide(0.1, hold, 3.0, 150),
+    )
     top = 4 + int(np.argmax(found.force[4:]))
     check(found.force[4], found.force_error[4], end, 3e-5)
     check(found.force[top], found.force_error[top], peak, stated)
@@ -246,7 +312,10 @@ def test_healing_of_warm_contacts_that_strengthen(sqrt, hold, end, peak, stated)
 @pytest.mark.verification
 @pytest.mark.usefixtures("strengthen")
 def test_velocity_steps_of_contacts_that_strengthen():
-    up, down = (transient(KINDS["quenched uniform"], step(*v, 8.0)) for v in ((0.1, 1.0), (1.0, 0.1)))
+    up, down = (
+        transient(KINDS["quenched uniform"], step(*v, 8.0))
+        for v in ((0.1, 1.0), (1.0, 0.1))
+    )
     check(up.force[0], up.force_error[0], 0.95547, 1e-5)
     check(up.force.max(), up.force_error[int(np.argmax(up.force))], 0.97580, 6e-5)
     assert abs(up.X[np.argmax(up.force)] - 0.161) < 0.02
@@ -256,7 +325,8 @@ def test_velocity_steps_of_contacts_that_strengthen():
     check(down.force[-1], down.force_error[-1], 0.95542, 5e-5)
 
 
-# ------------------------------------------------------------------------------------------------ the constant drive
+# ------------------------------------------------------------------------------------------------
+# the constant drive
 
 CONSTANT = {
     "cold": (Ensemble(), 1.0),
@@ -264,25 +334,49 @@ CONSTANT = {
     "soft": (KINDS["quenched sqrt"], 0.1),
     "soft, fixed delay": (Ensemble(**WARM, **UNIFORM, delay=Delay(20.0), eta=0.5), 0.1),
     "stiff, exponential delay": (
-        Ensemble(Gamma(0.0), Thermal(0.1, 1.0, "stiff"), Delay(3.0, "exponential"), eta=1.0),
+        Ensemble(
+            Gamma(0.0), Thermal(0.1, 1.0, "stiff"), Delay(3.0, "exponential"), eta=1.0
+        ),
         0.5,
     ),
-    "annealed": (Ensemble(**WARM, delay=Delay(5.0, "exponential"), disorder="annealed", eta=0.5), 0.1),
-    "annealed stiff": (Ensemble(Gamma(0.0), Thermal(0.2, 1.0, "stiff"), disorder="annealed", **UNIFORM), 1.0),
+    "annealed": (
+        Ensemble(**WARM, delay=Delay(5.0, "exponential"), disorder="annealed", eta=0.5),
+        0.1,
+    ),
+    "annealed stiff": (
+        Ensemble(
+            Gamma(0.0), Thermal(0.2, 1.0, "stiff"), disorder="annealed", **UNIFORM
+        ),
+        1.0,
+    ),
     "table": (Ensemble(Table([0.5, 0.7, 1.3, 2.0]), delay=Delay(2.0), **WARM), 0.1),
     "many thresholds": (Ensemble(Table(np.linspace(0.5, 2.0, 300)), **WARM), 0.1),
     "delta": (Ensemble(Delta(1.0), **WARM), 0.1),
     "narrow": (Ensemble(Gamma(30.0), **WARM, **UNIFORM), 0.1),
     "flow, cold": (Ensemble(Gamma(1.0, 0.1), aging=Aging("flow", 0.1, 1.0)), 1.0),
     "flow, weaker": (Ensemble(aging=Aging("flow", 0.1, 0.3), **UNIFORM), 1.0),
-    "flow": (Ensemble(Gamma(1.0, 0.1), Thermal(0.01), aging=Aging("flow", 0.1, 1.0)), 0.1),
-    "flow at once": (Ensemble(**WARM, delay=Delay(0.4), aging=Aging("flow", math.inf, 1.5), **UNIFORM), 1.0),
+    "flow": (
+        Ensemble(Gamma(1.0, 0.1), Thermal(0.01), aging=Aging("flow", 0.1, 1.0)),
+        0.1,
+    ),
+    "flow at once": (
+        Ensemble(
+            **WARM, delay=Delay(0.4), aging=Aging("flow", math.inf, 1.5), **UNIFORM
+        ),
+        1.0,
+    ),
     "annealed, aged at once": (
-        Ensemble(**WARM, disorder="annealed", aging=Aging("flow", math.inf, 1.5), **UNIFORM),
+        Ensemble(
+            **WARM, disorder="annealed", aging=Aging("flow", math.inf, 1.5), **UNIFORM
+        ),
         1.0,
     ),
 }
-JUMPS = {"table", "delta", "many thresholds"}  # discrete laws, whose contacts break together
+JUMPS = {
+    "table",
+    "delta",
+    "many thresholds",
+}  # discrete laws, whose contacts break together
 
 
 @chosen(  # by default what takes less than a second
@@ -303,39 +397,60 @@ JUMPS = {"table", "delta", "many thresholds"}  # discrete laws, whose contacts b
     ],
 )
 def test_one_segment_is_a_constant_drive(name, start):
-    """Force, pinned, variance within both errors, twice as wide as neither is a bound; breaks, those in
-    a step, to 6 % of their mean."""
+    """Force, pinned, variance within both errors, twice as wide as neither is a bound;
+    breaks, those in a step, to 6 % of their mean."""
     ensemble, velocity = CONSTANT[name]
     distance = 4.0 * ensemble.thresholds.mean
     found = transient(
-        ensemble, Programme((Segment(velocity, distance=distance),), start, velocity), points=81, variance=True
+        ensemble,
+        Programme((Segment(velocity, distance=distance),), start, velocity),
+        points=81,
+        variance=True,
     )
-    known = transient(ensemble, Drive(velocity, distance, start), points=81, variance=True)
+    known = transient(
+        ensemble, Drive(velocity, distance, start), points=81, variance=True
+    )
     np.testing.assert_allclose(found.X, known.X, rtol=1e-12, atol=1e-12 * distance)
-    np.testing.assert_allclose(found.t, known.t, rtol=1e-12, atol=1e-12 * distance / velocity)
+    np.testing.assert_allclose(
+        found.t, known.t, rtol=1e-12, atol=1e-12 * distance / velocity
+    )
     for part in ("force", "pinned", "force_variance"):
         if getattr(known, part) is None:
             continue
         error = getattr(found, f"{part}_error") + getattr(known, f"{part}_error")
-        assert np.all(np.abs(getattr(found, part) - getattr(known, part)) <= 2.0 * error + 1e-9), part
+        assert np.all(
+            np.abs(getattr(found, part) - getattr(known, part)) <= 2.0 * error + 1e-9
+        ), part
     if name not in JUMPS or start == "stationary":
-        assert found.force_error.max() < 2e-3 * known.force.max() * (5 if name in JUMPS else 1)
+        assert found.force_error.max() < 2e-3 * known.force.max() * (
+            5 if name in JUMPS else 1
+        )
         mean = known.breaks.mean() * velocity
-        np.testing.assert_allclose(found.breaks[3:], known.breaks[3:] * velocity, rtol=0, atol=0.06 * mean)
+        np.testing.assert_allclose(
+            found.breaks[3:], known.breaks[3:] * velocity, rtol=0, atol=0.06 * mean
+        )
 
 
 @pytest.mark.parametrize("name", ["cold uniform, drag", "soft", "annealed"])
 def test_a_segment_in_two_at_the_same_velocity(name):
     ensemble, velocity = CONSTANT[name]
     whole = Programme((Segment(velocity, distance=2.0, points=40),))
-    parts = Programme((Segment(velocity, distance=0.65, points=13), Segment(velocity, distance=1.35, points=27)))
+    parts = Programme(
+        (
+            Segment(velocity, distance=0.65, points=13),
+            Segment(velocity, distance=1.35, points=27),
+        )
+    )
     one, two = (transient(ensemble, part) for part in (whole, parts))
     np.testing.assert_allclose(one.X, two.X, rtol=1e-12, atol=0)
     assert np.all(np.abs(one.force - two.force) <= one.force_error + two.force_error)
-    assert np.all(np.abs(one.pinned - two.pinned) <= one.pinned_error + two.pinned_error)
+    assert np.all(
+        np.abs(one.pinned - two.pinned) <= one.pinned_error + two.pinned_error
+    )
 
 
-# ------------------------------------------------------------------------------------------------------ closed facts
+# ------------------------------------------------------------------------------------------------------
+# closed facts
 
 
 def test_cold_contacts_hold_for_ever():
@@ -343,22 +458,30 @@ def test_cold_contacts_hold_for_ever():
     through = transient(Ensemble(), step(0.1, 0.1, 2.0, 40))
     held = transient(Ensemble(), slide_hold_slide(0.1, 1e9, 2.0, 40))
     np.testing.assert_allclose(held.force[:5], through.force[0], rtol=1e-9)
-    assert np.all(np.abs(held.force[5:] - through.force[1:]) <= held.force_error[5:] + through.force_error[1:])
+    assert np.all(
+        np.abs(held.force[5:] - through.force[1:])
+        <= held.force_error[5:] + through.force_error[1:]
+    )
     warm = transient(KINDS["annealed sqrt"], slide_hold_slide(0.1, 1e3, 2.0, 40))
     assert np.abs(warm.force[4] - warm.force[0]) > 0.3
 
 
 def test_cold_contacts_turn_round():
-    """T = 0, uniform: pulled to a and back, what has not broken by then breaks only when its stretch has reached its
-    threshold at the other end: while |x| < a contacts of the first generation that are left, J_c(a) = (1 + a^2)
-    exp(-a^2), keep it. A small turn breaks nothing: F falls by the distance."""
+    """T = 0, uniform: pulled to a and back, what has not broken by then breaks only
+    when its stretch has reached its threshold at the other end: while |x| < a contacts
+    of the first generation that are left, J_c(a) = (1 + a^2) exp(-a^2), keep it. A
+    small turn breaks nothing: F falls by the distance."""
     a = 0.3
-    turn = Programme((Segment(1.0, distance=a, points=6), Segment(-1.0, distance=a, points=6)))
+    turn = Programme(
+        (Segment(1.0, distance=a, points=6), Segment(-1.0, distance=a, points=6))
+    )
     found = transient(Ensemble(**UNIFORM), turn)
     J = (1.0 + a**2) * math.exp(-(a**2))
     births = found.force[6] - a * J  # force of the later generations
     assert 0.0 < births < a * (1.0 - J)
-    np.testing.assert_allclose(found.force[6:] - found.force[6], found.X[6:] - a, rtol=0, atol=3e-5)
+    np.testing.assert_allclose(
+        found.force[6:] - found.force[6], found.X[6:] - a, rtol=0, atol=3e-5
+    )
     assert np.all(np.abs(found.breaks[8:]) < 1e-2 * found.breaks[5])
 
 
@@ -370,39 +493,68 @@ def test_cold_contacts_turn_round():
 def test_mirror_symmetry(name):
     """The other way round all forces, viscous ones included, change sign."""
     ensemble, v = CONSTANT[name]
-    there = [Segment(v, distance=1.5), Segment(-0.3 * v, distance=1.2), Segment(time=2.0 / v), Segment(v, distance=0.5)]
+    there = [
+        Segment(v, distance=1.5),
+        Segment(-0.3 * v, distance=1.2),
+        Segment(time=2.0 / v),
+        Segment(v, distance=0.5),
+    ]
     back = [Segment(-part.velocity, part.distance, part.time) for part in there]
-    one, two = (transient(ensemble, Programme(tuple(parts)), points=41, variance=True) for parts in (there, back))
+    one, two = (
+        transient(ensemble, Programme(tuple(parts)), points=41, variance=True)
+        for parts in (there, back)
+    )
     np.testing.assert_allclose(two.force, -one.force, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(two.X, -one.X)
     np.testing.assert_allclose(two.pinned, one.pinned, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(two.force_variance, one.force_variance, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        two.force_variance, one.force_variance, rtol=0, atol=1e-11
+    )
 
 
 def test_viscous_force_jumps_with_the_velocity():
-    """At an instant eta v (1 - pinned) is that of the segment that ends there; the elastic force is continuous."""
+    """At an instant eta v (1 - pinned) is that of the segment that ends there; the
+    elastic force is continuous."""
     drag = Ensemble(**WARM, delay=Delay(4.0), disorder="annealed", eta=2.0)
     free = Ensemble(**WARM, delay=Delay(4.0), disorder="annealed")
-    turn = Programme((Segment(0.2, distance=1.0), Segment(time=3.0), Segment(-0.1, distance=0.5)), "stationary", 0.1)
-    found, elastic, grid = transient(drag, turn, 31), transient(free, turn, 31), turn.grid(31)
+    turn = Programme(
+        (Segment(0.2, distance=1.0), Segment(time=3.0), Segment(-0.1, distance=0.5)),
+        "stationary",
+        0.1,
+    )
+    found, elastic, grid = (
+        transient(drag, turn, 31),
+        transient(free, turn, 31),
+        turn.grid(31),
+    )
     v = np.array([0.2, 0.0, -0.1])[grid.segment]
-    np.testing.assert_allclose(found.force - elastic.force, 2.0 * v * (1.0 - found.pinned), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        found.force - elastic.force, 2.0 * v * (1.0 - found.pinned), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.verification
 @pytest.mark.parametrize("parts", [3200, 640])
 def test_sampled_drive(parts):
-    """Segments of a slow sinusoid, and an 8th as many, are the same but for the corners between, whose height goes as
-    the square of their distance (.6 (pi/20)^2/2 of 80)."""
+    """Segments of a slow sinusoid, and an 8th as many, are the same but for the corners
+    between, whose height goes as the square of their distance (.6 (pi/20)^2/2 of 80).
+    """
 
     def sinusoid(parts):
         X = 0.6 * np.sin(np.linspace(0.0, 4 * np.pi, parts + 1))
         time = 40.0 / parts
-        return Programme(tuple(Segment(v, time=time, points=1) for v in np.diff(X) / time))
+        return Programme(
+            tuple(Segment(v, time=time, points=1) for v in np.diff(X) / time)
+        )
 
-    fine, coarse = (transient(KINDS["quenched sqrt"], sinusoid(n), n + 1) for n in (parts, parts // 8))
+    fine, coarse = (
+        transient(KINDS["quenched sqrt"], sinusoid(n), n + 1)
+        for n in (parts, parts // 8)
+    )
     assert fine.t.size == parts + 1
-    np.testing.assert_allclose(fine.force[::8], coarse.force, rtol=0, atol=7.5e-3 * (640 / parts) ** 2 + 2e-4)
+    np.testing.assert_allclose(
+        fine.force[::8], coarse.force, rtol=0, atol=7.5e-3 * (640 / parts) ** 2 + 2e-4
+    )
     assert fine.force_error.max() < 1e-3
     assert np.ptp(fine.force) > 0.5
 
@@ -410,7 +562,10 @@ def test_sampled_drive(parts):
 @pytest.mark.parametrize(
     ("ensemble", "words"),
     [
-        (Ensemble(disorder="annealed", aging=Aging("flow", 0.1, 2.0)), "annealed contacts"),
+        (
+            Ensemble(disorder="annealed", aging=Aging("flow", 0.1, 2.0)),
+            "annealed contacts",
+        ),
         (Ensemble(aging=Aging("langevin", 0.1, 2.0)), "langevin"),
     ],
 )
@@ -425,14 +580,25 @@ def test_too_many_steps_are_refused():
         transient(Ensemble(), Programme((Segment(0.1, distance=1e6),)))
 
 
-# ------------------------------------------------------------------------------------------------------------ errors
+# ------------------------------------------------------------------------------------------------------------
+# errors
 
 COURSES = {
     "reload": slide_hold_slide(0.1, 1e3),
     "step": step(1.0, 0.1, 2.0, 200),
-    "turn": Programme((Segment(0.5, distance=1.2), Segment(-0.2, distance=1.5), Segment(time=30.0))),
+    "turn": Programme(
+        (Segment(0.5, distance=1.2), Segment(-0.2, distance=1.5), Segment(time=30.0))
+    ),
 }
-REFINED = ["cold", "soft", "stiff, exponential delay", "annealed stiff", "narrow", "flow", "flow, weaker"]
+REFINED = [
+    "cold",
+    "soft",
+    "stiff, exponential delay",
+    "annealed stiff",
+    "narrow",
+    "flow",
+    "flow, weaker",
+]
 
 
 def refined_ratio(ensemble, drive, monkeypatch):
@@ -446,30 +612,45 @@ def refined_ratio(ensemble, drive, monkeypatch):
     monkeypatch.undo()
     parts = ("force", "pinned", "force_variance")
     return max(
-        np.max(np.abs(getattr(fine, part) - getattr(coarse, part)) / getattr(coarse, f"{part}_error"), initial=0.0)
+        np.max(
+            np.abs(getattr(fine, part) - getattr(coarse, part))
+            / getattr(coarse, f"{part}_error"),
+            initial=0.0,
+        )
         for part in parts
     )
 
 
 @chosen(  # by default two solvers, for which it takes less than a second
     ("name", "course"),
-    [(name, course) for name in ("annealed", *REFINED, "soft, fixed delay") for course in COURSES],
+    [
+        (name, course)
+        for name in ("annealed", *REFINED, "soft, fixed delay")
+        for course in COURSES
+    ],
     [(name, course) for name in ("annealed", "cold") for course in COURSES],
 )
 def test_errors_cover_what_refinement_changes(name, course, monkeypatch):
     assert refined_ratio(CONSTANT[name][0], COURSES[course], monkeypatch) < 1.0
 
 
-# ----------------------------------------------------------------------------------------------- contacts one by one
+# -----------------------------------------------------------------------------------------------
+# contacts one by one
 
 TURNS = ((0.3, 4.0), (0.0, 20.0), (-0.5, 3.0), (0.0, 10.0), (0.8, 2.0))
 WAVE = tuple((0.6 * math.cos(0.5 * (i + 0.5)), 0.5) for i in range(40))
 SCRIPTS = {
     "uniform": Script(TURNS, delay=2.0, eta=0.7),
-    "sqrt, stiff": Script(TURNS, kT=0.2, sqrt=True, stiff=True, delay=3.0, exponential=True),
+    "sqrt, stiff": Script(
+        TURNS, kT=0.2, sqrt=True, stiff=True, delay=3.0, exponential=True
+    ),
     "annealed": Script(TURNS, annealed=True, eta=0.4),
-    "annealed sqrt": Script(((0.2, 8.0), (0.0, 8.0), (-0.4, 5.0)), sqrt=True, annealed=True, delay=1.0),
-    "n = 0": Script(((0.1, 15.0), (1.0, 1.0), (-1.0, 2.0), (0.0, 30.0), (0.1, 10.0)), n=0.0, kT=0.3),
+    "annealed sqrt": Script(
+        ((0.2, 8.0), (0.0, 8.0), (-0.4, 5.0)), sqrt=True, annealed=True, delay=1.0
+    ),
+    "n = 0": Script(
+        ((0.1, 15.0), (1.0, 1.0), (-1.0, 2.0), (0.0, 30.0), (0.1, 10.0)), n=0.0, kT=0.3
+    ),
     "wave": Script(WAVE, sqrt=True),
 }
 
@@ -484,11 +665,16 @@ def scores(script, contacts, seed, wrong=""):
         disorder="annealed" if script.annealed else "quenched",
         eta=script.eta,
     )
-    segments = tuple(Segment(velocity, time=time, points=2) for velocity, time in script.segments)
+    segments = tuple(
+        Segment(velocity, time=time, points=2) for velocity, time in script.segments
+    )
     exact = transient(ensemble, Programme(segments), variance=True)
     at = np.arange(1, exact.t.size)[:: max(1, len(segments) // 5)]
     force, pinned = simulate(
-        script._replace(wrong=wrong), exact.t[at] * (1 - 1e-12), contacts, np.random.default_rng(seed)
+        script._replace(wrong=wrong),
+        exact.t[at] * (1 - 1e-12),
+        contacts,
+        np.random.default_rng(seed),
     )
     z = []
     for sample, part in (
@@ -496,20 +682,31 @@ def scores(script, contacts, seed, wrong=""):
         (pinned, "pinned"),
         ((force - force.mean(1)[:, None]) ** 2, "force_variance"),
     ):
-        error = np.hypot(sample.std(axis=1) / math.sqrt(contacts), getattr(exact, f"{part}_error")[at])
-        z.append((sample.mean(axis=1) - getattr(exact, part)[at]) / np.maximum(error, 1e-12))
+        error = np.hypot(
+            sample.std(axis=1) / math.sqrt(contacts),
+            getattr(exact, f"{part}_error")[at],
+        )
+        z.append(
+            (sample.mean(axis=1) - getattr(exact, part)[at]) / np.maximum(error, 1e-12)
+        )
     return np.array(z)
 
 
 @chosen("name", SCRIPTS, ["uniform", "annealed"])
 def test_contacts_one_by_one(name):
-    """Some 150 scores, correlated: |z| < 4.5 raises a false alarm in 1e-3 of fresh seeds."""
+    """Some 150 scores, correlated: |z| < 4.5 raises a false alarm in 1e-3 of fresh
+    seeds."""
     assert np.abs(scores(SCRIPTS[name], 20_000, 5)).max() < 4.5
 
 
 @chosen(  # by default in contacts for which it takes less than a second
     ("name", "wrong"),
-    [("uniform", "still"), ("sqrt, stiff", "signed"), ("annealed", "still"), ("annealed", "signed")],
+    [
+        ("uniform", "still"),
+        ("sqrt, stiff", "signed"),
+        ("annealed", "still"),
+        ("annealed", "signed"),
+    ],
     [("annealed", "still"), ("annealed", "signed")],
 )
 def test_mistakes_are_noticed(name, wrong):
@@ -520,5 +717,6 @@ def test_mistakes_are_noticed(name, wrong):
 @pytest.mark.verification
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_many_contacts_one_by_one(name):
-    """As above with 25 times as many; a wrong error estimate of 1e-3 would show. False alarm 1e-3."""
+    """As above with 25 times as many; a wrong error estimate of 1e-3 would show. False
+    alarm 1e-3."""
     assert np.abs(scores(SCRIPTS[name], 500_000, 6)).max() < 4.5

@@ -49,21 +49,40 @@ def call(*arguments):
 
 
 def test_run_and_replay(path, tmp_path):
-    """Table, files and JSON of a programme; split over processes, and run again: the same bits."""
+    """Table, files and JSON of a programme; split over processes, and run again: the
+    same bits."""
     out = tmp_path / "out"
     result = call("run", path, "--out", out)
     assert result.exit_code == 0, result.output
     assert "hold" in result.output
     assert "velocity step of segment 1" in result.output
     columns = pd.read_parquet(out / "trajectory.parquet")
-    assert list(columns) == ["segment", "X", "t", "force", "pinned", "force_stderr", "pinned_stderr"]
+    assert list(columns) == [
+        "segment",
+        "X",
+        "t",
+        "force",
+        "pinned",
+        "force_stderr",
+        "pinned_stderr",
+    ]
     assert columns.groupby("segment").size().tolist() == [21, 80, 20, 40]
     summary = json.loads((out / "summary.json").read_text())
-    assert [segment["velocity"] for segment in summary["segments"]] == [0.1, 1.0, 0.0, 1.0]
+    assert [segment["velocity"] for segment in summary["segments"]] == [
+        0.1,
+        1.0,
+        0.0,
+        1.0,
+    ]
     for segment in summary["segments"]:
-        assert abs(segment["end"]["value"] - segment["exact"]["end"]) < 4.5 * segment["end"]["stderr"]
+        assert (
+            abs(segment["end"]["value"] - segment["exact"]["end"])
+            < 4.5 * segment["end"]["stderr"]
+        )
     assert (out / "force.png").stat().st_size > 10_000
-    shared = json.loads(call("run", path, "--out", tmp_path / "shared", "--workers", 2, "--json").output)
+    shared = json.loads(
+        call("run", path, "--out", tmp_path / "shared", "--workers", 2, "--json").output
+    )
     assert shared["segments"] == summary["segments"]
     again = call("replay", out / "trajectory.parquet")
     assert again.exit_code == 0, again.output
@@ -71,7 +90,8 @@ def test_run_and_replay(path, tmp_path):
 
 @pytest.mark.long  # 20 s: the default suite has to end in time on a machine that others use as well
 def test_sweep_and_plot(path, tmp_path):
-    """One row per hold time, every segment beside its reference; the peak grows with the hold."""
+    """One row per hold time, every segment beside its reference; the peak grows with
+    the hold."""
     out = tmp_path / "healing"
     assert call("sweep", path, "--out", out).exit_code == 0
     table = pd.read_parquet(out / "sweep.parquet")
@@ -84,7 +104,9 @@ def test_sweep_and_plot(path, tmp_path):
     assert table["segment_3_direct"].isna().all()
     short, long = table["segment_3_peak"]
     assert long - short > 5 * table["segment_3_peak_stderr"].max()
-    plotted = call("plot", out, "--x", "drive.programme.2.hold", "--y", "segment_3_peak")
+    plotted = call(
+        "plot", out, "--x", "drive.programme.2.hold", "--y", "segment_3_peak"
+    )
     assert plotted.exit_code == 0, plotted.output
     assert call("replay", out / "sweep.parquet").exit_code == 0
 
@@ -97,18 +119,29 @@ def test_reference_and_info(path):
     assert groups["slowest/fastest"] == pytest.approx(0.1, rel=1e-12, abs=0)
 
 
-@pytest.mark.parametrize("command", [("steady",), ("reference",), ("reference", "--closure")])
+@pytest.mark.parametrize(
+    "command", [("steady",), ("reference",), ("reference", "--closure")]
+)
 def test_what_has_no_steady_state(path, command):
     result = call(command[0], path, *command[1:])
     assert result.exit_code == 2
-    assert "drive.programme: has no steady state; this needs a constant drive.velocity" in result.output
+    assert (
+        "drive.programme: has no steady state; this needs a constant drive.velocity"
+        in result.output
+    )
 
 
 def test_bad_programmes_leave_nothing(path, tmp_path):
     out = tmp_path / "out"
     for change, message in (
-        ("drive.programme.1.velocity=0.0", "drive.programme.1.velocity = 0.0: must not be 0 with a distance"),
-        ("drive.programme.2.hold=-1.0", "drive.programme.2.hold = -1.0: must be a finite number > 0"),
+        (
+            "drive.programme.1.velocity=0.0",
+            "drive.programme.1.velocity = 0.0: must not be 0 with a distance",
+        ),
+        (
+            "drive.programme.2.hold=-1.0",
+            "drive.programme.2.hold = -1.0: must be a finite number > 0",
+        ),
         ("drive.programme.7.hold=1.0", "drive.programme.7.hold"),
         ('disorder="annealed"', None),
     ):
@@ -134,13 +167,16 @@ def test_recorded_drive(path, tmp_path):
     found = json.loads(result.output)["segments"]
     assert len(found) == 20
     assert found[-1]["X"] == pytest.approx(np.sin(10.0), rel=0, abs=1e-12)
-    worst = max(abs(s["end"]["value"] - s["exact"]["end"]) / s["end"]["stderr"] for s in found)
+    worst = max(
+        abs(s["end"]["value"] - s["exact"]["end"]) / s["end"]["stderr"] for s in found
+    )
     assert worst < 5  # 20 scores
 
 
 def test_effects_of_velocity_steps():
-    """Direct effect, evolution effect and memory length of the exact means: numbers of a solution by another program,
-    quenched contacts, kT = 0.1, soft; also where friction falls with velocity by more than the direct effect."""
+    """Direct effect, evolution effect and memory length of the exact means: numbers of
+    a solution by another program, quenched contacts, kT = 0.1, soft; also where
+    friction falls with velocity by more than the direct effect."""
     known = {
         ("uniform", 0.1, 1.0): (0.01588, 0.01357),
         ("uniform", 1.0, 0.1): (0.01585, 0.01354),
@@ -153,42 +189,62 @@ def test_effects_of_velocity_steps():
         exact = transient(ensemble, programme, 1601)
         from eqsim.engine.records import shown_by
 
-        (segment,) = shown_by(programme, programme.grid(1601), exact.force, exact.force_error)
+        (segment,) = shown_by(
+            programme, programme.grid(1601), exact.force, exact.force_error
+        )
         allowed = 1e-5 + 2 * exact.force_error.max() / np.log(10)
         assert segment.step.direct.value == pytest.approx(direct, rel=0, abs=allowed)
-        assert segment.step.evolution.value == pytest.approx(evolution, rel=0, abs=allowed)
+        assert segment.step.evolution.value == pytest.approx(
+            evolution, rel=0, abs=allowed
+        )
         assert 0.4 < segment.step.memory.value < 0.8
 
 
 @pytest.mark.parametrize("sigma", [0.005, 0.05])
 def test_peaks_of_noise_are_not_too_high(sigma):
-    """Peaks of 1000 noisy copies of a parabola, whose noise wanders over 0.7 as that of contacts does: the mean is off
-    by less than a quarter of the quoted error, the largest value itself by more, and the scatter is what is quoted."""
+    """Peaks of 1000 noisy copies of a parabola, whose noise wanders over 0.7 as that of
+    contacts does: the mean is off by less than a quarter of the quoted error, the
+    largest value itself by more, and the scatter is what is quoted."""
     rng, x = np.random.default_rng(1), np.linspace(0.0, 2.0, 81)
     truth, keep = 1.0 - 0.5 * (x - 1.2) ** 2, np.exp(-x[1] / 0.7)
-    steps = rng.normal(size=(1000, x.size)) * np.append(1.0, np.full(x.size - 1, np.sqrt(1.0 - keep**2)))
+    steps = rng.normal(size=(1000, x.size)) * np.append(
+        1.0, np.full(x.size - 1, np.sqrt(1.0 - keep**2))
+    )
     noise = sigma * signal.lfilter([1.0], [1.0, -keep], steps)
     peaks = [extreme(x, truth + one, np.full(x.size, sigma))[0] for one in noise]
-    value, quoted = np.array([peak.value for peak in peaks]), np.mean([peak.stderr for peak in peaks])
+    value, quoted = (
+        np.array([peak.value for peak in peaks]),
+        np.mean([peak.stderr for peak in peaks]),
+    )
     off = abs(value.mean() - 1.0)
     assert off < 0.25 * quoted
     assert off < 0.5 * ((truth + noise).max(axis=1).mean() - 1.0)
-    # 1000 scores of rms 1: within 4.5 of its scatter 1/sqrt(2000), and what the parabola may add to an error
+    # 1000 scores of rms 1: within 4.5 of its scatter 1/sqrt(2000), and what the
+    # parabola may add to an error
     assert 0.85 < np.sqrt(np.mean((value - 1.0) ** 2)) / quoted < 1.1
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.02])
 def test_places_of_peaks_are_where_the_force_is(sigma):
-    """A peak that rises steeply and falls slowly, as after a hold, in 1000 noisy records: the value is that of the
-    record at the place that is told, within two standard errors, and the place is off by less than its error in the
-    mean square, by less than four of them ever."""
+    """A peak that rises steeply and falls slowly, as after a hold, in 1000 noisy
+    records: the value is that of the record at the place that is told, within two
+    standard errors, and the place is off by less than its error in the mean square, by
+    less than four of them ever."""
     rng, x = np.random.default_rng(2), np.linspace(0.0, 2.0, 101)
-    truth, keep, peak = 0.4 * (1.0 - np.exp(-x / 0.08)) - 0.05 * x, np.exp(-x[1] / 0.7), 0.08 * np.log(100.0)
-    steps = rng.normal(size=(1000, x.size)) * np.append(1.0, np.full(x.size - 1, np.sqrt(1.0 - keep**2)))
+    truth, keep, peak = (
+        0.4 * (1.0 - np.exp(-x / 0.08)) - 0.05 * x,
+        np.exp(-x[1] / 0.7),
+        0.08 * np.log(100.0),
+    )
+    steps = rng.normal(size=(1000, x.size)) * np.append(
+        1.0, np.full(x.size - 1, np.sqrt(1.0 - keep**2))
+    )
     records = truth + sigma * signal.lfilter([1.0], [1.0, -keep], steps)
     found = [extreme(x, record, np.full(x.size, sigma), 1.0) for record in records]
     at = np.array([place.value for _, place in found])
-    there = np.array([np.interp(place, x, record) for place, record in zip(at, records, strict=True)])
+    there = np.array(
+        [np.interp(place, x, record) for place, record in zip(at, records, strict=True)]
+    )
     value = np.array([top.value for top, _ in found])
     assert np.abs(there - value).max() <= 2.0 * sigma
     z = (at - peak) / np.array([place.stderr for _, place in found])
@@ -199,7 +255,11 @@ def test_places_of_peaks_are_where_the_force_is(sigma):
 def test_memory_of_an_exponential():
     """A peak that relaxes with length 0.7: read off to a grid's step, and its effects."""
     x = np.linspace(0.0, 8.0, 801)
-    force = 1.0 - 0.1 * np.log(10) + 0.2 * np.log(10) * np.where(x > 0, np.exp(-x / 0.7), 0.0)
+    force = (
+        1.0
+        - 0.1 * np.log(10)
+        + 0.2 * np.log(10) * np.where(x > 0, np.exp(-x / 0.7), 0.0)
+    )
     extremum = extreme(x, force, np.full(x.size, 1e-9), 1.0)
     step = velocity_step(x, force, np.full(x.size, 1e-9), extremum, 10.0)
     assert step.memory.value == pytest.approx(0.7, rel=0, abs=0.01)
@@ -207,5 +267,7 @@ def test_memory_of_an_exponential():
 
 def test_run_files_of_the_repository(tmp_path):
     for name in ("velocity-step", "slide-hold-slide", "reversal"):
-        file = load(__import__("pathlib").Path(__file__).parent.parent / "runs" / f"{name}.toml")
+        file = load(
+            __import__("pathlib").Path(__file__).parent.parent / "runs" / f"{name}.toml"
+        )
         assert isinstance(file.driven(tmp_path), Programme)

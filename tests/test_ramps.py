@@ -1,4 +1,5 @@
-"""What lives leave on the output grid and in the batch sums, routine by routine, against plain sums over lives."""
+"""What lives leave on the output grid and in the batch sums, routine by routine,
+against plain sums over lives."""
 
 import math
 from functools import partial
@@ -12,43 +13,81 @@ from eqsim.engine import recorder, segments
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import ROUNDS, Lanes, Lives
-from eqsim.engine.recorder import Columns, Deposit, Recorder, Run, Scales, Window, edge_after, moments
+from eqsim.engine.recorder import (
+    Columns,
+    Deposit,
+    Recorder,
+    Run,
+    Scales,
+    Window,
+    edge_after,
+    moments,
+)
 from eqsim.engine.segments import Span
 from eqsim.engine.stationary import Fresh, extremes
 from eqsim.laws.aging.base import growth
 from eqsim.laws.stiffness import kappa
 
-leave, leave_ramp, average = compiled(recorder.leave), compiled(recorder.leave_ramp), compiled(recorder.average)
-leave_ramps, leave_uniform_ramps = compiled(recorder.leave_ramps), compiled(recorder.leave_uniform_ramps)
-join_uniform_ramps, leave_span = compiled(recorder.join_uniform_ramps), compiled(segments.leave_span)
+leave, leave_ramp, average = (
+    compiled(recorder.leave),
+    compiled(recorder.leave_ramp),
+    compiled(recorder.average),
+)
+leave_ramps, leave_uniform_ramps = (
+    compiled(recorder.leave_ramps),
+    compiled(recorder.leave_uniform_ramps),
+)
+join_uniform_ramps, leave_span = (
+    compiled(recorder.join_uniform_ramps),
+    compiled(segments.leave_span),
+)
 cross_edges = compiled(segments.cross_edges)
 
-CONTACTS, DISTANCE, UNIT = 40, 10.0, 2.0**40  # fixed point: 1e-12, of numbers up to some hundred and thousand
+CONTACTS, DISTANCE, UNIT = (
+    40,
+    10.0,
+    2.0**40,
+)  # fixed point: 1e-12, of numbers up to some hundred and thousand
 ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
 UNSTRESSED = contacts(Ensemble(), 1.0)
 
 
 def scales(uniform, narrow=False):
-    return Scales(Deposit(1.0, *[UNIT] * 5), Window(UNIT, UNIT, UNIT, 1.0, UNIT, UNIT), 1.0, 1.0, uniform, narrow)
+    return Scales(
+        Deposit(1.0, *[UNIT] * 5),
+        Window(UNIT, UNIT, UNIT, 1.0, UNIT, UNIT),
+        1.0,
+        1.0,
+        uniform,
+        narrow,
+    )
 
 
 def empty(run, uniform=False, narrow=False, size=4):
     """A recorder of nothing yet, of up to `size` lives at once."""
     total, index = Totals(run.points + 1, run.points, 1), np.zeros((8, size), np.int64)
     found = Recorder.of(UNSTRESSED, run, scales(uniform, narrow), Fresh(), total)
-    return found._replace(columns=Columns(*index[:7], np.ones(size, np.int64), index[7]))
+    return found._replace(
+        columns=Columns(*index[:7], np.ones(size, np.int64), index[7])
+    )
 
 
 def lives(uniform, delayed, early=0.0):
-    """Stiffness, birth, break and birth of the next one, one row a life of some contact, over more than the distance;
-    the first ones are born up to `early` before it. One is too short to be seen, and some end on a grid point."""
-    rng, rows = np.random.default_rng(5), [(1.0, 4.31, 4.32, 4.32), (1.0, 2.5, 5.0, 5.0)]
+    """Stiffness, birth, break and birth of the next one, one row a life of some
+    contact, over more than the distance; the first ones are born up to `early` before
+    it. One is too short to be seen, and some end on a grid point."""
+    rng, rows = (
+        np.random.default_rng(5),
+        [(1.0, 4.31, 4.32, 4.32), (1.0, 2.5, 5.0, 5.0)],
+    )
     for _ in range(CONTACTS):
         born = -early * rng.random()
         while born <= DISTANCE:
             broke = born + rng.gamma(3.0, 0.4)
             reborn = broke + delayed * rng.exponential(0.7)
-            rows.append((1.0 if uniform else rng.uniform(0.2, 3.0), born, broke, reborn))
+            rows.append(
+                (1.0 if uniform else rng.uniform(0.2, 3.0), born, broke, reborn)
+            )
             born = reborn
     return np.array(rows)
 
@@ -58,35 +97,66 @@ def seen(rows, run, force=None):
     X = np.linspace(0.0, run.distance, run.points)[:, None]
     stiffness, born, broke, _ = rows.T
     pinned = (born <= X) & (broke > X)
-    each = np.where(pinned, stiffness * (X - born) if force is None else force(X - born), 0.0)
+    each = np.where(
+        pinned, stiffness * (X - born) if force is None else force(X - born), 0.0
+    )
     return each.sum(axis=1), pinned.sum(axis=1), (each**2).sum(axis=1)
 
 
 def compare(found, uniform, expected):
-    """Of `moments` of one contact that does all: sums, and sums of squares less the square of the sum."""
+    """Of `moments` of one contact that does all: sums, and sums of squares less the
+    square of the sum."""
     run, deposits = found.run, found.deposits
     force, pinned, variance = moments(deposits, scales(uniform), run, 1, 0.0)
     np.testing.assert_allclose(force, expected[0], rtol=ROUNDING, atol=ROUNDING)
     np.testing.assert_array_equal(pinned, expected[1])
-    # few contacts have a smaller sum of squares than the square of their sum: compare what was added up
+    # few contacts have a smaller sum of squares than the square of their sum: compare
+    # what was added up
     units = scales(uniform).deposits._asdict()
-    total = Deposit(*(np.cumsum(deposits[name][:-1]) / unit for name, unit in units.items()))
+    total = Deposit(
+        *(np.cumsum(deposits[name][:-1]) / unit for name, unit in units.items())
+    )
     X = np.linspace(0.0, run.distance, run.points)
-    slope2, ramp2 = (total.count, total.force) if uniform else (total.slope2, total.ramp2)
-    np.testing.assert_allclose((slope2 * X + 2 * ramp2) * X + total.square, expected[2], rtol=ROUNDING, atol=1e-8)
-    np.testing.assert_allclose(variance, np.maximum(expected[2] - expected[0] ** 2, 0.0), rtol=1e-7, atol=1e-6)
+    slope2, ramp2 = (
+        (total.count, total.force) if uniform else (total.slope2, total.ramp2)
+    )
+    np.testing.assert_allclose(
+        (slope2 * X + 2 * ramp2) * X + total.square,
+        expected[2],
+        rtol=ROUNDING,
+        atol=1e-8,
+    )
+    np.testing.assert_allclose(
+        variance, np.maximum(expected[2] - expected[0] ** 2, 0.0), rtol=1e-7, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("count", [1, 1000, 10**9])
-@pytest.mark.parametrize("thermal", [Thermal(), Thermal(0.1), Thermal(0.1, 1.0, "stiff")])
+@pytest.mark.parametrize(
+    "thermal", [Thermal(), Thermal(0.1), Thermal(0.1, 1.0, "stiff")]
+)
 def test_no_sum_can_overflow(count, thermal):
-    """If all contacts were the strongest there can be, and lived the longest life, no sum would reach 2^63; and no unit
-    but that of counts is finer than it has to be by more than rounding down to a power of 2 can make it."""
+    """If all contacts were the strongest there can be, and lived the longest life, no
+    sum would reach 2^63; and no unit but that of counts is finer than it has to be by
+    more than rounding down to a power of 2 can make it."""
     c = contacts(Ensemble(thermal=thermal), 0.1)
     run = Run(DISTANCE, 2, stationary=True)
     xi, x = extremes(c)
-    found, strong, reach = Scales.of(c, run, count, 3, 5.0), kappa(c.springs, xi), DISTANCE + x
-    deposits = np.array([1.0, strong * reach, (strong * reach) ** 2, strong, strong**2, strong**2 * reach])
+    found, strong, reach = (
+        Scales.of(c, run, count, 3, 5.0),
+        kappa(c.springs, xi),
+        DISTANCE + x,
+    )
+    deposits = np.array(
+        [
+            1.0,
+            strong * reach,
+            (strong * reach) ** 2,
+            strong,
+            strong**2,
+            strong**2 * reach,
+        ]
+    )
     windows = np.array([strong * x * reach, reach, reach, 1.0, reach, reach])
     most = max(strong * x, 5.0)
     for sums in (
@@ -112,7 +182,8 @@ def test_single_deposits(points, early):
 
 
 def padded(rows):
-    """The columns of `lives`, with lives beyond the distance, so that they are a multiple of four."""
+    """The columns of `lives`, with lives beyond the distance, so that they are a
+    multiple of four."""
     beyond = [1.0, 2 * DISTANCE, 2 * DISTANCE, 2 * DISTANCE]
     return np.ascontiguousarray(np.vstack([rows, *[beyond] * (-len(rows) % 4)]).T)
 
@@ -125,7 +196,14 @@ def side_by_side(uniform, points, narrow=False):
     if uniform:
         leave_uniform_ramps(found, born, broke, born.size)
     else:
-        leave_ramps(found, born, broke, Lives.empty(UNSTRESSED)._replace(stiffness=stiffness[None]), 0, born.size)
+        leave_ramps(
+            found,
+            born,
+            broke,
+            Lives.empty(UNSTRESSED)._replace(stiffness=stiffness[None]),
+            0,
+            born.size,
+        )
     return found, rows
 
 
@@ -154,7 +232,9 @@ def test_deposits_that_join(points):
 
 
 @pytest.mark.parametrize(
-    "deposits", [partial(side_by_side, False), partial(side_by_side, True), joined], ids=["any", "uniform", "joined"]
+    "deposits",
+    [partial(side_by_side, False), partial(side_by_side, True), joined],
+    ids=["any", "uniform", "joined"],
 )
 def test_narrow_numbers_are_rounded_alike(deposits):
     """Numbers below 2^51, which those of these lives are, to the last bit."""
@@ -164,9 +244,14 @@ def test_narrow_numbers_are_rounded_alike(deposits):
 
 
 def averages(rows, low, high, work=None):
-    """Area, pinned, elapsed, breaks, stretch and travel of lives between two displacements."""
+    """Area, pinned, elapsed, breaks, stretch and travel of lives between two
+    displacements."""
     stiffness, born, broke, reborn = rows.T
-    start, end, later = np.maximum(born, low), np.clip(broke, low, high), np.clip(reborn, low, high)
+    start, end, later = (
+        np.maximum(born, low),
+        np.clip(broke, low, high),
+        np.clip(reborn, low, high),
+    )
     end = np.maximum(end, start)
     if work is None:
         area = 0.5 * stiffness * ((end - born) ** 2 - (start - born) ** 2)
@@ -181,7 +266,10 @@ def averages(rows, low, high, work=None):
 
 def in_window(found, batch, quarter):
     """What a batch has left in a quarter, in the order of `averages`."""
-    return [found.windows[batch, quarter][name] / scale for name, scale in found.window_scales._asdict().items()]
+    return [
+        found.windows[batch, quarter][name] / scale
+        for name, scale in found.window_scales._asdict().items()
+    ]
 
 
 def test_records_of_quarters():
@@ -194,12 +282,25 @@ def test_records_of_quarters():
     for batch in range(3):
         for quarter, low in enumerate((5.0, 7.5)):
             sums = in_window(found, batch, quarter)
-            np.testing.assert_allclose(sums, averages(rows[batch::3], low, low + 2.5), rtol=ROUNDING, atol=ROUNDING)
+            np.testing.assert_allclose(
+                sums,
+                averages(rows[batch::3], low, low + 2.5),
+                rtol=ROUNDING,
+                atol=ROUNDING,
+            )
 
 
 def test_edges():
     run = Run(DISTANCE, 2)
-    edges = {0.0: 5.0, 5.0: 5.0, 5.1: 7.5, 7.5: 7.5, 7.6: 10.0, 10.0: 10.0, 10.1: math.inf}
+    edges = {
+        0.0: 5.0,
+        5.0: 5.0,
+        5.1: 7.5,
+        7.5: 7.5,
+        7.6: 10.0,
+        10.0: 10.0,
+        10.1: math.inf,
+    }
     assert {x: compiled(edge_after)(run, x) for x in edges} == edges
     assert compiled(edge_after)(run._replace(averages=False), 5.0) == DISTANCE
 
@@ -207,8 +308,9 @@ def test_edges():
 @pytest.mark.parametrize("delay", [0.0, 0.2])
 @pytest.mark.parametrize("edge", [5.0, 7.5, 10.0])
 def test_crossing_an_edge(edge, delay):
-    """What was gathered since the last edge goes to the quarter before this one, if it is one of the second half; the
-    life that crosses it is divided, and gathering begins anew. Without delay a contact is pinned all the time."""
+    """What was gathered since the last edge goes to the quarter before this one, if it
+    is one of the second half; the life that crosses it is divided, and gathering begins
+    anew. Without delay a contact is pinned all the time."""
     c, found = contacts(Ensemble(delay=Delay(delay)), 1.0), empty(Run(DISTANCE, 2))
     lanes, lives, averaging, age = Lanes.empty(), Lives.empty(c), found.averaging, 3
     crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.3 + delay)
@@ -227,28 +329,46 @@ def test_crossing_an_edge(edge, delay):
         expected = averages(np.array([crossing]), low, low + 2.5)
         if low + 2.5 == edge:
             expected += [3.25, pinned, 2.0, 4, pinned, pinned]
-        np.testing.assert_allclose(in_window(found, 1, quarter), expected, rtol=ROUNDING, atol=ROUNDING)
+        np.testing.assert_allclose(
+            in_window(found, 1, quarter), expected, rtol=ROUNDING, atol=ROUNDING
+        )
     goes_on = math.inf if ended else reborn
-    assert (averaging.edge[0], averaging.since[0]) == (edge_after(found.run, goes_on), goes_on)
+    assert (averaging.edge[0], averaging.since[0]) == (
+        edge_after(found.run, goes_on),
+        goes_on,
+    )
     assert averaging.reborn[0] == goes_on
-    assert (averaging.lives[0], averaging.work[0], averaging.pinned[0]) == (ROUNDS * age + 1, 0.0, 0.0)
+    assert (averaging.lives[0], averaging.work[0], averaging.pinned[0]) == (
+        ROUNDS * age + 1,
+        0.0,
+        0.0,
+    )
     assert found.lives[0] == 5
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 def test_forces_that_are_no_ramps(points):
-    """A stiffness that follows the threshold along `flow`: its force at each point, its square, and its work in both
-    quarters (to the 1e-8 of the table of work)."""
+    """A stiffness that follows the threshold along `flow`: its force at each point, its
+    square, and its work in both quarters (to the 1e-8 of the table of work)."""
     c = contacts(Ensemble(aging=Aging("flow", 0.3, 3.0)), 1.0)
     run, rows = Run(DISTANCE, points), lives(False, True, 2.0)
     found = empty(run)
     for stiffness, born, broke, _ in rows:
-        assert leave_span(c, found, 0, Span(stiffness, 0.0, 0.0, born, broke - born)) == 0.0  # no work is left
+        assert (
+            leave_span(c, found, 0, Span(stiffness, 0.0, 0.0, born, broke - born))
+            == 0.0
+        )  # no work is left
     stiffness = rows[:, 0]
     grown = np.vectorize(lambda x: growth(c.aging, max(x, 0.0)))
     compare(found, False, seen(rows, run, lambda x: stiffness * grown(x) * x))
     x = np.linspace(0.0, 15.0, 30_001)
-    work = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (lambda f: f[1:] + f[:-1])(grown(x) * x)))
+    work = np.append(
+        0.0, np.cumsum(0.5 * np.diff(x) * (lambda f: f[1:] + f[:-1])(grown(x) * x))
+    )
     for quarter, low in enumerate((5.0, 7.5)):
-        area = averages(rows, low, low + 2.5, lambda y: stiffness * np.interp(y, x, work))[0]
-        assert found.windows[0, quarter]["area"] / UNIT == pytest.approx(area, rel=1e-6, abs=0)
+        area = averages(
+            rows, low, low + 2.5, lambda y: stiffness * np.interp(y, x, work)
+        )[0]
+        assert found.windows[0, quarter]["area"] / UNIT == pytest.approx(
+            area, rel=1e-6, abs=0
+        )

@@ -1,4 +1,5 @@
-"""Fits of records: force against time under a programme, through a spring, with correlated errors."""
+"""Fits of records: force against time under a programme, through a spring, with
+correlated errors."""
 
 import json
 import math
@@ -23,7 +24,9 @@ from eqsim.master.transient import transient
 
 ROOT = Path(__file__).parent.parent
 RUN = (
-    coverage.RECORD.replace('file = ""', 'file = "record.csv", time = "t", force = "force"')
+    coverage.RECORD.replace(
+        'file = ""', 'file = "record.csv", time = "t", force = "force"'
+    )
     .replace('"drive.stage.stiffness" = { bounds = [0.05, 5.0] }\n', "")
     .replace("[fit]", "[output]\npoints = 81\n[fit]")
 )
@@ -39,7 +42,9 @@ def folder(tmp_path):
 
 def write(folder, force, times=TIMES):
     lines = [f"{t:.12g},{F:.12g}" for t, F in zip(times, force, strict=True)]
-    (folder / "record.csv").write_text("# a record\nt,force\n" + "\n".join(lines) + "\n")
+    (folder / "record.csv").write_text(
+        "# a record\nt,force\n" + "\n".join(lines) + "\n"
+    )
 
 
 def markov(rho, seed, size):
@@ -47,7 +52,8 @@ def markov(rho, seed, size):
 
 
 def test_prediction_is_the_mean_field(folder):
-    """With its correction within the errors that both solves quote, and three times nearer than coarse steps."""
+    """With its correction within the errors that both solves quote, and three times
+    nearer than coarse steps."""
     file = load(folder / "run.toml")
     exact = transient(file.ensemble(folder), file.driven(folder), 81)
     write(folder, np.ones(exact.t.size), exact.t)
@@ -67,21 +73,28 @@ def test_machine_stiffness_is_that_of_the_stage(folder):
     given = prepare(check(content), folder, None, False).problem
     assert not given.linear[1]
     assert plain.linear[1]
-    np.testing.assert_array_equal(given.forward.predict({"fit.scale": 3.0})[0], plain.forward.predict({})[0])
+    np.testing.assert_array_equal(
+        given.forward.predict({"fit.scale": 3.0})[0], plain.forward.predict({})[0]
+    )
     other = given.forward.predict({"fit.scale": 1.0})[0]
     assert np.abs(other - plain.forward.predict({})[0]).max() > 0.004  # of 1
 
 
 def test_truth_is_recovered(folder):
-    """Of a record with correlated errors, a scale and a drift: within 4 standard deviations, not rejected, and the
-    correlation of neighbours within three of its standard errors, .09 for 81 points."""
+    """Of a record with correlated errors, a scale and a drift: within 4 standard
+    deviations, not rejected, and the correlation of neighbours within three of its
+    standard errors, .09 for 81 points."""
     file = load(folder / "run.toml")
     exact = transient(file.ensemble(folder), file.driven(folder), 81)
     force = 2.0 * np.interp(TIMES, exact.t, exact.force) + 0.01 * (TIMES - 2.5)
     write(folder, force + 0.003 * markov(0.6, 1, TIMES.size))
     found = fit(file, folder, starts=1)
     for one, truth in zip(found.intervals, (0.05, 2.0, 0.01), strict=True):
-        off = math.log(one.estimate / truth) if one.transform == "log" else one.estimate - truth
+        off = (
+            math.log(one.estimate / truth)
+            if one.transform == "log"
+            else one.estimate - truth
+        )
         assert abs(off) < 4.0 * one.sd, one
     assert not found.rejected
     assert math.exp(-0.0625 / found.correlation.time) == pytest.approx(0.6, abs=0.27)
@@ -90,8 +103,9 @@ def test_truth_is_recovered(folder):
 
 
 def test_whitened_errors_are_independent(folder):
-    """1000 points of correlation .8: whitened they have none (to .1, 3 standard errors), and a variance of 1 (to .15);
-    the effective number is that of the mean, n (1 - rho)/(1 + rho)."""
+    """1000 points of correlation .8: whitened they have none (to .1, 3 standard
+    errors), and a variance of 1 (to .15); the effective number is that of the mean, n
+    (1 - rho)/(1 + rho)."""
     problem = prepare(load(folder / "run.toml"), folder, None, False).problem
     r = markov(0.8, 3, 1000)
     w = replace(problem, correlation=np.full(999, 0.8)).white(r)
@@ -103,20 +117,31 @@ def test_whitened_errors_are_independent(folder):
     noisy = replace(problem, value=exact + problem.sigma * markov(0.8, 4, exact.size))
     _, correlation = correlated(noisy, u, TIMES)
     rho = math.exp(-0.0625 / correlation.time)
-    assert correlation.effective == pytest.approx(1 + 80 * (1 - rho) / (1 + rho), rel=1e-9, abs=0)
-    independent = replace(problem, value=exact + problem.sigma * markov(0.0, 5, exact.size))
+    assert correlation.effective == pytest.approx(
+        1 + 80 * (1 - rho) / (1 + rho), rel=1e-9, abs=0
+    )
+    independent = replace(
+        problem, value=exact + problem.sigma * markov(0.0, 5, exact.size)
+    )
     assert correlated(independent, u, TIMES)[1].effective > 50
 
 
 def test_likelihood_of_correlated_errors(folder):
-    """-2 ln L of whitened residuals is that of a normal law with their covariance matrix."""
+    """-2 ln L of whitened residuals is that of a normal law with their covariance
+    matrix."""
     problem = prepare(load(folder / "run.toml"), folder, None, False).problem
     rho = np.full(80, 0.5)
-    noisy = replace(problem, value=problem.given(problem.start) + 0.003 * markov(0.5, 6, 81), correlation=rho)
+    noisy = replace(
+        problem,
+        value=problem.given(problem.start) + 0.003 * markov(0.5, 6, 81),
+        correlation=rho,
+    )
     u = noisy.solved(noisy.start)[0]
     r = noisy.value - noisy.solved(u)[1]
     matrix = 0.003**2 * 0.5 ** np.abs(np.subtract.outer(np.arange(81), np.arange(81)))
-    deviance = r @ np.linalg.solve(matrix, r) + np.linalg.slogdet(2.0 * math.pi * matrix)[1]
+    deviance = (
+        r @ np.linalg.solve(matrix, r) + np.linalg.slogdet(2.0 * math.pi * matrix)[1]
+    )
     assert goodness(noisy, u).deviance == pytest.approx(deviance, rel=1e-9, abs=0)
 
 
@@ -124,10 +149,22 @@ def test_likelihood_of_correlated_errors(folder):
 def test_command(folder):
     """A record that no such model gives: its numbers, a picture, and exit code 1."""
     write(folder, 1.0 + 0.2 * np.sin(3.0 * TIMES))
-    (folder / "run.toml").write_text(RUN.replace('"fit.drift" = { bounds = [-0.1, 0.1] }', ""))
+    (folder / "run.toml").write_text(
+        RUN.replace('"fit.drift" = { bounds = [-0.1, 0.1] }', "")
+    )
     result = CliRunner().invoke(
         app,
-        ["fit", str(folder / "run.toml"), "--out", str(folder / "out"), "--starts", "1", "--workers", "1", "--json"],
+        [
+            "fit",
+            str(folder / "run.toml"),
+            "--out",
+            str(folder / "out"),
+            "--starts",
+            "1",
+            "--workers",
+            "1",
+            "--json",
+        ],
     )
     assert result.exit_code == 1, result.output
     found = json.loads(result.output)
@@ -180,17 +217,22 @@ def test_the_committed_record():
 
 @pytest.mark.verification
 def test_correlated_errors_are_not_independent(folder):
-    """20 records with errors of correlation .7: taken for independent ones, 95 % intervals of beta miss the truth more
-    often than whitened ones, which miss at most 5 times (more by chance in 3 of 10 000 cases)."""
+    """20 records with errors of correlation .7: taken for independent ones, 95 %
+    intervals of beta miss the truth more often than whitened ones, which miss at most 5
+    times (more by chance in 3 of 10 000 cases)."""
     problem = prepare(load(folder / "run.toml"), folder, None, False).problem
     truth = np.array([math.log(0.05), 0.0, 0.0])
     exact = problem.given(truth)
     misses = {"whitened": 0, "independent": 0}
     for seed in range(20):
-        noisy = replace(problem, value=exact + problem.sigma * markov(0.7, seed, exact.size))
+        noisy = replace(
+            problem, value=exact + problem.sigma * markov(0.7, seed, exact.size)
+        )
         white = replace(noisy, correlation=np.full(exact.size - 1, 0.7))
         for name, one in (("whitened", white), ("independent", noisy)):
-            misses[name] += minimise(one, truth, 0).chi2 - minimise(one, truth).chi2 > LEVELS["95"]
+            misses[name] += (
+                minimise(one, truth, 0).chi2 - minimise(one, truth).chi2 > LEVELS["95"]
+            )
     assert misses["whitened"] <= 5
     assert misses["independent"] > misses["whitened"]
 
@@ -198,7 +240,10 @@ def test_correlated_errors_are_not_independent(folder):
 def slope(problem, index, step):
     """Central difference of predictions with respect to a parameter."""
     forward, shift = problem.forward, step * (np.arange(problem.start.size) == index)
-    up, down = (forward.predict(problem.changes(problem.start + sign * shift))[0] for sign in (1, -1))
+    up, down = (
+        forward.predict(problem.changes(problem.start + sign * shift))[0]
+        for sign in (1, -1)
+    )
     return (up - down) / (2 * step)
 
 
@@ -209,28 +254,33 @@ def change(problem, index):
 
 
 def test_given_steps_make_predictions_smooth():
-    """The same numbers where steps were chosen; derivatives from a step of .05 in a logarithm miss what is of third
-    order in it (.05^2/6 of what is 1), and if each solve chooses its own steps, more. Far away, where they do not
-    serve, the others are taken."""
+    """The same numbers where steps were chosen; derivatives from a step of .05 in a
+    logarithm miss what is of third order in it (.05^2/6 of what is 1), and if each
+    solve chooses its own steps, more. Far away, where they do not serve, the others are
+    taken."""
     exact = coverage.record()
     few = replace(exact.forward, time=exact.forward.time[::4], steps=None)
     problem = settled(replace(exact, forward=few), exact.start)
     rough = replace(problem, forward=few)
     changes = problem.changes(problem.start)
     own, given = (one.forward.predict(changes)[0] for one in (rough, problem))
-    np.testing.assert_allclose(given, own, rtol=1e-12, atol=0)  # rounding, 1e-16 in each of some hundred steps
+    np.testing.assert_allclose(
+        given, own, rtol=1e-12, atol=0
+    )  # rounding, 1e-16 in each of some hundred steps
     assert change(problem, 1) < 2e-3
     assert change(rough, 1) > 1e-2
     far = {"drive.stage.stiffness": 0.05, "aging.beta": 0.5}
     own, given = (one.forward.predict(far)[0] for one in (rough, problem))
-    # steps that are given may miss 30 times what others do, 2e-4 of a threshold each before a solve takes its own
+    # steps that are given may miss 30 times what others do, 2e-4 of a threshold each
+    # before a solve takes its own
     np.testing.assert_allclose(given, own, rtol=5e-3, atol=0)
 
 
 @pytest.mark.verification
 def test_warm_records_have_intervals():
-    """Of a record of contacts that heat breaks: derivatives hold to 5 % between two steps, those of solves that choose
-    their own do not; and chi-square rises along a profile as the covariance of these derivatives says, to 10 %."""
+    """Of a record of contacts that heat breaks: derivatives hold to 5 % between two
+    steps, those of solves that choose their own do not; and chi-square rises along a
+    profile as the covariance of these derivatives says, to 10 %."""
     file = load(ROOT / "runs" / "fit-basalt-step.toml")
     problem = prepare(file, ROOT / "runs", None, False).problem
     smooth = settled(problem, problem.start)

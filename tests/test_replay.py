@@ -1,4 +1,5 @@
-"""A table can be made again from what it carries, and a table that was tampered with is found out."""
+"""A table can be made again from what it carries, and a table that was tampered with is
+found out."""
 
 import json
 import os
@@ -52,9 +53,32 @@ def made(tmp_path_factory):
         '[thresholds]\nlaw = "table"\nfile = "x.csv"\n[drive]\nvelocity = 1.0\ndistance = 3\n'
     )
     calls = {
-        "run": ("run", folder / "a.toml", "--out", folder / "run", "--seed", 7, "--set", "delay.law=exponential"),
-        "table": ("run", folder / "b.toml", "--out", folder / "table", "--set", "contacts.count=50"),
-        "sweep": ("sweep", folder / "a.toml", "--out", folder / "sweep", "--workers", 1),
+        "run": (
+            "run",
+            folder / "a.toml",
+            "--out",
+            folder / "run",
+            "--seed",
+            7,
+            "--set",
+            "delay.law=exponential",
+        ),
+        "table": (
+            "run",
+            folder / "b.toml",
+            "--out",
+            folder / "table",
+            "--set",
+            "contacts.count=50",
+        ),
+        "sweep": (
+            "sweep",
+            folder / "a.toml",
+            "--out",
+            folder / "sweep",
+            "--workers",
+            1,
+        ),
     }
     for command in calls.values():
         done = call(*command)
@@ -67,7 +91,8 @@ def made(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("kind", "threads"), [("run", 2), ("sweep", 1), pytest.param("table", 2, marks=pytest.mark.long)]
+    ("kind", "threads"),
+    [("run", 2), ("sweep", 1), pytest.param("table", 2, marks=pytest.mark.long)],
 )
 def test_same_bits(made, kind, threads):
     done = call("replay", made[kind], "--threads", threads, "--json")
@@ -98,7 +123,9 @@ def test_what_was_changed_is_found(made, tmp_path):
     force = table["force"].to_numpy().copy()
     force[3] = np.nextafter(force[3], 1.0)
     at = table.schema.get_field_index("force")
-    changed = table.set_column(at, "force", pa.array(force)).replace_schema_metadata(table.schema.metadata)
+    changed = table.set_column(at, "force", pa.array(force)).replace_schema_metadata(
+        table.schema.metadata
+    )
     pq.write_table(changed, tmp_path / "changed.parquet")
     done = call("replay", tmp_path / "changed.parquet")
     assert done.exit_code == 1
@@ -106,30 +133,50 @@ def test_what_was_changed_is_found(made, tmp_path):
 
 
 def test_a_sweep_of_an_older_version(made, tmp_path, monkeypatch):
-    """Seeds are made from identities, and these from the version of results; a replay takes those of then."""
+    """Seeds are made from identities, and these from the version of results; a replay
+    takes those of then."""
     monkeypatch.setattr("eqsim.sweeps.plan.RESULTS_VERSION", 1000)
     done = call("replay", made["sweep"], "--json")
     assert json.loads(done.stdout)["differences"] == {}, done.output
     table = pq.read_table(made["sweep"])
     for ids in (["x"], ["x", "y"]):  # as nobody has written them
         changed = table.slice(0, len(ids)).set_column(0, "id", pa.array(ids))
-        pq.write_table(changed.replace_schema_metadata(table.schema.metadata), tmp_path / "changed.parquet")
+        pq.write_table(
+            changed.replace_schema_metadata(table.schema.metadata),
+            tmp_path / "changed.parquet",
+        )
         done = call("replay", tmp_path / "changed.parquet")
         assert done.exit_code == 2
-        assert ("holds 1 of the 2 points of a sweep that was not finished" in done.stderr) == (len(ids) == 1)
-        assert ("its provenance is damaged (ValueError" in done.stderr) == (len(ids) == 2)
+        assert (
+            "holds 1 of the 2 points of a sweep that was not finished" in done.stderr
+        ) == (len(ids) == 1)
+        assert ("its provenance is damaged (ValueError" in done.stderr) == (
+            len(ids) == 2
+        )
 
 
 def test_compare():
     left = pd.DataFrame({"a": [1.0, np.nan], "b": ["x", "y"], "seconds": [1.0, 2.0]})
     assert compare(left, left.assign(seconds=0.0)) == {}
     assert compare(left, left.assign(a=[1.5, np.nan])) == {"a": (1, 0.5)}
-    assert compare(left, left.assign(a=[1.0, 2.0], b=["x", "z"])) == {"a": (1, None), "b": (1, None)}
-    assert compare(left.assign(a=[True, False]), left.assign(a=[True, True])) == {"a": (1, None)}
-    for longer, shorter in ((left, left.iloc[:1]), (pd.concat([left, left.iloc[:1]]), left)):
+    assert compare(left, left.assign(a=[1.0, 2.0], b=["x", "z"])) == {
+        "a": (1, None),
+        "b": (1, None),
+    }
+    assert compare(left.assign(a=[True, False]), left.assign(a=[True, True])) == {
+        "a": (1, None)
+    }
+    for longer, shorter in (
+        (left, left.iloc[:1]),
+        (pd.concat([left, left.iloc[:1]]), left),
+    ):
         rows = {"a": (len(longer), None), "b": (len(longer), None)}
         assert compare(longer, shorter) == compare(shorter, longer) == rows
-    assert set(compare(left, left.drop(columns="b"))) == set(compare(left.drop(columns="b"), left)) == {"b"}
+    assert (
+        set(compare(left, left.drop(columns="b")))
+        == set(compare(left.drop(columns="b"), left))
+        == {"b"}
+    )
 
 
 def test_what_cannot_be_replayed_says_so(tmp_path):
@@ -139,7 +186,10 @@ def test_what_cannot_be_replayed_says_so(tmp_path):
     pq.write_table(table, tmp_path / "fitted.parquet")
     done = call("replay", tmp_path / "fitted.parquet")
     assert done.exit_code == 2
-    assert "was written by `eqsim fit`; only tables of `eqsim run`, `eqsim fluctuations`" in done.stderr
+    assert (
+        "was written by `eqsim fit`; only tables of `eqsim run`, `eqsim fluctuations`"
+        in done.stderr
+    )
     assert done.stderr.count("\n") == 1
 
 
@@ -149,13 +199,23 @@ def test_bad_input_is_one_line(tmp_path):
     os.mkfifo(tmp_path / "pipe.parquet")
     good = {"command": "run", "settings": {}, "versions": {}}
     for number, origin in enumerate(
-        ({**good, "settings": None}, {**good, "versions": []}, {"command": "run"}, [], "[" * 5000, good)
+        (
+            {**good, "settings": None},
+            {**good, "versions": []},
+            {"command": "run"},
+            [],
+            "[" * 5000,
+            good,
+        )
     ):
         text = origin if isinstance(origin, str) else json.dumps(origin)
         table = pa.table({"a": [1]}).replace_schema_metadata({"eqsim": text})
         pq.write_table(table, tmp_path / f"{number}.parquet")
     for name, message in (
-        *((f"{number}.parquet", "that eqsim has written, or is damaged") for number in range(5)),
+        *(
+            (f"{number}.parquet", "that eqsim has written, or is damaged")
+            for number in range(5)
+        ),
         ("5.parquet", "its provenance is damaged (KeyError: 'folder')"),
         ("pipe.parquet", "is not a file"),
         ("absent.parquet", "cannot be read (No such file"),

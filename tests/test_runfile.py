@@ -1,4 +1,5 @@
-"""Run files: defaults, bad input in one line that names the field, and threshold tables."""
+"""Run files: defaults, bad input in one line that names the field, and threshold
+tables."""
 
 import json
 import math
@@ -34,11 +35,17 @@ def test_defaults(tmp_path):
     assert ensemble.thresholds == Gamma(1.0, 1.0)
     assert ensemble.thermal == Thermal(0.0, 1.0, "soft")
     assert ensemble.delay == Delay(0.0, "fixed")
-    assert (ensemble.count, ensemble.stiffness, ensemble.stiffness_law) == (100_000, 1.0, "sqrt")
+    assert (ensemble.count, ensemble.stiffness, ensemble.stiffness_law) == (
+        100_000,
+        1.0,
+        "sqrt",
+    )
     assert (ensemble.disorder, ensemble.eta) == ("quenched", 0.0)
     assert file.driven(tmp_path) == Drive(0.1, None, "fresh")
     assert (file.output.points, file.output.seed, file.output.replicas) == (2001, 1, 1)
-    assert file.driven(tmp_path).over(ensemble) == pytest.approx(200 * ensemble.thresholds.mean, rel=1e-15, abs=0)
+    assert file.driven(tmp_path).over(ensemble) == pytest.approx(
+        200 * ensemble.thresholds.mean, rel=1e-15, abs=0
+    )
 
 
 def test_every_key(tmp_path):
@@ -61,7 +68,9 @@ def test_every_key(tmp_path):
     assert ensemble.count == 1000
     assert ensemble.delay == Delay(1.5, "exponential")
     assert check(data).driven(tmp_path) == Drive(2, 7, "stationary")
-    assert check({"thresholds": {"law": "delta", "x_star": 2.0}}).ensemble(tmp_path).thresholds == Delta(2.0)
+    assert check({"thresholds": {"law": "delta", "x_star": 2.0}}).ensemble(
+        tmp_path
+    ).thresholds == Delta(2.0)
 
 
 def programme(*segments, **more):
@@ -73,35 +82,77 @@ BAD = [
     ({"velocity": 1.0}, 'velocity: unknown key; did you mean "drive.velocity"?'),
     ({"drive": {"kT": 1.0}}, 'drive.kT: unknown key; did you mean "thermal.kT"?'),
     ({"nonsense": 1}, "nonsense: unknown key; known here: title"),
-    ({"contacts": {"count": "many"}}, "contacts.count = 'many': must be a valid integer"),
+    (
+        {"contacts": {"count": "many"}},
+        "contacts.count = 'many': must be a valid integer",
+    ),
     ({"contacts": {"count": 0}}, "contacts.count = 0: must be an integer from 1"),
     ({"contacts": {"count": 1.5}}, "contacts.count = 1.5: must be a valid integer"),
     ({"contacts": {"count": True}}, "contacts.count = True: must be a valid integer"),
-    ({"contacts": {"stiffness": -1.0}}, "contacts.stiffness = -1.0: must be a finite number > 0"),
-    ({"contacts": {"stiffness": "1"}}, "contacts.stiffness = '1': must be a valid number"),
-    ({"contacts": {"stiffness_law": "cubic"}}, 'contacts.stiffness_law = \'cubic\': must be one of "sqrt", "uniform"'),
+    (
+        {"contacts": {"stiffness": -1.0}},
+        "contacts.stiffness = -1.0: must be a finite number > 0",
+    ),
+    (
+        {"contacts": {"stiffness": "1"}},
+        "contacts.stiffness = '1': must be a valid number",
+    ),
+    (
+        {"contacts": {"stiffness_law": "cubic"}},
+        'contacts.stiffness_law = \'cubic\': must be one of "sqrt", "uniform"',
+    ),
     ({"contacts": 5}, "contacts = 5: must be a section, [contacts]"),
     ({"thresholds": {"n": -0.5}}, "thresholds.n = -0.5: must be a finite number >= 0"),
-    ({"thresholds": {"x_star": 0}}, "thresholds.x_star = 0.0: must be a finite number > 0"),
-    ({"thresholds": {"law": "delta", "n": 1.0}}, 'thresholds.n = 1.0: not allowed with law = "delta"'),
-    ({"thresholds": {"law": "table"}}, 'thresholds.file: is required with law = "table"'),
-    ({"thresholds": {"law": "table", "file": "x", "x_star": 1.0}}, "thresholds.x_star = 1.0: not allowed"),
-    ({"thresholds": {"law": "weird"}}, 'thresholds.law = \'weird\': must be "gamma", "delta", "lognormal", '),
-    ({"thermal": {"kT": float("nan")}}, "thermal.kT = nan: must be a finite number >= 0"),
-    ({"thermal": {"kT": float("inf")}}, "thermal.kT = inf: must be a finite number >= 0"),
+    (
+        {"thresholds": {"x_star": 0}},
+        "thresholds.x_star = 0.0: must be a finite number > 0",
+    ),
+    (
+        {"thresholds": {"law": "delta", "n": 1.0}},
+        'thresholds.n = 1.0: not allowed with law = "delta"',
+    ),
+    (
+        {"thresholds": {"law": "table"}},
+        'thresholds.file: is required with law = "table"',
+    ),
+    (
+        {"thresholds": {"law": "table", "file": "x", "x_star": 1.0}},
+        "thresholds.x_star = 1.0: not allowed",
+    ),
+    (
+        {"thresholds": {"law": "weird"}},
+        'thresholds.law = \'weird\': must be "gamma", "delta", "lognormal", ',
+    ),
+    (
+        {"thermal": {"kT": float("nan")}},
+        "thermal.kT = nan: must be a finite number >= 0",
+    ),
+    (
+        {"thermal": {"kT": float("inf")}},
+        "thermal.kT = inf: must be a finite number >= 0",
+    ),
     ({"thermal": {"barrier": "hard"}}, "thermal.barrier = 'hard': must be one of"),
     ({"aging": {"rule": "flow"}}, 'aging.x_star_final: is required with rule = "flow"'),
     ({"aging": {"rule": "slow"}}, "aging.rule = 'slow': must be one of"),
-    ({"aging": {"rule": "flow", "rate": -1.0, "x_star_final": 1.0}}, "aging.rate = -1.0: must be a finite number >= 0"),
+    (
+        {"aging": {"rule": "flow", "rate": -1.0, "x_star_final": 1.0}},
+        "aging.rate = -1.0: must be a finite number >= 0",
+    ),
     (
         {"aging": {"rule": "langevin", "rate": math.inf, "x_star_final": 1.0}},
         'aging.rate = inf: must be finite with rule = "langevin" and quenched disorder',
     ),
     (
-        {"aging": {"rule": "flow", "x_star_final": 1.0}, "thresholds": {"law": "delta"}},
+        {
+            "aging": {"rule": "flow", "x_star_final": 1.0},
+            "thresholds": {"law": "delta"},
+        },
         'aging.rule = "flow": needs thresholds of law "gamma"',
     ),
-    ({"aging": {"rule": "flow", "x_star_final": 1e9}}, "aging.x_star_final = 1000000000.0: must be within a factor"),
+    (
+        {"aging": {"rule": "flow", "x_star_final": 1e9}},
+        "aging.x_star_final = 1000000000.0: must be within a factor",
+    ),
     (
         {"newborn": {"stretch": 0.3}},
         'newborn.law: is required with stretch; must be "delta", "uniform", "exponential", "normal" or "unstressed"',
@@ -111,8 +162,14 @@ BAD = [
         {"newborn": {"law": "uniform", "low": 0.0, "high": 1.0, "mean": 0.5}},
         'newborn.mean = 0.5: not allowed with law = "uniform", which takes low and high',
     ),
-    ({"newborn": {"law": "gauss"}}, 'newborn.law = \'gauss\': must be one of "unstressed", "delta", "uniform"'),
-    ({"newborn": {"law": "delta", "strech": 0.3}}, 'newborn.strech: unknown key; did you mean "stretch"?'),
+    (
+        {"newborn": {"law": "gauss"}},
+        'newborn.law = \'gauss\': must be one of "unstressed", "delta", "uniform"',
+    ),
+    (
+        {"newborn": {"law": "delta", "strech": 0.3}},
+        'newborn.strech: unknown key; did you mean "stretch"?',
+    ),
     (
         {"newborn": {"law": "delta", "stretch": 30.0}},
         'newborn.law = "delta": contacts are born with stretches up to 30, but no threshold is above 21.8',
@@ -121,36 +178,96 @@ BAD = [
         {"newborn": {"law": "normal", "mean": 0.0, "std": 1.0, "of": "threshold"}},
         'newborn.law = "normal": reaches beyond any threshold; of = "threshold" takes "delta" or "uniform"',
     ),
-    ({"newborn": {"law": "delta", "stretch": 1.0, "of": "threshold"}}, "newborn.stretch = 1.0: must be > -1 and < 1"),
     (
-        {"newborn": {"law": "delta", "stretch": 0.3}, "aging": {"rule": "flow", "rate": 0.1, "x_star_final": 2.0}},
+        {"newborn": {"law": "delta", "stretch": 1.0, "of": "threshold"}},
+        "newborn.stretch = 1.0: must be > -1 and < 1",
+    ),
+    (
+        {
+            "newborn": {"law": "delta", "stretch": 0.3},
+            "aging": {"rule": "flow", "rate": 0.1, "x_star_final": 2.0},
+        },
         'newborn.law = "delta": must be "unstressed" for contacts that age, or take aging.rule = "none"',
     ),
     ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
     ({"delay": {"law": "gamma"}}, "delay.law = 'gamma': must be one of"),
     ({"viscosity": {"eta": -2}}, "viscosity.eta = -2.0: must be a finite number >= 0"),
-    ({"disorder": "frozen"}, 'disorder = \'frozen\': must be one of "quenched", "annealed"'),
+    (
+        {"disorder": "frozen"},
+        'disorder = \'frozen\': must be one of "quenched", "annealed"',
+    ),
     ({}, "drive.velocity: is required"),
     ({"drive": {"velocity": 0}}, "drive.velocity = 0.0: must be a finite number > 0"),
     ({"drive": {"velocity": 10**400}}, "drive.velocity"),
-    ({"drive": {"velocity": 1.0, "distance": 0.0}}, "drive.distance = 0.0: must be a finite number > 0"),
-    ({"drive": {"velocity": 1.0, "start": "warm"}}, "drive.start = 'warm': must be one of"),
+    (
+        {"drive": {"velocity": 1.0, "distance": 0.0}},
+        "drive.distance = 0.0: must be a finite number > 0",
+    ),
+    (
+        {"drive": {"velocity": 1.0, "start": "warm"}},
+        "drive.start = 'warm': must be one of",
+    ),
     (programme(), "drive.programme = []: must have at least one segment"),
-    (programme({"velocity": 1.0}), "drive.programme.0.distance: a segment has either a distance or a time"),
-    (programme({"velocity": 1.0, "distance": 1.0, "time": 1.0}), "drive.programme.0.distance: a segment has either"),
-    (programme({"distance": 1.0}), "drive.programme.0.velocity: a segment has either a velocity or a hold"),
-    (programme({"hold": 1.0}, {"hold": 1.0, "velocity": 1.0}), "drive.programme.1.velocity: a segment has either"),
-    (programme({"hold": 1.0, "time": 2.0}), "drive.programme.0.time = 2.0: not allowed with hold"),
-    (programme({"hold": 0.0}), "drive.programme.0.hold = 0.0: must be a finite number > 0"),
-    (programme({"hold": math.inf}), "drive.programme.0.hold = inf: must be a finite number > 0"),
-    (programme({"velocity": 0.0, "distance": 1.0}), "drive.programme.0.velocity = 0.0: must not be 0 with a distance"),
-    (programme({"velocity": math.nan, "time": 1.0}), "drive.programme.0.velocity = nan: must be a finite number"),
-    (programme({"velocity": 1.0, "time": -1.0}), "drive.programme.0.time = -1.0: must be a finite number > 0"),
-    (programme({"velocity": 1.0, "tiem": 1.0}), 'drive.programme.0.tiem: unknown key; did you mean "time"?'),
-    (programme({"velocity": 1.0, "time": 1.0, "points": 0}), "drive.programme.0.points = 0: must be an integer from 1"),
-    (programme({"hold": 1.0}, start="stationary"), 'drive.velocity: is required with start = "stationary"'),
-    (programme({"hold": 1.0}, distance=1.0), "drive.distance = 1.0: not allowed with a programme or file"),
-    (programme({"hold": 1.0}, file="x.csv"), "drive.file: not allowed with drive.programme"),
+    (
+        programme({"velocity": 1.0}),
+        "drive.programme.0.distance: a segment has either a distance or a time",
+    ),
+    (
+        programme({"velocity": 1.0, "distance": 1.0, "time": 1.0}),
+        "drive.programme.0.distance: a segment has either",
+    ),
+    (
+        programme({"distance": 1.0}),
+        "drive.programme.0.velocity: a segment has either a velocity or a hold",
+    ),
+    (
+        programme({"hold": 1.0}, {"hold": 1.0, "velocity": 1.0}),
+        "drive.programme.1.velocity: a segment has either",
+    ),
+    (
+        programme({"hold": 1.0, "time": 2.0}),
+        "drive.programme.0.time = 2.0: not allowed with hold",
+    ),
+    (
+        programme({"hold": 0.0}),
+        "drive.programme.0.hold = 0.0: must be a finite number > 0",
+    ),
+    (
+        programme({"hold": math.inf}),
+        "drive.programme.0.hold = inf: must be a finite number > 0",
+    ),
+    (
+        programme({"velocity": 0.0, "distance": 1.0}),
+        "drive.programme.0.velocity = 0.0: must not be 0 with a distance",
+    ),
+    (
+        programme({"velocity": math.nan, "time": 1.0}),
+        "drive.programme.0.velocity = nan: must be a finite number",
+    ),
+    (
+        programme({"velocity": 1.0, "time": -1.0}),
+        "drive.programme.0.time = -1.0: must be a finite number > 0",
+    ),
+    (
+        programme({"velocity": 1.0, "tiem": 1.0}),
+        'drive.programme.0.tiem: unknown key; did you mean "time"?',
+    ),
+    (
+        programme({"velocity": 1.0, "time": 1.0, "points": 0}),
+        "drive.programme.0.points = 0: must be an integer from 1",
+    ),
+    (
+        programme({"hold": 1.0}, start="stationary"),
+        'drive.velocity: is required with start = "stationary"',
+    ),
+    (
+        programme({"hold": 1.0}, distance=1.0),
+        "drive.distance = 1.0: not allowed with a programme or file",
+    ),
+    (
+        programme({"hold": 1.0}, file="x.csv"),
+        "drive.file: not allowed with drive.programme",
+    ),
     ({"drive": {"programme": 3}}, "drive.programme = 3: must be a valid list"),
 ]
 
@@ -222,21 +339,29 @@ def test_bad_tables(tmp_path, content, message):
 
 def test_good_tables(tmp_path):
     path = tmp_path / "x.csv"
-    path.write_text("\ufeffsample, threshold\n1, 2.5\n2, 0.5\n\n3, 1e3\n", encoding="utf-8")
+    path.write_text(
+        "\ufeffsample, threshold\n1, 2.5\n2, 0.5\n\n3, 1e3\n", encoding="utf-8"
+    )
     assert list(read_thresholds(path).steps) == [0.5, 2.5, 1000.0]
 
 
 def test_tables_of_forces(tmp_path):
     """Contacts with these stretches and stiffnesses hold these forces."""
     forces = np.array([1.0, 4.0, 10.0])
-    (tmp_path / "strengths.csv").write_text("# by indentation\n\nstrength_nN\n1\n4\n10\n")
+    (tmp_path / "strengths.csv").write_text(
+        "# by indentation\n\nstrength_nN\n1\n4\n10\n"
+    )
     table = {"law": "table", "file": "strengths.csv", "quantity": "force"}
     for law in ("uniform", "sqrt"):
-        file = check({"thresholds": table, "contacts": {"stiffness": 2.0, "stiffness_law": law}})
+        file = check(
+            {"thresholds": table, "contacts": {"stiffness": 2.0, "stiffness_law": law}}
+        )
         ensemble = file.ensemble(tmp_path)
         stretch = ensemble.thresholds.steps
         stiffness = 2.0 * relative_stiffness(law, stretch, ensemble.thresholds.rms)
-        np.testing.assert_allclose(stiffness * stretch, forces, rtol=1e-14, atol=0)  # ten roundings of 1e-16
+        np.testing.assert_allclose(
+            stiffness * stretch, forces, rtol=1e-14, atol=0
+        )  # ten roundings of 1e-16
     with pytest.raises(InputError, match="quantity = 'force': not allowed with law"):
         check({"thresholds": {"quantity": "force"}}).ensemble(tmp_path)
 
@@ -272,8 +397,14 @@ def test_columns_and_scale_of_tables(tmp_path, content, column):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"thresholds.scale": 0.0}, "thresholds.scale = 0.0: must be a finite number > 0"),
-        ({"thresholds.column": "b"}, 'needs a column "b" in its first line; found a, c'),
+        (
+            {"thresholds.scale": 0.0},
+            "thresholds.scale = 0.0: must be a finite number > 0",
+        ),
+        (
+            {"thresholds.column": "b"},
+            'needs a column "b" in its first line; found a, c',
+        ),
         (
             {"thresholds.law": "gamma", "thresholds.file": None},
             'thresholds.scale = 1.0: not allowed with law = "gamma"',
@@ -301,7 +432,10 @@ def test_changes(tmp_path):
 @pytest.mark.parametrize("value", [True, 1.0, "3", None, 0, 11])
 def test_integers_are_integers(value):
     """Of Python's bool is one; of a number of contacts it is a mistake."""
-    with pytest.raises(InputError, match=rf"^field = {re.escape(repr(value))}: must be an integer from 1 to 10$"):
+    with pytest.raises(
+        InputError,
+        match=rf"^field = {re.escape(repr(value))}: must be an integer from 1 to 10$",
+    ):
         require_integer("field", value, 1, 10)
     require_integer("field", 1, 1, 10)
     require_integer("field", 10, 1, 10)
@@ -311,7 +445,11 @@ def test_integers_are_integers(value):
     ("bounds", "good", "bad"),
     [
         ({"above": 0.0}, [5e-324, 1e300], [0.0, -1.0, math.inf, math.nan, "1", None]),
-        ({"least": 2.0, "most": 3.0}, [2.0, 3.0, 2], [math.nextafter(2.0, 0.0), math.nextafter(3.0, 4.0), math.nan]),
+        (
+            {"least": 2.0, "most": 3.0},
+            [2.0, 3.0, 2],
+            [math.nextafter(2.0, 0.0), math.nextafter(3.0, 4.0), math.nan],
+        ),
         ({}, [-1e300, 0], [math.inf, -math.inf, math.nan, 10**400]),
     ],
 )
@@ -325,24 +463,41 @@ def test_bounds_of_numbers(bounds, good, bad):
 
 
 def test_no_count_of_contacts_is_true():
-    for call in (lambda: Ensemble(count=True), lambda: trajectory(Ensemble(count=5), Drive(1.0, 1.0), replicas=True)):
+    for call in (
+        lambda: Ensemble(count=True),
+        lambda: trajectory(Ensemble(count=5), Drive(1.0, 1.0), replicas=True),
+    ):
         with pytest.raises(InputError, match=r" = True: must be an integer from 1"):
             call()
 
 
 def test_a_programme_in_a_run_file(tmp_path):
     data = programme(
-        {"velocity": 0.1, "distance": 5}, {"hold": 1e3, "points": 7}, {"velocity": -1, "time": 2}, velocity=2
+        {"velocity": 0.1, "distance": 5},
+        {"hold": 1e3, "points": 7},
+        {"velocity": -1, "time": 2},
+        velocity=2,
     )
-    expected = Programme([Segment(0.1, 5.0), Segment(0.0, None, 1e3, 7), Segment(-1.0, None, 2.0)], "fresh", 2.0)
+    expected = Programme(
+        [Segment(0.1, 5.0), Segment(0.0, None, 1e3, 7), Segment(-1.0, None, 2.0)],
+        "fresh",
+        2.0,
+    )
     assert check(data).driven(tmp_path) == expected
 
 
 def test_a_recorded_drive(tmp_path):
-    """Piecewise linear: velocities and times of segments; a first line with a byte-order mark, more columns."""
-    (tmp_path / "x.csv").write_text("\ufefft, X ,temperature\n0,0,1\n2,1,1\n5,1,1\n6,0.5,1\n", encoding="utf-8")
+    """Piecewise linear: velocities and times of segments; a first line with a
+    byte-order mark, more columns."""
+    (tmp_path / "x.csv").write_text(
+        "\ufefft, X ,temperature\n0,0,1\n2,1,1\n5,1,1\n6,0.5,1\n", encoding="utf-8"
+    )
     drive = check({"drive": {"file": "x.csv"}}).driven(tmp_path)
-    assert [(segment.velocity, segment.time) for segment in drive.segments] == [(0.5, 2.0), (0.0, 3.0), (-0.5, 1.0)]
+    assert [(segment.velocity, segment.time) for segment in drive.segments] == [
+        (0.5, 2.0),
+        (0.0, 3.0),
+        (-0.5, 1.0),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -350,8 +505,14 @@ def test_a_recorded_drive(tmp_path):
     [
         ("t\n0\n", 'needs a column "X" in its first line; found t'),
         ("t,X\n0,0\n1,1\n1,2\n", "line 4: t = 1 must be later than the 1 before it"),
-        ("t,X\n0,0\n1,1\n0.5,2\n", "line 4: t = 0.5 must be later than the 1 before it"),
-        ("t,X\n0,1\n1,1\n", "line 2: t = 0, X = 1; the first instant must be t = 0, X = 0"),
+        (
+            "t,X\n0,0\n1,1\n0.5,2\n",
+            "line 4: t = 0.5 must be later than the 1 before it",
+        ),
+        (
+            "t,X\n0,1\n1,1\n",
+            "line 2: t = 0, X = 1; the first instant must be t = 0, X = 0",
+        ),
         ("t,X\n0,0\n1,nan\n", "line 3: '1, nan' must be finite numbers"),
         ("t,X\n0,0\n1,much\n", "line 3: '1, much' must be finite numbers"),
         ("t,X\n0,0\n", "needs two instants at least"),
@@ -373,7 +534,11 @@ def test_keys_of_a_programme():
     """Keys of segments, which sweeps and --set change, are those that are given."""
     file = check(programme({"velocity": 0.1, "distance": 5.0}, {"hold": 1e3}))
     found = {key: kind for key, kind in keys(file).items() if "programme" in key}
-    expected = ["drive.programme.0.velocity", "drive.programme.0.distance", "drive.programme.1.hold"]
+    expected = [
+        "drive.programme.0.velocity",
+        "drive.programme.0.distance",
+        "drive.programme.1.hold",
+    ]
     assert found == dict.fromkeys(expected, float)
     assert parameters(file)["drive.programme.1.hold"] == 1e3
     assert at(file, {"drive.programme.1.hold": 2.0}).drive.programme[1].hold == 2.0
@@ -383,15 +548,22 @@ def test_keys_of_a_programme():
 
 def test_changes_of_a_programme(tmp_path):
     path = tmp_path / "run.toml"
-    path.write_text("[drive]\nprogramme = [{ velocity = 1.0, distance = 5.0 }, { hold = 1e3 }]\n")
+    path.write_text(
+        "[drive]\nprogramme = [{ velocity = 1.0, distance = 5.0 }, { hold = 1e3 }]\n"
+    )
     assert load(path, {"drive.programme.1.hold": 2.0}).drive.programme[1].hold == 2.0
-    for key in ("drive.programme.2.hold", "drive.programme.hold.1", "drive.programme.1"):
+    for key in (
+        "drive.programme.2.hold",
+        "drive.programme.hold.1",
+        "drive.programme.1",
+    ):
         with pytest.raises(InputError, match=r"drive\.programme"):
             load(path, {key: 2.0})
 
 
 def test_settings_are_stored_and_read_again():
-    """An infinite rate, for which JSON has no number, and a title that is called as it is written."""
+    """An infinite rate, for which JSON has no number, and a title that is called as it
+    is written."""
     data = {
         "title": "Infinity",
         "disorder": "annealed",

@@ -1,4 +1,5 @@
-"""A slider that a stage pulls through a spring: balance, energy, limits, mean field, and a brute-force twin."""
+"""A slider that a stage pulls through a spring: balance, energy, limits, mean field,
+and a brute-force twin."""
 
 import itertools
 import math
@@ -26,7 +27,15 @@ from eqsim import (
     transient,
 )
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, delay_after, draw_birth, draw_lives
+from eqsim.engine.lanes import (
+    LANES,
+    ROUNDS,
+    Lanes,
+    Lives,
+    delay_after,
+    draw_birth,
+    draw_lives,
+)
 from eqsim.laws.aging.base import Held, spend
 from eqsim.master import slider
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
@@ -39,7 +48,12 @@ STICKING = Stage(0.1, damping=0.1, preload=7.5)
 
 
 def pulled(ensemble, time, stage, points=41, velocity=0.1, **how):
-    return trajectory(ensemble, Programme([Segment(velocity, time=time)], stage=stage), points=points, **how)
+    return trajectory(
+        ensemble,
+        Programme([Segment(velocity, time=time)], stage=stage),
+        points=points,
+        **how,
+    )
 
 
 # ---- contacts along a piece ----
@@ -71,16 +85,30 @@ def test_one_life_is_that_of_many(ensemble):
 
 @pytest.mark.parametrize("law", ["soft", "logarithmic"])
 def test_slower_motion_is_another_pace(law):
-    """At m times the pace a segment is that of a slider whose pace is m times as high: ln(omega/v) is less by ln m,
-    aging slower. Contacts at rest, on the way back and forth; to 1e-8, what tables are good to."""
-    aging = Aging("logarithmic", beta=0.3, cutoff_time=0.5) if law == "logarithmic" else Aging()
+    """At m times the pace a segment is that of a slider whose pace is m times as high:
+    ln(omega/v) is less by ln m, aging slower. Contacts at rest, on the way back and
+    forth; to 1e-8, what tables are good to."""
+    aging = (
+        Aging("logarithmic", beta=0.3, cutoff_time=0.5)
+        if law == "logarithmic"
+        else Aging()
+    )
     ensemble, go = Ensemble(thermal=Thermal(0.1), aging=aging), compiled(spend)
     for m in (0.01, 0.7, 40.0):
         ours, theirs = contacts(ensemble, 1.0), contacts(ensemble, m)
-        for y, age, clock in ((0.0, 0.0, 0.5), (0.4, 1.0, 1e-3), (-0.6, 0.8, 0.02), (-0.9, 2.0, 3.0)):
+        for y, age, clock in (
+            (0.0, 0.0, 0.5),
+            (0.4, 1.0, 1e-3),
+            (-0.6, 0.8, 0.02),
+            (-0.9, 2.0, 3.0),
+        ):
             for length in (0.1, 1.5):
-                a, left = go(ours.aging, ours, Held(1.2, 1.1, y, age), m, length / m, clock)
-                b, rest = go(theirs.aging, theirs, Held(1.2, 1.1, y, age * m), 1.0, length, clock)
+                a, left = go(
+                    ours.aging, ours, Held(1.2, 1.1, y, age), m, length / m, clock
+                )
+                b, rest = go(
+                    theirs.aging, theirs, Held(1.2, 1.1, y, age * m), 1.0, length, clock
+                )
                 assert m * a == b or m * a == pytest.approx(b, rel=1e-7, abs=1e-9)
                 assert left == pytest.approx(rest, rel=1e-7, abs=1e-9)
 
@@ -89,20 +117,39 @@ def test_slower_motion_is_another_pace(law):
 
 
 def twin(ensemble, stage, velocity, time, dt, records):
-    """X at `records` instants by explicit steps of a damped slider at T = 0, every contact looked at in every step."""
-    c, stream, draw = contacts(ensemble, velocity), key(1, TRAJECTORY), compiled(draw_birth)
+    """X at `records` instants by explicit steps of a damped slider at T = 0, every
+    contact looked at in every step."""
+    c, stream, draw = (
+        contacts(ensemble, velocity),
+        key(1, TRAJECTORY),
+        compiled(draw_birth),
+    )
     n, tau = ensemble.count, ensemble.delay.time
     xi = np.array([draw(c.newborn, c, stream, i, 0).threshold for i in range(n)])
-    lives, birth, again, pinned = np.ones(n, int), np.zeros(n), np.full(n, math.inf), np.full(n, True)
+    lives, birth, again, pinned = (
+        np.ones(n, int),
+        np.zeros(n),
+        np.full(n, math.inf),
+        np.full(n, True),
+    )
     X, t, found, steps = 0.0, 0.0, [0.0], round(time / dt)
     for step in range(steps):
         for i in np.flatnonzero(pinned & (X - birth >= xi)):
             pinned[i], again[i] = False, t + tau
         for i in np.flatnonzero(again <= t):
-            xi[i], birth[i], pinned[i], again[i] = draw(c.newborn, c, stream, i, lives[i]).threshold, X, True, math.inf
+            xi[i], birth[i], pinned[i], again[i] = (
+                draw(c.newborn, c, stream, i, lives[i]).threshold,
+                X,
+                True,
+                math.inf,
+            )
             lives[i] += 1
         force = np.sum((X - birth)[pinned]) / n
-        X += dt * (stage.stiffness * (velocity * t + stage.preload - X) - force) / stage.damping
+        X += (
+            dt
+            * (stage.stiffness * (velocity * t + stage.preload - X) - force)
+            / stage.damping
+        )
         t += dt
         if (step + 1) % (steps // records) == 0:
             found.append(X)
@@ -110,13 +157,19 @@ def twin(ensemble, stage, velocity, time, dt, records):
 
 
 def test_agrees_with_small_steps():
-    """300 contacts, through a slip: X of the twin is right to the first order in its step, and that of the slider to
-    its tolerance, but for the moments within a slip, when both are a little early or late. The error of the twin is
-    twice its change when steps are halved. Negative control: damping 5 % off."""
-    ensemble, stage = replace(DELAYED, count=300), Stage(0.1, damping=0.1, preload=7.5, tolerance=1e-6)
+    """300 contacts, through a slip: X of the twin is right to the first order in its
+    step, and that of the slider to its tolerance, but for the moments within a slip,
+    when both are a little early or late. The error of the twin is twice its change when
+    steps are halved. Negative control: damping 5 % off."""
+    ensemble, stage = (
+        replace(DELAYED, count=300),
+        Stage(0.1, damping=0.1, preload=7.5, tolerance=1e-6),
+    )
     coarse, fine = (twin(ensemble, stage, 0.1, 12.0, dt, 12) for dt in (2e-3, 1e-3))
     found = pulled(ensemble, 12.0, stage, 13).X
-    allowed = 2.0 * np.max(np.abs(fine - coarse)) + 2.0 / ensemble.count  # a break more or less
+    allowed = (
+        2.0 * np.max(np.abs(fine - coarse)) + 2.0 / ensemble.count
+    )  # a break more or less
     assert allowed < 0.012
     assert np.max(np.abs(found - fine)) < allowed
     other = pulled(ensemble, 12.0, replace(stage, preload=7.0), 13).X
@@ -130,7 +183,10 @@ def test_agrees_with_small_steps():
     ("ensemble", "stage"),
     [
         (DELAYED, STICKING),
-        (replace(DELAYED, thermal=Thermal(0.1), stiffness_law="sqrt", eta=0.5), Stage(0.05, mass=0.3, damping=0.02)),
+        (
+            replace(DELAYED, thermal=Thermal(0.1), stiffness_law="sqrt", eta=0.5),
+            Stage(0.05, mass=0.3, damping=0.02),
+        ),
         (replace(DELAYED, delay=Delay()), Stage(0.05)),
         pytest.param(
             replace(DELAYED, disorder="annealed", thermal=Thermal(0.1)),
@@ -141,15 +197,20 @@ def test_agrees_with_small_steps():
     ids=["stick-slip", "soft sqrt, mass, viscous", "quasi-static", "annealed"],
 )
 def test_energy_and_threads(ensemble, stage, monkeypatch):
-    """Work of the stage = stored + dissipated + what finite steps miss, to rounding. The latter is below the tolerance
-    of the force, 1e-4, times the way; the mean force is more than 0.1. Two threads leave the same bits."""
+    """Work of the stage = stored + dissipated + what finite steps miss, to rounding.
+    The latter is below the tolerance of the force, 1e-4, times the way; the mean force
+    is more than 0.1. Two threads leave the same bits."""
     ensemble = replace(ensemble, count=6_000)
     found = pulled(ensemble, 150.0, stage, 61, 0.3)
     work, stored, dissipated, missing = found.energy.T
-    assert np.abs(work - stored - dissipated - missing).max() < 1e-11 * max(work.max(), 1.0)
+    assert np.abs(work - stored - dissipated - missing).max() < 1e-11 * max(
+        work.max(), 1.0
+    )
     assert np.abs(missing).max() < 1e-3 * dissipated.max()
     assert dissipated.max() > 0.1
-    monkeypatch.setattr("eqsim.engine.slider._BLOCKS_PER_THREAD", 3)  # as if the contacts were many
+    monkeypatch.setattr(
+        "eqsim.engine.slider._BLOCKS_PER_THREAD", 3
+    )  # as if the contacts were many
     same = pulled(ensemble, 150.0, stage, 61, 0.3, threads=2)
     assert same.columns().keys() == found.columns().keys()
     for name, column in found.columns().items():
@@ -158,16 +219,28 @@ def test_energy_and_threads(ensemble, stage, monkeypatch):
 
 
 def test_a_stiff_spring_is_a_rigid_slider():
-    """X is that of the stage less F/kappa, but for what a step misses of F, which is up to its length where the motion
-    turns. In the first segment contacts are the same, and F differs by what that makes: its slope, and breaks that are
-    due in between (at most 6 of 2000 contacts, none above 3.5); later lives are others, and |z| < 4.5 at 40 instants
-    (false alarm 3e-4)."""
-    ensemble, segments = replace(DELAYED, count=2_000), [Segment(0.1, time=40.0), Segment(0.0, time=5.0)]
-    rigid = trajectory(ensemble, Programme([*segments, Segment(-0.2, time=20.0)]), points=61)
-    stiff = trajectory(ensemble, Programme([*segments, Segment(-0.2, time=20.0)], stage=Stage(1e4)), points=61)
+    """X is that of the stage less F/kappa, but for what a step misses of F, which is up
+    to its length where the motion turns. In the first segment contacts are the same,
+    and F differs by what that makes: its slope, and breaks that are due in between (at
+    most 6 of 2000 contacts, none above 3.5); later lives are others, and |z| < 4.5 at
+    40 instants (false alarm 3e-4)."""
+    ensemble, segments = (
+        replace(DELAYED, count=2_000),
+        [Segment(0.1, time=40.0), Segment(0.0, time=5.0)],
+    )
+    rigid = trajectory(
+        ensemble, Programme([*segments, Segment(-0.2, time=20.0)]), points=61
+    )
+    stiff = trajectory(
+        ensemble,
+        Programme([*segments, Segment(-0.2, time=20.0)], stage=Stage(1e4)),
+        points=61,
+    )
     # the stage is summed up over some 1e4 steps, each rounded to 4e-16: 4e-12 at most
     np.testing.assert_allclose(stiff.stage, rigid.X, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(stiff.X, stiff.stage - stiff.force / 1e4, rtol=0, atol=0.012 / 1e4)
+    np.testing.assert_allclose(
+        stiff.X, stiff.stage - stiff.force / 1e4, rtol=0, atol=0.012 / 1e4
+    )
     first, off = rigid.segment == 0, np.abs(stiff.force - rigid.force)
     assert off[first].max() < 1e-4 + 6 * 3.5 / 2_000
     assert np.all(off <= 4.5 * np.hypot(rigid.force_stderr, stiff.force_stderr) + 1e-4)
@@ -175,19 +248,22 @@ def test_a_stiff_spring_is_a_rigid_slider():
 
 
 def test_thresholds_grow_behind_a_stiff_spring():
-    """Contacts whose thresholds double are those of a rigid slider, and F differs as in the test above, with breaks at
-    up to 7."""
+    """Contacts whose thresholds double are those of a rigid slider, and F differs as in
+    the test above, with breaks at up to 7."""
     ensemble = Ensemble(count=2_000, aging=Aging("flow", 0.1, 2.0), **UNIFORM)
     rigid, stiff = (
-        trajectory(ensemble, Programme([Segment(0.1, distance=4.0)], stage=stage), points=21)
+        trajectory(
+            ensemble, Programme([Segment(0.1, distance=4.0)], stage=stage), points=21
+        )
         for stage in (None, Stage(1e4))
     )
     assert np.abs(stiff.force - rigid.force).max() < 1e-4 + 6 * 7.0 / 2_000
 
 
 def test_nothing_holds_the_slider():
-    """Neither damping nor mass: slips take no time, and the slider never goes back by as much as its longest step,
-    which is the root of the tolerance times the width of the law."""
+    """Neither damping nor mass: slips take no time, and the slider never goes back by
+    as much as its longest step, which is the root of the tolerance times the width of
+    the law."""
     ensemble = replace(DELAYED, count=2_000, thermal=Thermal(0.05), **UNIFORM)
     found = pulled(ensemble, 200.0, Stage(0.05), 2001)
     assert len(found.slips) >= 1
@@ -196,7 +272,8 @@ def test_nothing_holds_the_slider():
 
 
 def test_a_heavy_slider():
-    """Without contacts' friction falling a heavy slider swings about the stage, and loses to friction."""
+    """Without contacts' friction falling a heavy slider swings about the stage, and
+    loses to friction."""
     ensemble = replace(DELAYED, count=2_000, delay=Delay())
     found = pulled(ensemble, 400.0, Stage(0.3, mass=1e4), 401)
     assert np.all(np.isfinite(found.X))
@@ -205,22 +282,34 @@ def test_a_heavy_slider():
 
 # ---- mean field ----
 
-MEAN_FIELD = {4.0: 0.8219230, 8.0: 0.8911854, 10.0: 0.9318314, 12.0: 0.9790210, 20.0: 5.57667}
+MEAN_FIELD = {
+    4.0: 0.8219230,
+    8.0: 0.8911854,
+    10.0: 0.9318314,
+    12.0: 0.9790210,
+    20.0: 5.57667,
+}
 
 
 def test_mean_field_is_of_second_order():
-    """X(1) without rebirths, from eta X' = kappa (Y - X) - X J(X): with a quarter of the steps the error is more than
-    12 times as large, as of order 1.8 or more."""
+    """X(1) without rebirths, from eta X' = kappa (Y - X) - X J(X): with a quarter of
+    the steps the error is more than 12 times as large, as of order 1.8 or more."""
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
-    marks, speeds, at = slider._marks(np.array([0.0, 1.0]), course.ends, course.velocity)
+    marks, speeds, at = slider._marks(
+        np.array([0.0, 1.0]), course.ends, course.velocity
+    )
     spring = slider.Spring(0.1, 0.1, 0.0, 0.0, False, 7.5, 0.0, False, False)
 
     def rate(t, X):
         return (0.1 * (0.1 * t + 7.5 - X) - X * (1 + X * X) * np.exp(-X * X)) / 0.1
 
-    exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-12, atol=1e-13).y[0, -1]
-    task = slider._Task(numerics_of(reduced, course, math.inf), spring, marks, speeds, at)
+    exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-12, atol=1e-13).y[
+        0, -1
+    ]
+    task = slider._Task(
+        numerics_of(reduced, course, math.inf), spring, marks, speeds, at
+    )
     found = (slider._solved(task, fine) for fine in (1, 4))
     coarse, fine = (abs(values.X[-1] - exact) for values, _ in found)
     assert coarse < 1e-5
@@ -228,8 +317,9 @@ def test_mean_field_is_of_second_order():
 
 
 def test_mean_field_positions():
-    """X of the fresh start into the first slip, known to 4e-5: within twice the stated errors, which are below 2e-4
-    before the slip; and X(1) from the equation without rebirths, eta X' = kappa (Y - X) - X J(X)."""
+    """X of the fresh start into the first slip, known to 4e-5: within twice the stated
+    errors, which are below 2e-4 before the slip; and X(1) from the equation without
+    rebirths, eta X' = kappa (Y - X) - X J(X)."""
     found = transient(DELAYED, Programme([Segment(0.1, time=20.0)], stage=STICKING), 41)
     for t, X in MEAN_FIELD.items():
         i = int(np.argmin(np.abs(found.t - t)))
@@ -239,7 +329,9 @@ def test_mean_field_positions():
     def rate(t, X):
         return (0.1 * (0.1 * t + 7.5 - X) - X * (1 + X * X) * np.exp(-X * X)) / 0.1
 
-    exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-10, atol=1e-12).y[0, -1]
+    exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-10, atol=1e-12).y[
+        0, -1
+    ]
     assert found.X[2] == pytest.approx(exact, rel=0, abs=1e-6)
 
 
@@ -261,7 +353,8 @@ def test_mean_field_positions():
     ids=["mechanical", "soft sqrt, exponential delay", "annealed, mass", "logarithmic", "sharp barriers"],
 )  # fmt: skip
 def test_agrees_with_the_mean_field(ensemble, stage):
-    """Means of 12 ensembles of 20 000 contacts before the first slip: force, X and pinned fraction at 8 instants,
+    """Means of 12 ensembles of 20 000 contacts before the first slip: force, X and
+    pinned fraction at 8 instants,
     |z| < 6 of Student's law with 11 degrees of freedom (false alarm 2e-3 in 24 scores), beyond the error of the mean
     field and twice the bias of order 1/N, 2/N. Negative control: another damping."""
     time = 12.0
@@ -275,7 +368,8 @@ def test_agrees_with_the_mean_field(ensemble, stage):
         ]
         return np.concatenate(
             [
-                np.maximum(np.abs(a - b)[at] - known[at] - 2.0 / ensemble.count, 0.0) / np.maximum(sigma[at], 1e-12)
+                np.maximum(np.abs(a - b)[at] - known[at] - 2.0 / ensemble.count, 0.0)
+                / np.maximum(sigma[at], 1e-12)
                 for a, b, sigma, known in pairs
             ]
         )
@@ -289,9 +383,11 @@ def test_agrees_with_the_mean_field(ensemble, stage):
 
 @pytest.mark.verification
 def test_warm_contacts_slip():
-    """Of weak springs and high barriers, whose slips take no time: the mean field is finite, the spring is never pulled
-    by more than a fresh start holds, a rigid drive's first peak times what contacts strengthen by in all, and what it
-    loses in slips is as large as what particles lose, |z| < 4.5 beyond 2 % for the ends of slips in a noisy record."""
+    """Of weak springs and high barriers, whose slips take no time: the mean field is
+    finite, the spring is never pulled by more than a fresh start holds, a rigid drive's
+    first peak times what contacts strengthen by in all, and what it loses in slips is
+    as large as what particles lose, |z| < 4.5 beyond 2 % for the ends of slips in a
+    noisy record."""
     warm = replace(DELAYED, thermal=Thermal(0.005, 1e4), delay=Delay(),
                    aging=Aging("logarithmic", beta=0.02, cutoff_time=0.1))  # fmt: skip
     stage = Stage(0.05)
@@ -303,23 +399,37 @@ def test_warm_contacts_slip():
     falls = np.flatnonzero(np.diff(spring) < -0.05)
     assert falls.size > 2
     found = pulled(warm, 300.0, stage, 3001, replicas=4, threads=2)
-    drop = np.mean([spring[i - 5 : i + 1].max() - spring[i + 1 : i + 6].min() for i in falls[1:]])
+    drop = np.mean(
+        [spring[i - 5 : i + 1].max() - spring[i + 1 : i + 6].min() for i in falls[1:]]
+    )
     assert abs(found.drop.value - drop) < 4.5 * found.drop.stderr + 0.02 * drop
 
 
 @pytest.mark.verification
 def test_stick_slip():
-    """Period 60.070(10), largest force of the spring .7869; particles within their errors, |z| < 4.5, but for the drop,
-    whose largest and least values in a noisy record are too far apart by a few 1e-3; and no slips of a stiff spring."""
-    exact = transient(DELAYED, Programme([Segment(0.1, time=420.0)], stage=STICKING), 8401)
+    """Period 60.070(10), largest force of the spring .7869; particles within their
+    errors, |z| < 4.5, but for the drop, whose largest and least values in a noisy
+    record are too far apart by a few 1e-3; and no slips of a stiff spring."""
+    exact = transient(
+        DELAYED, Programme([Segment(0.1, time=420.0)], stage=STICKING), 8401
+    )
     spring = 0.1 * (exact.stage - exact.X)
-    rises = np.flatnonzero((spring[1:-1] > spring[:-2]) & (spring[1:-1] >= spring[2:]) & (spring[1:-1] > 0.75)) + 1
+    rises = (
+        np.flatnonzero(
+            (spring[1:-1] > spring[:-2])
+            & (spring[1:-1] >= spring[2:])
+            & (spring[1:-1] > 0.75)
+        )
+        + 1
+    )
     period = np.diff(exact.t[rises])[1:]
     assert period.mean() == pytest.approx(60.070, rel=1e-3, abs=0)
     assert spring[exact.t > 60].max() == pytest.approx(0.7869, rel=1e-3, abs=0)
     drop = spring[exact.t > 60].max() - spring[exact.t > 60].min()
     found = pulled(DELAYED, 1500.0, STICKING, 1501, replicas=4, threads=2)
-    assert abs(found.period.value - 60.070) < 4.5 * math.hypot(found.period.stderr, 0.01)
+    assert abs(found.period.value - 60.070) < 4.5 * math.hypot(
+        found.period.stderr, 0.01
+    )
     assert abs(found.drop.value - drop) < 4.5 * found.drop.stderr + 5e-3
     assert pulled(DELAYED, 600.0, Stage(0.3, damping=0.1), 601).slips[1:] == ()
 
@@ -349,9 +459,13 @@ def avalanches_one_by_one(n, kappa, until):
 
 @pytest.mark.parametrize("kappa", [2.0, 0.1])
 def test_avalanches_one_by_one(kappa, monkeypatch):
-    monkeypatch.setattr("eqsim.engine.avalanches._ROOM", 3)  # the kernel is called again
+    monkeypatch.setattr(
+        "eqsim.engine.avalanches._ROOM", 3
+    )  # the kernel is called again
     expected = avalanches_one_by_one(40, kappa, 12.0)
-    found = pulled(Ensemble(count=40, **UNIFORM), 12.0, Stage(kappa), 5, velocity=1.0).avalanches
+    found = pulled(
+        Ensemble(count=40, **UNIFORM), 12.0, Stage(kappa), 5, velocity=1.0
+    ).avalanches
     size = len(found["breaks"])
     assert len(expected) - size in (0, 1)  # the last one goes on
     np.testing.assert_array_equal(found["breaks"], expected[:size, 1])
@@ -360,11 +474,17 @@ def test_avalanches_one_by_one(kappa, monkeypatch):
 
 
 def busy_period(load, most):
-    """P(1), ..., P(most) of customers in a busy period of M/G/1 (Takacs, 1955): E[exp(-load S) (load S)^(n-1)/n!], S
-    the sum of n services of mean 1, here thresholds of a gamma law with n = 1; by Fourier convolution."""
+    """P(1), ..., P(most) of customers in a busy period of M/G/1 (Takacs, 1955):
+    E[exp(-load S) (load S)^(n-1)/n!], S the sum of n services of mean 1, here
+    thresholds of a gamma law with n = 1; by Fourier convolution."""
     cells, top = 2**16, 6.0 * most
     x = (np.arange(cells) + 0.5) * top / cells
-    density = 2 * (x * 1.3293403881791370) ** 3 * np.exp(-((x * 1.3293403881791370) ** 2)) * 1.3293403881791370
+    density = (
+        2
+        * (x * 1.3293403881791370) ** 3
+        * np.exp(-((x * 1.3293403881791370) ** 2))
+        * 1.3293403881791370
+    )
     one = np.fft.rfft(density * top / cells)
     shift = np.exp(-1j * np.pi * np.arange(one.size) / cells)  # of the centres of cells
     law = []
@@ -376,18 +496,32 @@ def busy_period(load, most):
     return np.array(law)
 
 
-@pytest.mark.parametrize("stiffness", [2000, 500, pytest.param(100, marks=pytest.mark.verification)])
+@pytest.mark.parametrize(
+    "stiffness", [2000, 500, pytest.param(100, marks=pytest.mark.verification)]
+)
 def test_avalanches_are_busy_periods(stiffness):
-    """Mean 1 + N k/K, with the scatter of 40 independent ensembles (|z| < 5); sizes by chi-square against M/G/1 of load
-    N/(N + K), p > 1e-4; and friction over displacement is the steady one. Negative control: 10 % less load."""
+    """Mean 1 + N k/K, with the scatter of 40 independent ensembles (|z| < 5); sizes by
+    chi-square against M/G/1 of load N/(N + K), p > 1e-4; and friction over displacement
+    is the steady one. Negative control: 10 % less load."""
     n, runs = 2_000, 10
     found = pulled(
-        Ensemble(count=n, **UNIFORM), 40.0, Stage(stiffness / n), 401, velocity=1.0, replicas=runs, threads=1
+        Ensemble(count=n, **UNIFORM),
+        40.0,
+        Stage(stiffness / n),
+        401,
+        velocity=1.0,
+        replicas=runs,
+        threads=1,
     )
     after = found.avalanches["X"] > 8.0
-    sizes, replica = found.avalanches["breaks"][after], found.avalanches["replica"][after]
+    sizes, replica = (
+        found.avalanches["breaks"][after],
+        found.avalanches["replica"][after],
+    )
     means = [sizes[replica == i].mean() for i in range(runs)]
-    assert abs(np.mean(means) - (1 + n / stiffness)) < 5.0 * np.std(means, ddof=1) / math.sqrt(runs)
+    assert abs(np.mean(means) - (1 + n / stiffness)) < 5.0 * np.std(
+        means, ddof=1
+    ) / math.sqrt(runs)
 
     def p_value(load):
         law = busy_period(load, 60)
@@ -396,7 +530,9 @@ def test_avalanches_are_busy_periods(stiffness):
         expected = np.append(expected, 1.0 - expected.sum()) * sizes.size
         counts = np.histogram(sizes, [1, *(e + 1 for e in edges[1:]), np.inf])[0]
         used = expected > 5
-        return stats.chi2.sf(np.sum((counts - expected)[used] ** 2 / expected[used]), used.sum() - 1)
+        return stats.chi2.sf(
+            np.sum((counts - expected)[used] ** 2 / expected[used]), used.sum() - 1
+        )
 
     load = n / (n + stiffness)
     assert p_value(load) > 1e-4
@@ -407,34 +543,46 @@ def test_avalanches_are_busy_periods(stiffness):
     "law",
     [
         Gamma(),
-        *(pytest.param(law, marks=pytest.mark.verification) for law in (Gamma(0.0), Gamma(4.0), Uniform(0.2, 1.8))),
+        *(
+            pytest.param(law, marks=pytest.mark.verification)
+            for law in (Gamma(0.0), Gamma(4.0), Uniform(0.2, 1.8))
+        ),
     ],
     ids=["n=1", "n=0", "n=4", "uniform"],
 )
 def test_avalanches_of_sqrt_contacts(law):
-    """Mean size 1 + k_t N/K and the share of single breaks under the sqrt law, k_t = k xi_rms/<xi>; 16 ensembles of 500
-    contacts, |z| < 4.5 of Student's law with 15 degrees of freedom (false alarm 4e-4 each) beyond what 500 contacts
-    miss. Negative control: k in place of k_t, travel in place of the force lost."""
+    """Mean size 1 + k_t N/K and the share of single breaks under the sqrt law, k_t = k
+    xi_rms/<xi>; 16 ensembles of 500 contacts, |z| < 4.5 of Student's law with 15
+    degrees of freedom (false alarm 4e-4 each) beyond what 500 contacts miss. Negative
+    control: k in place of k_t, travel in place of the force lost."""
     kappa, runs, n = 0.25, 16, 500
     ensemble, distance = Ensemble(law, count=n), 60.0 * law.mean
-    found = pulled(ensemble, distance, Stage(kappa), 11, velocity=1.0, replicas=runs).avalanches
+    found = pulled(
+        ensemble, distance, Stage(kappa), 11, velocity=1.0, replicas=runs
+    ).avalanches
     late = found["X"] > 20.0 * law.mean
     sizes = [found["breaks"][late & (found["replica"] == i)] for i in range(runs)]
     load = load_of(law, kappa, "sqrt")
     few = missed_by_few(law, load, n, "sqrt")
 
     def score(seen, exact, missed):
-        return (max(abs(np.mean(seen) - exact) - abs(missed), 0.0)) / (np.std(seen, ddof=1) / math.sqrt(runs))
+        return (max(abs(np.mean(seen) - exact) - abs(missed), 0.0)) / (
+            np.std(seen, ddof=1) / math.sqrt(runs)
+        )
 
-    means, single = [np.mean(size) for size in sizes], [np.mean(size == 1) for size in sizes]
+    means, single = (
+        [np.mean(size) for size in sizes],
+        [np.mean(size == 1) for size in sizes],
+    )
     assert score(means, 1.0 / (1.0 - load), few.mean) < 4.5
     assert score(single, size_law(law, load, 1, "sqrt")[0], few.single) < 4.5
     assert score(single, size_law(law, 1.0 / (1.0 + kappa), 1)[0], few.single) > 4.5
 
 
 def test_sqrt_avalanches_in_closed_form():
-    """n = 1, where (xi/x_*)^2 is gamma distributed: mean size 5.2554 and single breaks (1 + rho/2)^-2 = .50668 at
-    kappa = .25; P(2) = rho (1 + rho/2)^-5 from the sum of two drops, gamma distributed with shape 4."""
+    """n = 1, where (xi/x_*)^2 is gamma distributed: mean size 5.2554 and single breaks
+    (1 + rho/2)^-2 = .50668 at kappa = .25; P(2) = rho (1 + rho/2)^-5 from the sum of
+    two drops, gamma distributed with shape 4."""
     load = load_of(Gamma(), 0.25, "sqrt")
     assert 1.0 / (1.0 - load) == pytest.approx(5.2554, rel=0, abs=5e-5)
     found = size_law(Gamma(), load, 2, "sqrt")
@@ -462,7 +610,10 @@ def test_friction_over_displacement_is_steady():
     [
         ({"stiffness": 0.0}, "stiffness = 0.0: must be a finite number > 0"),
         ({"stiffness": math.nan}, "stiffness = nan: must be"),
-        ({"stiffness": 1.0, "damping": -1.0}, "damping = -1.0: must be a finite number >= 0"),
+        (
+            {"stiffness": 1.0, "damping": -1.0},
+            "damping = -1.0: must be a finite number >= 0",
+        ),
         ({"stiffness": 1.0, "mass": math.inf}, "mass = inf: must be"),
         ({"stiffness": 1.0, "preload": math.nan}, "preload = nan: must be"),
         ({"stiffness": 1.0, "tolerance": 1.0}, "tolerance = 1.0: must be"),
@@ -480,12 +631,18 @@ def test_fluctuating_thresholds_are_refused():
 
 
 def test_a_spring_that_pushes():
-    """While the stage holds, a compressed spring moves the slider back as a stretched one moves it on."""
+    """While the stage holds, a compressed spring moves the slider back as a stretched
+    one moves it on."""
     ensemble = replace(DELAYED, count=1_000)
     for solve in (trajectory, transient):
         on, back = (
             solve(
-                ensemble, Programme([Segment(0.0, time=5.0)], stage=Stage(1.0, damping=1.0, preload=preload)), points=9
+                ensemble,
+                Programme(
+                    [Segment(0.0, time=5.0)],
+                    stage=Stage(1.0, damping=1.0, preload=preload),
+                ),
+                points=9,
             )
             for preload in (2.0, -2.0)
         )

@@ -1,4 +1,5 @@
-"""Stability of sliding through a spring: closed forms, other quadratures, other solvers, and the command."""
+"""Stability of sliding through a spring: closed forms, other quadratures, other
+solvers, and the command."""
 
 import json
 import math
@@ -43,7 +44,9 @@ def contacts(n=1.0, tau=0.0, **more):
 
 
 def pulled(stiffness, damping=0.1, mass=0.0, velocity=0.1):
-    return Programme((Segment(velocity, time=1.0),), stage=Stage(stiffness, damping, mass))
+    return Programme(
+        (Segment(velocity, time=1.0),), stage=Stage(stiffness, damping, mass)
+    )
 
 
 def loop(ensemble, programme, nodes=characteristic.FINE):
@@ -52,12 +55,14 @@ def loop(ensemble, programme, nodes=characteristic.FINE):
 
 
 def volterra(n, length, cells):
-    """Steepest fall of F and its peak, T = 0, uniform, no delay: the renewal equation by the trapezoidal rule, which is
-    of second order, and central differences."""
+    """Steepest fall of F and its peak, T = 0, uniform, no delay: the renewal equation
+    by the trapezoidal rule, which is of second order, and central differences."""
     x = np.linspace(0.0, length, cells + 1)
     h, survive = x[1], special.gammaincc(n + 1, x**2)
     broken = np.zeros(cells + 1)
-    broken[1:] = 2.0 * np.exp((1 + 2 * n) * np.log(x[1:]) - x[1:] ** 2 - special.gammaln(n + 1))
+    broken[1:] = 2.0 * np.exp(
+        (1 + 2 * n) * np.log(x[1:]) - x[1:] ** 2 - special.gammaln(n + 1)
+    )
     rate = broken.copy()
     for i in range(1, cells + 1):
         rate[i] += h * (rate[1:i] @ broken[i - 1 : 0 : -1])
@@ -80,17 +85,32 @@ def test_fresh_slip_known(law, n, critical, digit):
 
 
 @pytest.mark.parametrize(
-    ("n", "length", "peak"), [(0, 3.0, 1.026), (1, 3.0, 1.092), (4, 4.0, 1.270), (20, 6.5, None), (100, 12.0, None)]
+    ("n", "length", "peak"),
+    [
+        (0, 3.0, 1.026),
+        (1, 3.0, 1.092),
+        (4, 4.0, 1.270),
+        (20, 6.5, None),
+        (100, 12.0, None),
+    ],
 )
 def test_fresh_slip_by_the_trapezoidal_rule(n, length, peak):
     coarse, fine = (np.array(volterra(n, length, cells)) for cells in (1000, 2000))
     fall, most = fine + (fine - coarse) / 3.0
     missed = np.abs(fine - coarse)  # four times what the finer one misses
-    found, friction = fresh_slip(contacts(n), 0.1), (n + 1) / (2.0 * special.poch(n + 1, 0.5))
-    assert found.critical_stiffness.value == pytest.approx(fall, abs=missed[0] + found.critical_stiffness.stderr)
-    # the largest of values at edges falls short of the peak by up to curvature h^2/8, curvature below 10 falls
+    found, friction = (
+        fresh_slip(contacts(n), 0.1),
+        (n + 1) / (2.0 * special.poch(n + 1, 0.5)),
+    )
+    assert found.critical_stiffness.value == pytest.approx(
+        fall, abs=missed[0] + found.critical_stiffness.stderr
+    )
+    # the largest of values at edges falls short of the peak by up to curvature h^2/8,
+    # curvature below 10 falls
     h = length / 2000
-    assert found.peak_ratio.value == pytest.approx(most / friction, abs=(missed[1] + 10.0 * fall * h * h) / friction)
+    assert found.peak_ratio.value == pytest.approx(
+        most / friction, abs=(missed[1] + 10.0 * fall * h * h) / friction
+    )
     if peak:
         assert found.peak_ratio.value == pytest.approx(peak, abs=1e-3)
         assert 1.0 < found.peak_ratio.value < 2.0
@@ -98,45 +118,68 @@ def test_fresh_slip_by_the_trapezoidal_rule(n, length, peak):
 
 @pytest.mark.parametrize("velocity", [0.01, 0.1, 1.0])
 def test_fresh_slip_with_heat_along_a_programme(velocity):
-    """By the renewal equation in two times: a polynomial through half a threshold to either side of the steepest fall,
-    so that its slope is as good as the force over a sixth of that."""
+    """By the renewal equation in two times: a polynomial through half a threshold to
+    either side of the steepest fall, so that its slope is as good as the force over a
+    sixth of that."""
     ensemble = contacts(thermal=Thermal(0.1))
     found = fresh_slip(ensemble, velocity)
     other = transient(ensemble, Programme((Segment(velocity, distance=2.5),)), 501)
     near = np.abs(other.X - found.X.value) < 0.5
     curve = np.polynomial.Polynomial.fit(other.X[near], other.force[near], 8)
-    fall = -curve.deriv()(np.linspace(found.X.value - 0.2, found.X.value + 0.2, 401)).min()
+    fall = -curve.deriv()(
+        np.linspace(found.X.value - 0.2, found.X.value + 0.2, 401)
+    ).min()
     missed = other.force_error[near].max() * 6.0 / 0.5
-    assert missed < 1e-2  # quoted errors of the force are largest at a velocity of 0.1: 7e-4
+    assert (
+        missed < 1e-2
+    )  # quoted errors of the force are largest at a velocity of 0.1: 7e-4
     assert found.critical_stiffness.value == pytest.approx(fall, abs=missed)
-    assert found.critical_stiffness.value == pytest.approx({0.01: 0.1445, 0.1: 0.1802, 1.0: 0.1764}[velocity], abs=1e-4)
+    assert found.critical_stiffness.value == pytest.approx(
+        {0.01: 0.1445, 0.1: 0.1802, 1.0: 0.1764}[velocity], abs=1e-4
+    )
 
 
 def test_fresh_slip_is_that_of_any_unit():
-    found, other = fresh_slip(contacts(), 0.1), fresh_slip(Ensemble(Gamma(1.0, 1e-6), stiffness_law="uniform"), 1e-3)
-    assert other.critical_stiffness.value == pytest.approx(found.critical_stiffness.value, abs=1e-9)
+    found, other = (
+        fresh_slip(contacts(), 0.1),
+        fresh_slip(Ensemble(Gamma(1.0, 1e-6), stiffness_law="uniform"), 1e-3),
+    )
+    assert other.critical_stiffness.value == pytest.approx(
+        found.critical_stiffness.value, abs=1e-9
+    )
     assert other.X.value == pytest.approx(1e-6 * found.X.value, abs=1e-14)
 
 
-# -F' on the left of the greatest threshold of uniform laws, where contacts born since have stiffnesses of 1 and .625,
-# and on the right of the least one of a Pareto law, X p - S
-EDGED = [(Uniform(0.9, 1.1), 4.5, 0.9), (Uniform(0.5, 1.5), 0.875, 0.625), (Pareto(3.5), 2.5, 1.0)]
+# -F' on the left of the greatest threshold of uniform laws, where contacts born since
+# have stiffnesses of 1 and .625, and on the right of the least one of a Pareto law, X p
+# - S
+EDGED = [
+    (Uniform(0.9, 1.1), 4.5, 0.9),
+    (Uniform(0.5, 1.5), 0.875, 0.625),
+    (Pareto(3.5), 2.5, 1.0),
+]
 
 
 @pytest.mark.parametrize(("law", "fall", "peak"), EDGED)
 def test_fresh_slip_at_the_edge_of_a_law(law, fall, peak):
     found = fresh_slip(Ensemble(law, stiffness_law="uniform"), 0.1)
-    assert found.critical_stiffness.value == pytest.approx(fall, abs=found.critical_stiffness.stderr)
+    assert found.critical_stiffness.value == pytest.approx(
+        fall, abs=found.critical_stiffness.stderr
+    )
     assert found.critical_stiffness.stderr < 2e-3 * max(fall, 1.0)
     steady = law.rms**2 / (2.0 * law.mean)
-    assert found.peak_ratio.value == pytest.approx(peak / steady, abs=found.peak_ratio.stderr)
+    assert found.peak_ratio.value == pytest.approx(
+        peak / steady, abs=found.peak_ratio.stderr
+    )
     assert found.peak_ratio.stderr < 1e-5
     assert found.slip_stiffness.value < found.critical_stiffness.value
 
 
 def test_fresh_slip_at_an_infinite_density():
     """No spring follows, but the jump is no slip behind a stiff one."""
-    found = fresh_slip(Ensemble(Distribution(stats.beta(0.5, 0.5)), stiffness_law="uniform"), 0.1)
+    found = fresh_slip(
+        Ensemble(Distribution(stats.beta(0.5, 0.5)), stiffness_law="uniform"), 0.1
+    )
     assert math.isinf(found.critical_stiffness.value)
     assert found.X.value == pytest.approx(1.0, abs=found.X.stderr)
     assert 1.0 < found.slip_stiffness.value < 2.0
@@ -149,7 +192,9 @@ def test_fresh_slip_at_an_infinite_density():
 )
 def test_steps_that_are_slips(law, exact):
     found = fresh_slip(Ensemble(law, stiffness_law="uniform"), 0.1)
-    assert found.slip_stiffness.value == pytest.approx(exact, abs=found.slip_stiffness.stderr)
+    assert found.slip_stiffness.value == pytest.approx(
+        exact, abs=found.slip_stiffness.stderr
+    )
     assert found.slip_stiffness.stderr < 0.03 * exact
     assert found.critical_stiffness == found.slip_stiffness
 
@@ -157,13 +202,19 @@ def test_steps_that_are_slips(law, exact):
 @pytest.mark.parametrize("count", [12, 500])
 @pytest.mark.parametrize("law", [Gamma(20.0), Lognormal(0.9)])
 def test_a_table_slips_as_the_law_that_it_samples(law, count):
-    """Quantiles: the break of one changes the force by at most the greatest over their number, and a slope over the
-    smallest slip by that over its length, half of which is allowed besides for what follows from it."""
+    """Quantiles: the break of one changes the force by at most the greatest over their
+    number, and a slope over the smallest slip by that over its length, half of which is
+    allowed besides for what follows from it."""
     steps = law.inverse_survival(-np.log((np.arange(count) + 0.5) / count))
-    table, smooth = (fresh_slip(Ensemble(one, stiffness_law="uniform"), 0.1) for one in (Table(steps), law))
+    table, smooth = (
+        fresh_slip(Ensemble(one, stiffness_law="uniform"), 0.1)
+        for one in (Table(steps), law)
+    )
     allowed = 1.5 * steps.max() / count / least_slip(law)
     assert table.critical_stiffness == table.slip_stiffness
-    assert table.slip_stiffness.value == pytest.approx(smooth.slip_stiffness.value, abs=allowed)
+    assert table.slip_stiffness.value == pytest.approx(
+        smooth.slip_stiffness.value, abs=allowed
+    )
 
 
 SLIPPING = [
@@ -181,7 +232,9 @@ def test_simulated_contacts_slip_as_the_mean_field_says(law, stiffness, verdict)
     found = stability(ensemble, Programme((Segment(0.1, time=1.0),), stage=stage))
     assert (found.fresh_verdict, found.fresh_slips) == (verdict, verdict == "slips")
     way = law.mean * (2.0 + 1.2 / stiffness)
-    run = trajectory(ensemble, Programme((Segment(0.1, distance=way),), stage=stage), points=400)
+    run = trajectory(
+        ensemble, Programme((Segment(0.1, distance=way),), stage=stage), points=400
+    )
     if verdict != "jumps":
         assert bool(run.slips) == (verdict == "slips")
 
@@ -192,23 +245,32 @@ def test_a_verdict_that_errors_do_not_decide():
     slip = found.fresh.slip_stiffness
     near = replace(found, stiffness=slip.value + 0.5 * slip.stderr)
     assert near.fresh_verdict == "undecided"
-    assert replace(found, stiffness=slip.value - 3.0 * slip.stderr).fresh_verdict == "slips"
+    assert (
+        replace(found, stiffness=slip.value - 3.0 * slip.stderr).fresh_verdict
+        == "slips"
+    )
 
 
 def test_no_fresh_slip():
-    """Thresholds so different that friction only rises: the sum of many steps is smooth."""
-    found = fresh_slip(Ensemble(Distribution(stats.lognorm(0.9)), stiffness_law="uniform"), 0.1)
+    """Thresholds so different that friction only rises: the sum of many steps is
+    smooth."""
+    found = fresh_slip(
+        Ensemble(Distribution(stats.lognorm(0.9)), stiffness_law="uniform"), 0.1
+    )
     assert (found.critical_stiffness.value, found.X.value) == (0.0, None)
     assert found.peak_ratio.value == pytest.approx(1.0, abs=found.peak_ratio.stderr)
 
 
 def impedance(p, velocity, tau, damping, law="uniform", eta=0.0):
-    """eta_s p + Z(p) of gamma contacts with n = 1 and a fixed delay, from J_c = (1 + x^2) exp(-x^2) by `quad`."""
+    """eta_s p + Z(p) of gamma contacts with n = 1 and a fixed delay, from J_c = (1 +
+    x^2) exp(-x^2) by `quad`."""
     q = p / velocity
 
     def transform(f):
         def part(which):
-            return integrate.quad(lambda x: which(np.exp(-q * x) * f(x)), 0, 9, epsabs=1e-12, limit=400)[0]
+            return integrate.quad(
+                lambda x: which(np.exp(-q * x) * f(x)), 0, 9, epsabs=1e-12, limit=400
+            )[0]
 
         return complex(part(np.real), part(np.imag))
 
@@ -217,10 +279,16 @@ def impedance(p, velocity, tau, damping, law="uniform", eta=0.0):
             return (1.0 + x * x) * np.exp(-x * x)
         return special.gamma(2.5) * special.gammaincc(2.5, x * x) / math.sqrt(2.0)
 
-    P, M = transform(lambda x: 2.0 * x**3 * np.exp(-x * x)), transform(lambda x: x * stiff(x))
+    P, M = (
+        transform(lambda x: 2.0 * x**3 * np.exp(-x * x)),
+        transform(lambda x: x * stiff(x)),
+    )
     D, beta = np.exp(-p * tau), 1.0 / (special.gamma(2.5) + velocity * tau)
     elastic = -beta * q * M * (1.0 - D) / (1.0 - D * P)
-    detached = velocity * beta * (1.0 - D) * (1.0 - P) / (1.0 - D * P) + p * velocity * tau * beta
+    detached = (
+        velocity * beta * (1.0 - D) * (1.0 - P) / (1.0 - D * P)
+        + p * velocity * tau * beta
+    )
     return damping * p + elastic + eta * detached
 
 
@@ -235,23 +303,37 @@ BORDERS = [
 
 @chosen(("law", "velocity", "tau", "values"), BORDERS, [BORDERS[0], BORDERS[3]])
 def test_border(law, velocity, tau, values):
-    """It solves the equation by another quadrature, and has one pair of roots with Re p > 0 below and none above."""
+    """It solves the equation by another quadrature, and has one pair of roots with Re p
+    > 0 below and none above."""
     for damping, value in zip((0.0, 0.01, 0.1), values, strict=True):
-        ensemble, programme = contacts(tau=tau, stiffness_law=law), pulled(0.1, damping, velocity=velocity)
-        assert critical_stiffness(pulled_by(ensemble, programme)).value == pytest.approx(value, abs=1e-5)
-        fine, scan = loop(ensemble, programme), loop(ensemble, programme, characteristic.SCAN)
+        ensemble, programme = (
+            contacts(tau=tau, stiffness_law=law),
+            pulled(0.1, damping, velocity=velocity),
+        )
+        assert critical_stiffness(
+            pulled_by(ensemble, programme)
+        ).value == pytest.approx(value, abs=1e-5)
+        fine, scan = (
+            loop(ensemble, programme),
+            loop(ensemble, programme, characteristic.SCAN),
+        )
         found = characteristic.border_of(fine, scan)
-        exact = found.stiffness + impedance(1j * found.frequency * velocity, velocity, tau, damping, law)
+        exact = found.stiffness + impedance(
+            1j * found.frequency * velocity, velocity, tau, damping, law
+        )
         assert abs(exact) < 1e-9
         assert unstable(scan, 1.01 * found.stiffness) == 0
         assert unstable(scan, 0.99 * found.stiffness) == 2
 
 
 def unstable(fine, stiffness, beyond=0.0):
-    """How many roots have Re p > beyond, by the argument principle: around the upper half of a large box, where the
-    equation is real on the real axis."""
+    """How many roots have Re p > beyond, by the argument principle: around the upper
+    half of a large box, where the equation is real on the real axis."""
     size = 40.0
-    right, top = size + 1j * np.linspace(0.0, size, 200), np.linspace(size, beyond, 200) + 1j * size
+    right, top = (
+        size + 1j * np.linspace(0.0, size, 200),
+        np.linspace(size, beyond, 200) + 1j * size,
+    )
     path = np.concatenate((right, top, beyond + 1j * np.linspace(size, 1e-6, 4000)))
     angle = np.unwrap(np.angle(fine.balance(path, stiffness)))
     return round((angle[-1] - angle[0]) / math.pi)
@@ -280,11 +362,16 @@ def test_no_root_is_missed():
         (20.0, 0.5, 0.1, 0.5),
         (5.0, 0.3, 1.0, 3.0),
     ):
-        fine = loop(contacts(tau=tau), pulled(stiffness, damping, mass), characteristic.SCAN)
+        fine = loop(
+            contacts(tau=tau), pulled(stiffness, damping, mass), characteristic.SCAN
+        )
         p = characteristic.root_of(fine, fine, stiffness)
         margin = 1e-3 * abs(p)
         pair = 2 if p.imag > 0 else 1
-        assert (unstable(fine, stiffness, p.real + margin), unstable(fine, stiffness, p.real - margin)) == (0, pair)
+        assert (
+            unstable(fine, stiffness, p.real + margin),
+            unstable(fine, stiffness, p.real - margin),
+        ) == (0, pair)
 
 
 def test_viscosity_of_detached_contacts():
@@ -297,17 +384,29 @@ def test_viscosity_of_detached_contacts():
 def test_a_wrong_rate_of_births_is_seen():
     fine = loop(contacts(tau=1.0), pulled(0.12), characteristic.SCAN)
     wrong = fine._replace(beta=1.0 / special.gamma(2.5))
-    assert abs(characteristic.root_of(wrong, wrong, 0.12) - characteristic.root_of(fine, fine, 0.12)) > 1e-3
+    assert (
+        abs(
+            characteristic.root_of(wrong, wrong, 0.12)
+            - characteristic.root_of(fine, fine, 0.12)
+        )
+        > 1e-3
+    )
 
 
 def test_identical_contacts():
     """P = exp(-q), M = (1 - (1 + q) exp(-q))/q^2 and D = 1/(1 + p tau)."""
     fine = loop(Ensemble(Delta(), delay=Delay(2.0, "exponential")), pulled(0.1))
     for q in (0.1 + 3.0j, 1e-3 + 1e-4j, 12.0j):
-        P, M, D = np.exp(-q), (1.0 - (1.0 + q) * np.exp(-q)) / q**2, 1.0 / (1.0 + 0.2 * q)
+        P, M, D = (
+            np.exp(-q),
+            (1.0 - (1.0 + q) * np.exp(-q)) / q**2,
+            1.0 / (1.0 + 0.2 * q),
+        )
         exact = -q * M * (1.0 - D) / (1.0 - D * P) / 1.2
         # rounding of 1 - (1 + q) exp(-q), over q^2
-        assert fine.response(np.array([q]))[0] == pytest.approx(exact, abs=1e-14 + 1e-15 / abs(q))
+        assert fine.response(np.array([q]))[0] == pytest.approx(
+            exact, abs=1e-14 + 1e-15 / abs(q)
+        )
     found = stability(Ensemble(Delta(), delay=Delay(2.0, "exponential")), pulled(0.1))
     assert found.fresh_slips
     with pytest.raises(InputError, match="identical contacts with a fixed delay"):
@@ -315,34 +414,54 @@ def test_identical_contacts():
 
 
 def test_many_equal_steps_are_a_smooth_law():
-    """Table of quantiles: means over 2000 of them miss 1/2000 of a threshold's spread at most."""
+    """Table of quantiles: means over 2000 of them miss 1/2000 of a threshold's spread
+    at most."""
     steps = Gamma(1.0).inverse_survival(-np.log((np.arange(2000) + 0.5) / 2000))
-    table = Ensemble(Table(steps), delay=Delay(1.0, "exponential"), stiffness_law="uniform")
-    smooth = Ensemble(Gamma(1.0), delay=Delay(1.0, "exponential"), stiffness_law="uniform")
-    found, exact = (critical_stiffness(pulled_by(one, pulled(0.1))).value for one in (table, smooth))
+    table = Ensemble(
+        Table(steps), delay=Delay(1.0, "exponential"), stiffness_law="uniform"
+    )
+    smooth = Ensemble(
+        Gamma(1.0), delay=Delay(1.0, "exponential"), stiffness_law="uniform"
+    )
+    found, exact = (
+        critical_stiffness(pulled_by(one, pulled(0.1))).value for one in (table, smooth)
+    )
     assert found == pytest.approx(exact, abs=5e-4 * exact)
 
 
 def test_limit_of_short_delays():
     """kappa_c is of first order in tau: D = 1 - p tau, Z = -beta_0 q M p tau/(1 - P)."""
-    short, shorter = (critical_stiffness(pulled_by(contacts(tau=tau), pulled(0.1, 0.0))).value for tau in (2e-4, 1e-4))
+    short, shorter = (
+        critical_stiffness(pulled_by(contacts(tau=tau), pulled(0.1, 0.0))).value
+        for tau in (2e-4, 1e-4)
+    )
     assert 0.0 < shorter < 1e-4
     assert short / shorter == pytest.approx(2.0, abs=1e-3)
 
 
 def test_without_delay_it_is_neutral():
     found = stability(contacts(), pulled(0.1))
-    assert (found.verdict, found.growth.value, found.critical_stiffness.value) == ("neutral", 0.0, 0.0)
+    assert (found.verdict, found.growth.value, found.critical_stiffness.value) == (
+        "neutral",
+        0.0,
+        0.0,
+    )
     assert found.fresh_slips
     assert not stability(contacts(), pulled(0.2)).fresh_slips
 
 
 def test_mass():
-    """Without damping a slider resonates with the delay, on any spring; with it the border is where roots say."""
-    assert math.isinf(critical_stiffness(pulled_by(contacts(tau=1.0), pulled(0.1, 0.0, 1.0))).value)
+    """Without damping a slider resonates with the delay, on any spring; with it the
+    border is where roots say."""
+    assert math.isinf(
+        critical_stiffness(pulled_by(contacts(tau=1.0), pulled(0.1, 0.0, 1.0))).value
+    )
     ensemble, programme = contacts(tau=1.0), pulled(0.1, 0.1, 0.3)
     kappa = critical_stiffness(pulled_by(ensemble, programme)).value
-    rates = [stability(ensemble, pulled(part * kappa, 0.1, 0.3)).growth.value for part in (0.999, 1.001)]
+    rates = [
+        stability(ensemble, pulled(part * kappa, 0.1, 0.3)).growth.value
+        for part in (0.999, 1.001)
+    ]
     assert rates[0] > 0.0 > rates[1]
 
 
@@ -363,9 +482,13 @@ def test_kicks(stiffness, eta, mass, period):
         kicks.mode_of(ensemble, 0.1, Stage(stiffness, 0.1, mass)),
     )
     assert found.growth.reliable
-    assert found.growth.value == pytest.approx(exact.growth.value, abs=2.0 * found.growth.stderr)
+    assert found.growth.value == pytest.approx(
+        exact.growth.value, abs=2.0 * found.growth.stderr
+    )
     assert found.growth.stderr < 0.1 * abs(exact.growth.value)
-    assert found.period.value == pytest.approx(exact.period.value, abs=2.0 * found.period.stderr)
+    assert found.period.value == pytest.approx(
+        exact.period.value, abs=2.0 * found.period.stderr
+    )
     assert found.period.value == pytest.approx(period, abs=0.05)
 
 
@@ -379,10 +502,18 @@ def test_border_by_kicks():
 
 @pytest.mark.verification
 def test_heat_stabilises():
-    """Contacts that heat breaks, too, strengthen with velocity: no delay, no instability."""
+    """Contacts that heat breaks, too, strengthen with velocity: no delay, no
+    instability."""
     found = stability(contacts(thermal=Thermal(0.1)), pulled(0.17))
-    assert (found.verdict, found.method, found.critical_stiffness.value) == ("stable", kicks.METHOD, None)
-    friction = [reference(contacts(thermal=Thermal(0.1)), Drive(v)).friction.value for v in (0.1, 0.2)]
+    assert (found.verdict, found.method, found.critical_stiffness.value) == (
+        "stable",
+        kicks.METHOD,
+        None,
+    )
+    friction = [
+        reference(contacts(thermal=Thermal(0.1)), Drive(v)).friction.value
+        for v in (0.1, 0.2)
+    ]
     assert friction[1] > friction[0]
 
 
@@ -391,12 +522,38 @@ def test_heat_stabilises():
     [
         (contacts(), Drive(0.1), "drive.stage: is required"),
         (contacts(), Programme((Segment(0.1, time=1.0),)), "drive.stage: is required"),
-        (contacts(), Programme((Segment(0.1, time=1.0),) * 2, stage=Stage(0.1)), "one constant velocity > 0"),
-        (contacts(), Programme((Segment(0.0, time=1.0),), stage=Stage(0.1)), "one constant velocity > 0"),
-        (contacts(), Programme((Segment(-0.1, time=1.0),), stage=Stage(0.1)), "one constant velocity > 0"),
-        (contacts(aging=Aging("langevin", rate=0.1, x_star_final=2.0)), pulled(0.1), "langevin"),
-        (contacts(aging=Aging("flow", rate=0.1, x_star_final=2.0), disorder="annealed"), pulled(0.1), "aging"),
-        (contacts(tau=1.0), pulled(0.1, 1e-9, 1.0), "damping is too small beside its mass"),
+        (
+            contacts(),
+            Programme((Segment(0.1, time=1.0),) * 2, stage=Stage(0.1)),
+            "one constant velocity > 0",
+        ),
+        (
+            contacts(),
+            Programme((Segment(0.0, time=1.0),), stage=Stage(0.1)),
+            "one constant velocity > 0",
+        ),
+        (
+            contacts(),
+            Programme((Segment(-0.1, time=1.0),), stage=Stage(0.1)),
+            "one constant velocity > 0",
+        ),
+        (
+            contacts(aging=Aging("langevin", rate=0.1, x_star_final=2.0)),
+            pulled(0.1),
+            "langevin",
+        ),
+        (
+            contacts(
+                aging=Aging("flow", rate=0.1, x_star_final=2.0), disorder="annealed"
+            ),
+            pulled(0.1),
+            "aging",
+        ),
+        (
+            contacts(tau=1.0),
+            pulled(0.1, 1e-9, 1.0),
+            "damping is too small beside its mass",
+        ),
         (contacts(tau=1e6), pulled(0.1), "delay.time: is 7.52e.04 thresholds long"),
     ],
 )
@@ -407,7 +564,9 @@ def test_errors(ensemble, programme, said):
 
 def test_border_over_velocity():
     found = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1, 1.0])
-    assert found["critical_stiffness"] == pytest.approx(np.array([0.14169, 0.91300]), abs=1e-5)
+    assert found["critical_stiffness"] == pytest.approx(
+        np.array([0.14169, 0.91300]), abs=1e-5
+    )
     assert np.all(found["fresh_critical_stiffness"] > 0.17)
     fresh = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1], critical=False)
     assert np.isnan(fresh["critical_stiffness"][0])
@@ -438,20 +597,30 @@ def command(*arguments):
 
 def test_command(tmp_path):
     (tmp_path / "run.toml").write_text(RUN)
-    code, out, _ = command("stability", tmp_path / "run.toml", "--json", "--out", tmp_path / "out")
+    code, out, _ = command(
+        "stability", tmp_path / "run.toml", "--json", "--out", tmp_path / "out"
+    )
     found = json.loads(out)
     assert code == 0
     assert found["verdict"] == "unstable"
     assert found["fresh_slips"] is True
     assert found["critical_stiffness"]["value"] == pytest.approx(0.1416883, abs=1e-7)
     assert found["growth"]["value"] == pytest.approx(0.04272, abs=6e-6)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"summary.json", "stability.png", "border.parquet"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "summary.json",
+        "stability.png",
+        "border.parquet",
+    }
     assert command("replay", tmp_path / "out" / "border.parquet", "--quiet")[0] == 0
-    code, out, _ = command("stability", tmp_path / "run.toml", "--set", "drive.stage.stiffness=0.17")
+    code, out, _ = command(
+        "stability", tmp_path / "run.toml", "--set", "drive.stage.stiffness=0.17"
+    )
     assert code == 0
     assert "stable" in out
     assert "0.14168831" in out
-    assert command("stability", tmp_path / "run.toml", "--quiet", "--set", "delay.time=0") == (0, "", "")
+    assert command(
+        "stability", tmp_path / "run.toml", "--quiet", "--set", "delay.time=0"
+    ) == (0, "", "")
     for change, said in (
         ("aging.rule=langevin", "aging."),
         ("drive.stage.stiffness=-1", "drive.stage.stiffness"),

@@ -1,4 +1,5 @@
-"""A stage in run files: commands, tables and files, replay, sweeps, and what is refused in one line."""
+"""A stage in run files: commands, tables and files, replay, sweeps, and what is refused
+in one line."""
 
 import json
 
@@ -47,14 +48,27 @@ def test_run_and_replay(path, tmp_path):
     assert done.exit_code == 0, done.output
     summary = json.loads(done.stdout)
     table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
-    assert {"X", "stage", "spring", "work", "stored", "dissipated", "missing", "segment"} <= set(table)
+    assert {
+        "X",
+        "stage",
+        "spring",
+        "work",
+        "stored",
+        "dissipated",
+        "missing",
+        "segment",
+    } <= set(table)
     assert len(table) == 201
-    np.testing.assert_allclose(table["spring"], 0.1 * (table["stage"] - table["X"]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        table["spring"], 0.1 * (table["stage"] - table["X"]), rtol=0, atol=1e-12
+    )
     np.testing.assert_allclose(table["stage"], 0.1 * table["t"], rtol=0, atol=1e-9)
     slips = summary["slips"]
     assert [slip["replica"] for slip in slips] == [0] * len(slips)
     assert len(slips) >= 2
-    assert summary["drop"]["value"] == pytest.approx(np.mean([slip["drop"] for slip in slips[1:]]), rel=1e-12, abs=0)
+    assert summary["drop"]["value"] == pytest.approx(
+        np.mean([slip["drop"] for slip in slips[1:]]), rel=1e-12, abs=0
+    )
     assert (tmp_path / "out" / "force.png").stat().st_size > 20_000
     again = eqsim("replay", tmp_path / "out" / "trajectory.parquet")
     assert again.exit_code == 0, again.output
@@ -74,10 +88,28 @@ def test_avalanches(path, tmp_path):
 
 
 def test_reference_is_the_mean_field(path):
-    done = eqsim("reference", path, "--transient", "--json", "--set", "output.points=11", "--set", "drive.distance=1")
+    done = eqsim(
+        "reference",
+        path,
+        "--transient",
+        "--json",
+        "--set",
+        "output.points=11",
+        "--set",
+        "drive.distance=1",
+    )
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
-    assert {"t", "X", "X_error", "stage", "force", "force_error", "pinned", "pinned_error"} <= set(found)
+    assert {
+        "t",
+        "X",
+        "X_error",
+        "stage",
+        "force",
+        "force_error",
+        "pinned",
+        "pinned_error",
+    } <= set(found)
     assert found["X"][0] == found["X_error"][0] == 0.0
     assert np.all(np.diff(found["X"]) > 0)
 
@@ -99,22 +131,33 @@ def test_sweep(path, tmp_path):
     [
         ({"stiffness": 0.0}, "drive.stage.stiffness = 0.0: must be"),
         ({"damping": 1.0}, "drive.stage.stiffness: is required"),
-        ({"stiffness": 1.0, "stifness": 1.0}, 'drive.stage.stifness: unknown key; did you mean "stiffness"?'),
+        (
+            {"stiffness": 1.0, "stifness": 1.0},
+            'drive.stage.stifness: unknown key; did you mean "stiffness"?',
+        ),
         ({"stiffness": "soft"}, "drive.stage.stiffness = 'soft': must be"),
         ({"stiffness": 1.0, "tolerance": 0.5}, "drive.stage.tolerance = 0.5: must be"),
     ],
 )
 def test_refused(section, said, tmp_path):
     with pytest.raises(InputError) as refusal:
-        check({"drive": {"velocity": 0.1, "distance": 1.0, "stage": section}}).driven(tmp_path)
+        check({"drive": {"velocity": 0.1, "distance": 1.0, "stage": section}}).driven(
+            tmp_path
+        )
     assert said in str(refusal.value)
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        (["aging.rule=langevin", "aging.rate=0.1", "aging.x_star_final=2"], 'thresholds of rule "langevin"'),
-        (["contacts.count=100000000"], "contacts.count = 100000000: must be <= 2e+07 with drive.stage"),
+        (
+            ["aging.rule=langevin", "aging.rate=0.1", "aging.x_star_final=2"],
+            'thresholds of rule "langevin"',
+        ),
+        (
+            ["contacts.count=100000000"],
+            "contacts.count = 100000000: must be <= 2e+07 with drive.stage",
+        ),
         (["drive.velocity=0"], "drive.velocity = 0.0: must not be 0 with a distance"),
     ],
 )
@@ -130,7 +173,10 @@ def test_refused_by_run(path, tmp_path, changes, said):
 def test_no_steady_state(path, command):
     done = eqsim(command, path)
     assert done.exit_code == 2
-    assert "drive.stage: a slider that a spring pulls has no steady state" in done.output.replace("\n", " ")
+    assert (
+        "drive.stage: a slider that a spring pulls has no steady state"
+        in done.output.replace("\n", " ")
+    )
 
 
 def test_slips_of_a_saw():
@@ -139,29 +185,51 @@ def test_slips_of_a_saw():
     spring = np.array([0.0, 1.0, 0.4, 1.0, 0.4, 1.2, 0.2, 0.9, 0.3, 0.5])
     X = np.array([0.0, 1.0, 7.0, 8.0, 14.0, 15.0, 25.0, 26.0, 28.0, 28.5])
     found = slips_of(t, X, spring, 0.3, 0.1)
-    assert [slip.drop for slip in found] == pytest.approx([0.6, 0.6, 1.0], rel=1e-12, abs=0)
-    assert [slip.t for slip in found] == pytest.approx([10.25, 20.25, 30.25], rel=1e-12, abs=0)
-    assert [slip.X for slip in found] == pytest.approx([4.0, 11.0, 20.0], rel=1e-12, abs=0)
-    assert [slip.distance for slip in found] == pytest.approx([6.0, 6.0, 10.0], rel=1e-12, abs=0)
+    assert [slip.drop for slip in found] == pytest.approx(
+        [0.6, 0.6, 1.0], rel=1e-12, abs=0
+    )
+    assert [slip.t for slip in found] == pytest.approx(
+        [10.25, 20.25, 30.25], rel=1e-12, abs=0
+    )
+    assert [slip.X for slip in found] == pytest.approx(
+        [4.0, 11.0, 20.0], rel=1e-12, abs=0
+    )
+    assert [slip.distance for slip in found] == pytest.approx(
+        [6.0, 6.0, 10.0], rel=1e-12, abs=0
+    )
     assert slips_of(t, X, spring, 2.0, 0.1) == []
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_slips_that_a_record_cuts(sign):
-    """A record that begins in a slip, and ends in another: by hand, forwards and backwards."""
+    """A record that begins in a slip, and ends in another: by hand, forwards and
+    backwards."""
     t = np.array([0.0, 0.5, 10.0, 10.1, 10.2])
-    X, spring = sign * np.array([0.0, 5.0, 6.0, 10.0, 593.0]), sign * np.array([1.0, 0.4, 1.0, 0.5, 0.2])
+    X, spring = (
+        sign * np.array([0.0, 5.0, 6.0, 10.0, 593.0]),
+        sign * np.array([1.0, 0.4, 1.0, 0.5, 0.2]),
+    )
     first, last = slips_of(t, X, spring, 0.3, 0.1)
-    assert (first.begun, first.ended, last.begun, last.ended) == (False, True, True, False)
+    assert (first.begun, first.ended, last.begun, last.ended) == (
+        False,
+        True,
+        True,
+        False,
+    )
     assert [first.drop, last.drop] == pytest.approx([0.6, 0.8], rel=1e-12, abs=0)
-    assert [first.distance, last.distance] == pytest.approx([sign * 5.0, sign * 587.0], rel=1e-12, abs=0)
+    assert [first.distance, last.distance] == pytest.approx(
+        [sign * 5.0, sign * 587.0], rel=1e-12, abs=0
+    )
     assert slips_of(t, X, spring, 0.3, 1e4) == []  # the stage is as fast
 
 
 def test_whole_slips_make_the_means():
     """Drop and period without the first slip and without one that is not over."""
     t = np.arange(9.0)
-    X, spring = np.cumsum([0.0, 0, 9, 0, 9, 0, 9, 0, 9]), np.array([0.0, 1, 0.2, 1, 0.3, 1, 0.5, 1, 0.1])
+    X, spring = (
+        np.cumsum([0.0, 0, 9, 0, 9, 0, 9, 0, 9]),
+        np.array([0.0, 1, 0.2, 1, 0.3, 1, 0.5, 1, 0.1]),
+    )
     found = slips_of(t, X, spring, 0.3, 0.1)
     assert [slip.ended for slip in found] == [True, True, True, False]
     mean = _mean_over(found, lambda slips: [slip.drop for slip in slips])
@@ -169,18 +237,30 @@ def test_whole_slips_make_the_means():
 
 
 def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
-    """The spring is stretched so far at first that the record begins in a slip, and ends in the second: both are listed
-    and marked, in the table and in JSON, and the drop of the second is less than that of the same slip in a longer
-    record."""
+    """The spring is stretched so far at first that the record begins in a slip, and
+    ends in the second: both are listed and marked, in the table and in JSON, and the
+    drop of the second is less than that of the same slip in a longer record."""
     ensemble = Ensemble(count=500, delay=Delay(1.0), stiffness_law="uniform")
     stage = Stage(0.1, damping=0.1, preload=20.0)
-    whole = trajectory(ensemble, Programme([Segment(0.1, time=60.0)], stage=stage), points=61).slips[1]
+    whole = trajectory(
+        ensemble, Programme([Segment(0.1, time=60.0)], stage=stage), points=61
+    ).slips[1]
     time = whole.t + 0.1
-    arguments = ("--set", "drive.stage.preload=20.0", "--set", f"drive.distance={0.1 * time}")
+    arguments = (
+        "--set",
+        "drive.stage.preload=20.0",
+        "--set",
+        f"drive.distance={0.1 * time}",
+    )
     done = eqsim("run", path, "--out", tmp_path / "out", *arguments)
     assert done.exit_code == 0, done.output
     first, last = json.loads((tmp_path / "out" / "summary.json").read_text())["slips"]
-    assert (first["begun"], first["ended"], last["begun"], last["ended"]) == (False, True, True, False)
+    assert (first["begun"], first["ended"], last["begun"], last["ended"]) == (
+        False,
+        True,
+        True,
+        False,
+    )
     assert whole.begun
     assert whole.ended
     assert 0.3 * whole.drop < last["drop"] < 0.9 * whole.drop
@@ -191,10 +271,23 @@ def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
 
 
 def test_the_exact_peak_is_where_the_slider_is(path, tmp_path):
-    """`exact.at` is the slider's displacement as `at` is, and not that of the stage: |z| < 4.5 of the error of `at`, 8
-    replicas. Negative control: where the stage is at that instant."""
-    sets = ("output.replicas=8", "drive.distance=4.0", "drive.stage.stiffness=0.5", "output.points=81")
-    done = eqsim("run", path, "--out", tmp_path / "out", "--json", *(a for s in sets for a in ("--set", s)))
+    """`exact.at` is the slider's displacement as `at` is, and not that of the stage:
+    |z| < 4.5 of the error of `at`, 8 replicas. Negative control: where the stage is at
+    that instant."""
+    sets = (
+        "output.replicas=8",
+        "drive.distance=4.0",
+        "drive.stage.stiffness=0.5",
+        "output.points=81",
+    )
+    done = eqsim(
+        "run",
+        path,
+        "--out",
+        tmp_path / "out",
+        "--json",
+        *(a for s in sets for a in ("--set", s)),
+    )
     assert done.exit_code == 0, done.output
     segment = json.loads(done.stdout)["segments"][0]
     table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")

@@ -1,4 +1,5 @@
-"""The finite step of a slider behind a spring: its order, and whether quoted errors hold what it misses."""
+"""The finite step of a slider behind a spring: its order, and whether quoted errors
+hold what it misses."""
 
 import itertools
 import math
@@ -11,12 +12,15 @@ from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal, trajector
 from eqsim.engine.slider import Behind, Slider
 from eqsim.engine.slider_runs import coarse_instants, step_error
 
-WARM = Ensemble(count=512, thermal=Thermal(0.1), delay=Delay(1.0), stiffness_law="uniform")
+WARM = Ensemble(
+    count=512, thermal=Thermal(0.1), delay=Delay(1.0), stiffness_law="uniform"
+)
 COLD = replace(WARM, thermal=Thermal())
 
 
 def fixed(stage, dt, replicas):
-    """X of ensembles when the stage is at 4, in steps of `dt` (displacement of the stage) throughout."""
+    """X of ensembles when the stage is at 4, in steps of `dt` (displacement of the
+    stage) throughout."""
     programme, found = Programme([Segment(0.1, distance=4.0)], stage=stage), []
     for replica in range(replicas):
         with Slider(WARM, programme, 1, replica * WARM.count, 1) as pulled:
@@ -29,7 +33,8 @@ def fixed(stage, dt, replicas):
 
 
 def bias(stage, dt, reference):
-    """Mean change of X from that in finer steps of the same contacts, and its standard error."""
+    """Mean change of X from that in finer steps of the same contacts, and its standard
+    error."""
     change = fixed(stage, dt, reference.size) - reference
     return np.mean(change), np.std(change, ddof=1) / math.sqrt(reference.size)
 
@@ -40,8 +45,9 @@ def forgetful(monkeypatch):
 
 
 def test_what_a_step_misses_is_made_up_for(monkeypatch):
-    """A mass of 2, 48 ensembles of 512 contacts: with steps of .08 the mean X is that with steps of .02, |z| < 4.5.
-    Negative control: where the missed impulse is not given back it is less by 1.7e-3, z < -4.5."""
+    """A mass of 2, 48 ensembles of 512 contacts: with steps of .08 the mean X is that
+    with steps of .02, |z| < 4.5. Negative control: where the missed impulse is not
+    given back it is less by 1.7e-3, z < -4.5."""
     stage = Stage(0.25, damping=0.5, mass=2.0)
     value, error = bias(stage, 0.08, fixed(stage, 0.02, 48))
     assert abs(value) < 4.5 * error
@@ -54,10 +60,12 @@ def test_what_a_step_misses_is_made_up_for(monkeypatch):
 @pytest.mark.verification
 @pytest.mark.parametrize("mass", [0.0, 2.0])
 def test_second_order(mass, monkeypatch):
-    """Bias of X for steps of .08, .04, .02, .01, in 1e-3 (48 ensembles of 512 contacts, steps of .0025). Forgotten:
-    -3.3, -1.2, -.6, -.3 without a mass, -2.4, -1.2, -.6, -.3 with a mass of 2; made up for: -3.0, -.65, -.17, -.06,
-    where steps are about as long as the slider takes to relax (.07), and below .1 with the mass. Of second order:
-    halving the step from .04 on leaves less than 0.4 of the bias, and 4.5 errors; forgotten it leaves more."""
+    """Bias of X for steps of .08, .04, .02, .01, in 1e-3 (48 ensembles of 512 contacts,
+    steps of .0025). Forgotten: -3.3, -1.2, -.6, -.3 without a mass, -2.4, -1.2, -.6,
+    -.3 with a mass of 2; made up for: -3.0, -.65, -.17, -.06, where steps are about as
+    long as the slider takes to relax (.07), and below .1 with the mass. Of second
+    order: halving the step from .04 on leaves less than 0.4 of the bias, and 4.5
+    errors; forgotten it leaves more."""
     stage, steps = Stage(0.25, damping=0.5, mass=mass), (0.04, 0.02, 0.01)
     fine = fixed(stage, 0.0025, 48)
     made_up = [bias(stage, dt, fine) for dt in steps]
@@ -79,8 +87,9 @@ def test_behind_is_made_up_for_within_the_time_it_took():
 
 
 def test_step_error_by_hand():
-    """An error of first order: 1 in fine steps, 4 in coarse ones. One instant in four is recorded again; of neighbours
-    the largest error counts, and scatter between replicas adds its standard error."""
+    """An error of first order: 1 in fine steps, 4 in coarse ones. One instant in four
+    is recorded again; of neighbours the largest error counts, and scatter between
+    replicas adds its standard error."""
     segment = np.array([0] * 9 + [1] * 3)
     recorded = coarse_instants(segment)
     assert list(recorded) == [0, 4, 8, 11]
@@ -95,8 +104,11 @@ def test_step_error_by_hand():
 
 
 def test_steps_wait_for_a_first_break():
-    """Nothing has broken yet: the next step is as long as a break in all the time so far allows, not twice the last."""
-    programme = Programme([Segment(0.0, time=100.0)], stage=Stage(0.1, preload=4.5, damping=0.1))
+    """Nothing has broken yet: the next step is as long as a break in all the time so
+    far allows, not twice the last."""
+    programme = Programme(
+        [Segment(0.0, time=100.0)], stage=Stage(0.1, preload=4.5, damping=0.1)
+    )
     with Slider(replace(WARM, count=1), programme, 1, 0, 1) as pulled:
         while pulled.state.sums.square == 0.0 or pulled.state.time < 1e-3:
             pulled.step(pulled.pull.ends[0], 0.0)
@@ -104,7 +116,10 @@ def test_steps_wait_for_a_first_break():
             assert pulled.dt < 0.1 * pulled.breaks.waited
 
 
-SMOOTH, BACK = [Segment(0.1, distance=2.0)], [Segment(0.1, distance=1.5), Segment(-0.2, distance=1.5)]
+SMOOTH, BACK = (
+    [Segment(0.1, distance=2.0)],
+    [Segment(0.1, distance=1.5), Segment(-0.2, distance=1.5)],
+)
 HOLD = [Segment(0.1, distance=1.5), Segment(0.0, time=30.0)]
 SETTINGS = {
     "warm": (WARM, SMOOTH, Stage(0.25, damping=0.5)),
@@ -113,23 +128,34 @@ SETTINGS = {
     "T = 0": (COLD, SMOOTH, Stage(0.25, damping=0.5)),
     "T = 0, mass": (COLD, SMOOTH, Stage(0.25, damping=0.1, mass=1.0)),
     "hold": (WARM, HOLD, Stage(0.25, damping=0.5)),
-    "reversal": (replace(WARM, delay=Delay(1.0, "exponential"), stiffness_law="sqrt"), BACK, Stage(0.5, damping=0.2)),
+    "reversal": (
+        replace(WARM, delay=Delay(1.0, "exponential"), stiffness_law="sqrt"),
+        BACK,
+        Stage(0.5, damping=0.2),
+    ),
     "stick-slip": (COLD, SMOOTH, Stage(0.1, damping=0.1, preload=7.5)),
 }
 
 
 def largest_score(ensemble, segments, stage, replicas):
-    """How far X, force and pinned share are from those of the same contacts with a tolerance 25 times as small, in
-    quoted errors; the same lives are drawn, so that little of the difference is scatter."""
+    """How far X, force and pinned share are from those of the same contacts with a
+    tolerance 25 times as small, in quoted errors; the same lives are drawn, so that
+    little of the difference is scatter."""
     ours, exact = (
         trajectory(
-            ensemble, Programme(segments, stage=replace(stage, tolerance=tolerance)), points=13, replicas=replicas
+            ensemble,
+            Programme(segments, stage=replace(stage, tolerance=tolerance)),
+            points=13,
+            replicas=replicas,
         )
         for tolerance in (1e-4, 4e-6)
     )
     scores = []
     for name in ("X", "force", "pinned"):
-        off, error = getattr(ours, name) - getattr(exact, name), getattr(ours, f"{name}_stderr")
+        off, error = (
+            getattr(ours, name) - getattr(exact, name),
+            getattr(ours, f"{name}_stderr"),
+        )
         scores.append(np.abs(off[1:]) / np.maximum(error[1:], 1e-9))
     return np.max(scores)
 
@@ -140,19 +166,34 @@ def largest_score(ensemble, segments, stage, replicas):
 def test_errors_hold_what_finite_steps_miss(name, count):
     """|z| < 4.5 at 12 instants of three series."""
     ensemble, segments, stage = SETTINGS[name]
-    assert largest_score(replace(ensemble, count=count), segments, stage, 60 if count < 10 else 30) < 4.5
+    assert (
+        largest_score(
+            replace(ensemble, count=count), segments, stage, 60 if count < 10 else 30
+        )
+        < 4.5
+    )
 
 
 def test_errors_grow_with_the_tolerance():
-    """Of 40 000 contacts, whose scatter is small, the step is most of the error where the tolerance is coarse, and the
-    error holds what it makes: steps a hundred times as fine agree, |z| < 4.5."""
+    """Of 40 000 contacts, whose scatter is small, the step is most of the error where
+    the tolerance is coarse, and the error holds what it makes: steps a hundred times as
+    fine agree, |z| < 4.5."""
     ensemble, stage = replace(COLD, count=40_000), Stage(0.1, damping=0.1, preload=7.5)
     programme = [Segment(0.1, time=20.0)]
     coarse, fine = (
-        trajectory(ensemble, Programme(programme, stage=replace(stage, tolerance=tolerance)), points=21)
+        trajectory(
+            ensemble,
+            Programme(programme, stage=replace(stage, tolerance=tolerance)),
+            points=21,
+        )
         for tolerance in (1e-2, 1e-5)
     )
     assert np.mean(coarse.X_stderr) > 5.0 * np.mean(fine.X_stderr)
     assert coarse.X_stderr[0] == 0.0
-    assert np.all(np.abs(coarse.X - fine.X) <= 4.5 * np.hypot(coarse.X_stderr, fine.X_stderr))
-    assert np.all(np.abs(coarse.force - fine.force) <= 4.5 * np.hypot(coarse.force_stderr, fine.force_stderr))
+    assert np.all(
+        np.abs(coarse.X - fine.X) <= 4.5 * np.hypot(coarse.X_stderr, fine.X_stderr)
+    )
+    assert np.all(
+        np.abs(coarse.force - fine.force)
+        <= 4.5 * np.hypot(coarse.force_stderr, fine.force_stderr)
+    )

@@ -1,5 +1,5 @@
-"""What eqsim stands on: dependencies that are declared, used and free, their lowest versions, and a wheel that needs
-nothing of the source tree."""
+"""What eqsim stands on: dependencies that are declared, used and free, their lowest
+versions, and a wheel that needs nothing of the source tree."""
 
 import ast
 import os
@@ -21,7 +21,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 FREE = re.compile(
     r"MIT|BSD|Apache|PSF|Python Software Foundation|ISC|Zlib|CC0|HPND|Unlicense"
 )  # ask for no more than a notice
-BOUND = re.compile(r"GPL|AGPL|SSPL|Commons Clause|Proprietary|Non-?Commercial", re.IGNORECASE)
+BOUND = re.compile(
+    r"GPL|AGPL|SSPL|Commons Clause|Proprietary|Non-?Commercial", re.IGNORECASE
+)
 
 
 def imported(*folders):
@@ -41,11 +43,18 @@ def names(requirements):
 
 
 def test_dependencies_are_used_and_declared():
-    """No declared dependency that the package does not import, and no import that is not declared."""
+    """No declared dependency that the package does not import, and no import that is
+    not declared."""
     declared, found = names(PROJECT["dependencies"]), imported("eqsim", "analysis")
     assert declared - found == set()
-    optional = names(PROJECT["optional-dependencies"]["dask"])  # imported where it is asked for
-    assert found - declared - optional <= set(sys.stdlib_module_names) | {"eqsim", "eqsim_figures", "analysis"}
+    optional = names(
+        PROJECT["optional-dependencies"]["dask"]
+    )  # imported where it is asked for
+    assert found - declared - optional <= set(sys.stdlib_module_names) | {
+        "eqsim",
+        "eqsim_figures",
+        "analysis",
+    }
 
 
 def closure(name, seen):
@@ -61,9 +70,19 @@ def closure(name, seen):
 
 
 def licence(about):
-    """What a package says of its licence: an expression, or else a classifier, or else free text."""
-    classifiers = [line for line in about.get_all("Classifier") or [] if line.startswith("License ::")]
-    return about.get("License-Expression") or " ".join(classifiers) or about.get("License") or "none"
+    """What a package says of its licence: an expression, or else a classifier, or else
+    free text."""
+    classifiers = [
+        line
+        for line in about.get_all("Classifier") or []
+        if line.startswith("License ::")
+    ]
+    return (
+        about.get("License-Expression")
+        or " ".join(classifiers)
+        or about.get("License")
+        or "none"
+    )
 
 
 def test_licences():
@@ -75,7 +94,9 @@ def test_licences():
         said = licence(about)
         assert FREE.search(said), f"{name}: {said}"
         assert not BOUND.search(said), f"{name}: {said}"
-    assert BOUND.search("License :: OSI Approved :: GNU General Public License v3 (GPLv3)")  # negative control
+    assert BOUND.search(
+        "License :: OSI Approved :: GNU General Public License v3 (GPLv3)"
+    )  # negative control
 
 
 def python_of(folder):
@@ -85,8 +106,18 @@ def python_of(folder):
 
 
 def call(*command, **options):
-    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, env=environment, **options)
+    environment = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("PYTHONPATH", "NUMBA_CACHE_DIR")
+    }
+    done = subprocess.run(
+        [str(part) for part in command],
+        capture_output=True,
+        text=True,
+        env=environment,
+        **options,
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     return done.stdout
 
@@ -107,35 +138,82 @@ def wheel(folder):
 
 @pytest.mark.long
 def test_wheel_needs_no_source(tmp_path):
-    """Built, and installed where nothing else is but the dependencies; then a run, and a figure's script."""
+    """Built, and installed where nothing else is but the dependencies; then a run, and
+    a figure's script."""
     python = python_of(tmp_path / "venv")
     call(python, "-m", "pip", "install", "-q", "--no-deps", wheel(tmp_path))
-    site = Path(call(python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])").strip())
+    site = Path(
+        call(
+            python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"
+        ).strip()
+    )
     (site / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"])
     shutil.copy(ROOT / "runs" / "quickstart.toml", tmp_path)
     where = call(
-        python, "-c", "import eqsim, eqsim_figures; print(eqsim.__file__, eqsim_figures.__file__)", cwd=tmp_path
+        python,
+        "-c",
+        "import eqsim, eqsim_figures; print(eqsim.__file__, eqsim_figures.__file__)",
+        cwd=tmp_path,
     )
     assert all(Path(path).is_relative_to(site) for path in where.split())
     eqsim = python.with_name("eqsim")
-    call(eqsim, "run", "quickstart.toml", "--set", "contacts.count=1000", "--out", "found", cwd=tmp_path)
+    call(
+        eqsim,
+        "run",
+        "quickstart.toml",
+        "--set",
+        "contacts.count=1000",
+        "--out",
+        "found",
+        cwd=tmp_path,
+    )
     assert (tmp_path / "found" / "trajectory.parquet").exists()
     call(eqsim, "figures", "--help", cwd=tmp_path)
 
 
 @pytest.mark.long
 def test_lowest_versions(tmp_path):
-    """The lowest version of every dependency that is declared, and a part of the tests with them."""
+    """The lowest version of every dependency that is declared, and a part of the tests
+    with them."""
     python = python_of(tmp_path / "venv")
     lowest = [line.replace(">=", "==") for line in PROJECT["dependencies"]]
-    tools = [line for line in PROJECT["optional-dependencies"]["test"] if re.match("pytest|hypothesis|mpmath", line)]
+    tools = [
+        line
+        for line in PROJECT["optional-dependencies"]["test"]
+        if re.match("pytest|hypothesis|mpmath", line)
+    ]
     call(python, "-m", "pip", "install", "-q", *lowest, *tools)
     call(python, "-m", "pip", "install", "-q", "--no-deps", wheel(tmp_path))
     for name, version in (line.split("==") for line in lowest):
-        found = call(python, "-c", f"from importlib.metadata import version; print(version('{name}'))").strip()
+        found = call(
+            python,
+            "-c",
+            f"from importlib.metadata import version; print(version('{name}'))",
+        ).strip()
         assert f"{found}.0.0".startswith(f"{version}.")
     for folder in ("tests", "runs"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("out"))
-    files = ["runfile", "elementary", "octaves", "lives", "reference", "materials", "portable"]
+        shutil.copytree(
+            ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("out")
+        )
+    files = [
+        "runfile",
+        "elementary",
+        "octaves",
+        "lives",
+        "reference",
+        "materials",
+        "portable",
+    ]
     paths = [tmp_path / "tests" / f"test_{name}.py" for name in files]
-    call(python, "-m", "pytest", "-q", "-n", "2", "--rootdir", tmp_path, *paths, cwd=tmp_path)
+    call(
+        python,
+        "-m",
+        "pytest",
+        "-q",
+        "-n",
+        "2",
+        "--rootdir",
+        tmp_path,
+        *paths,
+        cwd=tmp_path,
+    )

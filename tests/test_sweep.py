@@ -1,4 +1,5 @@
-"""Sweeps: rows, the folder that survives anything, and workers that do not change a bit."""
+"""Sweeps: rows, the folder that survives anything, and workers that do not change a
+bit."""
 
 import concurrent.futures as futures
 import contextlib
@@ -84,7 +85,12 @@ def test_rows_are_what_steady_and_reference_say(small):
     assert list(table["id"]) == plan.ids  # in the order of the grid
     for index in (0, 7):
         row, point = table.iloc[index], plan.at(index)
-        found = steady(point.ensemble(Path()), point.driven(Path()), rel_error=1e-2, seed=seed_of(row["id"]))
+        found = steady(
+            point.ensemble(Path()),
+            point.driven(Path()),
+            rel_error=1e-2,
+            seed=seed_of(row["id"]),
+        )
         exact = reference(point.ensemble(Path()), point.driven(Path()))
         assert row["friction"] == found.friction.value
         assert row["friction_stderr"] == found.friction.stderr
@@ -93,10 +99,15 @@ def test_rows_are_what_steady_and_reference_say(small):
         for name in BASIC:
             ours, level = getattr(found, name), getattr(exact, name)
             assert row[f"{name}_reference_error"] == level.stderr
-            assert (row[f"{name}_dof"], row[f"{name}_reliable"]) == (31, True)  # 32 randomisations
+            assert (row[f"{name}_dof"], row[f"{name}_reliable"]) == (
+                31,
+                True,
+            )  # 32 randomisations
             sigma = math.hypot(ours.stderr, level.stderr)
             if sigma:  # Student's probability as that of a normal score, with the sign of ours - theirs
-                score = stats.norm.ppf(stats.t.cdf((ours.value - level.value) / sigma, 31))
+                score = stats.norm.ppf(
+                    stats.t.cdf((ours.value - level.value) / sigma, 31)
+                )
                 assert row[f"{name}_z"] == pytest.approx(score, rel=1e-9, abs=0)
         assert row["drive.velocity"] == point.drive.velocity
         assert row["seed"] == seed_of(row["id"])
@@ -104,7 +115,9 @@ def test_rows_are_what_steady_and_reference_say(small):
     assert (z.abs() < 5).all()  # some 30 normal scores: a false alarm in 6e4 seeds
     assert table["pinned_z"].isna().sum() == 6  # without delay both errors are 0
     assert set(table["status"]) == {"ok"}
-    origin = json.loads(pq.read_schema(small / "one" / "sweep.parquet").metadata[b"eqsim"])
+    origin = json.loads(
+        pq.read_schema(small / "one" / "sweep.parquet").metadata[b"eqsim"]
+    )
     assert origin["run_file"] == GRID
     assert origin["schema"] == SCHEMA
     assert origin["results_version"] == RESULTS_VERSION
@@ -114,17 +127,24 @@ def test_rows_are_what_steady_and_reference_say(small):
 def test_workers_and_threads_do_not_change_a_bit(small):
     for out, workers in (("threads", Workers(threads=2)), ("processes", Workers(2))):
         sweep(Plan(load(small / "small.toml"), small), small / out, workers=workers)
-        assert table_of(small / out).equals(table_of(small / "one"), check_metadata=True)
+        assert table_of(small / out).equals(
+            table_of(small / "one"), check_metadata=True
+        )
 
 
 def test_order_and_company_do_not_change_a_bit(small, tmp_path):
     other = GRID.replace("[0.1, 1.0]", "[3.0, 1.0]").replace("[0.0, 1.0]", "[1.0, 0.0]")
     sweep(plan_of(other), tmp_path / "o")
-    one, two = (table_of(folder).to_pandas().set_index("id") for folder in (small / "one", tmp_path / "o"))
+    one, two = (
+        table_of(folder).to_pandas().set_index("id")
+        for folder in (small / "one", tmp_path / "o")
+    )
     both = one.index.intersection(two.index)
     assert len(both) == 6
     pd.testing.assert_frame_equal(one.loc[both], two.loc[both], check_exact=True)
-    assert not one["friction"].isin(two.drop(both)["friction"]).any()  # negative control
+    assert (
+        not one["friction"].isin(two.drop(both)["friction"]).any()
+    )  # negative control
 
 
 def test_transient(tmp_path):
@@ -136,7 +156,12 @@ def test_transient(tmp_path):
     plan = plan_of(text)
     for index, row in table.iterrows():
         point, seed = plan.at(index), seed_of(row["id"])
-        found = trajectory(point.ensemble(Path()), point.driven(Path()), points=point.output.points, seed=seed)
+        found = trajectory(
+            point.ensemble(Path()),
+            point.driven(Path()),
+            points=point.output.points,
+            seed=seed,
+        )
         for name in BASIC:
             estimate = getattr(found.averages, name)
             assert (row[name], row[f"{name}_stderr"], row[f"{name}_dof"]) == (
@@ -145,17 +170,23 @@ def test_transient(tmp_path):
                 estimate.dof,
             )
         assert row["lives"] == found.lives > 500
-    assert (table[["friction_dof", "break_stretch_dof"]] == 63).all(axis=None)  # 64 batches
+    assert (table[["friction_dof", "break_stretch_dof"]] == 63).all(
+        axis=None
+    )  # 64 batches
 
 
 def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
-    """A velocity beyond all groups fails, now and when the sweep is asked for again; the rest are ok."""
+    """A velocity beyond all groups fails, now and when the sweep is asked for again;
+    the rest are ok."""
     path = tmp_path / "a.toml"
     path.write_text(
-        BASE + '[thermal]\nkT = 0.1\n[sweep]\n"drive.velocity" = [0.1, 1e-100, 1.0]\n"delay.time" = [1e-3]\n'
+        BASE
+        + '[thermal]\nkT = 0.1\n[sweep]\n"drive.velocity" = [0.1, 1e-100, 1.0]\n"delay.time" = [1e-3]\n'
     )
     out = tmp_path / "o"
-    result = CliRunner().invoke(app, ["sweep", str(path), "--out", str(out), "--workers", "1", "--json"])
+    result = CliRunner().invoke(
+        app, ["sweep", str(path), "--out", str(out), "--workers", "1", "--json"]
+    )
     assert result.exit_code == 1, result.output
     summary = json.loads(result.stdout)
     assert (summary["points"], summary["ok"], summary["failed"]) == (3, 2, 1)
@@ -166,18 +197,29 @@ def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
     again = CliRunner().invoke(app, ["sweep", str(path), "--out", str(out)])
     assert again.exit_code == 1
     assert "2 ok, 1 FAILED" in again.stdout
-    assert "point 2 (drive.velocity = 1e-100, delay.time = 0.001) failed: ln(attempt" in again.stderr
+    assert (
+        "point 2 (drive.velocity = 1e-100, delay.time = 0.001) failed: ln(attempt"
+        in again.stderr
+    )
 
 
 def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
     task, found = plan_of(GRID).task(0), steady(Ensemble(), Drive(0.1), rel_error=1e-2)
     doubtful = dataclasses.replace(found.friction, reliable=False)
     for result, said in (
-        (dataclasses.replace(found, reached=False), "relative error 0.01 was not reached"),
-        (dataclasses.replace(found, friction=doubtful), "error bars of friction cannot be trusted"),
+        (
+            dataclasses.replace(found, reached=False),
+            "relative error 0.01 was not reached",
+        ),
+        (
+            dataclasses.replace(found, friction=doubtful),
+            "error bars of friction cannot be trusted",
+        ),
         (found, None),
     ):
-        monkeypatch.setattr("eqsim.engine.steady.steady", lambda *_, result=result, **__: result)
+        monkeypatch.setattr(
+            "eqsim.engine.steady.steady", lambda *_, result=result, **__: result
+        )
         row = rows_module._row(task, Asked(), 1)
         assert (row["status"], row["message"]) == ("unreliable" if said else "ok", said)
 
@@ -193,7 +235,9 @@ def test_another_sweep_in_the_same_folder_is_refused(small):
     again(GRID)  # the same is welcome, and computes nothing
     with pytest.raises(InputError, match=r"contacts.count was 500, is 501"):
         again(GRID.replace("500", "501"))
-    with pytest.raises(InputError, match=r"sweep.delay.time was \[0.0, 1.0\], is \[0.0\]"):
+    with pytest.raises(
+        InputError, match=r"sweep.delay.time was \[0.0, 1.0\], is \[0.0\]"
+    ):
         again(GRID.replace("[0.0, 1.0]", "[0.0]"))
     with pytest.raises(InputError, match=r"rel_error was 0.01, is 0.001"):
         again(GRID, rel_error=1e-3)
@@ -201,10 +245,13 @@ def test_another_sweep_in_the_same_folder_is_refused(small):
 
 
 def test_what_the_sweep_replaces_may_change(small):
-    """The base value of a swept key is no part of any point: the folder goes on, and computes nothing."""
+    """The base value of a swept key is no part of any point: the folder goes on, and
+    computes nothing."""
     before = (small / "one" / "sweep.parquet").stat().st_mtime_ns
     file = file_of(GRID)
-    other = file.model_copy(update={"drive": file.drive.model_copy(update={"velocity": 77.0})})
+    other = file.model_copy(
+        update={"drive": file.drive.model_copy(update={"velocity": 77.0})}
+    )
     assert other.drive.velocity != file.drive.velocity
     plan = Plan(other, small)
     assert plan.ids == plan_of(GRID).ids
@@ -222,8 +269,12 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "theirs.parquet")
     with pytest.raises(InputError, match="another origin"):
         sweep(plan_of(GRID), tmp_path)
-    (tmp_path / "theirs.parquet").rename(tmp_path / "notes.txt")  # which readers of the folder would stumble over
-    with pytest.raises(InputError, match=r"another origin, notes.txt; must be a folder of its own"):
+    (tmp_path / "theirs.parquet").rename(
+        tmp_path / "notes.txt"
+    )  # which readers of the folder would stumble over
+    with pytest.raises(
+        InputError, match=r"another origin, notes.txt; must be a folder of its own"
+    ):
         sweep(plan_of(GRID), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
@@ -239,7 +290,10 @@ def test_one_sweep_at_a_time(tmp_path):
 
 def parts_of(small, out, size=3, rows=9):
     """An unfinished folder: `rows` finished rows of `small`, in parts."""
-    plan, table = plan_of(GRID), pq.read_table(small / "one" / "sweep.parquet").to_pylist()
+    plan, table = (
+        plan_of(GRID),
+        pq.read_table(small / "one" / "sweep.parquet").to_pylist(),
+    )
     store = Store(out, plan, Asked())
     for index, row in enumerate(table[:rows]):
         store.add(index, row)
@@ -251,9 +305,11 @@ def parts_of(small, out, size=3, rows=9):
 
 @pytest.mark.parametrize("then", ["5b1f9c03a7e2d864", str(RESULTS_VERSION - 1)])
 @pytest.mark.parametrize("finished", [False, True])
-def test_a_folder_of_another_results_version_says_what_to_do(small, tmp_path, finished, then):
-    """Also one whose version is a digest of sources, as earlier releases wrote it: nothing in it is changed, and it can
-    be exported and plotted."""
+def test_a_folder_of_another_results_version_says_what_to_do(
+    small, tmp_path, finished, then
+):
+    """Also one whose version is a digest of sources, as earlier releases wrote it:
+    nothing in it is changed, and it can be exported and plotted."""
     out = tmp_path / "o"
     if finished:
         shutil.copytree(small / "one", out)
@@ -264,13 +320,25 @@ def test_a_folder_of_another_results_version_says_what_to_do(small, tmp_path, fi
     manifest["asked"]["results version"] = then
     path.write_text(json.dumps(manifest))
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(out)])
+    done = CliRunner().invoke(
+        app, ["sweep", str(small / "small.toml"), "--out", str(out)]
+    )
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-    assert f"begun by another version of eqsim (results version {then}, not {RESULTS_VERSION})" in done.stderr
+    assert (
+        f"begun by another version of eqsim (results version {then}, not {RESULTS_VERSION})"
+        in done.stderr
+    )
     assert "finish it with that one, or use another folder" in done.stderr
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-    for command in (["export"], ["plot", "--by", "thermal.kT", "--where", "delay.time=1"]):
-        done = CliRunner().invoke(app, [*command, str(out), "--out", str(tmp_path / f"{command[0]}.svg")])
+    assert {
+        path: path.read_bytes() for path in out.rglob("*") if path.is_file()
+    } == before
+    for command in (
+        ["export"],
+        ["plot", "--by", "thermal.kT", "--where", "delay.time=1"],
+    ):
+        done = CliRunner().invoke(
+            app, [*command, str(out), "--out", str(tmp_path / f"{command[0]}.svg")]
+        )
         assert done.exit_code == 0, done.output
 
 
@@ -291,13 +359,18 @@ print(json.dumps([eqsim.__file__, plan.ids, [*map(seed_of, plan.ids)], sorted(st
 
 
 def test_a_comment_in_the_sources_changes_no_point(small, tmp_path):
-    """Every source file is longer by a comment: ids and seeds are the same, and a half-done folder goes on."""
+    """Every source file is longer by a comment: ids and seeds are the same, and a
+    half-done folder goes on."""
     out, copy = tmp_path / "o", tmp_path / "copy"
     parts_of(small, out)
     sources = Path(sys.modules["eqsim"].__file__).parent
-    shutil.copytree(sources, copy / "eqsim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        sources, copy / "eqsim", ignore=shutil.ignore_patterns("__pycache__")
+    )
     for path in copy.rglob("*.py"):
-        path.write_text(path.read_text(encoding="utf-8") + "# a comment\n", encoding="utf-8")
+        path.write_text(
+            path.read_text(encoding="utf-8") + "# a comment\n", encoding="utf-8"
+        )
     command = [sys.executable, "-c", COMMENTED, str(small / "small.toml"), str(out)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=copy)
     assert done.returncode == 0, done.stderr
@@ -309,42 +382,55 @@ def test_a_comment_in_the_sources_changes_no_point(small, tmp_path):
 
 
 def test_a_table_names_all_libraries_that_made_it(small, tmp_path, monkeypatch):
-    """A half-done folder goes on with other releases of libraries, and its table says so."""
+    """A half-done folder goes on with other releases of libraries, and its table says
+    so."""
     with monkeypatch.context() as patch:
-        patch.setattr("eqsim.io.storage.versions", lambda: versions() | {"numpy": "0.9"})
+        patch.setattr(
+            "eqsim.io.storage.versions", lambda: versions() | {"numpy": "0.9"}
+        )
         parts_of(small, tmp_path / "o")
     assert sweep(plan_of(GRID), tmp_path / "o").resumed == 9
     assert table_of(tmp_path / "o").equals(table_of(small / "one"))
-    origin = json.loads(pq.read_schema(tmp_path / "o" / "sweep.parquet").metadata[b"eqsim"])
+    origin = json.loads(
+        pq.read_schema(tmp_path / "o" / "sweep.parquet").metadata[b"eqsim"]
+    )
     assert origin["versions"] == versions() | {"numpy": f"0.9, {np.__version__}"}
 
 
 def test_columns_have_a_version():
-    """Rows whose columns are not those of the schema are computed again: a folder is refused before, by its version.
-    Where columns change, `SCHEMA` is raised, and their digest entered here."""
+    """Rows whose columns are not those of the schema are computed again: a folder is
+    refused before, by its version. Where columns change, `SCHEMA` is raised, and their
+    digest entered here."""
     columns = {2: "f12a4c59b11c92e1"}
     names = [f"{field.name} {field.type}" for field in schema(RunFile())]
     assert hashlib.sha256(" ".join(names).encode()).hexdigest()[:16] == columns[SCHEMA]
 
 
 def test_damaged_parts_are_named_and_computed_again(small, tmp_path):
-    """A flipped bit, a file that was cut, and another part's content under this one's name; a fourth is whole."""
+    """A flipped bit, a file that was cut, and another part's content under this one's
+    name; a fourth is whole."""
     parts = parts_of(small, tmp_path / "o", rows=12)
     content = [part.read_bytes() for part in parts]
     middle = len(content[0]) // 3
-    parts[0].write_bytes(content[0][:middle] + bytes([content[0][middle] ^ 1]) + content[0][middle + 1 :])
+    parts[0].write_bytes(
+        content[0][:middle] + bytes([content[0][middle] ^ 1]) + content[0][middle + 1 :]
+    )
     parts[1].write_bytes(content[1][:middle])
     parts[2].write_bytes(content[3])
     notes = []
     found = sweep(plan_of(GRID), tmp_path / "o", note=notes.append)
     assert sorted(found.damaged) == sorted(str(part) for part in parts[:3])
-    assert all(any(part.name in note and "damaged" in note for note in notes) for part in parts[:3])
+    assert all(
+        any(part.name in note and "damaged" in note for note in notes)
+        for part in parts[:3]
+    )
     assert (found.resumed, found.computed) == (3, 9)
     assert table_of(tmp_path / "o").equals(table_of(small / "one"))
 
 
 def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
-    """Of the finished table, which has no digest in its name: 40 flipped bits anywhere in its pages are all seen."""
+    """Of the finished table, which has no digest in its name: 40 flipped bits anywhere
+    in its pages are all seen."""
     from eqsim.io import storage
 
     path = small / "one" / "sweep.parquet"
@@ -352,19 +438,30 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
     assert storage.from_parquet(content, table.schema).equals(table)
     chunks = pq.ParquetFile(path).metadata.row_group(0)
     column = chunks.column(table.column_names.index("friction"))
-    begin, end = column.dictionary_page_offset or column.data_page_offset, column.total_compressed_size
+    begin, end = (
+        column.dictionary_page_offset or column.data_page_offset,
+        column.total_compressed_size,
+    )
     rng = random.Random(1)
     for _ in range(40):
         bad = bytearray(content)
         bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
         found = storage.from_parquet(bytes(bad), table.schema)
-        assert found is None or found.equals(table)  # some bits of a page's header mean nothing
+        assert found is None or found.equals(
+            table
+        )  # some bits of a page's header mean nothing
 
 
-def test_death_between_the_table_and_its_parts_doubles_nothing(small, tmp_path, monkeypatch):
+def test_death_between_the_table_and_its_parts_doubles_nothing(
+    small, tmp_path, monkeypatch
+):
     parts_of(small, tmp_path / "o", size=6, rows=12)
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(SystemError("killed")))
+        patch.setattr(
+            Path,
+            "unlink",
+            lambda *_, **__: (_ for _ in ()).throw(SystemError("killed")),
+        )
         with pytest.raises(SystemError):
             sweep(plan_of(GRID), tmp_path / "o")
     assert len(list((tmp_path / "o" / "_parts").iterdir())) == 2
@@ -372,17 +469,24 @@ def test_death_between_the_table_and_its_parts_doubles_nothing(small, tmp_path, 
     found = sweep(plan_of(GRID), tmp_path / "o")
     assert found.computed == 0
     assert not (tmp_path / "o" / "_parts").exists()
-    assert pq.read_table(tmp_path / "o" / "sweep.parquet").equals(pq.read_table(small / "one" / "sweep.parquet"))
+    assert pq.read_table(tmp_path / "o" / "sweep.parquet").equals(
+        pq.read_table(small / "one" / "sweep.parquet")
+    )
 
 
-def test_death_before_the_table_has_its_name_loses_nothing(small, tmp_path, monkeypatch):
-    """Parts are hidden by then, so that no reader sees a row twice, and found again, with others that are not."""
+def test_death_before_the_table_has_its_name_loses_nothing(
+    small, tmp_path, monkeypatch
+):
+    """Parts are hidden by then, so that no reader sees a row twice, and found again,
+    with others that are not."""
     from eqsim.io import storage
 
     out = tmp_path / "o"
     parts_of(small, out, size=6, rows=12)
     with monkeypatch.context() as patch:
-        patch.setattr(storage, "save", lambda *_: (_ for _ in ()).throw(SystemError("killed")))
+        patch.setattr(
+            storage, "save", lambda *_: (_ for _ in ()).throw(SystemError("killed"))
+        )
         with pytest.raises(SystemError):
             sweep(plan_of(GRID), out)
     assert len(list((out / "_parts").iterdir())) == 2
@@ -393,8 +497,14 @@ def test_death_before_the_table_has_its_name_loses_nothing(small, tmp_path, monk
     assert len(pd.read_parquet(out)) == 6
     found = sweep(plan_of(GRID), out)
     assert found.computed == 0
-    assert sorted(path.name for path in out.iterdir()) == ["_lock", "_sweep.json", "sweep.parquet"]
-    assert pq.read_table(out / "sweep.parquet").equals(pq.read_table(small / "one" / "sweep.parquet"))
+    assert sorted(path.name for path in out.iterdir()) == [
+        "_lock",
+        "_sweep.json",
+        "sweep.parquet",
+    ]
+    assert pq.read_table(out / "sweep.parquet").equals(
+        pq.read_table(small / "one" / "sweep.parquet")
+    )
 
 
 # ---- deaths ----
@@ -410,7 +520,10 @@ class Deadly(futures.Executor):
     def submit(self, work, tasks):
         future = futures.Future()
         self.alone += [task.seed for task in tasks] == [self.poison]
-        if self.poison in {task.seed for task in tasks} or self.rng.random() < self.chance:
+        if (
+            self.poison in {task.seed for task in tasks}
+            or self.rng.random() < self.chance
+        ):
             future.set_exception(BrokenProcessPool("died"))
         else:
             future.set_result(work(tasks))
@@ -432,7 +545,8 @@ class Pool:
 
 @pytest.mark.parametrize("poisonous", [False, True])
 def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous):
-    """It alone fails, whatever it was sent with; without it, workers that die by chance cost nothing."""
+    """It alone fails, whatever it was sent with; without it, workers that die by chance
+    cost nothing."""
     plan = plan_of(GRID)
     store = Store(tmp_path, plan, Asked())
     pool = Pool(seed_of(plan.ids[4]) if poisonous else -1, 0.1 if poisonous else 0.2)
@@ -440,9 +554,13 @@ def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous)
     store.compact()
     store.close()
     found, exact = table_of(tmp_path).to_pandas(), table_of(small / "one").to_pandas()
-    assert list(found["status"]) == ["failed" if poisonous and index == 4 else "ok" for index in range(12)]
+    assert list(found["status"]) == [
+        "failed" if poisonous and index == 4 else "ok" for index in range(12)
+    ]
     if poisonous:
-        assert found["message"][4] == "3 workers died at this point (not enough memory?)"
+        assert (
+            found["message"][4] == "3 workers died at this point (not enough memory?)"
+        )
         assert pool.executor.alone == 3
         found, exact = found.drop(4), exact.drop(4)
     pd.testing.assert_frame_equal(found, exact, check_exact=True, check_dtype=False)
@@ -459,8 +577,9 @@ def test_workers_that_never_live_end_the_sweep(tmp_path):
 
 
 def test_workers_that_die_now_and_then_do_not_end_the_sweep(tmp_path):
-    """With any two points together, and with every second point the first two times it goes alone: more often than
-    would end the sweep in a row, and every point is computed."""
+    """With any two points together, and with every second point the first two times it
+    goes alone: more often than would end the sweep in a row, and every point is
+    computed."""
     plan = plan_of(GRID.replace("1.0, 3]", "1.0, 6]"))
     store, pool = Store(tmp_path, plan, Asked()), Pool(-1, 0.0)
     left, submit = dict.fromkeys(map(seed_of, plan.ids[::2]), 2), pool.executor.submit
@@ -480,34 +599,62 @@ def test_workers_that_die_now_and_then_do_not_end_the_sweep(tmp_path):
 
 
 def start(path, out, *options):
-    command = [sys.executable, "-c", EAGER, "sweep", str(path), "--out", str(out), "--workers", "2", *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    command = [
+        sys.executable,
+        "-c",
+        EAGER,
+        "sweep",
+        str(path),
+        "--out",
+        str(out),
+        "--workers",
+        "2",
+        *options,
+    ]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def on_disk(out):
     """id -> seconds of every row a reader can find."""
     rows = []
     for path in [*out.glob("*parts/part-*.parquet"), *out.glob("sweep.parquet")]:
-        with contextlib.suppress(FileNotFoundError):  # a sweep at work has just moved these rows
+        with contextlib.suppress(
+            FileNotFoundError
+        ):  # a sweep at work has just moved these rows
             rows += pq.read_table(path).to_pylist()
     return {row["id"]: row["seconds"] for row in rows}
 
 
 def killed_and_continued(path, out, delays, exact):
-    """SIGKILL after each delay past the first rows; then to the end. Finished points keep even their times."""
+    """SIGKILL after each delay past the first rows; then to the end. Finished points
+    keep even their times."""
     kept = {}
     for delay in delays:
         process = start(path, out)
         known = len(kept)
         deadline = time.monotonic() + 60
-        while process.poll() is None and len(on_disk(out)) <= known and time.monotonic() < deadline:
+        while (
+            process.poll() is None
+            and len(on_disk(out)) <= known
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.02)
         time.sleep(delay)
-        children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        children = (
+            psutil.Process(process.pid).children(recursive=True)
+            if process.poll() is None
+            else []
+        )
         process.kill()
         process.communicate()
         psutil.wait_procs(children, timeout=10)
-        assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+        assert not [
+            child
+            for child in children
+            if child.is_running() and child.status() != psutil.STATUS_ZOMBIE
+        ]
         found = on_disk(out)
         assert kept.items() <= found.items()
         kept = found
@@ -515,7 +662,11 @@ def killed_and_continued(path, out, delays, exact):
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
     assert kept.items() <= on_disk(out).items()
-    assert sorted(entry.name for entry in out.iterdir()) == ["_lock", "_sweep.json", "sweep.parquet"]
+    assert sorted(entry.name for entry in out.iterdir()) == [
+        "_lock",
+        "_sweep.json",
+        "sweep.parquet",
+    ]
     assert table_of(out).equals(table_of(exact))
     return len(kept)
 
@@ -533,13 +684,21 @@ def larger(tmp_path_factory):
 @pytest.mark.long
 def test_a_killed_sweep_continues(larger):
     delays = [random.uniform(0, 0.3) for _ in range(2)]
-    assert killed_and_continued(larger / "a.toml", larger / "twice", delays, larger / "exact") > 0
+    assert (
+        killed_and_continued(
+            larger / "a.toml", larger / "twice", delays, larger / "exact"
+        )
+        > 0
+    )
 
 
 @pytest.mark.long
 def test_a_sweep_killed_twenty_times_continues(larger):
     """Also while it starts, finishes, or has nothing left to do."""
-    delays = [random.uniform(0, 0.1) if index % 4 else random.uniform(0, 2) for index in range(20)]
+    delays = [
+        random.uniform(0, 0.1) if index % 4 else random.uniform(0, 2)
+        for index in range(20)
+    ]
     killed_and_continued(larger / "a.toml", larger / "often", delays, larger / "exact")
 
 
@@ -550,14 +709,21 @@ def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    said = re.search(r"interrupted; (\d+) of 48 points are on disk; the same command continues", errors)
+    said = re.search(
+        r"interrupted; (\d+) of 48 points are on disk; the same command continues",
+        errors,
+    )
     assert said, errors
     kept = on_disk(larger / "stopped")
     assert rows.items() <= kept.items()
     assert len(kept) == int(said[1])
     process = start(larger / "a.toml", larger / "stopped", "--json")
     once(lambda: on_disk(larger / "stopped").keys() != kept.keys(), process)
-    workers = [c for c in psutil.Process(process.pid).children() if "spawn_main" in " ".join(c.cmdline())]
+    workers = [
+        c
+        for c in psutil.Process(process.pid).children()
+        if "spawn_main" in " ".join(c.cmdline())
+    ]
     os.kill(workers[0].pid, signal.SIGKILL)
     out, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
@@ -566,10 +732,16 @@ def test_ctrl_c_keeps_finished_rows_and_a_dead_worker_costs_nothing(larger):
 
 
 @pytest.mark.parametrize(
-    "moment", ["_finish", "flush", *(pytest.param(name, marks=pytest.mark.long) for name in ("compact", "close"))]
+    "moment",
+    [
+        "_finish",
+        "flush",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("compact", "close")),
+    ],
 )
 def test_interrupts_at_any_moment_lose_no_row(small, tmp_path, monkeypatch, moment):
-    """The first one in a method once three points are finished, another one as the rows at hand are written."""
+    """The first one in a method once three points are finished, another one as the rows
+    at hand are written."""
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
     monkeypatch.setattr(store_module, "_FLUSH_ROWS", 2)
     owner = Scheduler if moment == "_finish" else Store
@@ -587,15 +759,31 @@ def test_interrupts_at_any_moment_lose_no_row(small, tmp_path, monkeypatch, mome
         if len(begun) == 1 and moment != "close":
             begun.append(None)
             raise KeyboardInterrupt
-        return broken(self, *args, **kwargs) if moment == "flush" else flush(self, *args, **kwargs)
+        return (
+            broken(self, *args, **kwargs)
+            if moment == "flush"
+            else flush(self, *args, **kwargs)
+        )
 
     monkeypatch.setattr(owner, moment, broken)
     monkeypatch.setattr(Store, "flush", hindered)
     out = tmp_path / "o"
-    done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(out), "--workers", "1", "--quiet"])
+    done = CliRunner().invoke(
+        app,
+        [
+            "sweep",
+            str(small / "small.toml"),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--quiet",
+        ],
+    )
     assert done.exit_code == 130
     said = re.fullmatch(
-        r"eqsim: interrupted; (\d+) of 12 points are on disk; the same command continues\n", done.stderr
+        r"eqsim: interrupted; (\d+) of 12 points are on disk; the same command continues\n",
+        done.stderr,
     )
     assert said, done.stderr
     assert len(on_disk(out)) == int(said[1])
@@ -608,7 +796,9 @@ def test_an_interrupt_before_there_is_a_folder(small, tmp_path, monkeypatch):
 
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
     monkeypatch.setattr("eqsim.sweeps.plan.Plan", stop)
-    done = CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o")])
+    done = CliRunner().invoke(
+        app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o")]
+    )
     said = "eqsim: interrupted; this call has computed nothing; the same command continues\n"
     assert (done.exit_code, done.stderr) == (130, said)
     assert not (tmp_path / "o").exists()
@@ -617,11 +807,31 @@ def test_an_interrupt_before_there_is_a_folder(small, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("table", "args", "said"),
     [
-        ('"thermal.kT" = [0.1, 1.0]', ["--set", "thermal.kT=0.5"], "--set thermal.kT=0.5: has no effect"),
-        ("thermal.kT = [0.1, 1.0]", ["--set", "thermal.kT=0.5"], "--set thermal.kT=0.5: has no effect"),
-        ('zip = [{ "thermal.kT" = [0.1, 1.0] }]', ["--set", "thermal.kT=0.5"], "--set thermal.kT=0.5: has no effect"),
-        ('"output.seed" = [1, 2]', ["--seed", "3"], "--seed: has no effect, the [sweep] table sets output.seed at"),
-        ('file = "points.parquet"', ["--set", "drive.velocity=2"], "--set drive.velocity=2: has no effect"),
+        (
+            '"thermal.kT" = [0.1, 1.0]',
+            ["--set", "thermal.kT=0.5"],
+            "--set thermal.kT=0.5: has no effect",
+        ),
+        (
+            "thermal.kT = [0.1, 1.0]",
+            ["--set", "thermal.kT=0.5"],
+            "--set thermal.kT=0.5: has no effect",
+        ),
+        (
+            'zip = [{ "thermal.kT" = [0.1, 1.0] }]',
+            ["--set", "thermal.kT=0.5"],
+            "--set thermal.kT=0.5: has no effect",
+        ),
+        (
+            '"output.seed" = [1, 2]',
+            ["--seed", "3"],
+            "--seed: has no effect, the [sweep] table sets output.seed at",
+        ),
+        (
+            'file = "points.parquet"',
+            ["--set", "drive.velocity=2"],
+            "--set drive.velocity=2: has no effect",
+        ),
     ],
 )
 def test_set_and_sweep_do_not_contend(tmp_path, table, args, said):
@@ -633,7 +843,9 @@ def test_set_and_sweep_do_not_contend(tmp_path, table, args, said):
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert said in done.stderr
     assert not out.exists()
-    plan = Plan(load(path, {"contacts.count": 7}), tmp_path)  # what no axis sets, or not at every point, can change
+    plan = Plan(
+        load(path, {"contacts.count": 7}), tmp_path
+    )  # what no axis sets, or not at every point, can change
     assert plan.at(0).contacts.count == 7
     if "file" in table:
         assert swept(load(path), tmp_path) == {"drive.velocity"}
@@ -662,13 +874,28 @@ def test_without_a_cluster_nothing_is_left(small, tmp_path):
 def test_files_can_be_read_by_those_the_umask_allows(small, tmp_path):
     before = os.umask(0o027)
     try:
-        CliRunner().invoke(app, ["sweep", str(small / "small.toml"), "--out", str(tmp_path / "o"), "--workers", "1"])
+        CliRunner().invoke(
+            app,
+            [
+                "sweep",
+                str(small / "small.toml"),
+                "--out",
+                str(tmp_path / "o"),
+                "--workers",
+                "1",
+            ],
+        )
         publish(tmp_path / "p", {"a": b""})
     finally:
         os.umask(before)
     files = [path for folder in "op" for path in (tmp_path / folder).iterdir()]
     assert {path.stat().st_mode & 0o777 for path in files} == {0o640}
-    assert {path.name for path in files} == {"_lock", "_sweep.json", "sweep.parquet", "a"}
+    assert {path.name for path in files} == {
+        "_lock",
+        "_sweep.json",
+        "sweep.parquet",
+        "a",
+    }
 
 
 def test_quiet_and_progress(small):
@@ -680,6 +907,16 @@ def test_quiet_and_progress(small):
     assert "12 points (3 x 2 x 2)" in result.stdout
     assert "s a point" in result.stdout
     result = CliRunner().invoke(
-        app, ["sweep", str(small / "small.toml"), "--out", "x", "--workers", "2", "--dask", "y"]
+        app,
+        [
+            "sweep",
+            str(small / "small.toml"),
+            "--out",
+            "x",
+            "--workers",
+            "2",
+            "--dask",
+            "y",
+        ],
     )
     assert result.exit_code == 2

@@ -37,10 +37,16 @@ def exact(tmp_path_factory):
 @pytest.mark.long
 def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_path):
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        host="127.0.0.1",
     ) as cluster:
         address = cluster.scheduler_address
-        found = sweep(Plan(check(RUN), tmp_path), tmp_path / "calm", workers=Workers(dask=address))
+        found = sweep(
+            Plan(check(RUN), tmp_path), tmp_path / "calm", workers=Workers(dask=address)
+        )
         assert found.ok == 48
         assert table_of(tmp_path / "calm").equals(exact)
 
@@ -55,7 +61,12 @@ def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_pat
                 os.kill(killed[0], signal.SIGKILL)
                 assert done < total
 
-        found = sweep(Plan(check(RUN), tmp_path), tmp_path / "killed", workers=Workers(dask=address), progress=progress)
+        found = sweep(
+            Plan(check(RUN), tmp_path),
+            tmp_path / "killed",
+            workers=Workers(dask=address),
+            progress=progress,
+        )
         assert killed
         assert found.ok == 48
         assert table_of(tmp_path / "killed").equals(exact)
@@ -68,11 +79,21 @@ def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
         raise OSError("Timed out trying to connect")
 
     monkeypatch.setattr(Client, "__init__", refuse)
-    with pytest.raises(InputError, match=r"--dask tcp://nowhere:1: no scheduler answers"):
-        sweep(Plan(check(RUN), tmp_path), tmp_path / "o", workers=Workers(dask="tcp://nowhere:1"))
+    with pytest.raises(
+        InputError, match=r"--dask tcp://nowhere:1: no scheduler answers"
+    ):
+        sweep(
+            Plan(check(RUN), tmp_path),
+            tmp_path / "o",
+            workers=Workers(dask="tcp://nowhere:1"),
+        )
 
 
 def test_without_the_package_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install \"eqsim\[dask\]\""):
-        sweep(Plan(check(RUN), tmp_path), tmp_path / "o", workers=Workers(dask="tcp://nowhere:1"))
+        sweep(
+            Plan(check(RUN), tmp_path),
+            tmp_path / "o",
+            workers=Workers(dask="tcp://nowhere:1"),
+        )

@@ -1,8 +1,11 @@
-"""The published master equation solved again by a third party, py-pde: nothing is shared but the paper.
+"""The published master equation solved again by a third party, py-pde: nothing is
+shared but the paper.
 
-Contacts that have not broken since the fresh start stay together at x = X and carry the weight E_PT(X); all others have
-a density q(x; X) with dq/dX = -dq/dx - P_T q (Q5a, temper4) and enter at x = 0 at the rate Gamma at which contacts
-break (Q5aG, R = delta). Rates and E_PT are the closed forms nt03 and nt08-nt11 (k = omega = x_* = 1, n = 1, soft).
+Contacts that have not broken since the fresh start stay together at x = X and carry the
+weight E_PT(X); all others have a density q(x; X) with dq/dX = -dq/dx - P_T q (Q5a,
+temper4) and enter at x = 0 at the rate Gamma at which contacts break (Q5aG, R = delta).
+Rates and E_PT are the closed forms nt03 and nt08-nt11 (k = omega = x_* = 1, n = 1,
+soft).
 """
 
 import math
@@ -35,17 +38,24 @@ class Paper(pde.PDEBase):
     def E_PT(self, u):
         S_0 = (1 + self.b / 3) / (C_0 * V * (1 + self.b) ** 2)  # nt10
         S_1 = C_0 / 2 * (1 + self.b) / (1 + self.b / 3)  # nt11
-        return (1 + u**2) * np.exp(-(u**2)) * np.exp(-S_0 * (erf(u) - S_1 * u * np.exp(-(u**2))))
+        return (
+            (1 + u**2)
+            * np.exp(-(u**2))
+            * np.exp(-S_0 * (erf(u) - S_1 * u * np.exp(-(u**2))))
+        )
 
     def evolution_rate(self, state, t=0):
         lost = self.breaking * state
         gamma = self.P_T(t) * self.E_PT(t) + lost.integral
-        slope = state.gradient({"x-": {"value": gamma}, "x+": {"curvature": 0}}, backend="scipy")[0]
+        slope = state.gradient(
+            {"x-": {"value": gamma}, "x+": {"curvature": 0}}, backend="scipy"
+        )[0]
         return -slope - lost
 
 
 def friction(b, cells):
-    """F(X) at the points, on a grid of `cells`; Runge-Kutta steps of half a cell, so that one grid refines both."""
+    """F(X) at the points, on a grid of `cells`; Runge-Kutta steps of half a cell, so
+    that one grid refines both."""
     grid = pde.CartesianGrid([[0, TOP]], cells)
     equation, storage = Paper(b, grid), pde.MemoryStorage()
     equation.solve(
@@ -63,9 +73,10 @@ def friction(b, cells):
 @pytest.mark.verification
 @pytest.mark.parametrize("kT", [0.1, 1.0])
 def test_published_master_equation(kT):
-    """F(X) from a fresh start into the steady state. Central differences are of second order, which three grids show;
-    two extrapolations to cells of no width differ by more than the better one is in error, so that this difference
-    (3e-6 to 1e-5) is the tolerance. The quenched ensemble at the same kT is 0.1 away."""
+    """F(X) from a fresh start into the steady state. Central differences are of second
+    order, which three grids show; two extrapolations to cells of no width differ by
+    more than the better one is in error, so that this difference (3e-6 to 1e-5) is the
+    tolerance. The quenched ensemble at the same kT is 0.1 away."""
     runs = [friction(0.5 / kT, cells) for cells in (100, 200, 400)]
     X, (coarse, fine, finest) = runs[0][0], [F for _, F in runs]
     order = np.log2(np.abs(fine - coarse).max() / np.abs(finest - fine).max())
@@ -74,12 +85,21 @@ def test_published_master_equation(kT):
     tolerance = np.abs(best - first).max()
     assert tolerance < 2e-5
 
-    annealed = Ensemble(thermal=Thermal(kT), disorder="annealed", stiffness_law="uniform")
+    annealed = Ensemble(
+        thermal=Thermal(kT), disorder="annealed", stiffness_law="uniform"
+    )
     ours = transient(annealed, Drive(V, END), points=POINTS)
     np.testing.assert_allclose(X, ours.X, rtol=0, atol=1e-9)
     assert np.abs(best - ours.force).max() < tolerance
-    assert best[-1] == pytest.approx(reference(annealed, Drive(V)).friction.value, abs=tolerance)
+    assert best[-1] == pytest.approx(
+        reference(annealed, Drive(V)).friction.value, abs=tolerance
+    )
 
     quenched = Ensemble(thermal=Thermal(kT), stiffness_law="uniform")
-    assert np.abs(best - transient(quenched, Drive(V, END), points=POINTS).force).max() > 1000 * tolerance
-    assert abs(best[-1] - reference(quenched, Drive(V)).friction.value) > 1000 * tolerance
+    assert (
+        np.abs(best - transient(quenched, Drive(V, END), points=POINTS).force).max()
+        > 1000 * tolerance
+    )
+    assert (
+        abs(best[-1] - reference(quenched, Drive(V)).friction.value) > 1000 * tolerance
+    )

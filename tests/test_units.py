@@ -1,4 +1,5 @@
-"""Units of run files, temperatures in kelvin, and friction as a force, a shear stress and a coefficient."""
+"""Units of run files, temperatures in kelvin, and friction as a force, a shear stress
+and a coefficient."""
 
 import json
 import math
@@ -75,7 +76,11 @@ def call(*args):
 def test_labels_and_sizes(units, dimension, label, size):
     assert units.label(dimension) == label
     found = units.size(dimension)
-    assert found is size if size is None else found == pytest.approx(size, rel=1e-12, abs=0)
+    assert (
+        found is size
+        if size is None
+        else found == pytest.approx(size, rel=1e-12, abs=0)
+    )
 
 
 def test_kelvin():
@@ -104,28 +109,59 @@ def test_what_is_known_of_which_interface():
     assert known(Interface(contacts_per_area=2000.0)) == area
     load = known(Interface(normal_load=8000.0))
     assert load == {"force": (2000.0, "N"), "friction_coefficient": (0.25, "")}
-    assert known(Interface(area=0.5, normal_load=8000.0))["friction_coefficient"] == (0.25, "")
-    assert known(Interface(area=0.5, normal_stress=16000.0)) == area | {"friction_coefficient": (0.25, "")}
+    assert known(Interface(area=0.5, normal_load=8000.0))["friction_coefficient"] == (
+        0.25,
+        "",
+    )
+    assert known(Interface(area=0.5, normal_stress=16000.0)) == area | {
+        "friction_coefficient": (0.25, "")
+    }
     # a larger interface, of which the contacts are a sample
     wide = known(Interface(area=5.0, contacts_per_area=2000.0, normal_load=8e4))
-    assert wide == {"force": (20000.0, "N"), "shear_stress": (4000.0, "Pa"), "friction_coefficient": (0.25, "")}
+    assert wide == {
+        "force": (20000.0, "N"),
+        "shear_stress": (4000.0, "Pa"),
+        "friction_coefficient": (0.25, ""),
+    }
     small = known(Interface(area=0.5), Units("nm", "s", "nN"))
     assert small["force"] == (2000.0, "nN")
     assert small["shear_stress"][0] == pytest.approx(4000e9, rel=1e-12, abs=0)
     assert known(Interface(area=0.5), Units())["shear_stress"] == (4000.0, "")
-    assert known(Interface(area=0.5), Units("x_*", "", "f"))["shear_stress"] == (4000.0, "f/x_*^2")
+    assert known(Interface(area=0.5), Units("x_*", "", "f"))["shear_stress"] == (
+        4000.0,
+        "f/x_*^2",
+    )
 
 
 def test_errors_go_along_and_prefixes_are_chosen():
-    (_, stress) = quantities(Ensemble(count=1, stiffness=1.0), Units("m", "s", "N"), Interface(area=1.0))
+    (_, stress) = quantities(
+        Ensemble(count=1, stiffness=1.0), Units("m", "s", "N"), Interface(area=1.0)
+    )
     friction = Estimate(2.5e6, 1e3, 7, 3, False)
     assert stress.of(friction) == friction
     near = stress.near(2.5e6)
-    assert (near.unit, near.of(friction).value, near.of(friction).stderr) == ("MPa", 2.5, 1e-3)
+    assert (near.unit, near.of(friction).value, near.of(friction).stderr) == (
+        "MPa",
+        2.5,
+        1e-3,
+    )
     assert near.of(friction).dof == 3
     assert stress.of(Estimate(None, None, 0)).value is None
-    units = {value: stress.near(value).unit for value in (0.0, 2e-3, 2.0, 1e3, 999.0, 1e6, -1e9, 1e15, 1e-9)}
-    assert [*units.values()] == ["Pa", "mPa", "Pa", "kPa", "Pa", "MPa", "GPa", "GPa", "mPa"]
+    units = {
+        value: stress.near(value).unit
+        for value in (0.0, 2e-3, 2.0, 1e3, 999.0, 1e6, -1e9, 1e15, 1e-9)
+    }
+    assert [*units.values()] == [
+        "Pa",
+        "mPa",
+        "Pa",
+        "kPa",
+        "Pa",
+        "MPa",
+        "GPa",
+        "GPa",
+        "mPa",
+    ]
 
 
 def test_a_temperature_is_a_kT(run_file):
@@ -135,12 +171,17 @@ def test_a_temperature_is_a_kT(run_file):
     assert file.ensemble(Path()).thermal.kT == file.thermal.kT
     assert parameters(file)["thermal.kT"] == file.thermal.kT
     assert parameters(file)["thermal.temperature"] == 300.0
-    # what changes one of the two replaces the other, on the command line and along a sweep
+    # what changes one of the two replaces the other, on the command line and along a
+    # sweep
     hot = at(file, {"thermal.temperature": 600.0})
     assert hot.thermal.kT == pytest.approx(2 * kT, rel=1e-14, abs=0)
     assert at(hot, {"drive.velocity": 1.0}).thermal.kT == hot.thermal.kT
-    run_file.write_text("\n".join(to_toml(hot.model_dump(exclude_unset=True, exclude_none=True))))
-    assert load(run_file).thermal == hot.thermal  # as fits write their best run file: with one of the two
+    run_file.write_text(
+        "\n".join(to_toml(hot.model_dump(exclude_unset=True, exclude_none=True)))
+    )
+    assert (
+        load(run_file).thermal == hot.thermal
+    )  # as fits write their best run file: with one of the two
     plain = load(run_file, {"thermal.kT": 0.5})
     assert (plain.thermal.kT, plain.thermal.temperature) == (0.5, None)
     assert at(plain, {"thermal.temperature": 300.0}).thermal.kT == file.thermal.kT
@@ -171,29 +212,54 @@ def test_refusals(run_file, change, message):
 
 
 def test_a_stress_needs_contacts_per_area():
-    with pytest.raises(InputError, match=r"normal_stress = 1\.0: needs area or contacts_per_area"):
+    with pytest.raises(
+        InputError, match=r"normal_stress = 1\.0: needs area or contacts_per_area"
+    ):
         Interface(normal_stress=1.0)
 
 
 def test_commands_show_what_an_engineer_knows(run_file, tmp_path):
-    """Shear stress in kPa, in every table and in JSON; one simulated number, in several units."""
+    """Shear stress in kPa, in every table and in JSON; one simulated number, in several
+    units."""
     with_load = [run_file, "--set", "interface.normal_stress=1e-3"]  # nN/nm^2, 1 MPa
     for command in ("steady", "reference"):
         text = call(command, *with_load).stdout
-        assert "film: 2 000 quenched contacts, uniform stiffness, T = 300 K" in text.replace("\n", " ")
-        rows = {line.split()[1]: line for line in text.splitlines() if line.startswith("│")}
-        assert {"friction", "force", "shear_stress", "mu", "pinned", "break_stretch"} <= rows.keys()
+        assert (
+            "film: 2 000 quenched contacts, uniform stiffness, T = 300 K"
+            in text.replace("\n", " ")
+        )
+        rows = {
+            line.split()[1]: line for line in text.splitlines() if line.startswith("│")
+        }
+        assert {
+            "friction",
+            "force",
+            "shear_stress",
+            "mu",
+            "pinned",
+            "break_stretch",
+        } <= rows.keys()
         assert "kPa" in rows["shear_stress"]
         assert "nm" in rows["friction"]
         found = json.loads(call(command, *with_load, "--json").stdout)
-        friction = found["friction"]["value"] if command == "steady" else found["friction"]
+        friction = (
+            found["friction"]["value"] if command == "steady" else found["friction"]
+        )
         physical = found["physical"]
-        assert physical["force"]["value"] == pytest.approx(2000 * 0.4 * friction, rel=1e-12, abs=0)
+        assert physical["force"]["value"] == pytest.approx(
+            2000 * 0.4 * friction, rel=1e-12, abs=0
+        )
         stress = physical["shear_stress"]
         assert stress["unit"] == "Pa"
-        assert stress["value"] == pytest.approx(1e-6 * 0.4 * friction * 1e9, rel=1e-12, abs=0)
-        assert physical["friction_coefficient"]["value"] == pytest.approx(stress["value"] / 1e6, rel=1e-12, abs=0)
-    assert found["physical"]["force"]["stderr"] == pytest.approx(800 * found["error"]["friction"], rel=1e-12, abs=0)
+        assert stress["value"] == pytest.approx(
+            1e-6 * 0.4 * friction * 1e9, rel=1e-12, abs=0
+        )
+        assert physical["friction_coefficient"]["value"] == pytest.approx(
+            stress["value"] / 1e6, rel=1e-12, abs=0
+        )
+    assert found["physical"]["force"]["stderr"] == pytest.approx(
+        800 * found["error"]["friction"], rel=1e-12, abs=0
+    )
     result = call("run", *with_load, "--out", tmp_path / "o")
     assert result.exit_code == 0, result.output
     assert "kPa" in result.stdout
@@ -212,12 +278,22 @@ def test_programmes_show_coefficients(run_file):
     programme = "drive.programme=[{velocity = 1e4, distance = 4e3}, {hold = 1.0}]"
     path = run_file.with_name("steps.toml")
     path.write_text(RUN.replace("velocity = 1.4e4\ndistance = 1e4\n", ""))
-    args = [path, "--set", programme, "--set", "interface.normal_stress=1e-3", "--out", path.parent / "p"]
+    args = [
+        path,
+        "--set",
+        programme,
+        "--set",
+        "interface.normal_stress=1e-3",
+        "--out",
+        path.parent / "p",
+    ]
     result = call("run", *args)
     assert result.exit_code == 0, result.output
     assert "mu then" in " ".join(result.stdout.split())
     summary = json.loads((path.parent / "p" / "summary.json").read_text())
-    assert summary["physical"]["friction_coefficient"]["factor"] == pytest.approx(4e-4, rel=1e-12, abs=0)
+    assert summary["physical"]["friction_coefficient"]["factor"] == pytest.approx(
+        4e-4, rel=1e-12, abs=0
+    )
 
 
 def test_run_files_without_units_stay_as_they_are(run_file):
@@ -227,7 +303,9 @@ def test_run_files_without_units_stay_as_they_are(run_file):
     assert "physical" not in found
     assert "unit" not in call("reference", path).stdout
     assert not any(
-        "(" in name and ")" in name for name in json.loads(call("info", path, "--json").stdout) if "T" in name
+        "(" in name and ")" in name
+        for name in json.loads(call("info", path, "--json").stdout)
+        if "T" in name
     )
 
 
@@ -236,7 +314,9 @@ def test_steel_is_in_megapascal():
     found = json.loads(call("reference", RUNS / "steel.toml", "--json").stdout)
     file = load(RUNS / "steel.toml")
     reduced = found["friction"] / file.thresholds.x_star
-    assert found["physical"]["shear_stress"]["value"] == pytest.approx(1e9 * reduced, rel=1e-9, abs=0)
+    assert found["physical"]["shear_stress"]["value"] == pytest.approx(
+        1e9 * reduced, rel=1e-9, abs=0
+    )
     assert found["physical"]["friction_coefficient"]["value"] == pytest.approx(
         reduced / (3 * math.sqrt(3)), rel=1e-3, abs=0
     )

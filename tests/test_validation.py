@@ -1,4 +1,5 @@
-"""The validation program itself: it passes for the right engine and fails when one thing is wrong."""
+"""The validation program itself: it passes for the right engine and fails when one
+thing is wrong."""
 
 import dataclasses
 import itertools
@@ -32,7 +33,15 @@ from eqsim.estimate import OBSERVABLES
 from eqsim.laws.newborn import Newborn
 from eqsim.master import avalanche_sizes
 from eqsim.master.transient import transient
-from eqsim.validation import columns, law_text, points, pulled, scores, validate, verdict
+from eqsim.validation import (
+    columns,
+    law_text,
+    points,
+    pulled,
+    scores,
+    validate,
+    verdict,
+)
 from eqsim.validation.comparison import DECLINED, REASONS, Point, Score, Unscored
 from eqsim.validation.points import LAWS, SUITES, Suite, sample
 from eqsim.validation.scores import (
@@ -58,11 +67,16 @@ def changed(**changes):
 
 
 def aged(**changes):
-    """Another law of aging for those that age; D of annealed contacts that age at once stays infinite."""
+    """Another law of aging for those that age; D of annealed contacts that age at once
+    stays infinite."""
 
     def change(ensemble):
         aging = dataclasses.replace(ensemble.aging, **changes)
-        return dataclasses.replace(ensemble, aging=aging) if ensemble.aging.active else ensemble
+        return (
+            dataclasses.replace(ensemble, aging=aging)
+            if ensemble.aging.active
+            else ensemble
+        )
 
     return change
 
@@ -77,7 +91,11 @@ def made(found):
         (
             4,
             changed(disorder="quenched"),
-            lambda e, v: e.thermal.kT > 0 and not e.thresholds.steps.size and not e.newborn.active,
+            lambda e, v: (
+                e.thermal.kT > 0
+                and not e.thresholds.steps.size
+                and not e.newborn.active
+            ),
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
         ),
         pytest.param(
@@ -88,7 +106,11 @@ def made(found):
             marks=pytest.mark.verification,
         ),
         pytest.param(
-            6, aged(rule="none"), lambda e, v: True, {"friction", "break_stretch"}, marks=pytest.mark.verification
+            6,
+            aged(rule="none"),
+            lambda e, v: True,
+            {"friction", "break_stretch"},
+            marks=pytest.mark.verification,
         ),
         pytest.param(
             4,
@@ -106,13 +128,17 @@ def made(found):
     ],
 )
 def test_negative_controls(points, wrong, of, kinds, monkeypatch):
-    """One thing wrong in the engine alone: a few points that know it fail, where they should; more under
-    `-m verification`."""
+    """One thing wrong in the engine alone: a few points that know it fail, where they
+    should; more under `-m verification`."""
     drawn = sample
 
     def knowing(count, seed, part):
-        known = ((e, v) for _, e, v in drawn(48 * count, seed) if of(e, v) and wrong(e) != e)
-        return ((index, e, v) for index, (e, v) in enumerate(itertools.islice(known, count)))
+        known = (
+            (e, v) for _, e, v in drawn(48 * count, seed) if of(e, v) and wrong(e) != e
+        )
+        return (
+            (index, e, v) for index, (e, v) in enumerate(itertools.islice(known, count))
+        )
 
     monkeypatch.setattr(verdict, "sample", knowing)
     monkeypatch.setitem(SUITES, "few", Suite(points, 0))
@@ -121,24 +147,39 @@ def test_negative_controls(points, wrong, of, kinds, monkeypatch):
     assert kinds <= {v.kind for v in result.verdicts if not v.passed}
 
 
-@pytest.mark.parametrize("suite", [Suite(3, 1), pytest.param(SUITES["quick"], marks=pytest.mark.verification)])
+@pytest.mark.parametrize(
+    "suite",
+    [Suite(3, 1), pytest.param(SUITES["quick"], marks=pytest.mark.verification)],
+)
 def test_command(suite, tmp_path, monkeypatch):
-    """A small suite, and with -m verification the quick one, passes (false alarm 1/500 for a fresh seed) and leaves a
-    table and a picture."""
+    """A small suite, and with -m verification the quick one, passes (false alarm 1/500
+    for a fresh seed) and leaves a table and a picture."""
     monkeypatch.setitem(SUITES, "quick", suite)
-    result = CliRunner().invoke(app, ["validate", "quick", "--out", str(tmp_path / "v"), "--seed", "3", "--json"])
+    result = CliRunner().invoke(
+        app,
+        ["validate", "quick", "--out", str(tmp_path / "v"), "--seed", "3", "--json"],
+    )
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
     assert summary["passed"]
     assert summary["declined"] == summary["refused"] == []
     left_out = sum(summary["left_out"].get("transient", {}).values())
-    (scored,) = [verdict for verdict in summary["verdicts"] if verdict["kind"] == "transient"]
+    (scored,) = [
+        verdict for verdict in summary["verdicts"] if verdict["kind"] == "transient"
+    ]
     assert left_out + scored["count"] == 8 * -(-suite.points // 3)
     assert [v["kind"] for v in summary["verdicts"]] == list(KINDS)
     table = pq.read_table(tmp_path / "v" / "scores.parquet")
-    assert table.num_rows == sum(v["count"] for v in summary["verdicts"]) > 5 * suite.points
-    ours, exact, sigma, z, even = (table[name].to_numpy() for name in ("value", "reference", "sigma", "z", "even"))
-    # a score has the sign of engine less master, and its size but for what few batches make of it
+    assert (
+        table.num_rows
+        == sum(v["count"] for v in summary["verdicts"])
+        > 5 * suite.points
+    )
+    ours, exact, sigma, z, even = (
+        table[name].to_numpy() for name in ("value", "reference", "sigma", "z", "even")
+    )
+    # a score has the sign of engine less master, and its size but for what few batches
+    # make of it
     compared = table["kind"].to_numpy() != "hazard law"
     plain = ((ours - exact) / sigma)[compared]
     assert np.all(z[compared] * plain >= 0)
@@ -152,12 +193,14 @@ def test_command(suite, tmp_path, monkeypatch):
 @pytest.mark.verification
 @pytest.mark.parametrize(("was", "wrong"), [("stiff", "soft"), ("soft", "stiff")])
 def test_hazard(was, wrong):
-    """One barrier instead of the other: the number of thermal breaks and the law of hazards both fail; the right one
-    passes (false alarm 4e-4 for a fresh seed)."""
+    """One barrier instead of the other: the number of thermal breaks and the law of
+    hazards both fail; the right one passes (false alarm 4e-4 for a fresh seed)."""
     passed, failed = [], []
     for index, ensemble, v in sample(60, 1, (1, 3)):
         if ensemble.thermal.barrier == was and not ensemble.aging.active:
-            other = dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, barrier=wrong))
+            other = dataclasses.replace(
+                ensemble, thermal=dataclasses.replace(ensemble.thermal, barrier=wrong)
+            )
             passed += made(hazards(at(ensemble, v, seed=index)))
             failed += made(hazards(at(ensemble, v, other, index)))
     for kind in ("hazard", "hazard law"):
@@ -170,7 +213,13 @@ def test_verdict():
     """Too large, too small and one far out are all refused."""
 
     def of(z):
-        return judge("mean", [Score("mean", Ensemble(), 1.0, 0.0, 0.0, 1.0, float(value)) for value in z])
+        return judge(
+            "mean",
+            [
+                Score("mean", Ensemble(), 1.0, 0.0, 0.0, 1.0, float(value))
+                for value in z
+            ],
+        )
 
     normal = np.random.default_rng(1).standard_normal(500)
     assert of(normal).passed
@@ -179,50 +228,74 @@ def test_verdict():
     assert not of(np.append(normal, 6.0)).passed
     with pytest.raises(InputError, match="suite"):
         validate("everything")
-    # p = 1e-4 decides, and that of the largest of 500 is that none is larger: 4.2 alone has 2.7e-5
+    # p = 1e-4 decides, and that of the largest of 500 is that none is larger: 4.2 alone
+    # has 2.7e-5
     alone, many = (float(stats.norm.isf(p / 2)) for p in (0.9e-4, 1.1e-4))
     assert (of([alone]).passed, of([many]).passed) == (False, True)
     far = of(np.append(normal[np.abs(normal) < 3.0], 4.2))
     assert far.passed
-    assert far.p_largest == pytest.approx(1.0 - (1.0 - 2.0 * stats.norm.sf(4.2)) ** far.count, rel=1e-9, abs=0)
+    assert far.p_largest == pytest.approx(
+        1.0 - (1.0 - 2.0 * stats.norm.sf(4.2)) ** far.count, rel=1e-9, abs=0
+    )
     farther = of(np.append(normal[np.abs(normal) < 3.0], 5.4))
     assert (farther.p_chi_square > 1e-2, farther.passed) == (True, False)
 
 
 @pytest.mark.parametrize("wrong", [0.98, 1.02])
 def test_signs_of_scores(wrong):
-    """Engine less master over the joint error, in the scores and in their table; the engine's barrier is 2 % off."""
+    """Engine less master over the joint error, in the scores and in their table; the
+    engine's barrier is 2 % off."""
     contacts = Ensemble(thermal=Thermal(0.3), delay=Delay(2.0))
     shown = dataclasses.replace(contacts, thermal=Thermal(0.3 * wrong))
     found = steady(shown, Drive(0.1), rel_error=1e-4)
     table = columns(made(averages(at(contacts, 0.1, shown), found))[:3])
     assert table["kind"] == ["friction", "pinned", "break_stretch"]
-    ours, exact, sigma, z = (np.array(table[name]) for name in ("value", "reference", "sigma", "z"))
-    assert list(ours) == [found.friction.value, found.pinned.value, found.break_stretch.value]
+    ours, exact, sigma, z = (
+        np.array(table[name]) for name in ("value", "reference", "sigma", "z")
+    )
+    assert list(ours) == [
+        found.friction.value,
+        found.pinned.value,
+        found.break_stretch.value,
+    ]
     assert np.all(z * (ours - exact) > 0)
     assert np.all(z * np.sign(1.0 - wrong) > 4.5)  # a higher temperature, a lower value
     np.testing.assert_allclose(
-        sigma, [found.friction.stderr, found.pinned.stderr, found.break_stretch.stderr], rtol=1e-3
+        sigma,
+        [found.friction.stderr, found.pinned.stderr, found.break_stretch.stderr],
+        rtol=1e-3,
     )
 
 
 def test_sample(monkeypatch):
-    """Thresholds drift in a third of the points, in every way there is, and the others have laws of every kind; of the
-    quenched ones of these a third grow as a logarithm; each axis is covered
-    from end to end, here to a tenth of it (of 240 even numbers, none is there once in 1e10 seeds)."""
+    """Thresholds drift in a third of the points, in every way there is, and the others
+    have laws of every kind; of the quenched ones of these a third grow as a logarithm;
+    each axis is covered from end to end, here to a tenth of it (of 240 even numbers,
+    none is there once in 1e10 seeds)."""
     monkeypatch.setattr(points, "typical_life", lambda ensemble, v: 1.0)
     drawn = list(sample(SUITES["full"].points, 1))
     ensembles = [ensemble for _, ensemble, _ in drawn]
-    growing = [ensemble for ensemble in ensembles if ensemble.aging.rule == "logarithmic"]
-    aging = [ensemble for ensemble in ensembles if ensemble.aging.active and ensemble not in growing]
+    growing = [
+        ensemble for ensemble in ensembles if ensemble.aging.rule == "logarithmic"
+    ]
+    aging = [
+        ensemble
+        for ensemble in ensembles
+        if ensemble.aging.active and ensemble not in growing
+    ]
     assert [index for index, _, _ in drawn] == list(range(len(drawn)))
     assert len(aging) == len(drawn) // 3
     for name in ("disorder", "stiffness_law"):
-        assert len({(getattr(e, name), e.aging.rule, e.thermal.barrier) for e in aging}) == 8
+        assert (
+            len({(getattr(e, name), e.aging.rule, e.thermal.barrier) for e in aging})
+            == 8
+        )
     assert {e.thermal.kT > 0 for e in aging} == {True, False}
     assert {e.aging.rate == math.inf for e in aging} == {True, False}
     others = sum(e.disorder == "quenched" and not e.aging.active for e in ensembles)
-    assert abs(len(growing) / (len(growing) + others) - 1 / 3) < 5 * math.sqrt(2 / 9 / (len(growing) + others))
+    assert abs(len(growing) / (len(growing) + others) - 1 / 3) < 5 * math.sqrt(
+        2 / 9 / (len(growing) + others)
+    )
     assert len({(e.stiffness_law, e.thermal.barrier) for e in growing}) == 4
     assert len({type(e.thresholds) for e in growing}) >= 3
     share = np.mean([e.disorder == "quenched" for e in aging])
@@ -243,51 +316,79 @@ def test_sample(monkeypatch):
             name = getattr(getattr(law.frozen, "dist", None), "name", "histogram")
         else:
             thresholds = np.unique(law.steps).size
-            name = {0: "gamma", 1: "delta", 2: "two"}.get(thresholds, "few" if thresholds <= 12 else "sample")
-            narrow = isinstance(law, Lognormal) or (isinstance(law, Gamma) and law.n > 100)
+            name = {0: "gamma", 1: "delta", 2: "two"}.get(
+                thresholds, "few" if thresholds <= 12 else "sample"
+            )
+            narrow = isinstance(law, Lognormal) or (
+                isinstance(law, Gamma) and law.n > 100
+            )
             name = "narrow" if narrow else name
         of.setdefault({"beta": "arcsine"}.get(name, name), []).append(law)
     assert set(of) == set(LAWS)
     assert min(map(len, of.values())) > 4
-    few, samples = ([np.unique(law.steps) for law in of[name]] for name in ("few", "sample"))
+    few, samples = (
+        [np.unique(law.steps) for law in of[name]] for name in ("few", "sample")
+    )
     assert {3, 12} < {steps.size for steps in few}
     assert 3.0 < max(math.log10(steps[-1] / steps[0]) for steps in few) < 4.0
     assert 200 < max(steps.size for steps in samples) <= 500
     assert min(law.support[0] / law.support[1] for law in of["uniform"]) > 0.0
-    assert {0 in law.frozen._histogram[0] for law in of["histogram"]} == {True, False}  # gaps
+    assert {0 in law.frozen._histogram[0] for law in of["histogram"]} == {
+        True,
+        False,
+    }  # gaps
 
 
 @pytest.mark.verification
 def test_delays_are_in_units_of_a_life():
-    """What the sampler takes for the mean stretch at breaking is within a factor of 4 of it at three points in four."""
+    """What the sampler takes for the mean stretch at breaking is within a factor of 4
+    of it at three points in four."""
     off = []
     for _, ensemble, v in sample(20, 4):
         if not ensemble.fluctuates:
             life = points.typical_life(ensemble, v)
-            off.append(abs(math.log(life / reference(ensemble, Drive(v)).break_stretch.value)))
+            off.append(
+                abs(math.log(life / reference(ensemble, Drive(v)).break_stretch.value))
+            )
     assert len(off) > 12
     assert np.quantile(off, 0.75) < math.log(4.0)
 
 
 def test_points_can_be_made_again():
-    """The same seed gives the same points, in parts or together, and a row of scores tells all there is to know."""
+    """The same seed gives the same points, in parts or together, and a row of scores
+    tells all there is to know."""
     once = [(index, e, v, law_text(e.thresholds)) for index, e, v in sample(24, 5)]
     for part in range(3):
         for index, ensemble, v in sample(24, 5, (part, 3)):
             _, first, first_v, text = once[index]
-            assert (index % 3, v, law_text(ensemble.thresholds)) == (part, first_v, text)
+            assert (index % 3, v, law_text(ensemble.thresholds)) == (
+                part,
+                first_v,
+                text,
+            )
             same = dataclasses.replace(ensemble, thresholds=first.thresholds)
             assert same == first
     births = [f"newborn_{name}" for name in ("stretch", "low", "high", "mean", "std")]
-    names = {"Gamma": Gamma, "Table": Table, "Delta": Delta, "Lognormal": Lognormal, "Distribution": Distribution}
+    names = {
+        "Gamma": Gamma,
+        "Table": Table,
+        "Delta": Delta,
+        "Lognormal": Lognormal,
+        "Distribution": Distribution,
+    }
     names["stats"] = stats
     for _, ensemble, v, text in once:
         law = eval(text, names)
         e = np.geomspace(1e-10, 40.0, 50)
-        np.testing.assert_array_equal(law.inverse_survival(e), ensemble.thresholds.inverse_survival(e))
+        np.testing.assert_array_equal(
+            law.inverse_survival(e), ensemble.thresholds.inverse_survival(e)
+        )
         row = columns([Score("friction", ensemble, v, 1.0, 1.0, 1.0, 0.0)])
         assert row["thresholds"] == [text]
-        beta, cutoff_time = (None if math.isnan(row[name][0]) else row[name][0] for name in ("beta", "cutoff_time"))
+        beta, cutoff_time = (
+            None if math.isnan(row[name][0]) else row[name][0]
+            for name in ("beta", "cutoff_time")
+        )
         final = np.nan_to_num(row["x_star_final"][0], nan=1.0)
         aging = Aging(row["aging"][0], row["aging_rate"][0], final, beta, cutoff_time)
         again = Ensemble(
@@ -300,7 +401,10 @@ def test_points_can_be_made_again():
             eta=row["eta"][0],
             newborn=Newborn(
                 *(row[f"newborn_{name}"][0] for name in ("law", "of")),
-                *(None if math.isnan(row[name][0]) else row[name][0] for name in births),
+                *(
+                    None if math.isnan(row[name][0]) else row[name][0]
+                    for name in births
+                ),
             ),
         )
         assert again == ensemble
@@ -308,51 +412,72 @@ def test_points_can_be_made_again():
 
 @pytest.mark.verification
 def test_no_fluctuations_where_the_stationary_start_is_refused():
-    """Most contacts break at once, a few with high thresholds live long: the suite goes on, and counts them."""
+    """Most contacts break at once, a few with high thresholds live long: the suite goes
+    on, and counts them."""
     aging, rare = Aging("langevin", 1.4e-4, 7.8), Delay(1500.0)
-    hot = Ensemble(Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform")
+    hot = Ensemble(
+        Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform"
+    )
     assert made(compared(Point(2, hot, hot, 2.2e-4, 1), Suite(3, 1), 1, 1)[3:]) == []
     warm = dataclasses.replace(hot, thermal=Thermal(0.1))
     assert made(fluctuating(at(warm, 2.2e-4), 20, 2000)) != []
 
 
 def test_averages_that_call_themselves_unreliable_are_not_scored():
-    """Few contacts that live long carry the force, and 2^16 lives of fluctuating thresholds say that they miss some."""
+    """Few contacts that live long carry the force, and 2^16 lives of fluctuating
+    thresholds say that they miss some."""
     aging = Aging("langevin", 1.4e-3, 4.0)
-    warm = Ensemble(Gamma(0.0), Thermal(1.9, barrier="stiff"), aging=aging, stiffness_law="uniform")
-    for velocity, scored in ((2.7e-4, []), (0.1, ["friction", "break_stretch", "force_variance"])):
+    warm = Ensemble(
+        Gamma(0.0), Thermal(1.9, barrier="stiff"), aging=aging, stiffness_law="uniform"
+    )
+    for velocity, scored in (
+        (2.7e-4, []),
+        (0.1, ["friction", "break_stretch", "force_variance"]),
+    ):
         found = steady(warm, Drive(velocity), rel_error=1.0)
         assert found.friction.reliable == bool(scored)
         found = averages(at(warm, velocity), found)
         assert [score.kind for score in made(found)] == scored
-        assert {one.reason for one in found if isinstance(one, Unscored)} == (set() if scored else {"unreliable"})
+        assert {one.reason for one in found if isinstance(one, Unscored)} == (
+            set() if scored else {"unreliable"}
+        )
 
 
 def test_errors_that_are_bounds_do_not_count_as_scatter():
-    """Of a table the error of steady averages is what all randomisations may miss alike, and near its thresholds that
-    of the transient is a jump: such scores are too small for a chi-square, and the suite knows which they are. The
-    largest still tells: with one threshold of four 1 % too high, steady averages are off by many errors."""
-    few = Ensemble(Table([0.5, 0.8, 1.0, 1.6183]), Thermal(0.0), stiffness_law="uniform")
+    """Of a table the error of steady averages is what all randomisations may miss
+    alike, and near its thresholds that of the transient is a jump: such scores are too
+    small for a chi-square, and the suite knows which they are. The largest still tells:
+    with one threshold of four 1 % too high, steady averages are off by many errors."""
+    few = Ensemble(
+        Table([0.5, 0.8, 1.0, 1.6183]), Thermal(0.0), stiffness_law="uniform"
+    )
     smooth = dataclasses.replace(few, thresholds=Gamma(1.0))
     for ensemble, even in ((few, False), (smooth, True)):
-        of_steady = made(averages(at(ensemble, 1.0), steady(ensemble, Drive(1.0), rel_error=1e-4)))
+        of_steady = made(
+            averages(at(ensemble, 1.0), steady(ensemble, Drive(1.0), rel_error=1e-4))
+        )
         of_force = made(transients(at(ensemble, 1.0, seed=2), SUITES["quick"], 1))
         assert {score.even for score in of_steady} == {even}
         assert all(score.even for score in of_force) == even
         assert max(abs(score.z) for score in of_steady + of_force) < 5.0
     wrong = dataclasses.replace(few, thresholds=Table([0.5, 0.8, 1.0, 1.634483]))
-    of_steady = made(averages(at(few, 1.0, wrong), steady(wrong, Drive(1.0), rel_error=1e-4)))
+    of_steady = made(
+        averages(at(few, 1.0, wrong), steady(wrong, Drive(1.0), rel_error=1e-4))
+    )
     assert min(abs(score.z) for score in of_steady) > 10.0
 
 
 def test_too_many_refused():
-    """A suite does not pass where the program declines more comparisons of a kind than it makes."""
+    """A suite does not pass where the program declines more comparisons of a kind than
+    it makes."""
     few = Ensemble()
     score = Score("friction", few, 1.0, 0.0, 0.0, 1.0, 0.5)
     left = [Unscored("friction", few, 1.0, reason) for reason in REASONS]
     verdicts = [judge("friction", [score] * 9)]
     for count, declined in ((0, []), (9, []), (10, ["friction"])):
-        unscored = [left[index % len(DECLINED)] for index in range(count)] + left[len(DECLINED) :] * 9
+        unscored = [left[index % len(DECLINED)] for index in range(count)] + left[
+            len(DECLINED) :
+        ] * 9
         result = Validation("quick", 1, [score] * 9, verdicts, unscored)
         assert result.declined == declined
         assert result.passed == (not declined)
@@ -368,13 +493,18 @@ def test_an_engine_that_refuses_everything_does_not_pass(monkeypatch):
     result = validate("few")
     assert not result.passed
     assert set(result.declined) >= set(OBSERVABLES)
-    assert {one.message for one in result.unscored if one.kind == "friction"} == {"velocity: never"}
+    assert {one.message for one in result.unscored if one.kind == "friction"} == {
+        "velocity: never"
+    }
 
 
 def test_squares_of_laws_that_begin_with_a_jump():
-    """E[f^2] at T = 0 of Pareto thresholds, by hand: 200 000 contacts from break to break (|z| < 4.5 in eight scores,
-    false alarm 6e-5, beyond the stated error)."""
-    ensemble, drive = Ensemble(Distribution(stats.pareto(6.9)), stiffness_law="uniform"), Drive(1.0, 2.4)
+    """E[f^2] at T = 0 of Pareto thresholds, by hand: 200 000 contacts from break to
+    break (|z| < 4.5 in eight scores, false alarm 6e-5, beyond the stated error)."""
+    ensemble, drive = (
+        Ensemble(Distribution(stats.pareto(6.9)), stiffness_law="uniform"),
+        Drive(1.0, 2.4),
+    )
     exact = transient(ensemble, drive, points=9, variance=True)
     squares = exact.force_variance + exact.force**2
     error = exact.force_variance_error - 2 * exact.force * exact.force_error
@@ -383,7 +513,9 @@ def test_squares_of_laws_that_begin_with_a_jump():
         born, force = np.zeros(200_000), np.zeros(200_000)
         lasting = np.full(born.size, True)
         while lasting.any():
-            broken = born[lasting] + stats.pareto(6.9).rvs(lasting.sum(), random_state=rng)
+            broken = born[lasting] + stats.pareto(6.9).rvs(
+                lasting.sum(), random_state=rng
+            )
             force[lasting] = exact.X[i] - born[lasting]
             born[lasting] = broken
             lasting = born <= exact.X[i]
@@ -392,8 +524,9 @@ def test_squares_of_laws_that_begin_with_a_jump():
 
 
 def test_variances_of_a_few_broken_contacts_are_not_scored():
-    """Before thresholds are reached contacts of uniform stiffness have the same force, but for the one in a million
-    that has broken, and the sample has none of these; later variances are scored."""
+    """Before thresholds are reached contacts of uniform stiffness have the same force,
+    but for the one in a million that has broken, and the sample has none of these;
+    later variances are scored."""
     cold = Ensemble(Gamma(5.0, 0.5), Thermal(0.005), stiffness_law="uniform")
     found = transients(at(cold, 7e-4), SUITES["quick"], 1)
     found = [one for one in found if one.kind == "transient variance"]
@@ -403,8 +536,9 @@ def test_variances_of_a_few_broken_contacts_are_not_scored():
 
 
 def test_squares_of_a_few_contacts_are_no_sample():
-    """Means of 1000 squares of normal numbers pass as a pilot, those of 10 do not, nor do those whose tail is so heavy
-    (Pareto, exponent 1.5: infinite variance) that one group makes the error: of these every eighth passes."""
+    """Means of 1000 squares of normal numbers pass as a pilot, those of 10 do not, nor
+    do those whose tail is so heavy (Pareto, exponent 1.5: infinite variance) that one
+    group makes the error: of these every eighth passes."""
     rng = np.random.default_rng(1)
     assert _many((rng.standard_normal((64, 1000)) ** 2).mean(axis=1))
     assert not _many((rng.standard_normal((64, 10)) ** 2).mean(axis=1))
@@ -412,47 +546,70 @@ def test_squares_of_a_few_contacts_are_no_sample():
     assert np.mean(heavy) < 0.4
 
 
-GROWING = Ensemble(thermal=Thermal(0.1), aging=Aging("logarithmic", beta=0.2, cutoff_time=0.1), stiffness_law="uniform")
+GROWING = Ensemble(
+    thermal=Thermal(0.1),
+    aging=Aging("logarithmic", beta=0.2, cutoff_time=0.1),
+    stiffness_law="uniform",
+)
 
 
 def programme_scores(ensemble, shown=None):
     """Of two programmes of steps, holds and reversals."""
-    found = [programmes(at(ensemble, 0.1, shown, seed), SUITES["quick"], 2) for seed in (4, 10)]
-    return np.array([abs(score.z) for one in found for score in one if isinstance(score, Score)])
+    found = [
+        programmes(at(ensemble, 0.1, shown, seed), SUITES["quick"], 2)
+        for seed in (4, 10)
+    ]
+    return np.array(
+        [abs(score.z) for one in found for score in one if isinstance(score, Score)]
+    )
 
 
 @pytest.mark.verification
 def test_programmes():
-    """Scores of a right engine; and of one that is shown another cutoff time, or whose holds break no contact."""
+    """Scores of a right engine; and of one that is shown another cutoff time, or whose
+    holds break no contact."""
     right = programme_scores(GROWING)
     assert right.size >= 10
     assert right.max() < 4.5
     aging = dataclasses.replace(GROWING.aging, cutoff_time=1.0)
-    assert programme_scores(GROWING, dataclasses.replace(GROWING, aging=aging)).max() > 10
+    assert (
+        programme_scores(GROWING, dataclasses.replace(GROWING, aging=aging)).max() > 10
+    )
 
 
 @pytest.mark.verification
-@pytest.mark.parametrize("stands", [lambda segment: segment.velocity == 0, lambda segment: 0 < segment.path < 1e-6])
+@pytest.mark.parametrize(
+    "stands",
+    [lambda segment: segment.velocity == 0, lambda segment: 0 < segment.path < 1e-6],
+)
 def test_programmes_without_breaks_in_holds(stands, monkeypatch):
     """A negative control: holds, and crawls and jitter, that are over at once."""
     soft = Ensemble(thermal=Thermal(0.1), stiffness_law="uniform")
     assert programme_scores(soft).max() < 4.5
 
     def hurried(ensemble, drive, **how):
-        segments = [dataclasses.replace(s, time=1e-6 * s.time) if stands(s) else s for s in drive.segments]
-        return trajectory(ensemble, dataclasses.replace(drive, segments=tuple(segments)), **how)
+        segments = [
+            dataclasses.replace(s, time=1e-6 * s.time) if stands(s) else s
+            for s in drive.segments
+        ]
+        return trajectory(
+            ensemble, dataclasses.replace(drive, segments=tuple(segments)), **how
+        )
 
     monkeypatch.setattr("eqsim.validation.scores.trajectory", hurried)
     assert programme_scores(soft).max() > 10
 
 
 def test_programmes_that_all_but_stand():
-    """Programmes hold crawls and jitter, which take the place of holds of the same time, and move by nearly nothing."""
+    """Programmes hold crawls and jitter, which take the place of holds of the same
+    time, and move by nearly nothing."""
     slowest = set()
     for seed in range(40):
         course = programme_of(at(GROWING, 0.1, seed=seed))
         assert len(course.same.segments) == len(course.ends)
-        for segment, first, last in zip(course.same.segments, [0, *course.ends], course.ends, strict=False):
+        for segment, first, last in zip(
+            course.same.segments, [0, *course.ends], course.ends, strict=False
+        ):
             pieces = course.programme.segments[first:last]
             time = sum(piece.duration for piece in pieces)
             assert time == pytest.approx(segment.duration, rel=1e-12, abs=0)
@@ -462,37 +619,52 @@ def test_programmes_that_all_but_stand():
     assert slowest == {(1, False), (1, True), (8, True)}
 
 
-# ----------------------------------------------------------- one thing wrong in what a pulled slider is compared with
+# ----------------------------------------------------------- one thing wrong in what a
+# pulled slider is compared with
 
 
 def pulled_scores(compare, chosen, count=4):
-    """Scores of the first points that are asked for, with as many replicas as in the quick suite."""
+    """Scores of the first points that are asked for, with as many replicas as in the
+    quick suite."""
     drawn = ((index, e, v) for index, e, v in sample(60, 1) if chosen(e))
-    points = (Point(index, e, e, v, 1000 + index) for index, e, v in itertools.islice(drawn, count))
-    return [score for point in points for score in made(compare(point, SUITES["quick"]))]
+    points = (
+        Point(index, e, e, v, 1000 + index)
+        for index, e, v in itertools.islice(drawn, count)
+    )
+    return [
+        score for point in points for score in made(compare(point, SUITES["quick"]))
+    ]
 
 
 def passes(scores):
     """Whether the scores of each kind pass."""
-    return {kind: judge(kind, scores).passed for kind in {score.kind for score in scores}}
+    return {
+        kind: judge(kind, scores).passed for kind in {score.kind for score in scores}
+    }
 
 
 def as_if(monkeypatch, change):
     """The engine follows another ensemble and programme than it is asked for."""
     monkeypatch.setattr(
-        pulled, "trajectory", lambda ensemble, drive, **how: trajectory(*change(ensemble, drive), **how)
+        pulled,
+        "trajectory",
+        lambda ensemble, drive, **how: trajectory(*change(ensemble, drive), **how),
     )
 
 
 def without_heat(ensemble, drive):
-    return dataclasses.replace(ensemble, thermal=dataclasses.replace(ensemble.thermal, kT=0.0)), drive
+    return dataclasses.replace(
+        ensemble, thermal=dataclasses.replace(ensemble.thermal, kT=0.0)
+    ), drive
 
 
 def looks_that_cost_time(ensemble, drive):
     """Of a hold that is looked at often nine tenths of the time are lost."""
     (segment,) = drive.segments
     time = segment.time if segment.points == 1 else segment.time / 10.0
-    return ensemble, dataclasses.replace(drive, segments=(dataclasses.replace(segment, time=time),))
+    return ensemble, dataclasses.replace(
+        drive, segments=(dataclasses.replace(segment, time=time),)
+    )
 
 
 def hot(ensemble):
@@ -500,10 +672,14 @@ def hot(ensemble):
 
 
 @pytest.mark.verification
-@pytest.mark.parametrize(("compare", "wrong"), [(pulled.holds, without_heat), (pulled.pieces, looks_that_cost_time)])
+@pytest.mark.parametrize(
+    ("compare", "wrong"),
+    [(pulled.holds, without_heat), (pulled.pieces, looks_that_cost_time)],
+)
 def test_holds_of_few_contacts(compare, wrong, monkeypatch):
-    """Holds without heat, and looks at a hold that take nine tenths of its time, fail; that a third of it is lost
-    does not show in as few replicas as the quick suite has."""
+    """Holds without heat, and looks at a hold that take nine tenths of its time, fail;
+    that a third of it is lost does not show in as few replicas as the quick suite has.
+    """
     count = 6 if wrong is looks_that_cost_time else 4
     assert all(passes(pulled_scores(compare, hot, count)).values())
     as_if(monkeypatch, wrong)
@@ -511,11 +687,15 @@ def test_holds_of_few_contacts(compare, wrong, monkeypatch):
 
 
 def test_avalanches_know_the_stiffness_that_shares_the_force(monkeypatch):
-    """The program's law of sizes with k in the place of k_t fails, the right one passes."""
+    """The program's law of sizes with k in the place of k_t fails, the right one
+    passes."""
     ensemble = Ensemble(Gamma(0.0))
 
     def verdicts():
-        found = [pulled.avalanches(at(ensemble, 0.1, seed=seed), SUITES["quick"]) for seed in range(3)]
+        found = [
+            pulled.avalanches(at(ensemble, 0.1, seed=seed), SUITES["quick"])
+            for seed in range(3)
+        ]
         return passes(made(itertools.chain.from_iterable(found)))
 
     assert verdicts() == {"avalanche": True, "single break": True}
@@ -526,17 +706,27 @@ def test_avalanches_know_the_stiffness_that_shares_the_force(monkeypatch):
 @pytest.mark.parametrize(
     ("law", "wrong", "kind"),
     [
-        (stats.uniform(0.5, 1.0), stats.trapezoid(0.2, 0.8, loc=0.4, scale=1.2), "friction"),
+        (
+            stats.uniform(0.5, 1.0),
+            stats.trapezoid(0.2, 0.8, loc=0.4, scale=1.2),
+            "friction",
+        ),
         (stats.pareto(5.3), stats.truncpareto(5.3, 6.0), "force_variance"),
     ],
     ids=["jump blurred", "tail cut"],
 )
 def test_steady_averages_know_the_law(law, wrong, kind):
-    """Contacts whose thresholds lack a jump, or the highest of a heavy tail, fail; the right ones pass (|z| < 4.5)."""
-    right, other = (Ensemble(Distribution(each), Thermal(0.02), stiffness_law="uniform") for each in (law, wrong))
+    """Contacts whose thresholds lack a jump, or the highest of a heavy tail, fail; the
+    right ones pass (|z| < 4.5)."""
+    right, other = (
+        Ensemble(Distribution(each), Thermal(0.02), stiffness_law="uniform")
+        for each in (law, wrong)
+    )
 
     def largest(shown):
-        found = made(averages(at(right, 0.1, shown), steady(shown, Drive(0.1), rel_error=1e-4)))
+        found = made(
+            averages(at(right, 0.1, shown), steady(shown, Drive(0.1), rel_error=1e-4))
+        )
         return abs({score.kind: score.z for score in found}[kind])
 
     assert largest(right) < 4.5

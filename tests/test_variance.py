@@ -1,7 +1,8 @@
-"""Variances of forces whose thresholds have heavy tails: against closed forms, over seeds, and where there is none.
+"""Variances of forces whose thresholds have heavy tails: against closed forms, over
+seeds, and where there is none.
 
-At T = 0 a life contributes k_i^2 xi^3/3 to the mean square, so that (derived, kappa = k_i/k; a = 0 for uniform
-stiffness; a = 1 for the sqrt law, kappa = xi/xi_rms)
+At T = 0 a life contributes k_i^2 xi^3/3 to the mean square, so that (derived, kappa =
+k_i/k; a = 0 for uniform stiffness; a = 1 for the sqrt law, kappa = xi/xi_rms)
 
     Var = E[kappa^2 xi^3]/(3 E[xi]) - (E[kappa xi^2]/(2 E[xi]))^2,    kappa^j = xi^(a j)/<xi^2>^(a j/2).
 """
@@ -72,11 +73,25 @@ LAWS = {
     "uniform": (Uniform(0.5, 1.0), lambda p: 2.0 * (1.0 - 0.5 ** (p + 1)) / (p + 1)),
     "gamma": (Gamma(1.0), lambda p: math.gamma(2.0 + p / 2.0)),
     "fisk 5.6": (Distribution(scipy.stats.fisk(5.6)), log_logistic(5.6)),
-    "burr12": (Distribution(scipy.stats.burr12(2.0, 3.0)), lambda p: 3.0 * special.beta(3.0 - p / 2, 1.0 + p / 2)),
-    "invgamma 5.3": (Distribution(scipy.stats.invgamma(5.3)), lambda p: math.gamma(5.3 - p) / math.gamma(5.3)),
-    "lomax 5.5": (Distribution(scipy.stats.lomax(5.5)), lambda p: special.beta(5.5 - p, 1.0 + p) * 5.5),
+    "burr12": (
+        Distribution(scipy.stats.burr12(2.0, 3.0)),
+        lambda p: 3.0 * special.beta(3.0 - p / 2, 1.0 + p / 2),
+    ),
+    "invgamma 5.3": (
+        Distribution(scipy.stats.invgamma(5.3)),
+        lambda p: math.gamma(5.3 - p) / math.gamma(5.3),
+    ),
+    "lomax 5.5": (
+        Distribution(scipy.stats.lomax(5.5)),
+        lambda p: special.beta(5.5 - p, 1.0 + p) * 5.5,
+    ),
 }
-FINITE = [(name, law) for name in LAWS for law in ("uniform", "sqrt") if (name, law) != ("pareto 3.05", "sqrt")]
+FINITE = [
+    (name, law)
+    for name in LAWS
+    for law in ("uniform", "sqrt")
+    if (name, law) != ("pareto 3.05", "sqrt")
+]
 INFINITE = {
     "pareto 5": Pareto(5.0),
     "pareto 4": Pareto(4.0),
@@ -99,59 +114,89 @@ def forgetful(monkeypatch):
     monkeypatch.setattr(module, "_proposal", module._proposal.__wrapped__)
 
 
-# -------------------------------------------------------------------------------------------------------- finite
+# --------------------------------------------------------------------------------------------------------
+# finite
 
 
 @pytest.mark.parametrize(("name", "stiffness"), FINITE)
 def test_closed_forms(name, stiffness):
-    """Within the quoted error, which is below 1e-8 of the mean square, and rounding of both (1e-12): closed forms of
-    moments are good to some 1e-15, with differences of powers in the exponent 5.01 to 1e-13."""
+    """Within the quoted error, which is below 1e-8 of the mean square, and rounding of
+    both (1e-12): closed forms of moments are good to some 1e-15, with differences of
+    powers in the exponent 5.01 to 1e-13."""
     law, moment = LAWS[name]
     found = reference(Ensemble(law, stiffness_law=stiffness), Drive(0.1), variance=True)
     exact = closed_form(moment, stiffness)
     second = exact + found.friction.value**2
-    assert abs(found.force_variance.value - exact) < found.force_variance.stderr + 1e-12 * second
+    assert (
+        abs(found.force_variance.value - exact)
+        < found.force_variance.stderr + 1e-12 * second
+    )
     assert found.force_variance.stderr < 1e-8 * second
 
 
-@pytest.mark.parametrize(("name", "stiffness"), [("pareto 3.05", "uniform"), ("pareto 5.1", "sqrt")])
+@pytest.mark.parametrize(
+    ("name", "stiffness"), [("pareto 3.05", "uniform"), ("pareto 5.1", "sqrt")]
+)
 def test_a_tail_that_is_cut_off(name, stiffness, monkeypatch):
-    """Negative control: without what lies beyond e = 500 both values are off by more than 100 quoted errors."""
+    """Negative control: without what lies beyond e = 500 both values are off by more
+    than 100 quoted errors."""
     law, moment = LAWS[name]
-    monkeypatch.setattr(quenched, "means_above", lambda law, x, values: (np.zeros(1), np.zeros(1)))
-    found = reference(Ensemble(law, stiffness_law=stiffness), Drive(0.1), variance=True).force_variance
+    monkeypatch.setattr(
+        quenched, "means_above", lambda law, x, values: (np.zeros(1), np.zeros(1))
+    )
+    found = reference(
+        Ensemble(law, stiffness_law=stiffness), Drive(0.1), variance=True
+    ).force_variance
     assert abs(found.value - closed_form(moment, stiffness)) > 100.0 * found.stderr
 
 
 @pytest.mark.parametrize(("name", "stiffness"), FINITE)
 def test_covariance_at_no_lag(name, stiffness):
-    """The autocovariance begins at the variance, within its quoted error. The profile of a life ends where 1e-20 of the
-    contacts are left; what lies beyond is continued. SciPy's survival function of fisk is 1 less its distribution, and
-    so noisy in the tail that the error is some per cent under the sqrt law."""
+    """The autocovariance begins at the variance, within its quoted error. The profile
+    of a life ends where 1e-20 of the contacts are left; what lies beyond is continued.
+    SciPy's survival function of fisk is 1 less its distribution, and so noisy in the
+    tail that the error is some per cent under the sqrt law."""
     law, moment = LAWS[name]
     scale = law.scale
-    found = fluctuations(Ensemble(law, stiffness_law=stiffness), Drive(0.1, distance=3.0 * scale), points=4)
+    found = fluctuations(
+        Ensemble(law, stiffness_law=stiffness),
+        Drive(0.1, distance=3.0 * scale),
+        points=4,
+    )
     exact = closed_form(moment, stiffness)
     assert abs(found.covariance[0] - exact) < found.error[0]
-    assert found.error[0] < (0.05 if name.startswith("fisk") else 2e-3) * (exact + scale**2)
+    assert found.error[0] < (0.05 if name.startswith("fisk") else 2e-3) * (
+        exact + scale**2
+    )
 
 
-@pytest.mark.parametrize(("name", "stiffness"), [("pareto 3.05", "uniform"), ("lognormal 2", "sqrt")])
+@pytest.mark.parametrize(
+    ("name", "stiffness"), [("pareto 3.05", "uniform"), ("lognormal 2", "sqrt")]
+)
 def test_covariance_of_a_profile_that_ends(name, stiffness, monkeypatch):
-    """Negative control: without what lies beyond the profile the covariance is too low by more than a thousandth of it;
-    the quoted error knows, as the variance is found by another quadrature."""
+    """Negative control: without what lies beyond the profile the covariance is too low
+    by more than a thousandth of it; the quoted error knows, as the variance is found by
+    another quadrature."""
     law, moment = LAWS[name]
-    monkeypatch.setattr(transients, "_beyond", lambda *_: (np.zeros((3, 3)), np.zeros((3, 3))))
-    found = fluctuations(Ensemble(law, stiffness_law=stiffness), Drive(0.1, distance=3.0), points=4)
+    monkeypatch.setattr(
+        transients, "_beyond", lambda *_: (np.zeros((3, 3)), np.zeros((3, 3)))
+    )
+    found = fluctuations(
+        Ensemble(law, stiffness_law=stiffness), Drive(0.1, distance=3.0), points=4
+    )
     exact = closed_form(moment, stiffness)
     assert exact - found.covariance[0] > 1e-3 * exact
     assert found.error[0] > 0.999 * (exact - found.covariance[0])
 
 
-@pytest.mark.parametrize(("exponent", "stiffness", "kT", "v"), [(5.6, "sqrt", 0.1, 0.01), (3.3, "uniform", 0.3, 0.1)])
+@pytest.mark.parametrize(
+    ("exponent", "stiffness", "kT", "v"),
+    [(5.6, "sqrt", 0.1, 0.01), (3.3, "uniform", 0.3, 0.1)],
+)
 def test_with_heat(exponent, stiffness, kT, v):
-    """Soft barriers: E int kappa^p x^p S dx with S = exp(-(1/v) int_0^x exp(-kappa (xi^2 - y^2)/(2 kT)) dy) by nested
-    adaptive quadrature, substituting J_c(xi) = w^s, which makes the power-law integrand bounded. Both to 1e-6."""
+    """Soft barriers: E int kappa^p x^p S dx with S = exp(-(1/v) int_0^x exp(-kappa
+    (xi^2 - y^2)/(2 kT)) dy) by nested adaptive quadrature, substituting J_c(xi) = w^s,
+    which makes the power-law integrand bounded. Both to 1e-6."""
     rms = math.sqrt(exponent / (exponent - 2.0))
     top = {0: 1, 1: 3 if stiffness == "sqrt" else 2, 2: 5 if stiffness == "sqrt" else 3}
 
@@ -160,12 +205,24 @@ def test_with_heat(exponent, stiffness, kT, v):
         a = kappa / (2.0 * kT)
 
         def integrand(x):
-            hazard = math.exp(-a * (xi**2 - x**2)) * special.dawsn(math.sqrt(a) * x) / math.sqrt(a) / v
+            hazard = (
+                math.exp(-a * (xi**2 - x**2))
+                * special.dawsn(math.sqrt(a) * x)
+                / math.sqrt(a)
+                / v
+            )
             return (kappa * x) ** p * math.exp(-hazard)
 
         # heat acts within the last ln(1/v)/(2 a xi) of a stretch
         layer = max(xi - 6.0 / (2.0 * a * xi), 0.0)
-        return integrate.quad(integrand, 0.0, xi, points=[layer] if layer > 0 else None, epsrel=1e-8, limit=200)[0]
+        return integrate.quad(
+            integrand,
+            0.0,
+            xi,
+            points=[layer] if layer > 0 else None,
+            epsrel=1e-8,
+            limit=200,
+        )[0]
 
     def mean(p):
         s = exponent / (exponent - top[p])
@@ -174,24 +231,38 @@ def test_with_heat(exponent, stiffness, kT, v):
             xi = w ** (-s / exponent)
             return s * w ** (s - 1.0) * of_life(xi, p)
 
-        # below w = 1e-4 heat does not shorten lives any more, and what they contribute is constant in w
+        # below w = 1e-4 heat does not shorten lives any more, and what they contribute
+        # is constant in w
         low = 1e-4
-        body = integrate.quad(integrand, low, 1.0, epsrel=1e-8, points=[0.01, 0.1, 0.5], limit=200)[0]
+        body = integrate.quad(
+            integrand, low, 1.0, epsrel=1e-8, points=[0.01, 0.1, 0.5], limit=200
+        )[0]
         return body + integrand(low) * low
 
     C, W, V = (mean(p) for p in range(3))
-    found = reference(Ensemble(Pareto(exponent), Thermal(kT), stiffness_law=stiffness), Drive(v), variance=True)
+    found = reference(
+        Ensemble(Pareto(exponent), Thermal(kT), stiffness_law=stiffness),
+        Drive(v),
+        variance=True,
+    )
     assert found.friction.value == pytest.approx(W / C, rel=1e-6, abs=0.0)
-    assert found.force_variance.value == pytest.approx(V / C - (W / C) ** 2, rel=3e-6, abs=0.0)
+    assert found.force_variance.value == pytest.approx(
+        V / C - (W / C) ** 2, rel=3e-6, abs=0.0
+    )
 
 
 def test_thresholds_that_grow():
-    """Logarithmic aging at T = 0: a contact that breaks at x was born with xi = x/(1 + beta ln(1 + x/(v t_c))), so that
-    S(x) = J_c(xi(x)); by mpmath. Its tail falls a little more slowly than a power, which the error counts."""
+    """Logarithmic aging at T = 0: a contact that breaks at x was born with xi = x/(1 +
+    beta ln(1 + x/(v t_c))), so that S(x) = J_c(xi(x)); by mpmath. Its tail falls a
+    little more slowly than a power, which the error counts."""
     import mpmath
 
     found = reference(
-        Ensemble(Pareto(3.05), aging=Aging("logarithmic", beta=0.1, cutoff_time=0.1), stiffness_law="uniform"),
+        Ensemble(
+            Pareto(3.05),
+            aging=Aging("logarithmic", beta=0.1, cutoff_time=0.1),
+            stiffness_law="uniform",
+        ),
         Drive(0.1),
         variance=True,
     ).force_variance
@@ -200,7 +271,10 @@ def test_thresholds_that_grow():
         return x / (1 + mpmath.mpf("0.1") * mpmath.log(1 + 100 * x))
 
     first = mpmath.log(mpmath.findroot(lambda x: born(x) - 1, 1.5))
-    pieces = [first + k for k in (0, 1, 3, 10, 30, 60, 100, 200, 300, 500, 800, 1200, 2000, 4000)]
+    pieces = [
+        first + k
+        for k in (0, 1, 3, 10, 30, 60, 100, 200, 300, 500, 800, 1200, 2000, 4000)
+    ]
 
     def moment(p):
         def integrand(u):
@@ -209,10 +283,16 @@ def test_thresholds_that_grow():
         return mpmath.e ** (first * (p + 1)) / (p + 1) + mpmath.quad(integrand, pieces)
 
     C, W, V = (moment(p) for p in range(3))
-    assert abs(found.value - float(V / C - (W / C) ** 2)) < found.stderr < 0.005 * found.value
+    assert (
+        abs(found.value - float(V / C - (W / C) ** 2))
+        < found.stderr
+        < 0.005 * found.value
+    )
 
 
-@pytest.mark.parametrize("name", ["pareto 3.05", "pareto 5.6", "lognormal 2", "invgamma 5.3", "fisk 5.6"])
+@pytest.mark.parametrize(
+    "name", ["pareto 3.05", "pareto 5.6", "lognormal 2", "invgamma 5.3", "fisk 5.6"]
+)
 def test_means_above(name):
     """E[xi^p] from e = 0 on, and tails of a power law in closed form."""
     law, moment = LAWS[name]
@@ -227,7 +307,8 @@ def test_means_above(name):
         np.testing.assert_array_less(np.abs(above - exact), error + 1e-12 * exact)
 
 
-# -------------------------------------------------------------------------------------------------- steady averages
+# --------------------------------------------------------------------------------------------------
+# steady averages
 
 SAMPLED = {
     "pareto 8": Ensemble(Pareto(8.0)),
@@ -236,7 +317,9 @@ SAMPLED = {
     "lognormal 2": Ensemble(Lognormal(2.0), stiffness_law="uniform"),
     "lognormal 2, sqrt": Ensemble(Lognormal(2.0)),
     "pareto 5.6, warm": Ensemble(Pareto(5.6), Thermal(0.1)),
-    "lognormal 1.5, annealed": Ensemble(Lognormal(1.5), Thermal(0.3), disorder="annealed"),
+    "lognormal 1.5, annealed": Ensemble(
+        Lognormal(1.5), Thermal(0.3), disorder="annealed"
+    ),
     "gamma, warm": Ensemble(thermal=Thermal(1.0), stiffness_law="uniform"),
 }
 
@@ -244,19 +327,26 @@ SAMPLED = {
 def scores(contacts, v, seeds=30):
     """z of the variance over seeds, and whether each was called reliable."""
     exact = reference(contacts, Drive(v), variance=True).force_variance
-    found = [steady(contacts, Drive(v), seed=seed).force_variance for seed in range(seeds)]
+    found = [
+        steady(contacts, Drive(v), seed=seed).force_variance for seed in range(seeds)
+    ]
     z = [z_score(one, exact.value, exact.stderr) for one in found]
     return np.array(z), np.array([one.reliable for one in found])
 
 
 def chi_square(z):
-    return min(scipy.stats.chi2.sf(np.sum(z**2), z.size), scipy.stats.chi2.cdf(np.sum(z**2), z.size))
+    return min(
+        scipy.stats.chi2.sf(np.sum(z**2), z.size),
+        scipy.stats.chi2.cdf(np.sum(z**2), z.size),
+    )
 
 
-@chosen("name", SAMPLED, [name for name in SAMPLED if name != "lognormal 1.5, annealed"])  # which takes longest
+@chosen(
+    "name", SAMPLED, [name for name in SAMPLED if name != "lognormal 1.5, annealed"]
+)  # which takes longest
 def test_steady_over_seeds(name):
-    """30 seeds, all reliable: chi-square of the scores is neither too large nor too small (p > 1e-5 on either side, a
-    false alarm of 2e-5 for each law)."""
+    """30 seeds, all reliable: chi-square of the scores is neither too large nor too
+    small (p > 1e-5 on either side, a false alarm of 2e-5 for each law)."""
     z, reliable = scores(SAMPLED[name], 1e-4 if name == "gamma, warm" else 0.1)
     assert reliable.all()
     assert chi_square(z) > 1e-5
@@ -264,18 +354,24 @@ def test_steady_over_seeds(name):
 
 @pytest.mark.parametrize("stiffness", ["uniform", "sqrt"])
 def test_steady_where_thresholds_end_too_early(stiffness):
-    """Beyond the last threshold that can be drawn lies 3e-4 (exponent 3.05, uniform stiffness) and 6e-5 (5.1, sqrt) of
-    the mean square: errors hold it as a bound, so that only the upper side counts (p > 1e-5), and the mean of the
-    scores, whose scatter is a tenth or less, stays below the error."""
-    z, reliable = scores(Ensemble(Pareto(3.05 if stiffness == "uniform" else 5.1), stiffness_law=stiffness), 0.1)
+    """Beyond the last threshold that can be drawn lies 3e-4 (exponent 3.05, uniform
+    stiffness) and 6e-5 (5.1, sqrt) of the mean square: errors hold it as a bound, so
+    that only the upper side counts (p > 1e-5), and the mean of the scores, whose
+    scatter is a tenth or less, stays below the error."""
+    z, reliable = scores(
+        Ensemble(
+            Pareto(3.05 if stiffness == "uniform" else 5.1), stiffness_law=stiffness
+        ),
+        0.1,
+    )
     assert reliable.all()
     assert scipy.stats.chi2.sf(np.sum(z**2), z.size) > 1e-5
     assert abs(np.mean(z)) < 1.0
 
 
 def test_steady_without_lives_for_the_square(forgetful, monkeypatch):
-    """Negative control: the same seeds fail if lives are drawn for friction and stretch alone, and those called
-    reliable are too low."""
+    """Negative control: the same seeds fail if lives are drawn for friction and stretch
+    alone, and those called reliable are too low."""
     monkeypatch.setattr(module, "_UNSEEN_SQUARES", math.inf)
     z, _ = scores(SAMPLED["pareto 5.6"], 0.1)
     assert chi_square(z) < 1e-5
@@ -284,59 +380,88 @@ def test_steady_without_lives_for_the_square(forgetful, monkeypatch):
 
 @pytest.mark.parametrize("name", ["pareto 5.6"])
 def test_plain_lives_know_what_they_do_not_meet(name):
-    """Births without weights hardly meet the lives that make the variance: not called reliable, or within 5 errors."""
+    """Births without weights hardly meet the lives that make the variance: not called
+    reliable, or within 5 errors."""
     exact = reference(SAMPLED[name], Drive(0.1), variance=True).force_variance
     for seed in range(3):
-        found = steady(SAMPLED[name], Drive(0.1), seed=seed, rel_error=0.2, plain=True).force_variance
+        found = steady(
+            SAMPLED[name], Drive(0.1), seed=seed, rel_error=0.2, plain=True
+        ).force_variance
         assert not found.reliable
         assert abs(found.value - exact.value) < 5.0 * found.stderr
 
 
 def test_sampled_fluctuations_of_heavy_tails():
-    """Few ensembles do not know the variance of a power law, whichever ensembles dominate their scatter; of the gamma
-    law they do (|z| < 4.5)."""
+    """Few ensembles do not know the variance of a power law, whichever ensembles
+    dominate their scatter; of the gamma law they do (|z| < 4.5)."""
     heavy, light = (Ensemble(law) for law in (Pareto(5.6), Gamma()))
     for contacts, known in ((heavy, False), (light, True)):
         drive = Drive(0.1, distance=1.0)
-        found, exact = sampled(contacts, drive, 2, 5e4, 1, 1), reference(contacts, Drive(0.1), variance=True)
+        found, exact = (
+            sampled(contacts, drive, 2, 5e4, 1, 1),
+            reference(contacts, Drive(0.1), variance=True),
+        )
         assert found.reliable is known
-        assert abs(found.covariance[0] - exact.force_variance.value) < 4.5 * found.stderr[0]
+        assert (
+            abs(found.covariance[0] - exact.force_variance.value)
+            < 4.5 * found.stderr[0]
+        )
 
 
-# ------------------------------------------------------------------------------------------------------- infinite
+# -------------------------------------------------------------------------------------------------------
+# infinite
 
 
 @pytest.mark.parametrize("name", INFINITE)
 def test_no_variance(name):
-    """E[xi^5] diverges: each result says so by the same value, and in one line. The means are finite."""
+    """E[xi^5] diverges: each result says so by the same value, and in one line. The
+    means are finite."""
     contacts = Ensemble(INFINITE[name], count=100)
     for heat in (Thermal(), Thermal(0.1)):
         warm = dataclasses.replace(contacts, thermal=heat)
         assert "<xi^5> diverges, as P(xi > x) falls like x^-" in warm.divergence
-        found, exact = steady(warm, Drive(0.1)), reference(warm, Drive(0.1), variance=True)
+        found, exact = (
+            steady(warm, Drive(0.1)),
+            reference(warm, Drive(0.1), variance=True),
+        )
         for one in (found.force_variance, exact.force_variance):
-            assert (one.value, one.stderr, one.reliable, str(one)) == (math.inf, None, False, "infinite")
+            assert (one.value, one.stderr, one.reliable, str(one)) == (
+                math.inf,
+                None,
+                False,
+                "infinite",
+            )
             assert json.loads(to_json(one.as_dict()))["value"] is None
-        assert abs(z_score(found.friction, exact.friction.value, exact.friction.stderr)) < 5.0
+        assert (
+            abs(z_score(found.friction, exact.friction.value, exact.friction.stderr))
+            < 5.0
+        )
         assert found.friction.reliable or tail_exponent(warm.thresholds) < 3.5
         with pytest.raises(InputError, match="the variance of forces is infinite"):
             fluctuations(warm, Drive(0.1, distance=1.0))
-        stationary = transient(warm, Drive(0.1, distance=1.0, start="stationary"), 3, variance=True)
+        stationary = transient(
+            warm, Drive(0.1, distance=1.0, start="stationary"), 3, variance=True
+        )
         assert stationary.force_variance is None
         found.plot()
 
 
 def test_where_a_variance_ends():
-    """Uniform stiffness needs <xi^3> alone; the sqrt law has a variance just above the exponent 5."""
+    """Uniform stiffness needs <xi^3> alone; the sqrt law has a variance just above the
+    exponent 5."""
     assert not Ensemble(Pareto(3.05), stiffness_law="uniform").divergence
     assert not Ensemble(Pareto(5.001)).divergence
     assert Ensemble(Pareto(5.0)).divergence
-    assert not any(Ensemble(law).divergence for law in (Gamma(), Lognormal(2.0), Weibull(0.5), Uniform(0.0, 1.0)))
+    assert not any(
+        Ensemble(law).divergence
+        for law in (Gamma(), Lognormal(2.0), Weibull(0.5), Uniform(0.0, 1.0))
+    )
     assert "x^-4" in Ensemble(Pareto(4.0)).divergence
 
 
 def test_a_run_says_so():
-    """A run of contacts without a variance, from a fresh start; and one of contacts born stretched."""
+    """A run of contacts without a variance, from a fresh start; and one of contacts
+    born stretched."""
     contacts = Ensemble(Pareto(4.9), count=50)
     found = trajectory(contacts, Drive(0.1, distance=5.0), points=5)
     assert found.averages.force_variance.diverges
@@ -349,11 +474,19 @@ def test_a_sweep_does_not_doubt_an_infinite_variance():
     from eqsim.sweeps.rows import _columns
 
     row = _columns(steady(Ensemble(Pareto(4.0)), Drive(0.1)), 1, [])
-    assert (row["status"], row["force_variance"], row["force_variance_reliable"]) == ("ok", math.inf, False)
+    assert (row["status"], row["force_variance"], row["force_variance_reliable"]) == (
+        "ok",
+        math.inf,
+        False,
+    )
 
 
-@pytest.mark.parametrize("frozen", [scipy.stats.invweibull(1.4), scipy.stats.invweibull(1.3), scipy.stats.lomax(2.9)])
+@pytest.mark.parametrize(
+    "frozen",
+    [scipy.stats.invweibull(1.4), scipy.stats.invweibull(1.3), scipy.stats.lomax(2.9)],
+)
 def test_means_that_scipy_pretends_to_know(frozen):
-    """<xi^3> diverges although a formula of SciPy gives a finite, even a positive, number."""
+    """<xi^3> diverges although a formula of SciPy gives a finite, even a positive,
+    number."""
     with pytest.raises(InputError, match=r"<xi\^3> = inf"):
         Distribution(frozen)

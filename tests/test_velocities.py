@@ -1,4 +1,5 @@
-"""Steady averages at many velocities at once: against single solves, and against the pooled law of births."""
+"""Steady averages at many velocities at once: against single solves, and against the
+pooled law of births."""
 
 import math
 import time
@@ -8,7 +9,18 @@ import pytest
 import scipy.stats
 from cases import chosen
 
-from eqsim import Aging, Delay, Delta, Distribution, Drive, Ensemble, Gamma, InputError, Thermal, reference
+from eqsim import (
+    Aging,
+    Delay,
+    Delta,
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    InputError,
+    Thermal,
+    reference,
+)
 from eqsim.laws.newborn import Newborn
 from eqsim.master import annealed
 from eqsim.master.steady import settled
@@ -20,28 +32,54 @@ UNIFORM = {"stiffness_law": "uniform"}
 CASES = {
     "annealed": Ensemble(thermal=Thermal(0.1), disorder="annealed", **UNIFORM),
     "annealed sqrt": Ensemble(Gamma(0.3, 2.0), Thermal(1e-3), disorder="annealed"),
-    "annealed stiff": Ensemble(Gamma(4.0), Thermal(0.02, 3.0, "stiff"), disorder="annealed", **UNIFORM),
-    "annealed hot": Ensemble(Gamma(0.0), Thermal(30.0), Delay(0.4), disorder="annealed", eta=2.0),
-    "annealed narrow": Ensemble(Gamma(80.0), Thermal(0.1), disorder="annealed", **UNIFORM),
+    "annealed stiff": Ensemble(
+        Gamma(4.0), Thermal(0.02, 3.0, "stiff"), disorder="annealed", **UNIFORM
+    ),
+    "annealed hot": Ensemble(
+        Gamma(0.0), Thermal(30.0), Delay(0.4), disorder="annealed", eta=2.0
+    ),
+    "annealed narrow": Ensemble(
+        Gamma(80.0), Thermal(0.1), disorder="annealed", **UNIFORM
+    ),
     "annealed, another law": Ensemble(
-        Distribution(scipy.stats.weibull_min(2.3)), Thermal(0.1), disorder="annealed", **UNIFORM
+        Distribution(scipy.stats.weibull_min(2.3)),
+        Thermal(0.1),
+        disorder="annealed",
+        **UNIFORM,
     ),
     "annealed, aged at once": Ensemble(
-        Gamma(2.0, 0.1), Thermal(0.1), aging=Aging("flow", math.inf, 1.0), disorder="annealed"
+        Gamma(2.0, 0.1),
+        Thermal(0.1),
+        aging=Aging("flow", math.inf, 1.0),
+        disorder="annealed",
     ),
     "quenched": Ensemble(thermal=Thermal(0.1), **UNIFORM),
-    "quenched sqrt": Ensemble(Gamma(3.0, 0.5), Thermal(0.1), Delay(0.2, "exponential"), eta=0.5),
+    "quenched sqrt": Ensemble(
+        Gamma(3.0, 0.5), Thermal(0.1), Delay(0.2, "exponential"), eta=0.5
+    ),
     "quenched stiff": Ensemble(Gamma(0.2), Thermal(1e-4, 1e6, "stiff")),
     "quenched cold": Ensemble(Gamma(1.0), Thermal(1e-7, 1e9), **UNIFORM),
     "quenched hot": Ensemble(Gamma(1.0), Thermal(20.0), **UNIFORM),
     "no heat": Ensemble(Gamma(2.0, 3.0), Thermal(0.0), Delay(0.1), eta=1.0),
     "identical": Ensemble(Delta(0.5), Thermal(0.02)),
-    "born stretched": Ensemble(thermal=Thermal(0.1), newborn=Newborn("delta", "length", stretch=0.1), delay=Delay(0.3)),
+    "born stretched": Ensemble(
+        thermal=Thermal(0.1),
+        newborn=Newborn("delta", "length", stretch=0.1),
+        delay=Delay(0.3),
+    ),
     "logarithmic": Ensemble(aging=Aging("logarithmic", beta=0.05, cutoff_time=0.1)),
 }
 
 
-@chosen("name", CASES, [name for name in CASES if name not in ("annealed, aged at once", "born stretched")])
+@chosen(
+    "name",
+    CASES,
+    [
+        name
+        for name in CASES
+        if name not in ("annealed, aged at once", "born stretched")
+    ],
+)
 def test_single_solves(name):
     """The same within the errors of both, which are small."""
     contacts = CASES[name]
@@ -50,8 +88,13 @@ def test_single_solves(name):
         exact = reference(contacts, Drive(v))
         for observable in ("friction", "pinned", "break_stretch"):
             estimate = getattr(exact, observable)
-            value, error = getattr(found, observable)[i], getattr(found, f"{observable}_error")[i]
-            assert value == pytest.approx(estimate.value, abs=error + estimate.stderr + 4e-16 * estimate.value)
+            value, error = (
+                getattr(found, observable)[i],
+                getattr(found, f"{observable}_error")[i],
+            )
+            assert value == pytest.approx(
+                estimate.value, abs=error + estimate.stderr + 4e-16 * estimate.value
+            )
             assert error <= 2e-8 * value
 
 
@@ -59,7 +102,12 @@ def test_single_solves(name):
     ("n", "final", "D", "kT", "law"),
     [
         (*aging, kT, law)
-        for aging in ((1.0, 1.0, 0.1), (6.0, 0.02, 3.0), (0.0, 3.0, 1e-3), (25.0, 0.3, 0.2))
+        for aging in (
+            (1.0, 1.0, 0.1),
+            (6.0, 0.02, 3.0),
+            (0.0, 3.0, 1e-3),
+            (25.0, 0.3, 0.2),
+        )
         for kT in (0.0, 0.1)
         for law in ("uniform", "sqrt")
     ],
@@ -71,10 +119,14 @@ def test_single_solves(name):
     ],
 )
 def test_annealed_contacts_that_age(law, kT, n, final, D):
-    """C is that of contacts born with the law of star1 that C implies, kept as splines whose errors, of P_c 2e-8, are
-    the tolerance; and so is the work."""
+    """C is that of contacts born with the law of star1 that C implies, kept as splines
+    whose errors, of P_c 2e-8, are the tolerance; and so is the work."""
     contacts = Ensemble(
-        Gamma(n, 0.1), Thermal(kT), aging=Aging("flow", D, final), disorder="annealed", stiffness_law=law
+        Gamma(n, 0.1),
+        Thermal(kT),
+        aging=Aging("flow", D, final),
+        disorder="annealed",
+        stiffness_law=law,
     )
     few = tuple(VELOCITIES[::4].tolist())
     found = lives_of(contacts, few)
@@ -83,10 +135,17 @@ def test_annealed_contacts_that_age(law, kT, n, final, D):
         if s.annealed:
             stretch, work, *_ = annealed.stationary(s)
         else:
-            stretch, work = curve(Ensemble(s.law, stiffness_law=law), [v]).break_stretch[0] / 0.1, None
-        assert found.stretch[i] == pytest.approx(stretch, rel=2e-8 + found.stretch_error[i] / stretch, abs=0)
+            stretch, work = (
+                curve(Ensemble(s.law, stiffness_law=law), [v]).break_stretch[0] / 0.1,
+                None,
+            )
+        assert found.stretch[i] == pytest.approx(
+            stretch, rel=2e-8 + found.stretch_error[i] / stretch, abs=0
+        )
         if work is not None:
-            assert found.work[i] == pytest.approx(work, rel=4e-8 + found.work_error[i] / work, abs=0)
+            assert found.work[i] == pytest.approx(
+                work, rel=4e-8 + found.work_error[i] / work, abs=0
+            )
         assert found.stretch_error[i] < 2e-8 * stretch
 
 
@@ -94,8 +153,11 @@ def test_mixtures_end_at_their_ends():
     """Very slow aging leaves newborn thresholds, very fast aging final ones."""
     given = {"thermal": Thermal(0.1), "disorder": "annealed", **UNIFORM}
     for D, plain in ((1e-14, Gamma(1.0, 0.2)), (1e14, Gamma(1.0, 1.0))):
-        found = curve(Ensemble(Gamma(1.0, 0.2), aging=Aging("flow", D, 1.0), **given), VELOCITIES)
-        # lengths are in units of the newborn scale, which decides nothing with uniform stiffness
+        found = curve(
+            Ensemble(Gamma(1.0, 0.2), aging=Aging("flow", D, 1.0), **given), VELOCITIES
+        )
+        # lengths are in units of the newborn scale, which decides nothing with uniform
+        # stiffness
         exact = curve(Ensemble(plain, **given), VELOCITIES)
         np.testing.assert_allclose(found.friction, exact.friction, rtol=1e-9)
 
@@ -104,14 +166,26 @@ def test_mixtures_end_at_their_ends():
 @pytest.mark.parametrize("law", ["uniform", "sqrt"])
 @pytest.mark.parametrize("n", [0.0, 0.7, 8.0, 60.0])
 def test_pooled_rate(barrier, law, n):
-    """The trapezoidal rule against panels, to 1e-9 wherever the rate is not negligible, and at y = 0 with uniform
-    stiffness against (1 + b)^-(n + 1), exact."""
-    y = np.concatenate((np.geomspace(1e-8, 1.0, 20), np.linspace(1.1, math.sqrt(n + 1) + 5.0, 30)))
+    """The trapezoidal rule against panels, to 1e-9 wherever the rate is not negligible,
+    and at y = 0 with uniform stiffness against (1 + b)^-(n + 1), exact."""
+    y = np.concatenate(
+        (np.geomspace(1e-8, 1.0, 20), np.linspace(1.1, math.sqrt(n + 1) + 5.0, 30))
+    )
     for b in (1e-3, 0.3, 5.0, 200.0, 1e7):
-        s = reduced(Ensemble(Gamma(n), Thermal(0.5 / b, 1.0, barrier), disorder="annealed", stiffness_law=law), 1.0)
+        s = reduced(
+            Ensemble(
+                Gamma(n),
+                Thermal(0.5 / b, 1.0, barrier),
+                disorder="annealed",
+                stiffness_law=law,
+            ),
+            1.0,
+        )
         exact = annealed.hazard_rate(s, y, 14)
         seen = exact > 1e-9  # `hazard_rate` leaves out attempts rarer than exp(-45)
-        np.testing.assert_allclose(gamma_rate(s, s.law, y)[seen], exact[seen], rtol=1e-9)
+        np.testing.assert_allclose(
+            gamma_rate(s, s.law, y)[seen], exact[seen], rtol=1e-9
+        )
         if law == "uniform":
             newborn = gamma_rate(s, s.law, np.zeros(1))[0]
             assert newborn == pytest.approx((1.0 + b) ** -(n + 1.0), rel=1e-9, abs=0)
@@ -124,11 +198,23 @@ def test_bad_velocities():
 
 
 @pytest.mark.verification
-@pytest.mark.parametrize(("name", "seconds"), [("annealed", 2e-3), ("quenched", 6e-3), ("aging", 0.1)])
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("annealed", 2e-3), ("quenched", 6e-3), ("aging", 0.1)]
+)
 def test_speed(name, seconds):
     """12 velocities: the best of 20, as other processes run beside."""
-    aging = Ensemble(Gamma(1.0, 0.1), Thermal(0.1), aging=Aging("flow", 0.1, 1.0), disorder="annealed", **UNIFORM)
-    contacts, velocities, best = CASES.get(name, aging), np.geomspace(1e-3, 10.0, 12), math.inf
+    aging = Ensemble(
+        Gamma(1.0, 0.1),
+        Thermal(0.1),
+        aging=Aging("flow", 0.1, 1.0),
+        disorder="annealed",
+        **UNIFORM,
+    )
+    contacts, velocities, best = (
+        CASES.get(name, aging),
+        np.geomspace(1e-3, 10.0, 12),
+        math.inf,
+    )
     for _ in range(20):
         lives_of.cache_clear()
         begin = time.perf_counter()

@@ -1,7 +1,9 @@
-"""Contacts one by one along a drive in segments, by thinning: no hazard is integrated, nothing is shared with eqsim.
+"""Contacts one by one along a drive in segments, by thinning: no hazard is integrated,
+nothing is shared with eqsim.
 
-A pinned contact makes attempts at random times, omega per unit time, each of which breaks it with the probability r of
-its barrier for the stretch |x| that it has then; it breaks in any case when |x| first reaches its threshold.
+A pinned contact makes attempts at random times, omega per unit time, each of which
+breaks it with the probability r of its barrier for the stretch |x| that it has then; it
+breaks in any case when |x| first reaches its threshold.
 """
 
 from typing import NamedTuple
@@ -10,8 +12,9 @@ import numpy as np
 
 
 class Script(NamedTuple):
-    """What is simulated: thresholds xi^2 ~ Gamma(n + 1), k = omega = 1; segments (velocity, time). `wrong` is a
-    deliberate mistake: "signed" forgets that |x| counts, not x; "still" that contacts break in holds, too."""
+    """What is simulated: thresholds xi^2 ~ Gamma(n + 1), k = omega = 1; segments
+    (velocity, time). `wrong` is a deliberate mistake: "signed" forgets that |x| counts,
+    not x; "still" that contacts break in holds, too."""
 
     segments: tuple
     kT: float = 0.1
@@ -48,7 +51,12 @@ def simulate(script, times, contacts, rng):
             for target in (xi, -xi) if script.wrong != "signed" else (xi,):
                 with np.errstate(divide="ignore", invalid="ignore"):
                     when = np.maximum(t, ends[j]) + (target - x0) / v
-                hit = (when >= np.maximum(t, ends[j])) & (when <= ends[j + 1]) & (t < ends[j + 1]) & (v * target > 0)
+                hit = (
+                    (when >= np.maximum(t, ends[j]))
+                    & (when <= ends[j + 1])
+                    & (t < ends[j + 1])
+                    & (v * target > 0)
+                )
                 found = np.where(hit, np.minimum(found, when), found)
         return found
 
@@ -61,7 +69,10 @@ def simulate(script, times, contacts, rng):
         height = a * part**1.5 if script.stiff else a * part * (1.0 + x / xi)
         r = np.exp(-height) * (np.sqrt(part) if script.stiff else 1.0) * (part > 0)
         if script.wrong == "still":
-            r = r * (velocity[np.minimum(np.searchsorted(ends, t) - 1, velocity.size - 1)] != 0)
+            r = r * (
+                velocity[np.minimum(np.searchsorted(ends, t) - 1, velocity.size - 1)]
+                != 0
+            )
         return r
 
     force, pinned = np.zeros((len(times), contacts)), np.zeros((len(times), contacts))
@@ -70,7 +81,9 @@ def simulate(script, times, contacts, rng):
     last = mechanical(born, xi)
     while who.size:
         attempt = now + rng.exponential(size=who.size)
-        heat = (attempt < last) & (rng.random(who.size) < chance(xi, at(attempt) - at(born), attempt))
+        heat = (attempt < last) & (
+            rng.random(who.size) < chance(xi, at(attempt) - at(born), attempt)
+        )
         now = np.minimum(attempt, last)
         broken = heat | (attempt >= last)
         over = np.minimum(now, ends[-1] + 1.0)
@@ -79,7 +92,11 @@ def simulate(script, times, contacts, rng):
             here = done & (born <= t) & (t < over)
             pinned[m, who[here]] = 1.0
             force[m, who[here]] = (stiffness(xi) * (at(t) - at(born)))[here]
-        wait = rng.exponential(script.delay, who.size) if script.exponential else np.full(who.size, script.delay)
+        wait = (
+            rng.exponential(script.delay, who.size)
+            if script.exponential
+            else np.full(who.size, script.delay)
+        )
         born = np.where(broken, now + wait, born)
         now = np.where(broken, born, now)
         xi = np.where(broken, thresholds(who.size), xi)
@@ -87,5 +104,10 @@ def simulate(script, times, contacts, rng):
         new = np.where(broken & alive)[0]
         last[new] = mechanical(born[new], xi[new])
         who, born, now, xi, last = (part[alive] for part in (who, born, now, xi, last))
-    drag = script.eta * velocity[np.minimum(np.searchsorted(ends, times) - 1, velocity.size - 1).clip(0)]
+    drag = (
+        script.eta
+        * velocity[
+            np.minimum(np.searchsorted(ends, times) - 1, velocity.size - 1).clip(0)
+        ]
+    )
     return force + drag[:, None] * (1.0 - pinned), pinned

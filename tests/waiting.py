@@ -2,13 +2,15 @@
 
 import time
 
-# Seconds from a signal to the end of a process. A second is promised, and a machine with nothing else to do takes less
-# than half of one; this is ten times that, for one with ten busy processes for each of its processors.
+# Seconds from a signal to the end of a process. A second is promised, and a machine
+# with nothing else to do takes less than half of one; this is ten times that, for one
+# with ten busy processes for each of its processors.
 ALLOWED = 5.0
 
 
 def once(happens, process=None, seconds=300):
-    """What `happens` returns as soon as it is true; a `process` must not end by itself before."""
+    """What `happens` returns as soon as it is true; a `process` must not end by itself
+    before."""
     deadline = time.monotonic() + seconds
     while not (found := happens()):
         assert process is None or process.poll() is None, process.communicate()

@@ -1,1 +1,2 @@
-"""Throughput of eqsim against what one would write without it, as ratios within one run."""
+"""Throughput of eqsim against what one would write without it, as ratios within one
+run."""

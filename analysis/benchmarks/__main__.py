@@ -32,8 +32,15 @@ Job = Callable[[Case, Sizes, int, int], dict[str, Any]]
 
 def shared_jobs(sizes: Sizes) -> dict[str, Job]:
     """The jobs that rivals do too, by name."""
-    steady = {f"steady average to {error:g}": partial(time_steady, rel_error=error) for error in sizes.errors}
-    return {"trajectory": time_trajectory, f"steady average of {sizes.lives:.0e} lives": time_plain, **steady}
+    steady = {
+        f"steady average to {error:g}": partial(time_steady, rel_error=error)
+        for error in sizes.errors
+    }
+    return {
+        "trajectory": time_trajectory,
+        f"steady average of {sizes.lives:.0e} lives": time_plain,
+        **steady,
+    }
 
 
 def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
@@ -48,19 +55,40 @@ def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
             seed = 1000 * (len(rows) + 1)  # rows share no random numbers
             rows.append({"job": name, **job(case, sizes, threads, seed)})
     console.print("[dim]programmes, a spring, avalanches")
-    rows += time_programmes(sizes, threads, 1) + time_spring(sizes, threads, 1) + time_elastic(sizes, threads, 1)
+    rows += (
+        time_programmes(sizes, threads, 1)
+        + time_spring(sizes, threads, 1)
+        + time_elastic(sizes, threads, 1)
+    )
     console.print("[dim]langevin lives, references, fits, memory, start-up")
-    rows += time_langevin(sizes, threads, 1) + time_references(sizes) + time_curves(sizes) + time_fits(sizes)
+    rows += (
+        time_langevin(sizes, threads, 1)
+        + time_references(sizes)
+        + time_curves(sizes)
+        + time_fits(sizes)
+    )
     rows += measure_memory(sizes) + time_start(sizes)
     about = {f"{name}_version": version(name) for name in ("eqsim", "numba", "numpy")}
     about |= {"compiler": tuned.compiler_version(), "load": os.getloadavg()[0]}
-    return pd.DataFrame(rows).assign(thread_count=threads, contacts=sizes.contacts, **about)
+    return pd.DataFrame(rows).assign(
+        thread_count=threads, contacts=sizes.contacts, **about
+    )
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for benchmarks.parquet and benchmarks.png.")] = OUT,
-    quick: Annotated[bool, typer.Option("--quick", help="Small sizes: a smoke test, not a measurement.")] = False,
-    threads: Annotated[int, typer.Option(min=2, help="Threads eqsim and C are compared on with themselves.")] = 2,
+    out: Annotated[
+        Path, typer.Option(help="Folder for benchmarks.parquet and benchmarks.png.")
+    ] = OUT,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Small sizes: a smoke test, not a measurement."),
+    ] = False,
+    threads: Annotated[
+        int,
+        typer.Option(
+            min=2, help="Threads eqsim and C are compared on with themselves."
+        ),
+    ] = 2,
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()

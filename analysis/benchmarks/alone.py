@@ -1,5 +1,5 @@
-"""Jobs without rivals: fluctuating thresholds, reference solves, fits, memory, and how long the program takes to
-start."""
+"""Jobs without rivals: fluctuating thresholds, reference solves, fits, memory, and how
+long the program takes to start."""
 
 import os
 import resource
@@ -42,28 +42,45 @@ NOTHING = Outcome(0.0, 0.0)  # a job that is not about friction
 
 
 def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
-    """Lives along fluctuating thresholds at v = k = omega = 1, x_*: 0.1 -> 1 with D_v = D/(v x_*f) = 0.1."""
+    """Lives along fluctuating thresholds at v = k = omega = 1, x_*: 0.1 -> 1 with D_v =
+    D/(v x_*f) = 0.1."""
     rows = []
     for kT in (0.0, 0.1):
         for law in ("uniform", "sqrt"):
-            thermal, aging = Thermal(kT=kT), Aging("langevin", rate=0.1, x_star_final=1.0)
-            ensemble = Ensemble(Gamma(1.0, 0.1), thermal, aging=aging, stiffness_law=law)
+            thermal, aging = (
+                Thermal(kT=kT),
+                Aging("langevin", rate=0.1, x_star_final=1.0),
+            )
+            ensemble = Ensemble(
+                Gamma(1.0, 0.1), thermal, aging=aging, stiffness_law=law
+            )
 
-            def run(seed: int, threads: int = 1, ensemble: Ensemble = ensemble) -> Outcome:
-                return plain(ensemble, 1.0, 1.0, seed, threads)  # the fewest lives there are, 65 536
+            def run(
+                seed: int, threads: int = 1, ensemble: Ensemble = ensemble
+            ) -> Outcome:
+                return plain(
+                    ensemble, 1.0, 1.0, seed, threads
+                )  # the fewest lives there are, 65 536
 
             run(seed)  # compiles
-            contenders = {"eqsim": run, "eqsim, threads": lambda seed, run=run: run(seed, threads)}
+            contenders = {
+                "eqsim": run,
+                "eqsim, threads": lambda seed, run=run: run(seed, threads),
+            }
             rounds = interleaved(contenders, sizes.repeats, seed)
             case = f"{f'soft kT={kT:g}' if kT else 'T=0'}, {law} k"
             gain = ratios("threads", rounds, "eqsim, threads", "eqsim")
-            rows.append({"job": "langevin lives, D_v = 0.1", "case": case} | speed(rounds, "eqsim", "") | gain)
+            rows.append(
+                {"job": "langevin lives, D_v = 0.1", "case": case}
+                | speed(rounds, "eqsim", "")
+                | gain
+            )
     return rows
 
 
 def time_references(sizes: Sizes) -> list[dict[str, Any]]:
-    """Stationary averages and transients from the master equation; kernels and tables are warm, answers are not:
-    each round has its own velocity."""
+    """Stationary averages and transients from the master equation; kernels and tables
+    are warm, answers are not: each round has its own velocity."""
     chosen = [case for case in CASES if not case.general] + [Case(0.1, "soft", True)]
     rows = []
     for disorder in ("quenched", "annealed"):
@@ -75,26 +92,36 @@ def time_references(sizes: Sizes) -> list[dict[str, Any]]:
                 return NOTHING
 
             def force(number: int, ensemble: Ensemble = ensemble) -> Outcome:
-                transient(ensemble, Drive(VELOCITY * (1 + 1e-3 * number), sizes.distance), sizes.points)
+                transient(
+                    ensemble,
+                    Drive(VELOCITY * (1 + 1e-3 * number), sizes.distance),
+                    sizes.points,
+                )
                 return NOTHING
 
             averages(0), force(0)
-            rounds = interleaved({"stationary": averages, "transient": force}, sizes.repeats, 1)
+            rounds = interleaved(
+                {"stationary": averages, "transient": force}, sizes.repeats, 1
+            )
             rows += [
-                {"job": f"reference, {job}, {disorder}", "case": case.name} | speed(rounds, job, "")
+                {"job": f"reference, {job}, {disorder}", "case": case.name}
+                | speed(rounds, job, "")
                 for job in ("stationary", "transient")
             ]
     return sorted(rows, key=lambda row: row["job"])
 
 
 def time_curves(sizes: Sizes) -> list[dict[str, Any]]:
-    """Twelve velocities at once, as fits solve them, and one after the other; each round has its own."""
+    """Twelve velocities at once, as fits solve them, and one after the other; each
+    round has its own."""
     warm = Case(0.1, "soft", False).ensemble(1)
     aging = Aging("flow", rate=0.1, x_star_final=1.0)
     chosen = {
         "quenched": warm,
         "annealed": replace(warm, disorder="annealed"),
-        "annealed, aging": replace(warm, disorder="annealed", thresholds=Gamma(1.0, 0.1), aging=aging),
+        "annealed, aging": replace(
+            warm, disorder="annealed", thresholds=Gamma(1.0, 0.1), aging=aging
+        ),
     }
     rows = []
     for case, ensemble in chosen.items():
@@ -109,16 +136,19 @@ def time_curves(sizes: Sizes) -> list[dict[str, Any]]:
             return NOTHING
 
         together(0), singly(0)
-        rounds = interleaved({"eqsim": together, "singly": singly}, sizes.plain_repeats, 1)
+        rounds = interleaved(
+            {"eqsim": together, "singly": singly}, sizes.plain_repeats, 1
+        )
         row = speed(rounds, "eqsim", "") | ratios("singly", rounds, "singly", "eqsim")
         rows.append({"job": "twelve velocities at once", "case": case} | row)
     return rows
 
 
 def time_fits(sizes: Sizes) -> list[dict[str, Any]]:
-    """A whole fit, profiles and all, of 27 averages at two temperatures; and least squares of a record of 81 points (a
-    velocity step at T = 0 through a spring, `analysis.coverage`), from a start away from the truth. A solve gives all
-    that was measured at one set of parameters; answers are forgotten between rounds."""
+    """A whole fit, profiles and all, of 27 averages at two temperatures; and least
+    squares of a record of 81 points (a velocity step at T = 0 through a spring,
+    `analysis.coverage`), from a start away from the truth. A solve gives all that was
+    measured at one set of parameters; answers are forgotten between rounds."""
     exact = coverage.record()
     record = coverage.sample(exact, np.random.default_rng(1))
     start = exact.low + 0.4 * (exact.high - exact.low)
@@ -152,14 +182,18 @@ DRIVES: dict[str, Drive | Programme] = {
 
 
 def peak(name: str, contacts: int) -> int:
-    """Peak memory of this process in bytes after so many warm soft contacts with a delay have followed a drive."""
+    """Peak memory of this process in bytes after so many warm soft contacts with a
+    delay have followed a drive."""
     trajectory(Case(0.1, "soft", True).ensemble(contacts), DRIVES[name], points=21)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )
 
 
 def measure_memory(sizes: Sizes) -> list[dict[str, Any]]:
-    """Bytes per contact: how much more peak memory many contacts take than a thousand, in processes of their own. These
-    are forked by a server, not started by this one, whose own peak they would report."""
+    """Bytes per contact: how much more peak memory many contacts take than a thousand,
+    in processes of their own. These are forked by a server, not started by this one,
+    whose own peak they would report."""
     rows = []
     for name in DRIVES:
         peak(name, 2048)  # compiles, which takes memory
@@ -167,28 +201,53 @@ def measure_memory(sizes: Sizes) -> list[dict[str, Any]]:
         for contacts in (1000, sizes.many):
             with ProcessPoolExecutor(1, get_context("forkserver")) as pool:
                 found.append(pool.submit(peak, name, contacts).result())
-        rows.append({"job": "memory", "case": name, "bytes": (found[1] - found[0]) / (sizes.many - 1000)})
+        rows.append(
+            {
+                "job": "memory",
+                "case": name,
+                "bytes": (found[1] - found[0]) / (sizes.many - 1000),
+            }
+        )
     return rows
 
 
 def time_start(sizes: Sizes) -> list[dict[str, Any]]:
-    """`eqsim` as a process of its own: the help page, and the quickstart with and without compiled kernels."""
+    """`eqsim` as a process of its own: the help page, and the quickstart with and
+    without compiled kernels."""
     with tempfile.TemporaryDirectory() as folder:
 
         def eqsim(*arguments: str, cache: str) -> Outcome:
             command = [sys.executable, "-m", "eqsim", *arguments]
             path = os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", "")))
-            environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/{cache}", "PYTHONPATH": path}
-            subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True)
+            environment = os.environ | {
+                "NUMBA_CACHE_DIR": f"{folder}/{cache}",
+                "PYTHONPATH": path,
+            }
+            subprocess.run(
+                command, cwd=ROOT, env=environment, check=True, capture_output=True
+            )
             return NOTHING
 
         def quickstart(cache: str) -> Outcome:
-            return eqsim("run", "runs/quickstart.toml", "--quiet", "--out", f"{folder}/out", cache=cache)
+            return eqsim(
+                "run",
+                "runs/quickstart.toml",
+                "--quiet",
+                "--out",
+                f"{folder}/out",
+                cache=cache,
+            )
 
         starts: dict[str, tuple[Callable[[int], Outcome], int]] = {
             "eqsim --help": (lambda _: eqsim("--help", cache="0"), sizes.repeats),
-            "quickstart, cold": (lambda number: quickstart(str(number)), sizes.cold_starts),
-            "quickstart, warm": (lambda _: quickstart("0"), sizes.repeats if sizes.cold_starts else 0),
+            "quickstart, cold": (
+                lambda number: quickstart(str(number)),
+                sizes.cold_starts,
+            ),
+            "quickstart, warm": (
+                lambda _: quickstart("0"),
+                sizes.repeats if sizes.cold_starts else 0,
+            ),
         }
         rows = []
         for case, (start, repeats) in starts.items():

@@ -1,4 +1,5 @@
-"""What is timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and warm, plain and general."""
+"""What is timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and
+warm, plain and general."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +12,8 @@ DELAY = 20.0  # tau of the general case: contacts stay detached over 0.2 x_*
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of contacts. `general` is k_i ~ sqrt(f_si) with a fixed delay, otherwise uniform k and none."""
+    """One kind of contacts. `general` is k_i ~ sqrt(f_si) with a fixed delay, otherwise
+    uniform k and none."""
 
     kT: float
     barrier: str
@@ -20,7 +22,11 @@ class Case:
     @property
     def name(self) -> str:
         contacts = "sqrt k, delay" if self.general else "uniform k"
-        return f"{self.barrier} kT={self.kT:g}, {contacts}" if self.kT else f"T=0, {contacts}"
+        return (
+            f"{self.barrier} kT={self.kT:g}, {contacts}"
+            if self.kT
+            else f"T=0, {contacts}"
+        )
 
     @property
     def stiffness_law(self) -> Literal["sqrt", "uniform"]:
@@ -32,8 +38,13 @@ class Case:
         return VELOCITY * DELAY if self.general else 0.0
 
     def ensemble(self, count: int) -> Ensemble:
-        thermal, delay = Thermal(kT=self.kT, barrier=self.barrier), Delay(DELAY if self.general else 0.0)
-        return Ensemble(thermal=thermal, delay=delay, count=count, stiffness_law=self.stiffness_law)
+        thermal, delay = (
+            Thermal(kT=self.kT, barrier=self.barrier),
+            Delay(DELAY if self.general else 0.0),
+        )
+        return Ensemble(
+            thermal=thermal, delay=delay, count=count, stiffness_law=self.stiffness_law
+        )
 
 
 CASES = [
@@ -45,7 +56,8 @@ CASES = [
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is timed; lengths in x_*. The stepped script gets fewer contacts, over a shorter distance."""
+    """How much is timed; lengths in x_*. The stepped script gets fewer contacts, over a
+    shorter distance."""
 
     contacts: int = 100_000
     distance: float = 200.0
@@ -66,9 +78,31 @@ class Sizes:
 
     @property
     def contact_steps(self) -> float:
-        """How many times more contact-steps the stepped script would need for the whole trajectory."""
-        return self.contacts * self.distance / (self.stepped_contacts * self.stepped_distance)
+        """How many times more contact-steps the stepped script would need for the whole
+        trajectory."""
+        return (
+            self.contacts
+            * self.distance
+            / (self.stepped_contacts * self.stepped_distance)
+        )
 
 
-QUICK = Sizes(3200, 50.0, 1001, 1000, 5.0, 640_000, 64_000, (1e-3, 1e-4), 3, 3, 0, 320, 1000, 31, 1, 100_000)
+QUICK = Sizes(
+    3200,
+    50.0,
+    1001,
+    1000,
+    5.0,
+    640_000,
+    64_000,
+    (1e-3, 1e-4),
+    3,
+    3,
+    0,
+    320,
+    1000,
+    31,
+    1,
+    100_000,
+)
 COMPILE = Sizes(320, 10.0, 11, 10, 1.0, 6400, 320, (1e-2,), 1, 1, 0, 32, 32, 5, 1, 2000)

@@ -1,8 +1,10 @@
-"""Rival B along a programme and behind a spring: plain scalar numba kernels of the same physics, and their times.
+"""Rival B along a programme and behind a spring: plain scalar numba kernels of the same
+physics, and their times.
 
-Along a programme one contact after the other is followed through the segments, from event to event as eqsim does, and
-only the mean force at the ends of segments is kept. Behind a spring all contacts are followed in each of as many steps
-as eqsim takes, of one length, by an exponential clock that is spent at the rate in the middle of a step.
+Along a programme one contact after the other is followed through the segments, from
+event to event as eqsim does, and only the mean force at the ends of segments is kept.
+Behind a spring all contacts are followed in each of as many steps as eqsim takes, of
+one length, by an exponential clock that is spent at the rate in the middle of a step.
 """
 
 import math
@@ -15,7 +17,13 @@ from numpy.typing import NDArray
 
 from analysis.benchmarks.cases import CASES, DELAY, VELOCITY, Case, Sizes
 from analysis.benchmarks.jobs import Outcome, Rounds, calls, interleaved, ratios, speed
-from analysis.benchmarks.scalar import dawson, law_of, newborn, soft_stretch, stiff_stretch
+from analysis.benchmarks.scalar import (
+    dawson,
+    law_of,
+    newborn,
+    soft_stretch,
+    stiff_stretch,
+)
 from eqsim import Drive, Programme, ProgrammeTrajectory, Segment, Stage, trajectory
 from eqsim.engine.slider import Slider
 
@@ -42,7 +50,9 @@ def hazard(stiff: bool, xi: float, a: float, y: float) -> float:
         c = a * xi * xi
         total = (math.exp(-c * (1.0 - x / xi) ** 1.5) - math.exp(-c)) / (1.5 * a * xi)
     else:
-        total = math.exp(-a * (xi * xi - x * x)) * dawson(math.sqrt(a) * x) / math.sqrt(a)
+        total = (
+            math.exp(-a * (xi * xi - x * x)) * dawson(math.sqrt(a) * x) / math.sqrt(a)
+        )
     return math.copysign(total, y)
 
 
@@ -50,21 +60,34 @@ def hazard(stiff: bool, xi: float, a: float, y: float) -> float:
 def stretch(stiff: bool, xi: float, a: float, total: float) -> float:
     """Where the hazard is so much, or xi."""
     size = max(abs(total), 1e-300)
-    return math.copysign(stiff_stretch(xi, a, size) if stiff else soft_stretch(xi, a, math.log(size)), total)
+    return math.copysign(
+        stiff_stretch(xi, a, size) if stiff else soft_stretch(xi, a, math.log(size)),
+        total,
+    )
 
 
 @numba.njit
 def at_ends(
-    law: tuple[float, bool, bool], delay: float, velocities: Array, times: Array, contacts: int, seed: int
+    law: tuple[float, bool, bool],
+    delay: float,
+    velocities: Array,
+    times: Array,
+    contacts: int,
+    seed: int,
 ) -> tuple[Array, Array, int]:
-    """Sums over contacts of the force at the end of each segment and of its square, and how many lives there were."""
+    """Sums over contacts of the force at the end of each segment and of its square, and
+    how many lives there were."""
     np.random.seed(seed)  # noqa: NPY002
     kT, stiff, general = law
     forces, squares, lives = np.zeros(times.size), np.zeros(times.size), 0
     for _ in range(contacts):
         wait, x, kappa, xi, a, clock = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(times.size):
-            left, pace, sign = times[j], abs(velocities[j]), math.copysign(1.0, velocities[j])
+            left, pace, sign = (
+                times[j],
+                abs(velocities[j]),
+                math.copysign(1.0, velocities[j]),
+            )
             while True:
                 if wait >= 0.0:  # detached for so long
                     if wait > left:
@@ -72,7 +95,11 @@ def at_ends(
                         break
                     left -= wait
                     kappa, xi = newborn(general)
-                    clock = -math.log(1.0 - np.random.random()) if kT > 0.0 else math.inf  # noqa: NPY002
+                    clock = (
+                        -math.log(1.0 - np.random.random())  # noqa: NPY002
+                        if kT > 0.0
+                        else math.inf
+                    )
                     a, wait, x = kappa / (2.0 * kT) if kT > 0.0 else 0.0, -1.0, 0.0
                     lives += 1
                 y, before = sign * x, 0.0
@@ -83,8 +110,15 @@ def at_ends(
                     spent, lasts = 0.0, (xi - y) / pace
                 else:
                     before = hazard(stiff, xi, a, y) if y != 0.0 else 0.0
-                    lasts = max(stretch(stiff, xi, a, before + clock * pace) - y, 0.0) / pace
-                    spent = (hazard(stiff, xi, a, y + pace * left) - before) / pace if lasts > left else 0.0
+                    lasts = (
+                        max(stretch(stiff, xi, a, before + clock * pace) - y, 0.0)
+                        / pace
+                    )
+                    spent = (
+                        (hazard(stiff, xi, a, y + pace * left) - before) / pace
+                        if lasts > left
+                        else 0.0
+                    )
                 if lasts > left:
                     clock, x = max(clock - spent, 0.0), sign * (y + pace * left)
                     break
@@ -96,12 +130,17 @@ def at_ends(
     return forces, squares, lives
 
 
-def along(case: Case, programme: Programme, contacts: int, seed: int) -> tuple[Array, Array, int]:
-    """<F>/(N k) at the ends of segments, its standard errors, and the lives that were drawn."""
+def along(
+    case: Case, programme: Programme, contacts: int, seed: int
+) -> tuple[Array, Array, int]:
+    """<F>/(N k) at the ends of segments, its standard errors, and the lives that were
+    drawn."""
     velocities = np.array([segment.velocity for segment in programme.segments])
     times = np.array([segment.duration for segment in programme.segments])
     delay = DELAY if case.general else 0.0
-    total, square, lives = at_ends(law_of(case), delay, velocities, times, contacts, seed)
+    total, square, lives = at_ends(
+        law_of(case), delay, velocities, times, contacts, seed
+    )
     mean = total / contacts
     return mean, np.sqrt((square / contacts - mean**2) / (contacts - 1)), lives
 
@@ -111,7 +150,8 @@ def steps(
     law: tuple[float, bool, bool], delay: float, stage: tuple[float, float, float], dt: float, count: int,
     contacts: int, seed: int,
 ) -> Array:  # fmt: skip
-    """<F>/(N k) after each of `count` steps of a slider without mass; `stage` is spring, damping and velocity."""
+    """<F>/(N k) after each of `count` steps of a slider without mass; `stage` is
+    spring, damping and velocity."""
     np.random.seed(seed)  # noqa: NPY002
     kT, stiff, general = law
     spring, damping, velocity = stage
@@ -134,12 +174,18 @@ def steps(
                         break
                     left -= wait[i]
                     kappa[i], xi[i] = newborn(general)
-                    clock[i] = -math.log(1.0 - np.random.random()) if kT > 0.0 else math.inf  # noqa: NPY002
+                    clock[i] = (
+                        -math.log(1.0 - np.random.random())  # noqa: NPY002
+                        if kT > 0.0
+                        else math.inf
+                    )
                     x[i], wait[i] = 0.0, -1.0
                 lasts = (xi[i] - sign * x[i]) / speed if speed > 0.0 else math.inf
                 spent = 0.0
                 if kT > 0.0:
-                    middle = min(abs(x[i] + 0.5 * sign * speed * min(left, lasts)), xi[i])
+                    middle = min(
+                        abs(x[i] + 0.5 * sign * speed * min(left, lasts)), xi[i]
+                    )
                     spent = rate(stiff, xi[i], kappa[i] / (2.0 * kT), middle)
                     if spent * lasts > clock[i]:
                         lasts = clock[i] / spent
@@ -159,17 +205,24 @@ def steps(
 
 
 def stepped(case: Case, count: int, contacts: int, seed: int) -> float:
-    """Mean of <F>/(N k) over the second half of the time in which `STAGE` moves by `PULLED`."""
+    """Mean of <F>/(N k) over the second half of the time in which `STAGE` moves by
+    `PULLED`."""
     pace = 10 * VELOCITY
     stage, dt = (STAGE.stiffness, STAGE.damping, pace), PULLED / pace / count
-    found = steps(law_of(case), DELAY if case.general else 0.0, stage, dt, count, contacts, seed)
+    found = steps(
+        law_of(case), DELAY if case.general else 0.0, stage, dt, count, contacts, seed
+    )
     return float(found[count // 2 :].mean())
 
 
-def pulled(case: Case, contacts: int, points: int, seed: int, threads: int = 1) -> tuple[float, int]:
+def pulled(
+    case: Case, contacts: int, points: int, seed: int, threads: int = 1
+) -> tuple[float, int]:
     """What `stepped` gives, by eqsim, and how many lives it took."""
     programme = Programme((Segment(10 * VELOCITY, distance=PULLED),), stage=STAGE)
-    found = trajectory(case.ensemble(contacts), programme, points=points, seed=seed, threads=threads)
+    found = trajectory(
+        case.ensemble(contacts), programme, points=points, seed=seed, threads=threads
+    )
     late = found.force[points // 2 :]
     return float(np.trapezoid(late)) / (late.size - 1), found.lives
 
@@ -177,14 +230,33 @@ def pulled(case: Case, contacts: int, points: int, seed: int, threads: int = 1) 
 def ten_segments(distance: float) -> Programme:
     """Steps, two holds and two reversals, so far in all."""
     pace, part = 10 * VELOCITY, 0.125 * distance
-    velocities = (pace, 0.0, 10 * pace, -pace, pace, 0.0, 10 * pace, -pace, pace, 0.1 * pace)
-    return Programme(tuple(Segment(v, distance=part) if v else Segment(0.0, time=10.0 / VELOCITY) for v in velocities))
+    velocities = (
+        pace,
+        0.0,
+        10 * pace,
+        -pace,
+        pace,
+        0.0,
+        10 * pace,
+        -pace,
+        pace,
+        0.1 * pace,
+    )
+    return Programme(
+        tuple(
+            Segment(v, distance=part) if v else Segment(0.0, time=10.0 / VELOCITY)
+            for v in velocities
+        )
+    )
 
 
 def worst(found: list[tuple[Array, Array]], truth: list[tuple[Array, Array]]) -> float:
     """The score farthest from 0 of the mean forces of all rounds against eqsim's."""
     (value, error), (true, its_error) = (
-        (np.mean([force for force, _ in of], axis=0), np.linalg.norm([stderr for _, stderr in of], axis=0) / len(of))
+        (
+            np.mean([force for force, _ in of], axis=0),
+            np.linalg.norm([stderr for _, stderr in of], axis=0) / len(of),
+        )
         for of in (found, truth)
     )
     scores = (value - true) / np.hypot(error, its_error)
@@ -192,18 +264,29 @@ def worst(found: list[tuple[Array, Array]], truth: list[tuple[Array, Array]]) ->
 
 
 def time_programmes(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
-    """A programme of ten segments, as far in all as the constant drive it is compared with, per life, and beside rival
-    B, whose time is scaled by contacts."""
-    programme, constant = ten_segments(sizes.distance), Drive(10 * VELOCITY, sizes.distance)
+    """A programme of ten segments, as far in all as the constant drive it is compared
+    with, per life, and beside rival B, whose time is scaled by contacts."""
+    programme, constant = (
+        ten_segments(sizes.distance),
+        Drive(10 * VELOCITY, sizes.distance),
+    )
     rows = []
     for case in (case for case in CASES if case.kT):
         ensemble = case.ensemble(sizes.contacts)
         ends: dict[str, list[tuple[Array, Array]]] = {"eqsim": [], "B": []}
 
         def run(seed: int, drive: Drive | Programme, threads: int = 1) -> Outcome:
-            found = trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads)  # noqa: B023
+            found = trajectory(
+                ensemble,  # noqa: B023
+                drive,
+                points=sizes.points,
+                seed=seed,
+                threads=threads,
+            )
             if isinstance(found, ProgrammeTrajectory) and threads == 1:
-                last = np.append(np.flatnonzero(np.diff(found.segment)), found.t.size - 1)
+                last = np.append(
+                    np.flatnonzero(np.diff(found.segment)), found.t.size - 1
+                )
                 ends["eqsim"].append((found.force[last], found.force_stderr[last]))  # noqa: B023
             return Outcome(0.0, 0.0, found.lives)
 
@@ -221,7 +304,9 @@ def time_programmes(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any
         for contender in contenders.values():
             contender(seed + sizes.repeats)  # compiles
         rounds = interleaved(contenders, sizes.repeats, seed)
-        row = {"job": "programme of ten segments", "case": case.name} | speed(rounds, "eqsim", "")
+        row = {"job": "programme of ten segments", "case": case.name} | speed(
+            rounds, "eqsim", ""
+        )
         row |= ratios("threads", rounds, "eqsim, threads", "eqsim")
         row |= ratios("P", per_life(rounds), "eqsim", "constant")
         row |= ratios("B", rounds, "B", "eqsim", sizes.contacts / sizes.scalar_contacts)
@@ -231,17 +316,22 @@ def time_programmes(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any
 
 def per_life(rounds: Rounds) -> Rounds:
     """With seconds per life."""
-    return {name: [(seconds / max(found.lives, 1), found) for seconds, found in of] for name, of in rounds.items()}
+    return {
+        name: [(seconds / max(found.lives, 1), found) for seconds, found in of]
+        for name, of in rounds.items()
+    }
 
 
 def time_spring(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
-    """A slider pulled through a spring, steadily and without slips, beside as many contact-steps of rival B. Errors of
-    forces are the scatter of the rounds."""
+    """A slider pulled through a spring, steadily and without slips, beside as many
+    contact-steps of rival B. Errors of forces are the scatter of the rounds."""
     rows = []
     for case in (CASES[0], CASES[2], CASES[3], CASES[4]):
 
         def run(seed: int, threads: int = 1, case: Case = case) -> Outcome:
-            force, lives = pulled(case, sizes.pulled_contacts, sizes.pulled_points, seed, threads)
+            force, lives = pulled(
+                case, sizes.pulled_contacts, sizes.pulled_points, seed, threads
+            )
             return Outcome(force, 0.0, lives)
 
         count = calls(Slider, "step", lambda run=run: run(seed))  # type: ignore[misc]
@@ -250,14 +340,31 @@ def time_spring(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
             return Outcome(stepped(case, count, sizes.pulled_contacts, seed), 0.0)
 
         rival(seed)  # compiles
-        contenders = {"eqsim": run, "eqsim, threads": lambda seed, run=run: run(seed, threads), "B": rival}
+        contenders = {
+            "eqsim": run,
+            "eqsim, threads": lambda seed, run=run: run(seed, threads),
+            "B": rival,
+        }
         rounds = interleaved(contenders, sizes.repeats, seed)
-        row = {"job": "slider behind a spring", "case": case.name} | speed(rounds, "eqsim", "")
-        row |= {"steps": count, "ns_per_step": 1e9 * row["seconds"] / (count * sizes.pulled_contacts)}
-        row |= ratios("threads", rounds, "eqsim, threads", "eqsim") | ratios("B", rounds, "B", "eqsim")
-        forces = {name: [found.value for _, found in rounds[name]] for name in ("eqsim", "B")}
+        row = {"job": "slider behind a spring", "case": case.name} | speed(
+            rounds, "eqsim", ""
+        )
+        row |= {
+            "steps": count,
+            "ns_per_step": 1e9 * row["seconds"] / (count * sizes.pulled_contacts),
+        }
+        row |= ratios("threads", rounds, "eqsim, threads", "eqsim") | ratios(
+            "B", rounds, "B", "eqsim"
+        )
+        forces = {
+            name: [found.value for _, found in rounds[name]] for name in ("eqsim", "B")
+        }
         if sizes.repeats > 1:
-            error = math.sqrt(sum(statistics.variance(of) for of in forces.values()) / sizes.repeats)
-            row["B_z"] = (statistics.fmean(forces["B"]) - statistics.fmean(forces["eqsim"])) / error
+            error = math.sqrt(
+                sum(statistics.variance(of) for of in forces.values()) / sizes.repeats
+            )
+            row["B_z"] = (
+                statistics.fmean(forces["B"]) - statistics.fmean(forces["eqsim"])
+            ) / error
         rows.append(row)
     return rows

@@ -1,5 +1,6 @@
-"""The jobs that eqsim and its rivals share, and how contenders are timed: in interleaved rounds within one run, a ratio
-being the median over the rounds, so that a machine that is slow for a while is slow for all of them."""
+"""The jobs that eqsim and its rivals share, and how contenders are timed: in
+interleaved rounds within one run, a ratio being the median over the rounds, so that a
+machine that is slow for a while is slow for all of them."""
 
 import math
 import statistics
@@ -28,11 +29,14 @@ class Outcome(NamedTuple):
 
 
 Contender = Callable[[int], Outcome]
-Rounds = dict[str, list[tuple[float, Outcome]]]  # seconds and outcome of a contender in every round
+Rounds = dict[
+    str, list[tuple[float, Outcome]]
+]  # seconds and outcome of a contender in every round
 
 
 def interleaved(contenders: dict[str, Contender], repeats: int, seed: int) -> Rounds:
-    """Time every contender `repeats` times, in alternating order, each time from another seed."""
+    """Time every contender `repeats` times, in alternating order, each time from
+    another seed."""
     rounds: Rounds = {name: [] for name in contenders}
     for repeat in range(repeats):
         for name in list(contenders)[:: (-1) ** repeat]:
@@ -45,43 +49,76 @@ def interleaved(contenders: dict[str, Contender], repeats: int, seed: int) -> Ro
 def accuracy(ensemble: Ensemble, velocity: float, lives: int) -> float:
     """The relative error that some 0.7 to 1.4 times so many plainly drawn lives give."""
     friction = steady(ensemble, Drive(velocity), rel_error=1.0, plain=True).friction
-    return 1.3 * friction.stderr / friction.value * math.sqrt(friction.n / (0.7 * lives))
+    return (
+        1.3 * friction.stderr / friction.value * math.sqrt(friction.n / (0.7 * lives))
+    )
 
 
-def plain(ensemble: Ensemble, velocity: float, rel_error: float, seed: int, threads: int = 1) -> Outcome:
+def plain(
+    ensemble: Ensemble, velocity: float, rel_error: float, seed: int, threads: int = 1
+) -> Outcome:
     """Friction of plainly drawn lives of eqsim, by renewal-reward."""
-    found = steady(ensemble, Drive(velocity), rel_error=rel_error, seed=seed, threads=threads, plain=True)
+    found = steady(
+        ensemble,
+        Drive(velocity),
+        rel_error=rel_error,
+        seed=seed,
+        threads=threads,
+        plain=True,
+    )
     return Outcome.of(found.friction, found.lives)
 
 
-def time_trajectory(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
-    """The force from a fresh start. Rival A does less of it, and its time is scaled up by contact-steps."""
+def time_trajectory(
+    case: Case, sizes: Sizes, threads: int, seed: int
+) -> dict[str, Any]:
+    """The force from a fresh start. Rival A does less of it, and its time is scaled up
+    by contact-steps."""
     ensemble, drive = case.ensemble(sizes.contacts), Drive(VELOCITY, sizes.distance)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
-        found = trajectory(ensemble, drive, points=sizes.points, seed=seed, threads=threads)
+        found = trajectory(
+            ensemble, drive, points=sizes.points, seed=seed, threads=threads
+        )
         return Outcome.of(found.averages.friction, found.lives)
 
     def by_hand(seed: int, threads: int = 1) -> Outcome:
-        found = tuned.run(case, sizes.contacts, sizes.distance, sizes.points, seed, threads)
+        found = tuned.run(
+            case, sizes.contacts, sizes.distance, sizes.points, seed, threads
+        )
         return Outcome(found.friction, found.stderr, found.lives)
 
     contenders = {
         "eqsim": eqsim,
         "eqsim, threads": lambda seed: eqsim(seed, threads),
-        "A": lambda seed: Outcome(*stepped.friction(case, sizes.stepped_contacts, sizes.stepped_distance, seed)),
-        "B": lambda seed: Outcome(*scalar.friction(case, sizes.contacts, sizes.distance, sizes.points, seed)),
+        "A": lambda seed: Outcome(
+            *stepped.friction(
+                case, sizes.stepped_contacts, sizes.stepped_distance, seed
+            )
+        ),
+        "B": lambda seed: Outcome(
+            *scalar.friction(case, sizes.contacts, sizes.distance, sizes.points, seed)
+        ),
     }
     if tuned.available():
         contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
     rounds = interleaved(contenders, sizes.repeats, seed)
     (value, error), (truth, its_error) = pooled(rounds, "A"), pooled(rounds, "eqsim")
-    bias = {"A_bias": value / truth - 1, "A_bias_stderr": math.hypot(error, its_error) / truth}
-    return summary(case, rounds) | ratios("A", rounds, "A", "eqsim", sizes.contact_steps) | bias | {"wanted": WANTED}
+    bias = {
+        "A_bias": value / truth - 1,
+        "A_bias_stderr": math.hypot(error, its_error) / truth,
+    }
+    return (
+        summary(case, rounds)
+        | ratios("A", rounds, "A", "eqsim", sizes.contact_steps)
+        | bias
+        | {"wanted": WANTED}
+    )
 
 
 def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
-    """Steady friction from about so many lives, plainly drawn; times are compared per life."""
+    """Steady friction from about so many lives, plainly drawn; times are compared per
+    life."""
     ensemble = case.ensemble(1)
     rel_error = accuracy(ensemble, VELOCITY, sizes.lives)
 
@@ -94,7 +131,9 @@ def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, A
     contenders = {
         "eqsim": eqsim,
         "eqsim, threads": lambda seed: eqsim(seed, threads),
-        "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.scalar_lives, seed), sizes.scalar_lives),
+        "B": lambda seed: Outcome(
+            *scalar.steady_friction(case, sizes.scalar_lives, seed), sizes.scalar_lives
+        ),
     }
     if tuned.available():
         contenders |= {"C": by_hand, "C, threads": lambda seed: by_hand(seed, threads)}
@@ -102,33 +141,52 @@ def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, A
     return summary(case, rounds, per_life=True) | {"wanted": WANTED}
 
 
-def time_steady(case: Case, sizes: Sizes, threads: int, seed: int, rel_error: float) -> dict[str, Any]:
-    """Steady friction to an error. Rival B averages plainly, and its time is scaled to the lives this takes."""
+def time_steady(
+    case: Case, sizes: Sizes, threads: int, seed: int, rel_error: float
+) -> dict[str, Any]:
+    """Steady friction to an error. Rival B averages plainly, and its time is scaled to
+    the lives this takes."""
     ensemble = case.ensemble(1)
 
     def eqsim(seed: int, threads: int = 1) -> Outcome:
-        found = steady(ensemble, Drive(VELOCITY), rel_error=rel_error, seed=seed, threads=threads)
+        found = steady(
+            ensemble, Drive(VELOCITY), rel_error=rel_error, seed=seed, threads=threads
+        )
         return Outcome.of(found.friction, found.lives)
 
     contenders = {
         "eqsim": eqsim,
         "eqsim, threads": lambda seed: eqsim(seed, threads),
-        "B": lambda seed: Outcome(*scalar.steady_friction(case, sizes.scalar_lives, seed)),
+        "B": lambda seed: Outcome(
+            *scalar.steady_friction(case, sizes.scalar_lives, seed)
+        ),
     }
     rounds = interleaved(contenders, sizes.repeats, seed)
     value, error = pooled(rounds, "B")
-    needed = sizes.repeats * (error / value / rel_error) ** 2  # runs of sizes.scalar_lives
+    needed = (
+        sizes.repeats * (error / value / rel_error) ** 2
+    )  # runs of sizes.scalar_lives
     return summary(case, rounds, needed) | {"B_lives": needed * sizes.scalar_lives}
 
 
-def summary(case: Case, rounds: Rounds, b_factor: float = 1.0, per_life: bool = False) -> dict[str, Any]:
-    """Speed and error of eqsim, what threads gain, and speed and score of rivals B and C, as far as they took part."""
+def summary(
+    case: Case, rounds: Rounds, b_factor: float = 1.0, per_life: bool = False
+) -> dict[str, Any]:
+    """Speed and error of eqsim, what threads gain, and speed and score of rivals B and
+    C, as far as they took part."""
     cost = rounds
     if per_life:
-        cost = {name: [(seconds / found.lives, found) for seconds, found in of] for name, of in rounds.items()}
+        cost = {
+            name: [(seconds / found.lives, found) for seconds, found in of]
+            for name, of in rounds.items()
+        }
     figures: dict[str, Any] = {"case": case.name} | speed(rounds, "eqsim", "")
-    figures |= ratios("threads", cost, "eqsim, threads", "eqsim") | ratios("B", cost, "B", "eqsim", b_factor)
-    figures["rel_error"] = statistics.median(outcome.stderr / outcome.value for _, outcome in rounds["eqsim"])
+    figures |= ratios("threads", cost, "eqsim, threads", "eqsim") | ratios(
+        "B", cost, "B", "eqsim", b_factor
+    )
+    figures["rel_error"] = statistics.median(
+        outcome.stderr / outcome.value for _, outcome in rounds["eqsim"]
+    )
     truth, its_error = pooled(rounds, "eqsim")
     for name in ("B", "C"):
         if name in rounds:
@@ -143,7 +201,9 @@ def summary(case: Case, rounds: Rounds, b_factor: float = 1.0, per_life: bool = 
 
 def calls(owner: type, name: str, run: Callable[[], object]) -> int:
     """How often `run` calls a method of a class."""
-    with patch.object(owner, name, autospec=True, side_effect=getattr(owner, name)) as counted:
+    with patch.object(
+        owner, name, autospec=True, side_effect=getattr(owner, name)
+    ) as counted:
         run()
     return counted.call_count
 
@@ -156,10 +216,20 @@ def speed(rounds: Rounds, name: str, prefix: str) -> dict[str, float]:
     return figures | ({f"{prefix}ns_per_life": 1e9 * seconds / found} if found else {})
 
 
-def ratios(figure: str, rounds: Rounds, this: str, that: str, factor: float = 1.0) -> dict[str, float]:
-    """Seconds of `this` over those of `that`, times `factor`: median, least and greatest over the rounds."""
-    found = [factor * one / other for (one, _), (other, _) in zip(rounds[this], rounds[that], strict=True)]
-    return {figure: statistics.median(found), f"{figure}_low": min(found), f"{figure}_high": max(found)}
+def ratios(
+    figure: str, rounds: Rounds, this: str, that: str, factor: float = 1.0
+) -> dict[str, float]:
+    """Seconds of `this` over those of `that`, times `factor`: median, least and
+    greatest over the rounds."""
+    found = [
+        factor * one / other
+        for (one, _), (other, _) in zip(rounds[this], rounds[that], strict=True)
+    ]
+    return {
+        figure: statistics.median(found),
+        f"{figure}_low": min(found),
+        f"{figure}_high": max(found),
+    }
 
 
 def pooled(rounds: Rounds, name: str) -> tuple[float, float]:

@@ -1,8 +1,10 @@
-"""python -m analysis.benchmarks.parts: where the nanoseconds of a life go, in eqsim and in rival C.
+"""python -m analysis.benchmarks.parts: where the nanoseconds of a life go, in eqsim and
+in rival C.
 
-Both are stripped of one part after the other: random words only; thresholds and clocks from them; where lives break;
-and the whole, which records them in a trajectory or adds them up in a steady average. What a part costs is the
-difference. Times are of the processor, one thread, the least of many short rounds in which all take turns.
+Both are stripped of one part after the other: random words only; thresholds and clocks
+from them; where lives break; and the whole, which records them in a trajectory or adds
+them up in a steady average. What a part costs is the difference. Times are of the
+processor, one thread, the least of many short rounds in which all take turns.
 """
 
 import time
@@ -34,7 +36,12 @@ from eqsim.numerics.streams import TRAJECTORY, Key, fill_words, key
 from eqsim.numerics.threads import current_stop
 
 OUT = Path(__file__).parents[1] / "out"
-PARTS = {"draw": "#4878a8", "threshold": "#e08a3c", "break": "#5a9a68", "record": "#b0b7bf"}
+PARTS = {
+    "draw": "#4878a8",
+    "threshold": "#e08a3c",
+    "break": "#5a9a68",
+    "record": "#b0b7bf",
+}
 MEANING = {
     "draw": "draw (random words)", "threshold": "threshold and clock", "break": "break",
     "record": "record, or add up",
@@ -42,11 +49,16 @@ MEANING = {
 JOBS = {"trajectory": "trajectory", "steady": "plain steady average"}
 
 Work = Callable[[], int]  # does it, and says how many lives
-numba_options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}  # as eqsim compiles
+numba_options: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+}  # as eqsim compiles
 
 
 @numba.njit(**numba_options)
-def words_only(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> None:  # pragma: no cover  # compiled
+def words_only(
+    c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int
+) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
         for _ in range(ROUNDS if thermal(c.barrier) else 1):
             fill_words(key, lanes.contact, lanes.age, 0, lanes.words, LANES)
@@ -55,7 +67,9 @@ def words_only(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -
 
 
 @numba.njit(**numba_options)
-def drawn(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> None:  # pragma: no cover  # compiled
+def drawn(
+    c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int
+) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
         draw_lives(c.newborn, c, key, lanes, lives, LANES)
         for i in range(LANES):
@@ -63,7 +77,9 @@ def drawn(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> Non
 
 
 @numba.njit(**numba_options)
-def broken(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> None:  # pragma: no cover  # compiled
+def broken(
+    c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int
+) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
         draw_lives(c.newborn, c, key, lanes, lives, LANES)
         carry_lives(c.aging, c, key, lanes, lives, LANES)
@@ -73,8 +89,15 @@ def broken(c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int) -> No
 
 def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
     """eqsim's kernels, stripped and whole."""
-    c, name = contacts(case.ensemble(sizes.contacts), VELOCITY, None), key(1, TRAJECTORY)
-    lanes, lives, rounds = Lanes.empty(), Lives.empty(c), max(1, sizes.scalar_lives // (ROUNDS * LANES))
+    c, name = (
+        contacts(case.ensemble(sizes.contacts), VELOCITY, None),
+        key(1, TRAJECTORY),
+    )
+    lanes, lives, rounds = (
+        Lanes.empty(),
+        Lives.empty(c),
+        max(1, sizes.scalar_lives // (ROUNDS * LANES)),
+    )
     lanes.contact[:] = np.arange(LANES)
 
     def stripped(kernel: Any) -> Work:
@@ -85,7 +108,9 @@ def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
         return work
 
     run = Run(sizes.distance, sizes.points)
-    job = constant_drive(c, Fresh(), run, Scales.of(c, run, sizes.contacts, 1, 0.0), name, 0.0)
+    job = constant_drive(
+        c, Fresh(), run, Scales.of(c, run, sizes.contacts, 1, 0.0), name, 0.0
+    )
 
     def trajectory() -> int:
         total = job.totals(1)
@@ -98,7 +123,10 @@ def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
         return ROUNDS * LANES * rounds
 
     bare = {"draw": words_only, "threshold": drawn, "break": broken}
-    return {part: stripped(kernel) for part, kernel in bare.items()} | {"trajectory": trajectory, "steady": steady}
+    return {part: stripped(kernel) for part, kernel in bare.items()} | {
+        "trajectory": trajectory,
+        "steady": steady,
+    }
 
 
 def of_c(case: Case, sizes: Sizes) -> dict[str, Work]:
@@ -114,13 +142,17 @@ def of_c(case: Case, sizes: Sizes) -> dict[str, Work]:
         tuned.steady(case, sizes.scalar_lives, 1)
         return sizes.scalar_lives
 
-    bare = {part: stripped(upto) for upto, part in enumerate(("draw", "threshold", "break"))}
+    bare = {
+        part: stripped(upto) for upto, part in enumerate(("draw", "threshold", "break"))
+    }
     return bare | {"trajectory": trajectory, "steady": steady}
 
 
 def measure(case: Case, sizes: Sizes, rounds: int) -> list[dict[str, Any]]:
     """A row for each job and contender: nanoseconds of a life by part."""
-    contenders = {"eqsim": of_eqsim(case, sizes)} | ({"C": of_c(case, sizes)} if tuned.available() else {})
+    contenders = {"eqsim": of_eqsim(case, sizes)} | (
+        {"C": of_c(case, sizes)} if tuned.available() else {}
+    )
     least = {(who, what): np.inf for who, works in contenders.items() for what in works}
     for number in range(rounds + 1):
         for who, what in list(least)[:: (-1) ** number]:
@@ -132,15 +164,32 @@ def measure(case: Case, sizes: Sizes, rounds: int) -> list[dict[str, Any]]:
     rows = []
     for job in JOBS:
         for who in contenders:
-            until = [0.0, *(least[who, what] for what in ("draw", "threshold", "break", job))]
+            until = [
+                0.0,
+                *(least[who, what] for what in ("draw", "threshold", "break", job)),
+            ]
             parts = dict(zip(PARTS, np.diff(np.maximum.accumulate(until)), strict=True))
-            rows.append({"job": JOBS[job], "case": case.name, "who": who, **parts, "whole": least[who, job]})
+            rows.append(
+                {
+                    "job": JOBS[job],
+                    "case": case.name,
+                    "who": who,
+                    **parts,
+                    "whole": least[who, job],
+                }
+            )
     return rows
 
 
 def table(figures: pd.DataFrame) -> Table:
-    """Nanoseconds of a life by part; of both, and what C takes over what eqsim takes of the whole."""
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, title="ns of a life by part", title_justify="left")
+    """Nanoseconds of a life by part; of both, and what C takes over what eqsim takes of
+    the whole."""
+    shown = Table(
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        title="ns of a life by part",
+        title_justify="left",
+    )
     for heading in ("job", "contacts", "", *PARTS, "whole", "C/eqsim"):
         text = heading in ("job", "contacts", "")
         shown.add_column(heading, justify="left" if text else "right", no_wrap=text)
@@ -157,17 +206,35 @@ def picture(figures: pd.DataFrame, path: Path) -> None:
     """One panel per job, one bar per case and contender, one colour per part."""
     jobs, cases = figures["job"].unique(), list(figures["case"].unique())
     contenders = list(figures["who"].unique())
-    plt.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-    figure, panels = plt.subplots(1, len(jobs), figsize=(6.2 * len(jobs), 5.4), sharey=True, layout="constrained")
+    plt.rcParams.update(
+        {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}
+    )
+    figure, panels = plt.subplots(
+        1, len(jobs), figsize=(6.2 * len(jobs), 5.4), sharey=True, layout="constrained"
+    )
     for panel, job in zip(panels, jobs, strict=True):
         rows = figures[figures["job"] == job]
-        at = np.array([cases.index(row.case) + 0.4 * (contenders.index(row.who) - 0.5) for row in rows.itertuples()])
+        at = np.array(
+            [
+                cases.index(row.case) + 0.4 * (contenders.index(row.who) - 0.5)
+                for row in rows.itertuples()
+            ]
+        )
         left = np.zeros(len(rows))
         for part, color in PARTS.items():
-            panel.barh(at, rows[part], 0.36, left=left, color=color, edgecolor="white", lw=0.5)
+            panel.barh(
+                at, rows[part], 0.36, left=left, color=color, edgecolor="white", lw=0.5
+            )
             left += rows[part].to_numpy()
         for y, end, who in zip(at, left, rows["who"], strict=True):
-            panel.annotate(f"{who}  {end:.1f}", (end, y), (4, 0), textcoords="offset points", va="center", fontsize=9)
+            panel.annotate(
+                f"{who}  {end:.1f}",
+                (end, y),
+                (4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9,
+            )
         panel.set_xlim(0, 1.2 * figures["whole"].max())
         panel.set_title(job)
         panel.set_xlabel("ns of a life, one thread")
@@ -175,23 +242,39 @@ def picture(figures: pd.DataFrame, path: Path) -> None:
     panels[0].set_yticks(range(len(cases)), cases)
     panels[0].invert_yaxis()
     handles = [Patch(color=color, label=MEANING[part]) for part, color in PARTS.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
+    )
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for parts.parquet and parts.png.")] = OUT,
-    rounds: Annotated[int, typer.Option(min=1, help="Rounds, of which the least time counts.")] = 15,
-    quick: Annotated[bool, typer.Option("--quick", help="Small sizes: a smoke test, not a measurement.")] = False,
+    out: Annotated[
+        Path, typer.Option(help="Folder for parts.parquet and parts.png.")
+    ] = OUT,
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Rounds, of which the least time counts.")
+    ] = 15,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Small sizes: a smoke test, not a measurement."),
+    ] = False,
 ) -> None:
     """Time eqsim and rival C part by part, print a table, and write table and picture."""
-    console, sizes = Console(), QUICK if quick else Sizes(contacts=20_000, scalar_lives=1_000_000)
+    console, sizes = (
+        Console(),
+        QUICK if quick else Sizes(contacts=20_000, scalar_lives=1_000_000),
+    )
     console.width = max(console.width, 120)
     if not tuned.available():
         console.print("no gcc that compiles tuned.c: rival C is left out")
-    figures = pd.DataFrame([row for case in CASES for row in measure(case, sizes, rounds)])
-    figures = figures.sort_values("job", kind="stable", ascending=False).reset_index(drop=True)
+    figures = pd.DataFrame(
+        [row for case in CASES for row in measure(case, sizes, rounds)]
+    )
+    figures = figures.sort_values("job", kind="stable", ascending=False).reset_index(
+        drop=True
+    )
     console.print(table(figures))
     out.mkdir(parents=True, exist_ok=True)
     figures.to_parquet(out / "parts.parquet", index=False)

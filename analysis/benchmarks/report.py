@@ -32,11 +32,15 @@ def bias(row: pd.Series) -> str:
     return f"{row['A_bias']:+.1%}±{row['A_bias_stderr']:.1%}"
 
 
-def column(name: str, form: Callable[[float], str]) -> tuple[str, Callable[[pd.Series], str]]:
+def column(
+    name: str, form: Callable[[float], str]
+) -> tuple[str, Callable[[pd.Series], str]]:
     return name, lambda row: form(row[name])
 
 
-COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {  # heading: a figure it needs, and how to print it
+COLUMNS: dict[
+    str, tuple[str, Callable[[pd.Series], str]]
+] = {  # heading: a figure it needs, and how to print it
     "s": column("seconds", "{:.3g}".format),
     "ns": column("ns_per_life", short),
     "ns/step": column("ns_per_step", short),
@@ -101,7 +105,9 @@ def tables(figures: pd.DataFrame) -> list[Table]:
 def table(figures: pd.DataFrame) -> Table:
     """One section per job, and the columns that are known of some."""
     columns = {
-        heading: made for heading, made in COLUMNS.items() if made[0] in figures and figures[made[0]].notna().any()
+        heading: made
+        for heading, made in COLUMNS.items()
+        if made[0] in figures and figures[made[0]].notna().any()
     }
     shown = Table(box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     shown.add_column("case", no_wrap=True, min_width=figures["case"].str.len().max())
@@ -110,19 +116,27 @@ def table(figures: pd.DataFrame) -> Table:
     for job, rows in figures.groupby("job", sort=False):
         shown.add_row(f"[bold]{job}")
         for _, row in rows.iterrows():
-            cells = ("" if pd.isna(row.get(name, np.nan)) else form(row) for name, form in columns.values())
+            cells = (
+                "" if pd.isna(row.get(name, np.nan)) else form(row)
+                for name, form in columns.values()
+            )
             shown.add_row(row["case"], *cells)
         shown.add_section()
     return shown
 
 
 def picture(figures: pd.DataFrame, path: Path) -> None:
-    """One panel per job with rivals; bars reach from 1, lines from the least round to the greatest."""
+    """One panel per job with rivals; bars reach from 1, lines from the least round to
+    the greatest."""
     compared = figures[figures["B"].notna()]
     jobs = compared["job"].unique()
-    plt.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
+    plt.rcParams.update(
+        {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}
+    )
     columns = math.ceil(len(jobs) / 2)
-    figure, panels = plt.subplots(2, columns, figsize=(5.6 * columns, 13), layout="constrained", squeeze=False)
+    figure, panels = plt.subplots(
+        2, columns, figsize=(5.6 * columns, 13), layout="constrained", squeeze=False
+    )
     for panel in panels.flat[len(jobs) :]:
         panel.remove()
     for panel, job in zip(panels.flat, jobs, strict=False):
@@ -130,9 +144,15 @@ def picture(figures: pd.DataFrame, path: Path) -> None:
         panel.set_title(job)
         panel.invert_yaxis()
     handles = [Patch(color=color, label=label) for label, color in BARS.values()]
-    handles.append(Line2D([], [], color="#c03030", lw=2, ls=":", label="wanted of C, at least"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    figure.supxlabel("seconds per second of eqsim (right of 1: slower than eqsim)", fontsize=10)
+    handles.append(
+        Line2D([], [], color="#c03030", lw=2, ls=":", label="wanted of C, at least")
+    )
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
+    )
+    figure.supxlabel(
+        "seconds per second of eqsim (right of 1: slower than eqsim)", fontsize=10
+    )
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -141,20 +161,37 @@ def _bars(panel: Axes, rows: pd.DataFrame) -> None:
     names = [name for name in BARS if name in rows and rows[name].notna().all()]
     height = 0.8 / len(names)
     for index, name in enumerate(names):
-        value, low, high = (rows[column].to_numpy(float) for column in (name, f"{name}_low", f"{name}_high"))
+        value, low, high = (
+            rows[column].to_numpy(float)
+            for column in (name, f"{name}_low", f"{name}_high")
+        )
         y = [at + height * (index - (len(names) - 1) / 2) for at in range(len(rows))]
         panel.barh(y, value - 1, height * 0.92, left=1, color=BARS[name][1])
         panel.hlines(y, low, high, color="#333333", lw=1)
         for at, one, end in zip(y, value, high, strict=True):
-            panel.annotate(short(one), (max(end, 1.0), at), (4, 0), textcoords="offset points", va="center", fontsize=9)
+            panel.annotate(
+                short(one),
+                (max(end, 1.0), at),
+                (4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9,
+            )
         if name.startswith("C"):
             panel.vlines(
-                rows["wanted"], np.subtract(y, height / 2), np.add(y, height / 2), color="#c03030", ls=":", lw=2
+                rows["wanted"],
+                np.subtract(y, height / 2),
+                np.add(y, height / 2),
+                color="#c03030",
+                ls=":",
+                lw=2,
             )
     ends = rows[[f"{name}_{end}" for name in names for end in ("low", "high")]]
     least, most = ends.min(axis=None), ends.max(axis=None)
     panel.set_xscale("log")
-    panel.set_xlim(0.7 * least, 1.25 * most * (most / least) ** 0.15)  # room for the last number
+    panel.set_xlim(
+        0.7 * least, 1.25 * most * (most / least) ** 0.15
+    )  # room for the last number
     panel.axvline(1, color="#333333", lw=1)
     panel.xaxis.set_major_formatter("{x:,g}")
     panel.xaxis.set_minor_formatter("")

@@ -1,8 +1,9 @@
-"""Rival B: the same event-driven algorithm as a plain scalar numba kernel: libm, np.random, float64 sums, and of all
-that eqsim records only the mean force.
+"""Rival B: the same event-driven algorithm as a plain scalar numba kernel: libm,
+np.random, float64 sums, and of all that eqsim records only the mean force.
 
-It is written for n = 1 and for moderate kT: xi^2 is the sum of two exponential variables, which is quickest
-to draw, and the stiff inverse is the short formula that does without logarithms of exponentials.
+It is written for n = 1 and for moderate kT: xi^2 is the sum of two exponential
+variables, which is quickest to draw, and the stiff inverse is the short formula that
+does without logarithms of exponentials.
 """
 
 import math
@@ -17,7 +18,9 @@ BATCHES = 32  # independent parts of a run, whose scatter is the error
 
 _HALF_ROOT_PI = math.sqrt(math.pi) / 2
 _DAWSON_STEP = 0.4
-_DAWSON_WEIGHTS = tuple(math.exp(-(((2 * i + 1) * _DAWSON_STEP) ** 2)) for i in range(6))
+_DAWSON_WEIGHTS = tuple(
+    math.exp(-(((2 * i + 1) * _DAWSON_STEP) ** 2)) for i in range(6)
+)
 
 
 @numba.njit
@@ -34,7 +37,11 @@ def dawson(z: float) -> float:
     for i in range(6):
         odd = 2 * i + 1
         # up / (even + odd) + down / (even - odd) with one division
-        total += _DAWSON_WEIGHTS[i] * (up * (even - odd) + down * (even + odd)) / (even * even - odd * odd)
+        total += (
+            _DAWSON_WEIGHTS[i]
+            * (up * (even - odd) + down * (even + odd))
+            / (even * even - odd * odd)
+        )
         up *= up_square
         down *= down_square
     return math.exp(-rest * rest) * total / math.sqrt(math.pi)
@@ -42,7 +49,8 @@ def dawson(z: float) -> float:
 
 @numba.njit
 def soft_stretch(xi: float, a: float, log_clock: float) -> float:
-    """Where ln of the soft hazard is `log_clock`, or xi: Newton on ln erfi(z) = z^2 + ln(D(z)) + const, slope 1/D."""
+    """Where ln of the soft hazard is `log_clock`, or xi: Newton on ln erfi(z) = z^2 +
+    ln(D(z)) + const, slope 1/D."""
     root = math.sqrt(a)
     target = log_clock + math.log(root / _HALF_ROOT_PI) + a * xi * xi
     if target < 0.0:
@@ -82,12 +90,21 @@ def life(kT: float, stiff: bool, general: bool) -> tuple[float, float]:
         return kappa, xi
     a = kappa / (2.0 * kT)
     clock = VELOCITY * (1e-300 - math.log(1.0 - np.random.random()))  # noqa: NPY002
-    return kappa, stiff_stretch(xi, a, clock) if stiff else soft_stretch(xi, a, math.log(clock))
+    return kappa, stiff_stretch(xi, a, clock) if stiff else soft_stretch(
+        xi, a, math.log(clock)
+    )
 
 
 @numba.njit
 def force(
-    kT: float, stiff: bool, general: bool, delay: float, contacts: int, distance: float, points: int, seed: int
+    kT: float,
+    stiff: bool,
+    general: bool,
+    delay: float,
+    contacts: int,
+    distance: float,
+    points: int,
+    seed: int,
 ) -> NDArray[np.float64]:
     """<F>/(N k) on the grid after a fresh start."""
     np.random.seed(seed)  # noqa: NPY002
@@ -106,11 +123,15 @@ def force(
                     slope[last] -= kappa
                     offset[last] += kappa * born
             born = broke + delay
-    return (np.cumsum(offset) + np.cumsum(slope) * np.linspace(0.0, distance, points)) / contacts
+    return (
+        np.cumsum(offset) + np.cumsum(slope) * np.linspace(0.0, distance, points)
+    ) / contacts
 
 
 @numba.njit
-def totals(kT: float, stiff: bool, general: bool, lives: int, seed: int) -> tuple[float, float]:
+def totals(
+    kT: float, stiff: bool, general: bool, lives: int, seed: int
+) -> tuple[float, float]:
     """Sums of elastic work per k and of stretch at breaking over lives."""
     np.random.seed(seed)  # noqa: NPY002
     work, stretches = 0.0, 0.0
@@ -126,20 +147,31 @@ def law_of(case: Case) -> tuple[float, bool, bool]:
     return case.kT, case.barrier == "stiff", case.general
 
 
-def friction(case: Case, contacts: int, distance: float, points: int, seed: int) -> tuple[float, float]:
+def friction(
+    case: Case, contacts: int, distance: float, points: int, seed: int
+) -> tuple[float, float]:
     """Mean of the force over the second half of the grid, and its standard error."""
     size = contacts // BATCHES
     curves = [
-        force(*law_of(case), case.delay, size, distance, points, seed * BATCHES + batch) for batch in range(BATCHES)
+        force(*law_of(case), case.delay, size, distance, points, seed * BATCHES + batch)
+        for batch in range(BATCHES)
     ]
     means = np.array([curve[points // 2 :].mean() for curve in curves])
     return float(means.mean()), float(means.std(ddof=1)) / math.sqrt(BATCHES)
 
 
 def steady_friction(case: Case, lives: int, seed: int) -> tuple[float, float]:
-    """Steady friction by renewal-reward over plainly drawn lives, and its standard error."""
+    """Steady friction by renewal-reward over plainly drawn lives, and its standard
+    error."""
     size = lives // BATCHES
-    work, stretch = np.array([totals(*law_of(case), size, seed * BATCHES + batch) for batch in range(BATCHES)]).T
+    work, stretch = np.array(
+        [
+            totals(*law_of(case), size, seed * BATCHES + batch)
+            for batch in range(BATCHES)
+        ]
+    ).T
     cycle = stretch + size * case.delay
     value = work.sum() / cycle.sum()
-    return float(value), float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())
+    return float(value), float((work - value * cycle).std(ddof=1)) * math.sqrt(
+        BATCHES
+    ) / float(cycle.sum())

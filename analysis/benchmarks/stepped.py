@@ -1,7 +1,8 @@
-"""Rival A: a researcher's NumPy script. All contacts move by dX at a time and each breaks with probability r dt.
+"""Rival A: a researcher's NumPy script. All contacts move by dX at a time and each
+breaks with probability r dt.
 
-Two kindnesses: what a rate needs is kept from birth, and a detached contact counts up from -v tau, so that no lists of
-pinned and detached contacts have to be kept.
+Two kindnesses: what a rate needs is kept from birth, and a detached contact counts up
+from -v tau, so that no lists of pinned and detached contacts have to be kept.
 """
 
 import math
@@ -16,8 +17,11 @@ STEP = 0.005  # dX
 Array = NDArray[np.float64]
 
 
-def friction(case: Case, contacts: int, distance: float, seed: int) -> tuple[float, float]:
-    """<F>/(N k) over the second half of the distance after a fresh start, and its standard error."""
+def friction(
+    case: Case, contacts: int, distance: float, seed: int
+) -> tuple[float, float]:
+    """<F>/(N k) over the second half of the distance after a fresh start, and its
+    standard error."""
     rng = np.random.default_rng(seed)
     x, xi, kappa, a, barrier = np.zeros((5, contacts))
     area, steps = np.zeros(contacts), round(distance / STEP)
@@ -34,7 +38,9 @@ def friction(case: Case, contacts: int, distance: float, seed: int) -> tuple[flo
         x += STEP
         broken = x >= xi
         if case.kT:
-            broken |= rng.random(contacts) < STEP / VELOCITY * _rate(case, x, xi, a, barrier)
+            broken |= rng.random(contacts) < STEP / VELOCITY * _rate(
+                case, x, xi, a, barrier
+            )
             if case.delay:
                 broken &= x > 0
         index = np.flatnonzero(broken)

@@ -1,7 +1,9 @@
-"""Rival C: the same work in C by hand (`tuned.c`), compiled when it is needed: how fast this machine can do it.
+"""Rival C: the same work in C by hand (`tuned.c`), compiled when it is needed: how fast
+this machine can do it.
 
-Every contact draws from the generator eqsim uses, lives are exact, and what comes out is what eqsim records: mean
-force, pinned fraction and variance over contacts at every grid point, and sums of batches over the second half.
+Every contact draws from the generator eqsim uses, lives are exact, and what comes out
+is what eqsim records: mean force, pinned fraction and variance over contacts at every
+grid point, and sums of batches over the second half.
 """
 
 import ctypes
@@ -22,7 +24,15 @@ from analysis.benchmarks.cases import VELOCITY, Case
 
 BATCHES = 64
 DEGREE = 9
-FLAGS = ("-O3", "-march=native", "-fopenmp", "-fno-math-errno", "-Wno-psabi", "-shared", "-fPIC")
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fopenmp",
+    "-fno-math-errno",
+    "-Wno-psabi",
+    "-shared",
+    "-fPIC",
+)
 COMPILER = shutil.which("gcc")
 
 _AREA, _PINNED, _BREAKS, _STRETCH = range(4)
@@ -38,11 +48,15 @@ class _Law(ctypes.Structure):
 
 
 class _Job(ctypes.Structure):
-    _fields_ = (*((name, ctypes.c_int64) for name in ("contacts", "points", "batches")), ("distance", ctypes.c_double))
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("contacts", "points", "batches")),
+        ("distance", ctypes.c_double),
+    )
 
 
 class Run(NamedTuple):
-    """<F>/(N k) with its standard error, and <N_c>/N, on the grid; friction over the second half with its error."""
+    """<F>/(N k) with its standard error, and <N_c>/N, on the grid; friction over the
+    second half with its error."""
 
     force: Array
     force_stderr: Array
@@ -56,16 +70,27 @@ def compiler_version() -> str:
     """The compiler's first line about itself; empty where there is none."""
     if not COMPILER:
         return ""
-    return subprocess.run([COMPILER, "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
+    return subprocess.run(
+        [COMPILER, "--version"], check=True, capture_output=True, text=True
+    ).stdout.splitlines()[0]
 
 
 @functools.cache
 def library(*flags: str) -> ctypes.CDLL:
-    """The compiled C. Raises CalledProcessError, with what the compiler said, if it cannot be compiled."""
+    """The compiled C. Raises CalledProcessError, with what the compiler said, if it
+    cannot be compiled."""
     folder = Path(__file__).parent
     with tempfile.TemporaryDirectory() as out:
         target = Path(out) / "tuned.so"
-        command = [str(COMPILER), *FLAGS, *flags, str(folder / "tuned.c"), "-o", str(target), "-lm"]
+        command = [
+            str(COMPILER),
+            *FLAGS,
+            *flags,
+            str(folder / "tuned.c"),
+            "-o",
+            str(target),
+            "-lm",
+        ]
         subprocess.run(command, check=True, capture_output=True, text=True)
         found = ctypes.CDLL(str(target))
     found.trajectory.restype = ctypes.c_int64
@@ -87,14 +112,17 @@ def _pointer(values: Array) -> ctypes.c_void_p:
 
 
 def _erfi_inverse() -> Array:
-    """z/s, s = ln(1 + erfi(z)), as polynomials in half octaves of s + 1/2 from 1/2 to 128, shape (DEGREE + 2, 16): the
-    middles of the cells and the coefficients from the highest; columns by the last four bits of the cell's number."""
+    """z/s, s = ln(1 + erfi(z)), as polynomials in half octaves of s + 1/2 from 1/2 to
+    128, shape (DEGREE + 2, 16): the middles of the cells and the coefficients from the
+    highest; columns by the last four bits of the cell's number."""
     table = np.empty((DEGREE + 2, 16))
     for cell in range(16):
         low = 2.0 ** (cell // 2 - 1) * (1.0 + 0.5 * (cell % 2))
         high = 2.0 ** (cell // 2 - 1) * (1.5 + 0.5 * (cell % 2))
         middle, half = (low + high) / 2, (high - low) / 2
-        found = chebyshev.chebinterpolate(lambda t, middle=middle, half=half: _ratio(middle + half * t - 0.5), DEGREE)
+        found = chebyshev.chebinterpolate(
+            lambda t, middle=middle, half=half: _ratio(middle + half * t - 0.5), DEGREE
+        )
         powers = chebyshev.cheb2poly(found) / half ** np.arange(DEGREE + 1)
         table[:, (2 * 1022 + cell) % 16] = [middle, *powers[::-1]]
     return table
@@ -104,9 +132,13 @@ def _ratio(s: Array) -> Array:
     s = np.maximum(s, 1e-6)
     target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
     z = np.where(s < 1, s * math.sqrt(math.pi) / 2, np.sqrt(s + 1))
-    for _ in range(60):  # Newton for ln erfi(z) = z^2 + ln(2/sqrt(pi) D(z)), whose derivative is 1/D
+    for _ in range(
+        60
+    ):  # Newton for ln erfi(z) = z^2 + ln(2/sqrt(pi) D(z)), whose derivative is 1/D
         d = special.dawsn(z)
-        z = np.maximum(z - (z**2 + np.log(2 / math.sqrt(math.pi) * d) - target) * d, z / 4)
+        z = np.maximum(
+            z - (z**2 + np.log(2 / math.sqrt(math.pi) * d) - target) * d, z / 4
+        )
     return z / s
 
 
@@ -114,19 +146,38 @@ def _law(case: Case, seed: int) -> _Law:
     breaking = ("soft", "stiff").index(case.barrier) + 1 if case.kT else 0
     key = np.random.SeedSequence((seed, 3)).generate_state(2, np.uint32)
     words = (ctypes.c_uint32 * 2)(*key.tolist())
-    return _Law(breaking, case.general, 0.5 / case.kT if case.kT else 0.0, 1.0 / VELOCITY, case.delay, words)
+    return _Law(
+        breaking,
+        case.general,
+        0.5 / case.kT if case.kT else 0.0,
+        1.0 / VELOCITY,
+        case.delay,
+        words,
+    )
 
 
-def run(case: Case, contacts: int, distance: float, points: int, seed: int, threads: int = 1) -> Run:
+def run(
+    case: Case, contacts: int, distance: float, points: int, seed: int, threads: int = 1
+) -> Run:
     """Force of the ensemble from a fresh start. Raises MemoryError."""
-    deposits, sums = np.zeros((points, 8 if case.general else 2)), np.zeros((BATCHES, 2, 4))
+    deposits, sums = (
+        np.zeros((points, 8 if case.general else 2)),
+        np.zeros((BATCHES, 2, 4)),
+    )
     law, job = _law(case, seed), _Job(contacts, points, BATCHES, distance)
     lives = library().trajectory(
-        ctypes.byref(law), ctypes.byref(job), ctypes.c_int(threads), _pointer(deposits), _pointer(sums)
+        ctypes.byref(law),
+        ctypes.byref(job),
+        ctypes.c_int(threads),
+        _pointer(deposits),
+        _pointer(sums),
     )
     if lives < 0:
         raise MemoryError
-    X, total = np.linspace(0.0, distance, points), np.cumsum(deposits, axis=0) / contacts
+    X, total = (
+        np.linspace(0.0, distance, points),
+        np.cumsum(deposits, axis=0) / contacts,
+    )
     if case.general:
         count, k, k_born, k2, k2_born, k_born_2 = total[:, :6].T
     else:
@@ -137,12 +188,17 @@ def run(case: Case, contacts: int, distance: float, points: int, seed: int, thre
     area = sums[:, :, _AREA].sum(axis=1)
     elapsed = 0.5 * distance * np.diff(contacts * np.arange(BATCHES + 1) // BATCHES)
     friction = float(area.sum() / elapsed.sum())
-    error = float((area - friction * elapsed).std(ddof=1)) * math.sqrt(BATCHES) / float(elapsed.sum())
+    error = (
+        float((area - friction * elapsed).std(ddof=1))
+        * math.sqrt(BATCHES)
+        / float(elapsed.sum())
+    )
     return Run(force, np.sqrt(variance / (contacts - 1)), count, friction, error, lives)
 
 
 def steady(case: Case, lives: int, seed: int, threads: int = 1) -> tuple[float, float]:
-    """Steady friction by renewal-reward over plainly drawn lives, and its standard error."""
+    """Steady friction by renewal-reward over plainly drawn lives, and its standard
+    error."""
     sums, size = np.zeros((BATCHES, 4)), -(-lives // (128 * BATCHES)) * 128
     library().steady(
         ctypes.byref(_law(case, seed)),
@@ -153,12 +209,16 @@ def steady(case: Case, lives: int, seed: int, threads: int = 1) -> tuple[float, 
     )
     work, cycle = sums[:, 0], sums[:, 1] + size * case.delay
     value = float(work.sum() / cycle.sum())
-    return value, float((work - value * cycle).std(ddof=1)) * math.sqrt(BATCHES) / float(cycle.sum())
+    return value, float((work - value * cycle).std(ddof=1)) * math.sqrt(
+        BATCHES
+    ) / float(cycle.sum())
 
 
 def stripped(case: Case, upto: int, lives: int) -> int:
-    """Lives as far as drawn (0), drawn with thresholds and clocks (1), or broken (2), of which nothing is kept; how
-    many."""
+    """Lives as far as drawn (0), drawn with thresholds and clocks (1), or broken (2),
+    of which nothing is kept; how many."""
     size = -(-lives // 128) * 128
-    library().stripped(ctypes.byref(_law(case, 1)), ctypes.c_int(upto), ctypes.c_int64(size))
+    library().stripped(
+        ctypes.byref(_law(case, 1)), ctypes.c_int(upto), ctypes.c_int64(size)
+    )
     return size

@@ -1,4 +1,5 @@
-"""Figure A01num: f_k(v) of soft and stiff contacts at low and at high temperature (uniform, n = 1)."""
+"""Figure A01num: f_k(v) of soft and stiff contacts at low and at high temperature
+(uniform, n = 1)."""
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -26,7 +27,11 @@ def curves() -> list[Curve]:
     return [
         Curve(
             name(disorder, barrier, kT),
-            Ensemble(thermal=Thermal(kT, barrier=barrier), stiffness_law="uniform", disorder=disorder),
+            Ensemble(
+                thermal=Thermal(kT, barrier=barrier),
+                stiffness_law="uniform",
+                disorder=disorder,
+            ),
             log_grid(1e-4, 1e2, 73),
             log_grid(1e-4, 1e2, 13),
         )
@@ -43,12 +48,26 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
 def plot(table: pd.DataFrame) -> Figure:
     """One panel per ensemble."""
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
-    top, bottom = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[3.2, 0.8])
+    top, bottom = figure.subplots(
+        2, 2, sharex=True, sharey="row", height_ratios=[3.2, 0.8]
+    )
     for panel, strip, disorder in zip(top, bottom, DISORDERS, strict=True):
         for (barrier, kT), style in STYLES.items():
-            draw(panel, table, name(disorder, barrier, kT), style, f"{barrier}, $k_BT = {kT:g}\\,k x_*^2$")
-        panel.set(ylim=(0, 0.82), title=disorder + (" (published)" if disorder == "annealed" else " (literal)"))
-        scores(strip, table, {name(disorder, *key): style for key, style in STYLES.items()})
+            draw(
+                panel,
+                table,
+                name(disorder, barrier, kT),
+                style,
+                f"{barrier}, $k_BT = {kT:g}\\,k x_*^2$",
+            )
+        panel.set(
+            ylim=(0, 0.82),
+            title=disorder
+            + (" (published)" if disorder == "annealed" else " (literal)"),
+        )
+        scores(
+            strip, table, {name(disorder, *key): style for key, style in STYLES.items()}
+        )
         strip.set(xlabel=r"velocity  $v \,/\, \omega x_*$")
     top[0].set_ylabel(r"kinetic friction  $f_k \,/\, x_*$")
     bottom[0].set_ylabel(SCORES_LABEL)

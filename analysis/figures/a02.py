@@ -1,7 +1,9 @@
-"""Figure A02: f_k(v) of aging contacts for aging rates from infinity to 0, at kT = k x_*f^2 and at T = 0.
+"""Figure A02: f_k(v) of aging contacts for aging rates from infinity to 0, at kT = k
+x_*f^2 and at T = 0.
 
-The published master equation has one curve for each D; literal contacts have two, since thresholds may follow the mean
-drift or fluctuate. A `langevin` threshold cannot age at an infinite rate: it would meet the stretch at once.
+The published master equation has one curve for each D; literal contacts have two, since
+thresholds may follow the mean drift or fluctuate. A `langevin` threshold cannot age at
+an infinite rate: it would meet the stretch at once.
 """
 
 import math
@@ -30,13 +32,22 @@ LABELS = {D: r"$D = \infty$" if math.inf == D else f"$D = {D:g}$" for D in RATES
 
 def rates(model: str) -> list[tuple[float, dict]]:
     """D and the look of its curve."""
-    return [(D, style) for D, style in zip(RATES, SERIES, strict=True) if not (model == "langevin" and math.inf == D)]
+    return [
+        (D, style)
+        for D, style in zip(RATES, SERIES, strict=True)
+        if not (model == "langevin" and math.inf == D)
+    ]
 
 
 def curves(temperatures: tuple[float, ...] = (1.0, 0.0)) -> list[Curve]:
     """Every model and rate, with particles on the warm curves."""
     return [
-        Curve(aging_name(model, D, kT), aging_contacts(model, D, kT), VELOCITIES, POINTS if kT > 0 else ())
+        Curve(
+            aging_name(model, D, kT),
+            aging_contacts(model, D, kT),
+            VELOCITIES,
+            POINTS if kT > 0 else (),
+        )
         for model in MODELS
         for D, _ in rates(model)
         for kT in temperatures
@@ -51,14 +62,20 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
 def plot(table: pd.DataFrame) -> Figure:
     """One panel per model."""
     figure = Figure(figsize=(WIDTH, 3.9), layout="constrained")
-    top, bottom = figure.subplots(2, 3, sharex=True, sharey="row", height_ratios=[3.4, 0.8])
+    top, bottom = figure.subplots(
+        2, 3, sharex=True, sharey="row", height_ratios=[3.4, 0.8]
+    )
     for panel, strip, model in zip(top, bottom, MODELS, strict=True):
         for D, style in rates(model):
             cold = {"linewidth": 0.8, "linestyle": "--", "alpha": 0.8}
             draw(panel, table, aging_name(model, D, 0.0), style, **cold)
             draw(panel, table, aging_name(model, D, 1.0), style, LABELS[D])
         panel.set(ylim=(0, 0.8), title=MODEL_TITLES[model])
-        scores(strip, table, {aging_name(model, D, 1.0): style for D, style in rates(model)})
+        scores(
+            strip,
+            table,
+            {aging_name(model, D, 1.0): style for D, style in rates(model)},
+        )
         strip.set(xlabel=r"velocity  $v \,/\, \omega x_{*f}$")
     top[0].set_ylabel(r"kinetic friction  $f_k \,/\, x_{*f}$")
     bottom[0].set_ylabel(SCORES_LABEL)

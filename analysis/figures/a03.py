@@ -1,8 +1,10 @@
-"""Figure A03: friction of aging contacts that re-attach after a delay (D = 0.1, kT = k x_*f^2).
+"""Figure A03: friction of aging contacts that re-attach after a delay (D = 0.1, kT = k
+x_*f^2).
 
-The paper divides f_k(v) by 1 + v/v_d at fixed v_d. But v_d = C(v)/tau, and C falls at low velocity; with a fixed delay
-tau the pinned fraction is lower there. Both are drawn; tau = x_*i/(C_0 v_d), so that they meet at high velocity, where
-C is that of newborn thresholds.
+The paper divides f_k(v) by 1 + v/v_d at fixed v_d. But v_d = C(v)/tau, and C falls at
+low velocity; with a fixed delay tau the pinned fraction is lower there. Both are drawn;
+tau = x_*i/(C_0 v_d), so that they meet at high velocity, where C is that of newborn
+thresholds.
 """
 
 import math
@@ -58,14 +60,18 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
         bare = solved(table, name(model, math.inf))
         for v_d in DELAYS[1:]:
             friction = bare.friction / (1 + bare.velocity / v_d)
-            rows.append(formula(f"{model}, v_d = {v_d:g}", "printed", bare.velocity, friction))
+            rows.append(
+                formula(f"{model}, v_d = {v_d:g}", "printed", bare.velocity, friction)
+            )
     return pd.concat(rows)
 
 
 def plot(table: pd.DataFrame) -> Figure:
     """One column per model: semi-logarithmic, log-log, scores."""
     figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
-    rows = figure.subplots(3, 3, sharex=True, sharey="row", height_ratios=[2.6, 2.2, 0.8])
+    rows = figure.subplots(
+        3, 3, sharex=True, sharey="row", height_ratios=[2.6, 2.2, 0.8]
+    )
     for column, model in zip(rows.T, MODELS, strict=True):
         for panel in column[:2]:
             for v_d, style in STYLES.items():
@@ -77,7 +83,9 @@ def plot(table: pd.DataFrame) -> Figure:
                 draw(panel, table, name(model, v_d), style, label)
         column[1].set(yscale="log", ylim=(1e-5, 1))
         column[0].set(ylim=(0, 0.45), title=MODEL_TITLES[model])
-        scores(column[2], table, {name(model, v_d): style for v_d, style in STYLES.items()})
+        scores(
+            column[2], table, {name(model, v_d): style for v_d, style in STYLES.items()}
+        )
         column[2].set_xlabel(r"velocity  $v \,/\, \omega x_{*f}$")
     for panel in rows[:2, 0]:
         panel.set_ylabel(r"friction  $\langle F\rangle / (N k x_{*f})$")

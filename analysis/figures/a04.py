@@ -1,4 +1,5 @@
-"""Figure A04: f_k(v) of aging contacts against the expansion in D_v = D/v (star4), printed and corrected."""
+"""Figure A04: f_k(v) of aging contacts against the expansion in D_v = D/v (star4),
+printed and corrected."""
 
 import numpy as np
 import pandas as pd
@@ -36,7 +37,9 @@ SMALL = 2.0  # the expansion is drawn where S_2 and S_3 are less
 def curves() -> list[Curve]:
     """The published master equation, and literal contacts whose thresholds flow."""
     return [
-        Curve(aging_name(model, D, 1.0), aging_contacts(model, D, 1.0), VELOCITIES, POINTS)
+        Curve(
+            aging_name(model, D, 1.0), aging_contacts(model, D, 1.0), VELOCITIES, POINTS
+        )
         for model in MODELS
         for D in RATES
     ]
@@ -50,12 +53,20 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
         v = solved(table, aging_name("annealed", D, 1.0)).velocity.to_numpy()
         v = v[np.maximum(paper.S_3(v), paper.S_2(v)) < SMALL]
         for source in ("printed", "corrected"):
-            rows.append(formula(f"star4, D = {D:g}, {source}", source, v, paper.f_k(v, printed=source == "printed")))
+            rows.append(
+                formula(
+                    f"star4, D = {D:g}, {source}",
+                    source,
+                    v,
+                    paper.f_k(v, printed=source == "printed"),
+                )
+            )
     return pd.concat(rows)
 
 
 def plot(table: pd.DataFrame) -> Figure:
-    """f_k with both expansions, their deviation from the exact curve, and quenched contacts."""
+    """f_k with both expansions, their deviation from the exact curve, and quenched
+    contacts."""
     figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
     (exact, literal), (left, right) = figure.subplots(2, 2, sharex=True, sharey="row")
     for D in RATES:
@@ -67,8 +78,18 @@ def plot(table: pd.DataFrame) -> Figure:
             line = solved(table, f"star4, D = {D:g}, {source}")
             exact.plot(line.velocity, line.friction, **LOOKS[source])
             deviation = (line.friction / truth.loc[line.velocity].to_numpy() - 1).abs()
-            panel.plot(line.velocity, deviation, color=style["color"], linestyle=style["linestyle"])
-    exact.set(xscale="log", yscale="log", ylim=(0.04, 1), title=f"annealed (published), with {printed('star4')}")
+            panel.plot(
+                line.velocity,
+                deviation,
+                color=style["color"],
+                linestyle=style["linestyle"],
+            )
+    exact.set(
+        xscale="log",
+        yscale="log",
+        ylim=(0.04, 1),
+        title=f"annealed (published), with {printed('star4')}",
+    )
     exact.set_ylabel(r"kinetic friction  $f_k \,/\, x_{*f}$")
     for source, look in LOOKS.items():
         exact.plot([], [], label=f"{printed('star4')}, {source}", **look)
@@ -77,8 +98,16 @@ def plot(table: pd.DataFrame) -> Figure:
         power = 1 if source == "printed" else 2
         v = np.array([1e3, 1e4])
         panel.plot(v, 0.3 * (v / 1e3) ** -power, color="0.7", linewidth=2.5, zorder=0)
-        panel.annotate(f"$v^{{-{power}}}$", (1e3, 0.3), (-24, -4), color="0.4", textcoords="offset points")
-        panel.set(yscale="log", ylim=(1e-9, 1), xlabel=r"velocity  $v \,/\, \omega x_{*f}$")
+        panel.annotate(
+            f"$v^{{-{power}}}$",
+            (1e3, 0.3),
+            (-24, -4),
+            color="0.4",
+            textcoords="offset points",
+        )
+        panel.set(
+            yscale="log", ylim=(1e-9, 1), xlabel=r"velocity  $v \,/\, \omega x_{*f}$"
+        )
         panel.set_title(f"{printed('star4')} against the exact curve: {source}")
     left.set_ylabel(r"|approximate / exact $-$ 1|")
     handles, labels = exact.get_legend_handles_labels()

@@ -1,5 +1,5 @@
-"""Figure A05: shear stress of octamethylcyclotetrasiloxane films of 2 to 6 layers against the shear rate, and the
-crossover velocity of each (SI units)."""
+"""Figure A05: shear stress of octamethylcyclotetrasiloxane films of 2 to 6 layers
+against the shear rate, and the crossover velocity of each (SI units)."""
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -38,24 +38,55 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def plot(table: pd.DataFrame) -> Figure:
-    """One panel per ensemble; the inset holds v_*, which the quenched one does not have."""
-    film_of = {name(disorder, layers): film for disorder in DISORDERS for layers, film in FILMS.items()}
+    """One panel per ensemble; the inset holds v_*, which the quenched one does not
+    have."""
+    film_of = {
+        name(disorder, layers): film
+        for disorder in DISORDERS
+        for layers, film in FILMS.items()
+    }
     film = table.curve.map(film_of)
     table = table.assign(
-        shear_stress=[contacts.shear_stress(f) for contacts, f in zip(film, table.friction, strict=True)],
-        velocity=[v / contacts.thickness for contacts, v in zip(film, table.velocity, strict=True)],
+        shear_stress=[
+            contacts.shear_stress(f)
+            for contacts, f in zip(film, table.friction, strict=True)
+        ],
+        velocity=[
+            v / contacts.thickness
+            for contacts, v in zip(film, table.velocity, strict=True)
+        ],
     )
     figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
-    top, bottom = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[3.6, 0.8])
+    top, bottom = figure.subplots(
+        2, 2, sharex=True, sharey="row", height_ratios=[3.6, 0.8]
+    )
     for panel, strip, disorder in zip(top, bottom, DISORDERS, strict=True):
         for layers, style in STYLES.items():
-            draw(panel, table, name(disorder, layers), style, f"{layers} layers", y="shear_stress")
+            draw(
+                panel,
+                table,
+                name(disorder, layers),
+                style,
+                f"{layers} layers",
+                y="shear_stress",
+            )
         panel.set(xscale="log", yscale="log", ylim=(1, 1e8))
-        panel.set_title(disorder + (" (published)" if disorder == "annealed" else " (literal)"))
-        scores(strip, table, {name(disorder, layers): style for layers, style in STYLES.items()})
+        panel.set_title(
+            disorder + (" (published)" if disorder == "annealed" else " (literal)")
+        )
+        scores(
+            strip,
+            table,
+            {name(disorder, layers): style for layers, style in STYLES.items()},
+        )
         strip.set_xlabel(r"shear rate  $\dot\gamma = v/h$  [1/s]")
     inset = top[0].inset_axes((0.15, 0.75, 0.45, 0.17))
-    inset.plot(list(FILMS), [film.crossover_velocity() * 1e6 for film in FILMS.values()], "o-", color="black")
+    inset.plot(
+        list(FILMS),
+        [film.crossover_velocity() * 1e6 for film in FILMS.values()],
+        "o-",
+        color="black",
+    )
     inset.set(yscale="log", xticks=list(FILMS), ylim=(10, 500))
     inset.set_xlabel("layers", fontsize=7, labelpad=0)
     inset.set_title(r"$v_*$  [µm/s]", fontsize=7, pad=2)

@@ -1,4 +1,5 @@
-"""What the figures share: a curve to compute, models of aging contacts, and how curves, particles and scores look."""
+"""What the figures share: a curve to compute, models of aging contacts, and how curves,
+particles and scores look."""
 
 import math
 from dataclasses import dataclass, replace
@@ -32,7 +33,11 @@ SERIES: list[dict[str, Any]] = [  # of one parameter
     {"color": ORANGE, "linestyle": (0, (6, 1, 1, 1, 1, 1)), "marker": "v"},
     {"color": "#9A9A9A", "linestyle": "-", "marker": "P"},
 ]
-MODELS = ("annealed", "flow", "langevin")  # the published master equation, and two kinds of literal contacts
+MODELS = (
+    "annealed",
+    "flow",
+    "langevin",
+)  # the published master equation, and two kinds of literal contacts
 MODEL_TITLES = {
     "annealed": "annealed (published)",
     "flow": "quenched, flow",
@@ -44,7 +49,8 @@ X_INITIAL, X_FINAL = 0.1, 1.0  # x_*i and x_*f of the aging figures
 
 @dataclass(frozen=True)
 class Curve:
-    """Contacts against velocity: the master equation at `velocities`, particles at `points`."""
+    """Contacts against velocity: the master equation at `velocities`, particles at
+    `points`."""
 
     name: str
     ensemble: Ensemble
@@ -54,7 +60,11 @@ class Curve:
     def thinned(self) -> "Curve":
         """A quarter of the points; where each takes a second, a sixth."""
         every = 6 if self.ensemble.aging.active else 4
-        return replace(self, velocities=self.velocities[::every], points=self.points[every // 2 :: every])
+        return replace(
+            self,
+            velocities=self.velocities[::every],
+            points=self.points[every // 2 :: every],
+        )
 
     def row(self) -> dict[str, Any]:
         """What identifies it in the table."""
@@ -77,8 +87,13 @@ def log_grid(low: float, high: float, count: int) -> tuple[float, ...]:
 
 
 def aging_contacts(model: str, D: float, kT: float, tau: float = 0.0) -> Ensemble:
-    """Contacts of figures A02-A04: soft, uniform, n = 1, k = omega = 1, thresholds that age from x_*i to x_*f."""
-    aging = Aging("langevin" if model == "langevin" else "flow", D, X_FINAL) if D > 0 else Aging()
+    """Contacts of figures A02-A04: soft, uniform, n = 1, k = omega = 1, thresholds that
+    age from x_*i to x_*f."""
+    aging = (
+        Aging("langevin" if model == "langevin" else "flow", D, X_FINAL)
+        if D > 0
+        else Aging()
+    )
     disorder = "annealed" if model == "annealed" else "quenched"
     thresholds = Gamma(1.0, X_INITIAL)
     return Ensemble(
@@ -91,9 +106,19 @@ def aging_name(model: str, D: float, kT: float) -> str:
     return f"{model}, D = {D:g}, kT = {kT:g}"
 
 
-def formula(name: str, source: str, velocity: Any, friction: Any, **more: Any) -> pd.DataFrame:
+def formula(
+    name: str, source: str, velocity: Any, friction: Any, **more: Any
+) -> pd.DataFrame:
     """Rows of a closed form or a fit; `source` is "printed", "corrected" or "fit"."""
-    return pd.DataFrame({"curve": name, "source": source, "velocity": velocity, "friction": friction, **more})
+    return pd.DataFrame(
+        {
+            "curve": name,
+            "source": source,
+            "velocity": velocity,
+            "friction": friction,
+            **more,
+        }
+    )
 
 
 def solved(table: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -106,7 +131,8 @@ def draw(
     axes: Axes, table: pd.DataFrame, name: str, style: dict[str, Any], label: str | None = None, y: str = "friction",
     **more: Any,
 ) -> None:  # fmt: skip
-    """A curve as a line, its particles as open markers with bars of two standard errors."""
+    """A curve as a line, its particles as open markers with bars of two standard
+    errors."""
     line, look = solved(table, name), style | more
     marker = look.pop("marker", "none")
     axes.plot(line.velocity, line[y], label=label, **look)

@@ -50,7 +50,9 @@ NAMES = {
 }
 
 
-def sections(model: type[pydantic.BaseModel], prefix: str = "") -> dict[str, dict[str, FieldInfo]]:
+def sections(
+    model: type[pydantic.BaseModel], prefix: str = ""
+) -> dict[str, dict[str, FieldInfo]]:
     """The keys of each section, by its name; "" for those outside of sections."""
     found: dict[str, dict[str, FieldInfo]] = {prefix: {}}
     for name, field in model.model_fields.items():
@@ -65,7 +67,10 @@ def sections(model: type[pydantic.BaseModel], prefix: str = "") -> dict[str, dic
 
 def parts(annotation: Any) -> list[Any]:
     """A type, what a union is made of, and what lists are of."""
-    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
+    if (
+        isinstance(annotation, types.UnionType)
+        or typing.get_origin(annotation) is typing.Union
+    ):
         return [part for one in typing.get_args(annotation) for part in parts(one)]
     if typing.get_origin(annotation) is list:
         return [annotation, *parts(typing.get_args(annotation)[0])]
@@ -80,11 +85,16 @@ def allowed(key: str, field: FieldInfo, more: str) -> str:
     """What a key may be."""
     kinds = [kind for kind in parts(field.annotation) if kind is not types.NoneType]
     choices = CHOICES.get(key) or tuple(
-        name for kind in kinds for name in typing.get_args(kind) if isinstance(name, str)
+        name
+        for kind in kinds
+        for name in typing.get_args(kind)
+        if isinstance(name, str)
     )
     if choices:
         return ", ".join(f'`"{name}"`' for name in choices)
-    return more or " or ".join(NAMES.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds)
+    return more or " or ".join(
+        NAMES.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds
+    )
 
 
 def default(field: FieldInfo) -> str:
@@ -92,14 +102,23 @@ def default(field: FieldInfo) -> str:
         return "required"
     value = field.default
     return (
-        "" if value is None or value == {} else f'`"{value}"`' if isinstance(value, str) else f"`{str(value).lower()}`"
+        ""
+        if value is None or value == {}
+        else f'`"{value}"`'
+        if isinstance(value, str)
+        else f"`{str(value).lower()}`"
     )
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     """Lines of Markdown."""
     lines = [head, tuple("---" for _ in head), *rows]
-    return ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in line) + " |" for line in lines]
+    return [
+        "| "
+        + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in line)
+        + " |"
+        for line in lines
+    ]
 
 
 def plain(text: str | None) -> str:
@@ -113,13 +132,27 @@ def option(name: str, kind: Any, about: Any, begins: Any) -> tuple[str, str]:
     needed = begins is inspect.Parameter.empty or begins is ...
     if isinstance(about, ArgumentInfo):
         return f"`{about.metavar or name.upper()}`", meaning
-    first = (about.default,) if isinstance(about.default, str) and about.default.startswith("-") else ()  # of Annotated
+    first = (
+        (about.default,)
+        if isinstance(about.default, str) and about.default.startswith("-")
+        else ()
+    )  # of Annotated
     declared = (*first, *(about.param_decls or ())) or (f"--{name.replace('_', '-')}",)
     names = [part for one in declared for part in one.split("/")]
     kinds = [part for part in parts(kind) if part is not types.NoneType]
-    value = "" if kinds[0] is bool else " " + (about.metavar or getattr(kinds[-1], "__name__", "value").upper())
+    value = (
+        ""
+        if kinds[0] is bool
+        else " " + (about.metavar or getattr(kinds[-1], "__name__", "value").upper())
+    )
     shown = about.show_default if isinstance(about.show_default, str) else begins
-    said = needed or begins is None or begins is False or "Default" in meaning or about.show_default is False
+    said = (
+        needed
+        or begins is None
+        or begins is False
+        or "Default" in meaning
+        or about.show_default is False
+    )
     tail = " Required." if needed else "" if said else f" Default: `{shown}`."
     return ", ".join(f"`{one.strip()}{value}`" for one in names), meaning + tail
 
@@ -133,7 +166,9 @@ class FromProgram(SphinxDirective):
         raise NotImplementedError
 
     def run(self) -> list[Any]:
-        return self.parse_text_to_nodes("\n".join(self.markdown()), allow_section_headings=True)
+        return self.parse_text_to_nodes(
+            "\n".join(self.markdown()), allow_section_headings=True
+        )
 
 
 class RunFileKeys(FromProgram):
@@ -148,7 +183,12 @@ class RunFileKeys(FromProgram):
             if not fields:
                 continue
             here = meanings.get(section or "top", {})
-            lines += [f"## `[{section}]`" if section and "[]" not in section else f"## {here['heading']}", ""]
+            lines += [
+                f"## `[{section}]`"
+                if section and "[]" not in section
+                else f"## {here['heading']}",
+                "",
+            ]
             lines += [here.get("about", ""), ""]
             rows = []
             for name, field in fields.items():
@@ -157,7 +197,9 @@ class RunFileKeys(FromProgram):
                 known_as = here.get(name) or field.description  # in the program itself
                 if not known_as:
                     raise self.error(f"{MEANINGS.name} says nothing of {key}")
-                entry = known_as if isinstance(known_as, dict) else {"meaning": known_as}
+                entry = (
+                    known_as if isinstance(known_as, dict) else {"meaning": known_as}
+                )
                 described |= set() if name in here else {f"{section or 'top'}.{name}"}
                 rows.append(
                     (
@@ -168,11 +210,17 @@ class RunFileKeys(FromProgram):
                     )
                 )
             lines += [*table(("key", "default", "values", "meaning"), rows), ""]
-        told = {f"{section}.{name}" for section, entries in meanings.items() for name in entries} - {
+        told = {
+            f"{section}.{name}"
+            for section, entries in meanings.items()
+            for name in entries
+        } - {
             f"{section}.{name}" for section in meanings for name in ("about", "heading")
         }
         if told != known - described:
-            raise self.error(f"{MEANINGS.name} and the program differ in {sorted(told ^ (known - described))}")
+            raise self.error(
+                f"{MEANINGS.name} and the program differ in {sorted(told ^ (known - described))}"
+            )
         return lines
 
 
@@ -185,10 +233,14 @@ class Commands(FromProgram):
             assert command.callback
             arguments, options = [], []
             for name, given in inspect.signature(command.callback).parameters.items():
-                (kind, *_), (about, *_) = typing.get_args(given.annotation)[:1], given.annotation.__metadata__
+                (kind, *_), (about, *_) = (
+                    typing.get_args(given.annotation)[:1],
+                    given.annotation.__metadata__,
+                )
                 begins = (
                     given.default
-                    if about.default is ... or given.default is not inspect.Parameter.empty
+                    if about.default is ...
+                    or given.default is not inspect.Parameter.empty
                     else about.default
                 )
                 row = option(name, kind, about, begins)
@@ -197,11 +249,20 @@ class Commands(FromProgram):
             lines += [f"## `eqsim {name}`", "", plain(command.callback.__doc__), ""]
             lines += [
                 "```text",
-                " ".join([f"eqsim {name}", *(row[0].strip("`") for row in arguments), "[OPTIONS]"]),
+                " ".join(
+                    [
+                        f"eqsim {name}",
+                        *(row[0].strip("`") for row in arguments),
+                        "[OPTIONS]",
+                    ]
+                ),
                 "```",
                 "",
             ]
-            lines += [*table(("argument or option", "meaning"), [*arguments, *options]), ""]
+            lines += [
+                *table(("argument or option", "meaning"), [*arguments, *options]),
+                "",
+            ]
         return lines
 
 
@@ -209,7 +270,10 @@ class Observables(FromProgram):
     """The table of observables, as they are declared."""
 
     def markdown(self) -> list[str]:
-        rows = [(f"`{name}`", what.label, what.unit or "number") for name, what in OBSERVABLES.items()]
+        rows = [
+            (f"`{name}`", what.label, what.unit or "number")
+            for name, what in OBSERVABLES.items()
+        ]
         return table(("name", "what it is", "unit"), rows)
 
 
@@ -220,10 +284,19 @@ class PaperLabels(FromProgram):
         cells = [(f"`{label}`", f"({number})") for label, number in EQUATIONS.items()]
         columns = 4
         length = -(-len(cells) // columns)
-        rows = [tuple(part for cell in cells[i::length] for part in cell) for i in range(length)]
+        rows = [
+            tuple(part for cell in cells[i::length] for part in cell)
+            for i in range(length)
+        ]
         rows = [row + ("",) * (2 * columns - len(row)) for row in rows]
-        figures = ", ".join(f"`{label}` is {number}" for label, number in FIGURES.items())
-        return [*table(("label", "number") * columns, rows), "", f"Of the figures {figures}."]
+        figures = ", ".join(
+            f"`{label}` is {number}" for label, number in FIGURES.items()
+        )
+        return [
+            *table(("label", "number") * columns, rows),
+            "",
+            f"Of the figures {figures}.",
+        ]
 
 
 class PublicNames(FromProgram):
@@ -243,7 +316,13 @@ class PublicNames(FromProgram):
                 else getattr(__import__(f"eqsim.{module}", fromlist=[last]), last)
             )
             named += [] if module else [name]
-            kind = "autoclass" if isinstance(what, type) else "autofunction" if callable(what) else "autodata"
+            kind = (
+                "autoclass"
+                if isinstance(what, type)
+                else "autofunction"
+                if callable(what)
+                else "autodata"
+            )
             lines += [
                 "```{eval-rst}",
                 f".. {kind}:: eqsim.{name}",
@@ -251,7 +330,9 @@ class PublicNames(FromProgram):
                 "```",
             ]
         if sorted(named) != sorted(api.__all__):
-            raise self.error(f"public names and this page differ in {sorted(set(named) ^ set(api.__all__))}")
+            raise self.error(
+                f"public names and this page differ in {sorted(set(named) ^ set(api.__all__))}"
+            )
         return lines
 
 

@@ -11,16 +11,24 @@ from sphinx.util import logging
 
 def converted(node: nodes.Element, display: str) -> str:
     """MathML of a formula; a warning if it cannot be converted."""
-    source = node.astext().replace("{aligned}", "{split}")  # the same, and known to the converter
+    source = node.astext().replace(
+        "{aligned}", "{split}"
+    )  # the same, and known to the converter
     try:
         found = convert(source, display=display)
     except Exception as error:
         found = f"<code>{source}</code>"
         logging.getLogger(__name__).warning("%s in %s", error, source, location=node)
-    found = re.sub("(<mi>(?:ln|exp|max|min)</mi>)(?=<m(?:i|n|sup|sub)>)", r'\1<mspace width="0.17em" />', found)
+    found = re.sub(
+        "(<mi>(?:ln|exp|max|min)</mi>)(?=<m(?:i|n|sup|sub)>)",
+        r'\1<mspace width="0.17em" />',
+        found,
+    )
     unknown = re.search(r">(\\[A-Za-z]+|&)<", found)
     if unknown:
-        logging.getLogger(__name__).warning("%s is unknown in %s", unknown[1], source, location=node)
+        logging.getLogger(__name__).warning(
+            "%s is unknown in %s", unknown[1], source, location=node
+        )
     return found
 
 

@@ -16,16 +16,27 @@ from eqsim.io import signals
 
 
 class _Commands(TyperGroup):
-    """Turns what a user can cause into one line and an exit code: 2 for bad input, 130 for Ctrl-C, 143 for SIGTERM."""
+    """Turns what a user can cause into one line and an exit code: 2 for bad input, 130
+    for Ctrl-C, 143 for SIGTERM."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         try:
-            code = super().main(*args, **{**kwargs, "prog_name": "eqsim", "standalone_mode": False})
-        except cast(type[typer.BadParameter], typer.BadParameter.__base__) as error:  # any error of usage
+            code = super().main(
+                *args, **{**kwargs, "prog_name": "eqsim", "standalone_mode": False}
+            )
+        except cast(
+            type[typer.BadParameter], typer.BadParameter.__base__
+        ) as error:  # any error of usage
             said = error.format_message().removesuffix(".")
-            for problem in getattr(error.__cause__, "errors", list)():  # typer's, which do not tell the value
-                said = said.replace("Input should be", f"{shown(problem['input'])} must be")
-            complain(f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`")
+            for problem in getattr(
+                error.__cause__, "errors", list
+            )():  # typer's, which do not tell the value
+                said = said.replace(
+                    "Input should be", f"{shown(problem['input'])} must be"
+                )
+            complain(
+                f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`"
+            )
             code = 2
         except SystemExit as error:  # rich's, if the reader has left
             if not isinstance(error.__context__, BrokenPipeError):
@@ -44,7 +55,9 @@ class _Commands(TyperGroup):
         except MemoryError:
             _fail("not enough memory; fewer output.points need less", 2)
         except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has left; nothing to say
+            os.dup2(
+                os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+            )  # the reader has left; nothing to say
         except KeyboardInterrupt as stop:
             said = f"interrupted; {stop}" if str(stop) else signals.MESSAGE
             _fail(said, signals.acknowledge())
@@ -75,7 +88,10 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _top(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Show the version."
+        ),
     ] = False,
 ) -> None:
     """What belongs to no command."""
@@ -86,12 +102,16 @@ for command in (
     check.validate, survey.sweep, fit.fit, fit.design, describe.info, survey.plot, survey.figures,
     check.replay, check.export, describe.material,
 ):  # fmt: skip
-    app.command(epilog=escape("\n\n".join(WORDS.get(command.__name__, ()))))(grouped(command))
+    app.command(epilog=escape("\n\n".join(WORDS.get(command.__name__, ()))))(
+        grouped(command)
+    )
 
 
 def main() -> None:
     """Run the command line. Raises SystemExit."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # of names that the terminal cannot show
+            stream.reconfigure(
+                errors="backslashreplace"
+            )  # of names that the terminal cannot show
     app(sys.argv[1:] or ["--help"])

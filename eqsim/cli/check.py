@@ -20,17 +20,25 @@ _CSV = "Of several tables their folder. Default: NAME.csv beside NAME.parquet, D
 
 
 def validate(
-    suite: Annotated[str, Argument(help='"quick" (seconds) or "full" (minutes).')] = "quick",
-    out: Annotated[Path, Option(help="Folder for the table of scores and the picture.")] = _OUT,
-    seed: Annotated[int, Option(help="Random seed: other parameter points, other lives.")] = 1,
+    suite: Annotated[
+        str, Argument(help='"quick" (seconds) or "full" (minutes).')
+    ] = "quick",
+    out: Annotated[
+        Path, Option(help="Folder for the table of scores and the picture.")
+    ] = _OUT,
+    seed: Annotated[
+        int, Option(help="Random seed: other parameter points, other lives.")
+    ] = 1,
     threads: Threads = None,
     *,
     shown: Shown,
 ) -> None:
-    """Particles against the master equation over the parameter space; exit code 1 if they disagree.
+    """Particles against the master equation over the parameter space; exit code 1 if
+    they disagree.
 
-    Points differ in thresholds, heat, delay, aging and velocity. Compared are steady averages, transients, programmes
-    (steps, holds, crawls, jitter, reversals), hazards, fluctuations, and sliders behind a spring.
+    Points differ in thresholds, heat, delay, aging and velocity. Compared are steady
+    averages, transients, programmes (steps, holds, crawls, jitter, reversals), hazards,
+    fluctuations, and sliders behind a spring.
     """
     require_integer("--seed", seed, 0, 2**63 - 1)
     count = cores(threads)
@@ -43,7 +51,11 @@ def validate(
     with shown.bar("validating", "points") as progress:
         result = validation.validate(suite, seed=seed, threads=count, progress=progress)
     absent = validation.left_out(result.unscored)
-    refused = {(validation.law_text(one.ensemble.thresholds), one.message) for one in result.unscored if one.message}
+    refused = {
+        (validation.law_text(one.ensemble.thresholds), one.message)
+        for one in result.unscored
+        if one.message
+    }
     summary = {
         "suite": suite,
         "seed": seed,
@@ -55,11 +67,18 @@ def validate(
         "versions": storage.versions(),
     }
     table = storage.parquet(
-        validation.columns(result.scores), storage.provenance("validate", {"suite": suite}, "", seed)
+        validation.columns(result.scores),
+        storage.provenance("validate", {"suite": suite}, "", seed),
     )
-    files = {"scores.parquet": table, "validation.png": saved(validation_figure(result))}
+    files = {
+        "scores.parquet": table,
+        "validation.png": saved(validation_figure(result)),
+    }
     storage.publish(out, {**files, "summary.json": storage.to_json(summary).encode()})
-    reasons = [f"{sum(of.get(reason, 0) for of in absent.values())} {reason}" for reason in validation.REASONS]
+    reasons = [
+        f"{sum(of.get(reason, 0) for of in absent.values())} {reason}"
+        for reason in validation.REASONS
+    ]
     shown.report(
         summary,
         title=f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {validation.ALARM:g}",
@@ -74,16 +93,26 @@ def validate(
 def _verdict_row(v: "Verdict", declined: bool) -> tuple[str, ...]:
     passed = "passed" if v.passed and not declined else "FAILED"
     chi_square = f"{v.chi_square:.1f}/{v.even}", f"{v.p_chi_square:.2g}"
-    return v.kind, str(v.count), *chi_square, f"{v.largest:.2f}", f"{v.p_largest:.2g}", passed
+    return (
+        v.kind,
+        str(v.count),
+        *chi_square,
+        f"{v.largest:.2f}",
+        f"{v.p_largest:.2g}",
+        passed,
+    )
 
 
 def replay(
-    path: Annotated[Path, Argument(metavar="FILE", help="Parquet file that eqsim wrote.")],
+    path: Annotated[
+        Path, Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
+    ],
     threads: Threads = None,
     *,
     shown: Shown,
 ) -> None:
-    """Run again what made a file, from its provenance alone, and compare bit by bit; exit code 1 if they differ."""
+    """Run again what made a file, from its provenance alone, and compare bit by bit;
+    exit code 1 if they differ."""
     from eqsim.workflows.replay import replay as repeat
 
     with shown.bar("repeating", "units") as progress:
@@ -104,12 +133,18 @@ def _compared(path: Path, found: "Replay") -> Iterator[str]:
 
 
 def export(
-    path: Annotated[Path, Argument(metavar="PATH", help="Parquet file, or the folder of a run, sweep or fit.")],
+    path: Annotated[
+        Path,
+        Argument(
+            metavar="PATH", help="Parquet file, or the folder of a run, sweep or fit."
+        ),
+    ],
     out: Annotated[Path | None, Option(metavar="FILE.csv", help=_CSV)] = None,
     *,
     shown: Shown,
 ) -> None:
-    """Tables as CSV; comment lines hold the run file and what columns mean: pandas.read_csv(FILE, comment="#")."""
+    """Tables as CSV; comment lines hold the run file and what columns mean:
+    pandas.read_csv(FILE, comment="#")."""
     from eqsim.io import export as tables
     from eqsim.io import storage
 
@@ -118,11 +153,19 @@ def export(
     sweep = tables.sweep_of(first)
     dataset = sweep or first.parent
     alone = len(found) == 1 and out is not None and not out.is_dir()
-    folder = out.parent if alone and out else out or (dataset.absolute().parent if sweep else dataset)
+    folder = (
+        out.parent
+        if alone and out
+        else out or (dataset.absolute().parent if sweep else dataset)
+    )
     if sweep and folder.resolve().is_relative_to(dataset.resolve()):
-        raise InputError(f"--out {out}: must be outside {dataset}, where everything is read as points")
+        raise InputError(
+            f"--out {out}: must be outside {dataset}, where everything is read as points"
+        )
     storage.check_folder(folder)
     names = {name: out.name if alone and out else f"{name}.csv" for name in found}
-    storage.publish(folder, {names[name]: tables.as_csv(files) for name, files in found.items()})
+    storage.publish(
+        folder, {names[name]: tables.as_csv(files) for name, files in found.items()}
+    )
     written = [os.path.relpath(folder / name) for name in names.values()]
     shown.report({"files": written}, notes=written)

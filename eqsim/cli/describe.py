@@ -22,7 +22,9 @@ _KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
 _VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
 
 
-def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown: Shown) -> None:
+def info(
+    path: RunFilePath, changes: Changes, threads: Threads = None, *, shown: Shown
+) -> None:
     """Dimensionless groups and regime of a run file, without simulating it."""
     file = changes.load(path)
     cores(threads)
@@ -31,10 +33,16 @@ def info(path: RunFilePath, changes: Changes, threads: Threads = None, *, shown:
     from eqsim.io.units import scales
     from eqsim.model.reduced import groups
 
-    found, lives = groups(ensemble, drive), predicted_lives(ensemble, drive, file.output.replicas)
+    found, lives = (
+        groups(ensemble, drive),
+        predicted_lives(ensemble, drive, file.output.replicas),
+    )
     found += scales(ensemble, file.in_units(), file.of_interface())
     shown.doubt(ensemble, drive)
-    rows = [(g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning) for g in found]
+    rows = [
+        (g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning)
+        for g in found
+    ]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
         title=file.headline(ensemble, path.stem),
@@ -48,21 +56,31 @@ def material(
     name: Annotated[str, Argument(metavar="NAME", help=_NAME)],
     temperature: Annotated[float | None, Option(help=_KELVIN)] = None,
     toml: Annotated[bool, Option("--toml", help="Print a run file instead.")] = False,
-    disorder: Annotated[str | None, Option(help='Of the run file. Default: "quenched".')] = None,
+    disorder: Annotated[
+        str | None, Option(help='Of the run file. Default: "quenched".')
+    ] = None,
     velocity: Annotated[float | None, Option(help=_VELOCITY)] = None,
-    set_: Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help=_CONSTANT)] = None,
+    set_: Annotated[
+        list[str] | None, Option("--set", metavar="KEY=VALUE", help=_CONSTANT)
+    ] = None,
     *,
     shown: Shown,
 ) -> None:
     """SI parameters of a real interface, from its material constants."""
     from eqsim.materials import ROOM_TEMPERATURE, parameters, run_file_text
 
-    found = _material(name, {key: value for key, (value, _) in Changes(set_).given().items()})
+    found = _material(
+        name, {key: value for key, (value, _) in Changes(set_).given().items()}
+    )
     kelvin = ROOM_TEMPERATURE if temperature is None else temperature
     if toml:
         if shown.json:
-            raise InputError("--toml: prints a run file; it cannot be asked for with --json")
-        require_choice("--disorder", kind := disorder or "quenched", ("quenched", "annealed"))
+            raise InputError(
+                "--toml: prints a run file; it cannot be asked for with --json"
+            )
+        require_choice(
+            "--disorder", kind := disorder or "quenched", ("quenched", "annealed")
+        )
         text = run_file_text(found, kelvin, velocity, disorder=cast("Disorder", kind))
         shown.report(None, notes=[text.removesuffix("\n")])
         return
@@ -76,21 +94,30 @@ def material(
         columns=("", "value", "unit", "meaning"),
         rows=[(row.name, f"{row.value:.5g}", row.unit, row.meaning) for row in rows],
         notes=[
-            *([] if found.elastic_length else ["no elastic correlation length a^2 E/k: E of the walls is not given"]),
+            *(
+                []
+                if found.elastic_length
+                else [
+                    "no elastic correlation length a^2 E/k: E of the walls is not given"
+                ]
+            ),
             NOTE,
         ],
     )
 
 
 def _material(name: str, changes: dict[str, Any]) -> "Material":
-    """A preset, the material of a TOML file, or one that is all in the `changes`. Raises InputError."""
+    """A preset, the material of a TOML file, or one that is all in the `changes`.
+    Raises InputError."""
     from eqsim.io.runfile import read_toml
     from eqsim.materials import KINDS, constants_of, from_constants, preset
 
     known = preset(name)
     if known is not None:
         constants = constants_of(known)
-        constants["name"] = ", ".join([known.name, *(f"{key} = {value}" for key, value in changes.items())])
+        constants["name"] = ", ".join(
+            [known.name, *(f"{key} = {value}" for key, value in changes.items())]
+        )
     elif name.lower() in KINDS:
         constants = {"kind": name.lower()}
     elif name.lower().endswith(".toml") or os.path.lexists(name):
@@ -98,7 +125,9 @@ def _material(name: str, changes: dict[str, Any]) -> "Material":
     else:
         kinds = " or ".join(f'"{kind}"' for kind in KINDS)
         known_names = '"steel", "octamethylcyclotetrasiloxane" ("omcts"), a TOML file of constants'
-        raise InputError(f"NAME = {short(name)}: must be {known_names}, or {kinds} with all of them as --set KEY=VALUE")
+        raise InputError(
+            f"NAME = {short(name)}: must be {known_names}, or {kinds} with all of them as --set KEY=VALUE"
+        )
     for key, value in changes.items():
         *sections, last = key.split(".")
         place = constants

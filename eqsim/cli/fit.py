@@ -14,9 +14,13 @@ if TYPE_CHECKING:
     from eqsim.fitting.design import Design, Limits
 
 _ALLOW = "Fit also what the data cannot separate, with a warning."
-_VELOCITY = "Within these limits. Default: up to ten times beyond the velocities of the data."
+_VELOCITY = (
+    "Within these limits. Default: up to ten times beyond the velocities of the data."
+)
 _TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
-_COMPARE = "Another model of the same data: its chi-square, AICc and BIC beside this one's."
+_COMPARE = (
+    "Another model of the same data: its chi-square, AICc and BIC beside this one's."
+)
 _POSTERIOR = "Draw from the posterior, too: posterior.parquet and a picture. Needs eqsim[posterior]."
 
 
@@ -24,7 +28,10 @@ _POSTERIOR = "Draw from the posterior, too: posterior.parquet and a picture. Nee
 class FitOptions:
     """How a fit is made."""
 
-    data: Annotated[Path | None, Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")] = None
+    data: Annotated[
+        Path | None,
+        Option(metavar="DATA.csv", help="Measurements, instead of fit.data."),
+    ] = None
     starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
     compare: Annotated[Path | None, Option(metavar="OTHER.toml", help=_COMPARE)] = None
     posterior: Annotated[bool, Option("--posterior", help=_POSTERIOR)] = False
@@ -33,14 +40,20 @@ class FitOptions:
 
 def fit(
     path: RunFilePath,
-    out: Annotated[Path, Option(help="Folder for fit.json, tables, pictures and the run file of the best fit.")],
+    out: Annotated[
+        Path,
+        Option(
+            help="Folder for fit.json, tables, pictures and the run file of the best fit."
+        ),
+    ],
     options: FitOptions,
     changes: Changes,
     workers: Processes = None,
     *,
     shown: Shown,
 ) -> None:
-    """Fit keys of the run file, its [fit] section, to measurements: estimates, intervals, and what stays undecided.
+    """Fit keys of the run file, its [fit] section, to measurements: estimates,
+    intervals, and what stays undecided.
 
     The same command goes on with a fit that was stopped."""
     file = changes.load(path)
@@ -64,7 +77,9 @@ def fit(
         )  # fmt: skip
         rival = None
         if options.compare is not None and other is not None:
-            rival = fitting.compared(found, other, options.compare.parent, options.starts)
+            rival = fitting.compared(
+                found, other, options.compare.parent, options.starts
+            )
     files = report.write(found, out, path.stem)
     lines, sampled = list(report.remarks(found)), None
     if options.posterior:
@@ -77,7 +92,13 @@ def fit(
         data["compare"] = {"file": str(options.compare), **rival._asdict()}
         lines.insert(1, report.quality(str(options.compare), rival))
     lines.append(f"{out}/: {', '.join(files)}")
-    shown.report(data, title=file.title or path.stem, columns=report.COLUMNS, rows=report.rows(found), notes=lines)
+    shown.report(
+        data,
+        title=file.title or path.stem,
+        columns=report.COLUMNS,
+        rows=report.rows(found),
+        notes=lines,
+    )
     if found.rejected or not found.converged:
         raise Exit(1)
 
@@ -86,11 +107,26 @@ def fit(
 class DesignOptions:
     """What measurements are sought."""
 
-    fitted: Annotated[Path, Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)]
-    key: Annotated[str, Option("--for", metavar="KEY", help="The key to be known better.", show_default=False)]
-    count: Annotated[int, Option("--next", help="How many measurements, one after the other.")] = 4
+    fitted: Annotated[
+        Path,
+        Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False),
+    ]
+    key: Annotated[
+        str,
+        Option(
+            "--for",
+            metavar="KEY",
+            help="The key to be known better.",
+            show_default=False,
+        ),
+    ]
+    count: Annotated[
+        int, Option("--next", help="How many measurements, one after the other.")
+    ] = 4
     velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
-    temperature: Annotated[str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)] = None
+    temperature: Annotated[
+        str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)
+    ] = None
 
     def limits(self, name: str) -> "Limits | None":
         """The ends of an option that is a range."""
@@ -102,12 +138,17 @@ class DesignOptions:
         try:
             low, high = (float(part) for part in text.split(","))
         except ValueError:
-            raise InputError(f"--{name} {text}: must be two numbers, LOW,HIGH") from None
+            raise InputError(
+                f"--{name} {text}: must be two numbers, LOW,HIGH"
+            ) from None
         return Limits(low, high)
 
 
-def design(path: RunFilePath, options: DesignOptions, changes: Changes, *, shown: Shown) -> None:
-    """The next measurements for a key of a fit: velocities and temperatures, and how well it would be known after."""
+def design(
+    path: RunFilePath, options: DesignOptions, changes: Changes, *, shown: Shown
+) -> None:
+    """The next measurements for a key of a fit: velocities and temperatures, and how
+    well it would be known after."""
     file = changes.load(path)
     require_integer("--next", options.count, 1, 1000)
     from eqsim.fitting import design as designing
@@ -122,7 +163,9 @@ def design(path: RunFilePath, options: DesignOptions, changes: Changes, *, shown
         title=f"{file.title or path.stem}: the next measurements of friction for {options.key}",
         columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
         rows=_steps(found),
-        notes=["expected by the Fisher information at the best fit, for errors like those of the data"],
+        notes=[
+            "expected by the Fisher information at the best fit, for errors like those of the data"
+        ],
     )
 
 

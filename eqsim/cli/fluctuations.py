@@ -24,13 +24,17 @@ def fluctuations(
     out: Annotated[Path | None, Option(help=_OUT)] = None,
     lag: Annotated[float | None, Option(help=_LAG, show_default=False)] = None,
     points: Annotated[int, Option(help="Lags, from 0 on.")] = 101,
-    lives: Annotated[float, Option(help="About how many lives are simulated; 0: none.", show_default="1e6")] = 1e6,
+    lives: Annotated[
+        float,
+        Option(help="About how many lives are simulated; 0: none.", show_default="1e6"),
+    ] = 1e6,
     *,
     changes: Changes,
     threads: Threads = None,
     shown: Shown,
 ) -> None:
-    """Variance and autocovariance of the steady force over displacement: exact, and of simulated contacts."""
+    """Variance and autocovariance of the steady force over displacement: exact, and of
+    simulated contacts."""
     file, count = changes.load(path), cores(threads)
     require_integer("--points", points, 2, 10_000)
     from eqsim.io import storage
@@ -39,13 +43,17 @@ def fluctuations(
         storage.check_folder(out)
     from eqsim.workflows.fluctuations import run_fluctuations
 
-    found = run_fluctuations(file, path.parent, lag=lag, points=points, lives=lives, threads=count)
+    found = run_fluctuations(
+        file, path.parent, lag=lag, points=points, lives=lives, threads=count
+    )
     notes = list(_remarks(found))
     if out is not None:
         storage.publish(out, found.files(path.stem))
         notes.append(f"{out}/: {', '.join(found.names)}")
     title = file.headline(found.ensemble, path.stem)
-    shown.report(found.summary(), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes)
+    shown.report(
+        found.summary(), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes
+    )
 
 
 def _rows(found: "FluctuationsResult") -> Iterator[tuple[str, ...]]:
@@ -58,7 +66,9 @@ def _rows(found: "FluctuationsResult") -> Iterator[tuple[str, ...]]:
         simulated = "none"
         if sample is not None:
             value, stderr = float(sample.covariance[i]), float(sample.stderr[i])
-            simulated = terminal.value_and_error(Estimate(value, stderr, sample.ensembles, reliable=sample.reliable))
+            simulated = terminal.value_and_error(
+                Estimate(value, stderr, sample.ensembles, reliable=sample.reliable)
+            )
         score = "none" if sample is None else terminal.score(z[i])
         yield f"{exact.lag[i]:.6g}", f"{exact.covariance[i]:.6g}", simulated, score
 
@@ -73,7 +83,9 @@ def _remarks(found: "FluctuationsResult") -> Iterator[str]:
         yield f"nothing simulated: {found.reason}"
     else:
         lives = terminal.count(found.sample.lives)
-        ensembles = f"{found.sample.ensembles} ensembles of {found.sample.contacts} contacts"
+        ensembles = (
+            f"{found.sample.ensembles} ensembles of {found.sample.contacts} contacts"
+        )
         yield f"{ensembles}, {lives} lives, seed {said['seed']}"
         if not found.sample.reliable:
             yield "unreliable: a few ensembles make the scatter; forces this heavy-tailed need more --lives"

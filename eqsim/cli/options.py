@@ -24,13 +24,30 @@ if TYPE_CHECKING:
     from eqsim.model.drive import Drive, Programme
     from eqsim.model.ensemble import Ensemble
 
-RunFilePath = Annotated[Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)]
-Threads = Annotated[int | None, Option(help="Threads: speed only, never a number. Default: all cores.")]
-Processes = Annotated[int | None, Option(help="Processes on this machine. Default: all cores.")]
-MaxLives = Annotated[float, Option(help="Refuse work that needs more lives than this.", show_default="1e10")]
-_Format = Option("--format", metavar="FORMAT", help="Pictures also as pdf or svg, beside png; repeatable.")
+RunFilePath = Annotated[
+    Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)
+]
+Threads = Annotated[
+    int | None, Option(help="Threads: speed only, never a number. Default: all cores.")
+]
+Processes = Annotated[
+    int | None, Option(help="Processes on this machine. Default: all cores.")
+]
+MaxLives = Annotated[
+    float,
+    Option(help="Refuse work that needs more lives than this.", show_default="1e10"),
+]
+_Format = Option(
+    "--format",
+    metavar="FORMAT",
+    help="Pictures also as pdf or svg, beside png; repeatable.",
+)
 Formats = Annotated[list[str] | None, _Format]
-_Set = Option("--set", metavar="KEY=VALUE", help="Change a key of the run file, as section.key=value; repeatable.")
+_Set = Option(
+    "--set",
+    metavar="KEY=VALUE",
+    help="Change a key of the run file, as section.key=value; repeatable.",
+)
 
 
 @dataclass(frozen=True)
@@ -38,13 +55,17 @@ class Changes:
     """What the command line changes in a run file."""
 
     set_: Annotated[list[str] | None, _Set] = None
-    seed: Annotated[int | None, Option(help="Random seed, instead of the run file's.")] = None
+    seed: Annotated[
+        int | None, Option(help="Random seed, instead of the run file's.")
+    ] = None
 
     def given(self) -> dict[str, tuple[Any, str]]:
         """Value and option by key."""
         changes: dict[str, tuple[Any, str]] = {}
         for item in self.set_ or []:
-            if not item.isascii() and any("\ud800" <= c <= "\udfff" for c in item):  # bytes that are no UTF-8
+            if not item.isascii() and any(
+                "\ud800" <= c <= "\udfff" for c in item
+            ):  # bytes that are no UTF-8
                 raise InputError(f"--set {item}: is not text in UTF-8")
             key, equals, text = item.partition("=")
             if not equals or not all(map(str.strip, key.split("."))):
@@ -53,7 +74,10 @@ class Changes:
                 parsed = tomllib.loads(f"value = {text}")
             except (ValueError, RecursionError):
                 parsed = {}
-            changes[key.strip()] = parsed["value"] if len(parsed) == 1 else text, f"--set {item}"
+            changes[key.strip()] = (
+                parsed["value"] if len(parsed) == 1 else text,
+                f"--set {item}",
+            )
         if self.seed is not None:
             require_integer("--seed", self.seed, 0, 2**63 - 1)
             changes["output.seed"] = self.seed, "--seed"
@@ -76,7 +100,9 @@ class Shown:
     json: Annotated[bool, Option("--json", help="Print JSON for machines.")] = False
     quiet: Annotated[bool, Option("--quiet", help="Print errors only.")] = False
 
-    def bar(self, title: str, unit: str) -> AbstractContextManager[Callable[[int, float], None]]:
+    def bar(
+        self, title: str, unit: str
+    ) -> AbstractContextManager[Callable[[int, float], None]]:
         """A progress bar, unless there is nobody to see it."""
         return terminal.bar(title, self.quiet or self.json, unit)
 
@@ -85,7 +111,9 @@ class Shown:
         if not (self.quiet or self.json):
             print(line)
 
-    def doubt(self, ensemble: "Ensemble", drive: "Drive | Programme | None" = None) -> None:
+    def doubt(
+        self, ensemble: "Ensemble", drive: "Drive | Programme | None" = None
+    ) -> None:
         """Warn, on standard error, of numbers that are hardly meant."""
         from eqsim.model.reduced import doubts
 
@@ -102,7 +130,11 @@ _STDERR = "stderr: statistical standard error, of a value simulated."
 _ERROR = "error: bound of the error of a numerical solution."
 _F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
 WORDS = {  # what commands mean by words of their tables, columns and JSON
-    "run": (_Z, _STDERR, "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."),
+    "run": (
+        _Z,
+        _STDERR,
+        "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start.",
+    ),
     "steady": (_Z, _STDERR),
     "reference": (_ERROR, _F_K),
     "validate": (_Z,),
@@ -117,22 +149,30 @@ def complain(message: str) -> None:
 
 
 def typed(message: str) -> str:
-    """A message in which arguments of functions have the names of the options they come from."""
+    """A message in which arguments of functions have the names of the options they come
+    from."""
     names = r"(?<![\w.-])(rel_error|max_lives|temperature|velocity)(?= (= |was ))"
     return re.sub(names, lambda found: "--" + found[1].replace("_", "-"), message)
 
 
 def results_folder(path: Path, out: Path | None) -> Path:
-    """Where the results of a run file go: to `out`, or to out/NAME beside it. Raises InputError."""
+    """Where the results of a run file go: to `out`, or to out/NAME beside it. Raises
+    InputError."""
     if out is None and not path.is_file():
-        raise InputError(f"--out: is required, because {path} is not a file with a folder of its own")
+        raise InputError(
+            f"--out: is required, because {path} is not a file with a folder of its own"
+        )
     return out or path.parent / "out" / path.stem
 
 
 def cores(asked: int | None = None) -> int:
     """So many threads as are asked for, or as there are cores. Raises InputError."""
     if asked is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else os.cpu_count() or 1
+        )
     require_integer("--threads", asked, 1, 1024)
     return asked
 
@@ -145,12 +185,20 @@ def pictured(formats: list[str] | None) -> tuple[str, ...]:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer: where `command` takes a dataclass, the dataclass's fields are options. Help is text: what it
-    has in brackets, as a [section], is no markup."""
+    """A command for typer: where `command` takes a dataclass, the dataclass's fields
+    are options. Help is text: what it has in brackets, as a [section], is no markup."""
     given = inspect.signature(command).parameters
-    kinds: dict[str, Any] = {name: part.annotation for name, part in given.items() if is_dataclass(part.annotation)}
+    kinds: dict[str, Any] = {
+        name: part.annotation
+        for name, part in given.items()
+        if is_dataclass(part.annotation)
+    }
     fields = {name: inspect.signature(kind).parameters for name, kind in kinds.items()}
-    every = [option for name, part in given.items() for option in fields.get(name, {name: part}).values()]
+    every = [
+        option
+        for name, part in given.items()
+        for option in fields.get(name, {name: part}).values()
+    ]
 
     @functools.wraps(command)
     def call(**values: Any) -> None:
@@ -158,7 +206,10 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{field: values.pop(field) for field in fields[name]})
         command(**values)
 
-    every = [one.replace(kind=one.KEYWORD_ONLY, annotation=_escaped(one.annotation)) for one in every]
+    every = [
+        one.replace(kind=one.KEYWORD_ONLY, annotation=_escaped(one.annotation))
+        for one in every
+    ]
     call.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in every}
     call.__doc__ = escape(inspect.cleandoc(command.__doc__ or ""))
@@ -166,7 +217,8 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _path(text: str) -> Path:
-    """The path that an option or argument names; an empty one would be the current folder. Raises BadParameter."""
+    """The path that an option or argument names; an empty one would be the current
+    folder. Raises BadParameter."""
     if not str(text).strip():
         raise BadParameter(f"{str(text)!r} must be the name of a file or folder")
     return Path(text)
@@ -176,7 +228,8 @@ _path.__name__ = "path"  # what help calls such a value
 
 
 def _escaped(annotation: Any) -> Any:
-    """An annotated option or argument whose help shows as it is written; no path is empty."""
+    """An annotated option or argument whose help shows as it is written; no path is
+    empty."""
     kind, given = get_args(annotation)
     shown = copy.copy(given)
     shown.help = escape(given.help or "")

@@ -37,7 +37,10 @@ _DASK = "Split the ensemble over a dask cluster, by its scheduler's address or f
 class Split:
     """Who simulates the contacts, if not threads of this process."""
 
-    workers: Annotated[int | None, Option(help="Split the ensemble over so many processes: the same bits.")] = None
+    workers: Annotated[
+        int | None,
+        Option(help="Split the ensemble over so many processes: the same bits."),
+    ] = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
 
     def chosen(self) -> "Workers | None":
@@ -54,7 +57,10 @@ class Split:
 
 def run(
     path: RunFilePath,
-    out: Annotated[Path | None, Option(help="Results folder. Default: out/NAME beside the run file.")] = None,
+    out: Annotated[
+        Path | None,
+        Option(help="Results folder. Default: out/NAME beside the run file."),
+    ] = None,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -74,7 +80,14 @@ def run(
     from eqsim.workflows.run import run as simulate
 
     with shown.bar("simulating", "lives") as progress:
-        result = simulate(file, path.parent, threads=count, workers=workers, max_lives=max_lives, progress=progress)
+        result = simulate(
+            file,
+            path.parent,
+            threads=count,
+            workers=workers,
+            max_lives=max_lives,
+            progress=progress,
+        )
     files = result.files(path.stem, formats)
     storage.publish(folder, files)
     shown.doubt(result.ensemble, result.drive)
@@ -85,7 +98,11 @@ def run(
         notes=[
             *_remarks(result, "workers" if workers else "threads"),
             f"{folder}/: {', '.join(files)}",
-            *([f"no exact curve: {reason}"] if (reason := getattr(result, "exact", (None, ""))[1]) else []),
+            *(
+                [f"no exact curve: {reason}"]
+                if (reason := getattr(result, "exact", (None, ""))[1])
+                else []
+            ),
         ],
     )
 
@@ -99,14 +116,23 @@ def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, A
         return {"columns": _COUPLED, "rows": _coupled(result)}
     if isinstance(result, RunResult):
         rows = result.file.rows(result.ensemble, result.trajectory.averages)
-        return {"columns": (*_AVERAGES[:3], *_unit(rows), _AVERAGES[3]), "rows": _averages(result)}
+        return {
+            "columns": (*_AVERAGES[:3], *_unit(rows), _AVERAGES[3]),
+            "rows": _averages(result),
+        }
     if isinstance(result, SliderResult):
         return {"columns": _SLIPS, "rows": _slips(result)}
     shown = result.file.preferred(result.ensemble, result.trajectory.segments[0].peak)
     columns = _SEGMENTS
     if shown:
         unit = f" [{shown.unit}]" * bool(shown.unit)
-        columns = (*_SEGMENTS[:3], f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak", _SEGMENTS[6])
+        columns = (
+            *_SEGMENTS[:3],
+            f"{shown.symbol} then{unit}",
+            "z",
+            f"{shown.symbol} at its peak",
+            _SEGMENTS[6],
+        )
     return {"columns": columns, "rows": _segments(result, shown)}
 
 
@@ -120,17 +146,26 @@ _FEW_CUT = 8  # slips that are named in a remark
 _SHOWN = 10  # parts of a curve at whose ends it is shown
 
 
-def _segments(result: "ProgrammeResult", shown: "Quantity | None") -> Iterator[tuple[str, ...]]:
-    """What each segment shows, forces as a quantity of the interface, if there is one; z is the difference of the force
-    at its end from the exact mean in standard errors."""
+def _segments(
+    result: "ProgrammeResult", shown: "Quantity | None"
+) -> Iterator[tuple[str, ...]]:
+    """What each segment shows, forces as a quantity of the interface, if there is one;
+    z is the difference of the force at its end from the exact mean in standard errors.
+    """
     from eqsim.estimate import difference
 
     exact, found = result.exact_segments, result.trajectory.segments
     for index, segment in enumerate(found):
         if index < _MOST_ROWS:
-            z = terminal.score(difference(segment.end, exact[index].end)) if exact else "none"
+            z = (
+                terminal.score(difference(segment.end, exact[index].end))
+                if exact
+                else "none"
+            )
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
-            end, peak = ((shown.of(one) if shown else one) for one in (segment.end, segment.peak))
+            end, peak = (
+                (shown.of(one) if shown else one) for one in (segment.end, segment.peak)
+            )
             yield (
                 str(index), velocity, f"{segment.t:.6g}", terminal.value_and_error(end), z,
                 terminal.value_and_error(peak), terminal.value_and_error(segment.at),
@@ -144,7 +179,11 @@ def _slips(result: "SliderResult") -> Iterator[tuple[str, ...]]:
     found = result.trajectory
     for index, slip in enumerate(found.slips[:_MOST_ROWS]):
         least = "" if slip.begun and slip.ended else "> "
-        sizes = (slip.drop, slip.duration, abs(slip.distance) if least else slip.distance)
+        sizes = (
+            slip.drop,
+            slip.duration,
+            abs(slip.distance) if least else slip.distance,
+        )
         places = (f"{number:.6g}" for number in (slip.t, slip.X))
         yield str(index), *places, *(f"{least}{number:.6g}" for number in sizes)
     if len(found.slips) > _MOST_ROWS:
@@ -164,7 +203,11 @@ def _coupled(result: "ElasticResult") -> Iterator[tuple[str, ...]]:
     """Friction and avalanches of coupled blocks beside what is exact."""
     from eqsim.estimate import difference
 
-    names = {"friction": "friction over X", "size": "breaks per avalanche", "single": "fraction of single breaks"}
+    names = {
+        "friction": "friction over X",
+        "size": "breaks per avalanche",
+        "single": "fraction of single breaks",
+    }
     for name, (found, exact) in result.averages().items():
         known = "none" if exact.value is None else terminal.value_and_error(exact)
         z = "none" if exact.value is None else terminal.score(difference(found, exact))
@@ -186,36 +229,64 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
         estimate = getattr(averages, name)
         without = estimate.value is None or estimate.diverges
         z = "none" if without else terminal.score(difference(estimate, steady[name]))
-        both = (terminal.value_and_error(row.of(one)) for one in (estimate, steady[name]))
+        both = (
+            terminal.value_and_error(row.of(one)) for one in (estimate, steady[name])
+        )
         yield row.label, *both, *row.unit, z
     if result.peak is None:
         return
     quantity = result.file.preferred(result.ensemble, result.peak.force)
     length = result.file.rows(result.ensemble, averages)[0][1].unit
-    forces = Row("peak_force", (quantity.unit,), quantity) if quantity else Row("peak_force", length)
+    forces = (
+        Row("peak_force", (quantity.unit,), quantity)
+        if quantity
+        else Row("peak_force", length)
+    )
     for name, row in (("force", forces), ("X", Row("peak_X", length))):
-        estimate, exact = getattr(result.peak, name), getattr(result.exact_peak, name, None)
+        estimate, exact = (
+            getattr(result.peak, name),
+            getattr(result.exact_peak, name, None),
+        )
         known = "none" if exact is None else terminal.value_and_error(row.of(exact))
-        z = "none" if exact is None or estimate.value is None else terminal.score(difference(estimate, exact))
+        z = (
+            "none"
+            if exact is None or estimate.value is None
+            else terminal.score(difference(estimate, exact))
+        )
         yield row.label, terminal.value_and_error(row.of(estimate)), known, *row.unit, z
 
 
-def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) -> Iterator[str]:
+def _remarks(
+    result: "RunResult | ProgrammeResult | ElasticResult", who: str
+) -> Iterator[str]:
     from eqsim.workflows.elastic import ElasticResult
 
     if isinstance(result, ElasticResult):
         yield from _remarks_on_blocks(result)
         return
-    found, contacts = result.trajectory, result.ensemble.count * result.file.output.replicas
+    found, contacts = (
+        result.trajectory,
+        result.ensemble.count * result.file.output.replicas,
+    )
     averages = getattr(found, "averages", None)
     if averages and result.ensemble.divergence:
         yield result.ensemble.divergence
-    if averages and not all(estimate.reliable for estimate in averages.averages().values() if not estimate.diverges):
+    if averages and not all(
+        estimate.reliable
+        for estimate in averages.averages().values()
+        if not estimate.diverges
+    ):
         yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
     for index, segment in enumerate(getattr(found, "segments", ())[:_MOST_ROWS]):
         if segment.step:
-            shown = ((name, getattr(segment.step, name)) for name in ("direct", "evolution", "memory"))
-            effects = ", ".join(f"{name} {terminal.value_and_error(estimate)}" for name, estimate in shown)
+            shown = (
+                (name, getattr(segment.step, name))
+                for name in ("direct", "evolution", "memory")
+            )
+            effects = ", ".join(
+                f"{name} {terminal.value_and_error(estimate)}"
+                for name, estimate in shown
+            )
             yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
     if getattr(result, "peak", None):
         yield "averages: over the second half of the run; peak: the first maximum of the force after the start"
@@ -223,7 +294,11 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) ->
     if slips is not None:
         yield f"{len(slips)} slips" if slips else "no slip in this run"
         for verb, whole in (("begins", "begun"), ("ends", "ended")):
-            cut = [str(index) for index, slip in enumerate(slips) if not getattr(slip, whole)]
+            cut = [
+                str(index)
+                for index, slip in enumerate(slips)
+                if not getattr(slip, whole)
+            ]
             if cut:
                 named = ", ".join(cut[:_FEW_CUT]) + ", ..." * (len(cut) > _FEW_CUT)
                 yield _CUT.format(verb, f"slip{'s' * (len(cut) > 1)} {named}")
@@ -231,7 +306,9 @@ def _remarks(result: "RunResult | ProgrammeResult | ElasticResult", who: str) ->
             yield "force_stderr: that of contacts at this X; how far X differs between ensembles takes 8 replicas"
     elif not found.force_reliable:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
-    lives = terminal.lives(found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts")
+    lives = terminal.lives(
+        found.lives, found.engine_seconds, f" of {terminal.count(contacts)} contacts"
+    )
     yield f"{lives}, {found.threads} {who}, seed {found.seed}"
 
 
@@ -254,16 +331,23 @@ def _remarks_on_blocks(result: "ElasticResult") -> Iterator[str]:
 
 def steady(
     path: RunFilePath,
-    rel_error: Annotated[float, Option(help="Relative standard error of all observables.")] = 1e-3,
+    rel_error: Annotated[
+        float, Option(help="Relative standard error of all observables.")
+    ] = 1e-3,
     *,
     changes: Changes,
     threads: Threads = None,
     max_lives: MaxLives = 1e10,
     shown: Shown,
 ) -> None:
-    """Steady friction, pinned fraction and stretch at breaking, to a requested relative error."""
+    """Steady friction, pinned fraction and stretch at breaking, to a requested relative
+    error."""
     file = changes.load(path)
-    ensemble, drive, count = file.ensemble(path.parent), file.constant(path.parent), cores(threads)
+    ensemble, drive, count = (
+        file.ensemble(path.parent),
+        file.constant(path.parent),
+        cores(threads),
+    )
     from eqsim.engine.steady import steady as estimate_steady
     from eqsim.master.steady import reference as solve
     from eqsim.workflows.run import if_any
@@ -276,7 +360,9 @@ def steady(
     shown.doubt(ensemble)
     if not result.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
-    exact, reason = if_any(lambda: solve(ensemble, drive, variance=result.force_variance.value is not None))
+    exact, reason = if_any(
+        lambda: solve(ensemble, drive, variance=result.force_variance.value is not None)
+    )
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
     z, rows = _scores(found, levels), file.rows(ensemble, result)
@@ -304,12 +390,16 @@ def steady(
     )  # fmt: skip
 
 
-def _scores(found: "dict[str, Estimate]", exact: "dict[str, Estimate]") -> dict[str, float | None]:
+def _scores(
+    found: "dict[str, Estimate]", exact: "dict[str, Estimate]"
+) -> dict[str, float | None]:
     """z of each estimate that has an exact value."""
     from eqsim.estimate import z_score
 
     return {
-        name: None if level.value is None else z_score(found[name], level.value, level.stderr or 0.0)
+        name: None
+        if level.value is None
+        else z_score(found[name], level.value, level.stderr or 0.0)
         for name, level in exact.items()
     }
 
@@ -319,9 +409,15 @@ _CURVE_FOLDER = "Folder for table and picture of --transient or --closure. Defau
 
 def reference(
     path: RunFilePath,
-    transient: Annotated[bool, Option("--transient", help="F(X) and pinned(X) from the run's start.")] = False,
+    transient: Annotated[
+        bool, Option("--transient", help="F(X) and pinned(X) from the run's start.")
+    ] = False,
     closure: Annotated[
-        bool, Option("--closure", help="F(X) of annealed contacts whose pool of thresholds ages from newborn.")
+        bool,
+        Option(
+            "--closure",
+            help="F(X) of annealed contacts whose pool of thresholds ages from newborn.",
+        ),
     ] = False,
     out: Annotated[Path | None, Option(help=_CURVE_FOLDER)] = None,
     *,
@@ -335,7 +431,9 @@ def reference(
         raise InputError("--transient, --closure: only one of them")
     for option, given in (("--out", out), ("--format", format_)):
         if given and not (transient or closure):
-            raise InputError(f"{option}: is for the table and the picture of --transient or --closure")
+            raise InputError(
+                f"{option}: is for the table and the picture of --transient or --closure"
+            )
     file = changes.load(path)
     cores(threads)
     if transient or closure:
@@ -358,7 +456,12 @@ def reference(
         title=file.headline(ensemble, path.stem),
         columns=("", "value", *_unit(rows), "error"),
         rows=[
-            (row.label, row.exact(found[name], ".10g"), *row.unit, f"{row.of(found[name]).stderr or 0.0:.1e}")
+            (
+                row.label,
+                row.exact(found[name], ".10g"),
+                *row.unit,
+                f"{row.of(found[name]).stderr or 0.0:.1e}",
+            )
             for name, row in [*rows, ("f_k", rows[0][1]._replace(label="f_k"))]
         ],
         notes=[
@@ -370,9 +473,15 @@ def reference(
 
 
 def _curve(
-    path: Path, file: "RunFile", closure: bool, out: Path | None, formats: tuple[str, ...], shown: Shown
+    path: Path,
+    file: "RunFile",
+    closure: bool,
+    out: Path | None,
+    formats: tuple[str, ...],
+    shown: Shown,
 ) -> None:
-    """An exact curve as a table and a picture in a folder, unless only JSON is wanted, and some of its rows."""
+    """An exact curve as a table and a picture in a folder, unless only JSON is wanted,
+    and some of its rows."""
     from eqsim.io import storage
     from eqsim.io.plots import curve_picture
     from eqsim.io.style import pictures
@@ -384,17 +493,35 @@ def _curve(
     columns, notes = curve(file, path.parent, closure=closure), []
     if folder is not None:
         name = "closure" if closure else "transient"
-        origin = storage.provenance("reference", file.model_dump(), file.text, file.output.seed, path.parent)
+        origin = storage.provenance(
+            "reference", file.model_dump(), file.text, file.output.seed, path.parent
+        )
         files = {f"{name}.parquet": storage.parquet(columns, origin)}
         files |= pictures(name, curve_picture(file, path, columns), formats)
         storage.publish(folder, files)
         said = f"{folder}/: {', '.join(files)}, {len(columns['X'])} rows"
         notes = ["columns end in _error: bound of the solver's", said]
-    wanted = [name for name in ("t", "X", "stage", "force", "force_error", "pinned", "pinned_error") if name in columns]
+    wanted = [
+        name
+        for name in (
+            "t",
+            "X",
+            "stage",
+            "force",
+            "force_error",
+            "pinned",
+            "pinned_error",
+        )
+        if name in columns
+    ]
     last = len(columns["X"]) - 1
     some = sorted({round(last * part / _SHOWN) for part in range(_SHOWN + 1)})
     title = file.title or path.stem
     rows = [
-        tuple(f"{columns[name][row]:{'.1e' if name.endswith('_error') else '.8g'}}" for name in wanted) for row in some
+        tuple(
+            f"{columns[name][row]:{'.1e' if name.endswith('_error') else '.8g'}}"
+            for name in wanted
+        )
+        for row in some
     ]
     shown.report(columns, title=title, columns=wanted, rows=rows, notes=notes)

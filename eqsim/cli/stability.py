@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 _OUT = "Folder for the borders over velocity: a table, a picture and summary.json."
 _CRITICAL = "Look for the critical stiffness of steady sliding also where it takes minutes, with heat or aging."
-_DECADES, _POINTS, _FEW = 1.5, 25, 7  # of the borders, to either side of the run's velocity
+_DECADES, _POINTS, _FEW = (
+    1.5,
+    25,
+    7,
+)  # of the borders, to either side of the run's velocity
 _COLUMNS = ("", "value", "meaning")
 _FRESH = {
     "slips": "this run slips",
@@ -36,7 +40,8 @@ def stability(
     threads: Threads = None,
     shown: Shown,
 ) -> None:
-    """Whether a slider that a stage pulls through a spring slides steadily, or sticks and slips."""
+    """Whether a slider that a stage pulls through a spring slides steadily, or sticks
+    and slips."""
     file = changes.load(path)
     cores(threads)
     from eqsim.io import storage
@@ -48,31 +53,49 @@ def stability(
     pulled = solve.pulled_by(file.ensemble(path.parent), file.driven(path.parent))
     with shown.bar("kicks and stiffnesses", "runs") as progress:
         found = solve.stability(
-            pulled.ensemble, pulled.programme(), critical=True if critical else None, progress=progress
+            pulled.ensemble,
+            pulled.programme(),
+            critical=True if critical else None,
+            progress=progress,
         )
     title, notes = file.title or path.stem, list(_remarks(found))
     if out is not None:
         steady = pulled.quick or critical
-        velocities = _velocities(found.velocity, _FEW if critical and not pulled.quick else _POINTS)
+        velocities = _velocities(
+            found.velocity, _FEW if critical and not pulled.quick else _POINTS
+        )
         with shown.bar("borders", "velocities") as progress:
-            borders = solve.border(pulled, velocities, critical=steady, progress=progress)
-        origin = storage.provenance("stability", file.model_dump(), file.text, file.output.seed, path.parent)
+            borders = solve.border(
+                pulled, velocities, critical=steady, progress=progress
+            )
+        origin = storage.provenance(
+            "stability", file.model_dump(), file.text, file.output.seed, path.parent
+        )
         from eqsim.estimate import Estimate
         from eqsim.io.plots import caption
 
         said = caption(file, pulled.ensemble, Estimate(None, None, 0), path.stem)
         names = _publish(out, found, borders, said, origin)
         notes.append(f"{out}/: {', '.join(names)}")
-    shown.report(_summary(found), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes)
+    shown.report(
+        _summary(found), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes
+    )
 
 
 def _velocities(velocity: float, points: int) -> list[float]:
     """Around the run's own, which is drawn besides."""
-    return [velocity * 10.0 ** (_DECADES * (2.0 * i / (points - 1) - 1.0)) for i in range(points)]
+    return [
+        velocity * 10.0 ** (_DECADES * (2.0 * i / (points - 1) - 1.0))
+        for i in range(points)
+    ]
 
 
 def _publish(
-    out: Path, found: "Stability", borders: dict[str, Any], said: "Caption", origin: dict[str, Any]
+    out: Path,
+    found: "Stability",
+    borders: dict[str, Any],
+    said: "Caption",
+    origin: dict[str, Any],
 ) -> list[str]:
     """Write what there is, and tell the names of the files."""
     from eqsim.io import storage
@@ -88,7 +111,11 @@ def _publish(
 
 
 def _summary(found: "Stability") -> dict[str, Any]:
-    said = {"fresh_slips": found.fresh_slips, "fresh_verdict": found.fresh_verdict, "verdict": found.verdict}
+    said = {
+        "fresh_slips": found.fresh_slips,
+        "fresh_verdict": found.fresh_verdict,
+        "verdict": found.verdict,
+    }
     return {**asdict(found), **said}
 
 
@@ -96,17 +123,37 @@ def _rows(found: "Stability") -> Iterator[tuple[str, str, str]]:
     """What is known of the first slip, of steady sliding, and of the run."""
     yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of this run"
     fresh = found.fresh
-    yield "fresh start, critical", _text(fresh.critical_stiffness), "kappa_s below which the slider jumps"
+    yield (
+        "fresh start, critical",
+        _text(fresh.critical_stiffness),
+        "kappa_s below which the slider jumps",
+    )
     verdict = _FRESH[found.fresh_verdict]
-    yield "first slip", _text(fresh.slip_stiffness), f"kappa_s below which the jump is a slip; {verdict}"
+    yield (
+        "first slip",
+        _text(fresh.slip_stiffness),
+        f"kappa_s below which the jump is a slip; {verdict}",
+    )
     if fresh.X.value is not None:
         yield "after X", _text(fresh.X), "where friction falls most steeply"
-    yield "peak / steady", _text(fresh.peak_ratio), "largest friction over steady friction"
-    yield "steady sliding", found.verdict, "of this run" if found.verdict == "neutral" else f"by {found.method}"
+    yield (
+        "peak / steady",
+        _text(fresh.peak_ratio),
+        "largest friction over steady friction",
+    )
+    yield (
+        "steady sliding",
+        found.verdict,
+        "of this run" if found.verdict == "neutral" else f"by {found.method}",
+    )
     if found.verdict == "neutral":
         return
     if found.critical_stiffness.value is not None:
-        yield "critical", _text(found.critical_stiffness), "kappa_s below which it is unstable"
+        yield (
+            "critical",
+            _text(found.critical_stiffness),
+            "kappa_s below which it is unstable",
+        )
     if found.growth.value is not None:
         yield "growth rate", _text(found.growth), "of perturbations, 1/time"
     if found.period.value is not None:
@@ -116,7 +163,11 @@ def _rows(found: "Stability") -> Iterator[tuple[str, str, str]]:
 def _text(estimate: "Estimate") -> str:
     if estimate.value is not None and not abs(estimate.value) < float("inf"):
         return "infinite"
-    if estimate.value is not None and estimate.stderr is not None and estimate.stderr < 1e-7 * abs(estimate.value):
+    if (
+        estimate.value is not None
+        and estimate.stderr is not None
+        and estimate.stderr < 1e-7 * abs(estimate.value)
+    ):
         return f"{estimate.value:.8g}"
     return terminal.value_and_error(estimate)
 

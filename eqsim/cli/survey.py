@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, complain, cores, typed
+from eqsim.cli.options import (
+    Changes,
+    Processes,
+    RunFilePath,
+    Shown,
+    complain,
+    cores,
+    typed,
+)
 from eqsim.errors import InputError, require_integer
 from eqsim.io import signals
 from eqsim.paper import ARTICLE, FIGURES, figure
@@ -24,7 +32,9 @@ _DASK = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 class SweepOptions:
     """What is computed at each point, and who computes."""
 
-    rel_error: Annotated[float, Option(help="Relative standard error of all observables.")] = 1e-2
+    rel_error: Annotated[
+        float, Option(help="Relative standard error of all observables.")
+    ] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
     workers: Processes = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
@@ -32,20 +42,29 @@ class SweepOptions:
 
 def sweep(
     path: RunFilePath,
-    out: Annotated[Path, Option(help="Folder of the dataset; the same command continues it.")],
+    out: Annotated[
+        Path, Option(help="Folder of the dataset; the same command continues it.")
+    ],
     options: SweepOptions,
     changes: Changes,
-    threads: Annotated[int | None, Option(help="Threads per process. Default: cores that are left.")] = None,
-    max_lives: Annotated[float, Option(help="Most lives per point.", show_default="1e10")] = 1e10,
+    threads: Annotated[
+        int | None, Option(help="Threads per process. Default: cores that are left.")
+    ] = None,
+    max_lives: Annotated[
+        float, Option(help="Most lives per point.", show_default="1e10")
+    ] = 1e10,
     *,
     shown: Shown,
 ) -> None:
-    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset, one row per point."""
+    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset,
+    one row per point."""
     file = changes.load(path)
     if options.dask is not None and options.workers is not None:
         raise InputError("--workers: not with --dask, whose cluster has its own")
     each = None if threads is None else cores(threads)
-    count = max(1, cores() // (each or 1)) if options.workers is None else options.workers
+    count = (
+        max(1, cores() // (each or 1)) if options.workers is None else options.workers
+    )
     require_integer("--workers", count, 1, 1024)
     from eqsim.sweeps import plan, rows, scheduler, workers
 
@@ -54,7 +73,9 @@ def sweep(
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
     asked = rows.Asked(options.rel_error, max_lives, options.transient)
-    who = workers.Workers(count, each or (1 if options.dask else max(1, cores() // count)), options.dask)
+    who = workers.Workers(
+        count, each or (1 if options.dask else max(1, cores() // count)), options.dask
+    )
     stores: list[Store] = []
     try:
         points = plan.Plan(file, path.parent)
@@ -70,10 +91,17 @@ def sweep(
         kept = stores[0].kept() if stores else "this call has computed nothing"
         raise KeyboardInterrupt(f"{kept}; the same command continues") from None
     failures = found.failures[:10]
-    shown.report({**asdict(found), "failures": failures, "out": str(out)}, notes=_ended(found, out))
+    shown.report(
+        {**asdict(found), "failures": failures, "out": str(out)},
+        notes=_ended(found, out),
+    )
     for failure in failures if not shown.json else []:
-        values = ", ".join(f"{key} = {value}" for key, value in failure["changes"].items())
-        complain(f"point {failure['point']} ({values}) failed: {typed(failure['message'])}")
+        values = ", ".join(
+            f"{key} = {value}" for key, value in failure["changes"].items()
+        )
+        complain(
+            f"point {failure['point']} ({values}) failed: {typed(failure['message'])}"
+        )
     if found.failed:
         raise Exit(1)
 
@@ -81,34 +109,49 @@ def sweep(
 def _ended(found: "Summary", out: Path) -> list[str]:
     doubtful = f", {found.unreliable} unreliable" if found.unreliable else ""
     failed = f", {found.failed} FAILED" if found.failed else ""
-    notes = [f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}"]
+    notes = [
+        f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}"
+    ]
     if found.computed:
         each = f"{found.point_seconds / found.computed * 1e3:.3g} ms of engine and reference each"
         notes.append(f"{found.computed} computed in {found.seconds:.1f} s, {each}")
     return notes
 
 
-_Where = Option(metavar="KEY=VALUE", help="Only points at which a column has this value; repeatable.")
+_Where = Option(
+    metavar="KEY=VALUE",
+    help="Only points at which a column has this value; repeatable.",
+)
 
 
-_By = Option(help="Column of which every value is a series; a second one chooses markers, the first then colours.")
+_By = Option(
+    help="Column of which every value is a series; a second one chooses markers, the first then colours."
+)
 _PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
 
 
 def plot(
-    folder: Annotated[Path, Argument(metavar="DIR", help="Folder of Parquet files, one point a row.")],
+    folder: Annotated[
+        Path, Argument(metavar="DIR", help="Folder of Parquet files, one point a row.")
+    ],
     x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
     y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
     by: Annotated[list[str] | None, _By] = None,
     where: Annotated[list[str] | None, _Where] = None,
     out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None,
     log_x: Annotated[
-        bool | None, Option("--log-x/--linear-x", help="Default: logarithmic above a factor 30.", show_default=False)
+        bool | None,
+        Option(
+            "--log-x/--linear-x",
+            help="Default: logarithmic above a factor 30.",
+            show_default=False,
+        ),
     ] = None,
     *,
     shown: Shown,
 ) -> None:
-    """Draw a sweep: an observable against a parameter, with error bars and the reference."""
+    """Draw a sweep: an observable against a parameter, with error bars and the
+    reference."""
     chosen = {}
     for item in where or []:
         key, equals, value = (part.strip() for part in item.partition("="))
@@ -120,7 +163,9 @@ def plot(
     if file.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"--out {file}: must end in .png, .pdf or .svg")
     if file.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"--out {file}: must be outside {folder}, where everything is read as points")
+        raise InputError(
+            f"--out {file}: must be outside {folder}, where everything is read as points"
+        )
     from eqsim.io import storage, style, sweep_plots
     from eqsim.io.export import RENAMED_COLUMNS
 
@@ -138,19 +183,28 @@ def plot(
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])
 
 
-_Names = Argument(metavar="NAME", help=f"Of {', '.join(map(figure, FIGURES))}, by name or number. Default: all.")
+_Names = Argument(
+    metavar="NAME",
+    help=f"Of {', '.join(map(figure, FIGURES))}, by name or number. Default: all.",
+)
 _FIGURES = Path("runs/out/figures")
 
 
 def figures(
     names: Annotated[list[str] | None, _Names] = None,
-    out: Annotated[Path, Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")] = _FIGURES,
-    quick: Annotated[bool, Option("--quick", help="Few points: coarse, under a minute of one core each.")] = False,
+    out: Annotated[
+        Path, Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")
+    ] = _FIGURES,
+    quick: Annotated[
+        bool,
+        Option("--quick", help="Few points: coarse, under a minute of one core each."),
+    ] = False,
     workers: Processes = None,
     *,
     shown: Shown,
 ) -> None:
-    """The figures of Braun and Peyrard (2011) recomputed, with simulated contacts on them; minutes for all."""
+    """The figures of Braun and Peyrard (2011) recomputed, with simulated contacts on
+    them; minutes for all."""
     from eqsim_figures import check, make
 
     from eqsim.io import storage
@@ -162,21 +216,38 @@ def figures(
     storage.check_folder(out)
     made: list[Any] = []
     try:
-        with Workers(count).fixed_pool() as pool, shown.bar("computing", "points") as progress:
-            for one in make(wanted, out, quick=quick, executor=pool.executor, progress=progress):
+        with (
+            Workers(count).fixed_pool() as pool,
+            shown.bar("computing", "points") as progress,
+        ):
+            for one in make(
+                wanted, out, quick=quick, executor=pool.executor, progress=progress
+            ):
                 made.append(one)
     except KeyboardInterrupt:
         signals.acknowledge()
         finished = ", ".join(one.name for one in made)
-        raise KeyboardInterrupt(f"finished in {out}/: {finished}" if made else "") from None
+        raise KeyboardInterrupt(
+            f"finished in {out}/: {finished}" if made else ""
+        ) from None
     made.sort(key=lambda one: wanted.index(one.name))
     shown.report(
         {"out": str(out), "figures": [one._asdict() for one in made]},
         title="figures: simulated contacts against the master equation of their ensemble",
         columns=("", "Fig.", "curves", "estimates", "largest |z|", "chi-square p"),
         rows=[
-            (f.name, str(FIGURES[f.name]), str(f.curves), str(f.particles), f"{f.largest:.2f}", f"{f.p:.2g}")
+            (
+                f.name,
+                str(FIGURES[f.name]),
+                str(f.curves),
+                str(f.particles),
+                f"{f.largest:.2f}",
+                f"{f.p:.2g}",
+            )
             for f in made
         ],
-        notes=[f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and .parquet", f"Fig.: of {ARTICLE}"],
+        notes=[
+            f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and .parquet",
+            f"Fig.: of {ARTICLE}",
+        ],
     )

@@ -2,8 +2,8 @@
 them make an avalanche.
 
 Without heat, delay, damping and mass the slider is always in balance, kappa (Y - X) =
-F(X), or slips until it is. A contact breaks where X reaches X_birth + xi - y, with y its
-stretch at birth; the stage has to be at
+F(X), or slips until it is. A contact breaks where X reaches X_birth + xi - y, with y
+its stretch at birth; the stage has to be at
 
     Y(X) = X + F(X)/kappa
 
@@ -64,7 +64,8 @@ class Queue(NamedTuple):
 
 
 class Way(NamedTuple):
-    """Where the stage goes: stiffness of its spring, end, and a flag (1,) that stops it."""
+    """Where the stage goes: stiffness of its spring, end, and a flag (1,) that stops
+    it."""
 
     stiffness: float
     until: float
@@ -78,11 +79,13 @@ def queue_of(threshold: Array, stretch: Array, lives: Array) -> Queue:
     return Queue(position[order], order, threshold.copy(), lives.copy())
 
 
-def events_of(dtype: np.dtype[Any], kernel: Callable[..., tuple[int, bool]], *arguments: Any) -> Array:
+def events_of(
+    dtype: np.dtype[Any], kernel: Callable[..., tuple[int, bool]], *arguments: Any
+) -> Array:
     """Join the events that `kernel(*arguments, events)` finds.
 
-    The kernel fills an array, and returns the number of events and whether it has come to
-    its end. Else the array is full, and the kernel is called again.
+    The kernel fills an array, and returns the number of events and whether it has come
+    to its end. Else the array is full, and the kernel is called again.
     """
     events = np.empty(_ROOM, dtype)
     found = []
@@ -95,7 +98,8 @@ def events_of(dtype: np.dtype[Any], kernel: Callable[..., tuple[int, bool]], *ar
 
 @routine
 def put_back(heap: Array, contacts: Array, position: float) -> None:
-    """Give the contact that is next another position, and restore the order of the heap.
+    """Give the contact that is next another position, and restore the order of the
+    heap.
 
     `heap` holds positions and `contacts` which contact each belongs to.
     """
@@ -157,12 +161,18 @@ def _break(laws: Contacts, stream: Key, first: int, queue: Queue, now: Any) -> N
 
 @kernel
 def load(
-    laws: Contacts, stream: Key, first: int, queue: Queue, state: Array, way: Way, events: Array
+    laws: Contacts,
+    stream: Key,
+    first: int,
+    queue: Queue,
+    state: Array,
+    way: Way,
+    events: Array,
 ) -> tuple[int, bool]:
     """Move the stage along its way, and note the avalanches that end (`EVENT`).
 
-    The first contact is number `first`; `state` (1,) is a `STATE`. Returns the number of
-    avalanches, and False if there are more than `events` has room for.
+    The first contact is number `first`; `state` (1,) is a `STATE`. Returns the number
+    of avalanches, and False if there are more than `events` has room for.
     """
     now = state[0]
     rows = 0
@@ -187,7 +197,9 @@ def load(
                 event.distance = now.X - now.X_begun
                 rows += 1
                 now.size = 0
-            elif rest > now.X:  # the spring may begin with more force than contacts hold
+            elif (
+                rest > now.X
+            ):  # the spring may begin with more force than contacts hold
                 _slip(now, way.stiffness, rest)
             target = min(needed, way.until)
             force = now.force

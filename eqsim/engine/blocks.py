@@ -1,4 +1,5 @@
-"""Blocks of contacts, handed to threads or to the workers of an executor: integer sums that simply add up."""
+"""Blocks of contacts, handed to threads or to the workers of an executor: integer sums
+that simply add up."""
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
@@ -19,14 +20,17 @@ _SHARES = 4  # for each worker of an executor: few enough that tables and sums t
 
 
 class Totals:
-    """Integer sums of one thread or share of the contacts, in `rows` for `points` instants; those of several simply add
-    up. Of replicas the forces at these instants are noted, and one by one if they are `kept`."""
+    """Integer sums of one thread or share of the contacts, in `rows` for `points`
+    instants; those of several simply add up. Of replicas the forces at these instants
+    are noted, and one by one if they are `kept`."""
 
     names = ("deposits", "windows", "counts", "replica_sum", "replica_square")
 
     def __init__(self, rows: int, points: int, replicas: int) -> None:
         self.deposits = np.zeros(rows, DEPOSIT)
-        self.scratch = np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits  # of the ensemble at hand
+        self.scratch = (
+            np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits
+        )  # of the ensemble at hand
         self.windows = np.zeros((BATCHES, 2), WINDOW)
         self.counts = np.zeros(2, np.int64)
         self.lives = self.counts[:1]
@@ -37,10 +41,14 @@ class Totals:
         self.forces: list[tuple[int, Array]] = []  # with their replica
 
     def close_replica(self, job: "Job", contacts: int, replica: int) -> None:
-        """Note the force of the ensemble just simulated, the `replica`, and clear the sums for the next one."""
+        """Note the force of the ensemble just simulated, the `replica`, and clear the
+        sums for the next one."""
         if self.scratch is self.deposits:
             return
-        force, (scale, square) = job.moments(self.scratch, contacts).force, job.replica_scales
+        force, (scale, square) = (
+            job.moments(self.scratch, contacts).force,
+            job.replica_scales,
+        )
         self.replica_sum += np.rint(force * scale).astype(np.int64)
         self.replica_square += np.rint(force**2 * square).astype(np.int64)
         if self.kept:
@@ -53,12 +61,21 @@ class Totals:
         if replicas == 1:
             return None
         scale, square = job.replica_scales
-        spread = self.replica_square / square - (self.replica_sum / scale) ** 2 / replicas
+        spread = (
+            self.replica_square / square - (self.replica_sum / scale) ** 2 / replicas
+        )
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
 
     def replica_forces(self) -> Array | None:
-        """The force of every replica, shape (replicas, points); None if there is one, or if they were not kept."""
-        return np.array([force for _, force in sorted(self.forces, key=lambda one: one[0])]) if self.forces else None
+        """The force of every replica, shape (replicas, points); None if there is one,
+        or if they were not kept."""
+        return (
+            np.array(
+                [force for _, force in sorted(self.forces, key=lambda one: one[0])]
+            )
+            if self.forces
+            else None
+        )
 
     def add(self, other: "Totals") -> None:
         self.forces += getattr(other, "forces", [])  # those of workers stay there
@@ -93,8 +110,8 @@ class Job(Protocol):
 
 
 class _Blocks(NamedTuple):
-    """How contacts are divided: block i is those from edges[i] up to edges[i + 1], whole ensembles of `contacts` if
-    there are replicas."""
+    """How contacts are divided: block i is those from edges[i] up to edges[i + 1],
+    whole ensembles of `contacts` if there are replicas."""
 
     edges: Sequence[int]
     contacts: int
@@ -102,7 +119,8 @@ class _Blocks(NamedTuple):
 
     @classmethod
     def of(cls, contacts: int, replicas: int, workers: int, alike: bool) -> "_Blocks":
-        """`alike`, a few for each worker, or ever smaller ones, so that those who take them in turn end together."""
+        """`alike`, a few for each worker, or ever smaller ones, so that those who take
+        them in turn end together."""
         count = contacts * replicas
         if replicas > 1:
             return cls(range(0, count + 1, contacts), contacts, replicas)
@@ -112,11 +130,15 @@ class _Blocks(NamedTuple):
         edges, least = [0], min(_BLOCK, -(-count // workers))
         while edges[-1] < count:
             rest = count - edges[-1]
-            edges.append(edges[-1] + min(rest, max(least, -(-rest // (2 * workers - 1)))))
+            edges.append(
+                edges[-1] + min(rest, max(least, -(-rest // (2 * workers - 1))))
+            )
         return cls(edges, contacts, 1)
 
 
-def _follow(job: Job, blocks: _Blocks, which: Iterable[int], total: Totals | None = None) -> Totals:
+def _follow(
+    job: Job, blocks: _Blocks, which: Iterable[int], total: Totals | None = None
+) -> Totals:
     """Simulate some blocks, in a thread or in a worker of an executor."""
     if total is None:  # a worker sends back sums only
         total = job.totals(blocks.replicas)
@@ -134,10 +156,14 @@ def workers_of(threads: Threads) -> int:
     return threads[1] if isinstance(threads, tuple) else max(1, threads)
 
 
-def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress: Progress | None) -> Totals:
-    """Hand blocks of contacts (whole ensembles if there are replicas) to threads as they become free, or a few shares
-    of them for each worker to an executor."""
-    executor, threads = threads if isinstance(threads, tuple) else (None, max(1, threads))
+def simulate_all(
+    job: Job, count: int, replicas: int, threads: Threads, progress: Progress | None
+) -> Totals:
+    """Hand blocks of contacts (whole ensembles if there are replicas) to threads as
+    they become free, or a few shares of them for each worker to an executor."""
+    executor, threads = (
+        threads if isinstance(threads, tuple) else (None, max(1, threads))
+    )
     blocks = _Blocks.of(count, replicas, threads, executor is not None)
     every = range(len(blocks.edges) - 1)
     totals = [job.totals(replicas) for _ in range(1 if executor else threads)]
@@ -147,10 +173,15 @@ def simulate_all(job: Job, count: int, replicas: int, threads: Threads, progress
         try:
             if pool:
                 shared = iter(every)  # next() is atomic
-                running = {pool.submit(_follow, job, blocks, shared, total) for total in totals}
+                running = {
+                    pool.submit(_follow, job, blocks, shared, total) for total in totals
+                }
             elif executor:
                 shares = min(_SHARES * threads, len(every))
-                running = {executor.submit(_follow, job, blocks, every[i::shares]) for i in range(shares)}
+                running = {
+                    executor.submit(_follow, job, blocks, every[i::shares])
+                    for i in range(shares)
+                }
             while running:
                 done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
                 if pool and pool.stop[0]:

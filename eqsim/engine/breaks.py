@@ -1,4 +1,5 @@
-"""Every break of the contacts of a run, one by one: of small ensembles, as their number is that of lives."""
+"""Every break of the contacts of a run, one by one: of small ensembles, as their number
+is that of lives."""
 
 import math
 from dataclasses import dataclass
@@ -20,13 +21,15 @@ from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.results import Drawn, Result
 
 _BLOCK = 4 * LANES  # contacts whose breaks are noted together, whoever does it
-_MARGIN = 1.5  # room for breaks, over their predicted number; with more a block is done again
+# room for breaks, over their predicted number; with more a block is done again
+_MARGIN = 1.5
 MOST_BREAKS = 20_000_000  # 0.8 GB
 
 
 @dataclass(frozen=True, repr=False)
 class Breaks(Result):
-    """Breaks of contacts along a drive in the order of the displacement, arrays of shape (breaks,).
+    """Breaks of contacts along a drive in the order of the displacement, arrays of
+    shape (breaks,).
 
     Attributes
     ----------
@@ -40,7 +43,9 @@ class Breaks(Result):
         k_i/k of the contact at birth.
     """
 
-    drawn: ClassVar[Drawn] = Drawn("X", "stretch", "", "displacement  X", "stretch at breaking", dots=True)
+    drawn: ClassVar[Drawn] = Drawn(
+        "X", "stretch", "", "displacement  X", "stretch at breaking", dots=True
+    )
     replica: Array
     contact: Array
     t: Array
@@ -50,8 +55,16 @@ class Breaks(Result):
     stiffness: Array
 
 
-def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1, threads: int = 1) -> Breaks:
-    """The breaks of the contacts that `trajectory` follows with the same seed, from a fresh start.
+def breaks(
+    ensemble: Ensemble,
+    drive: Drive,
+    *,
+    seed: int = 1,
+    replicas: int = 1,
+    threads: int = 1,
+) -> Breaks:
+    """The breaks of the contacts that `trajectory` follows with the same seed, from a
+    fresh start.
 
     Parameters
     ----------
@@ -72,19 +85,25 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
     Raises
     ------
     InputError
-        For a drive that is not constant or not from a fresh start, for thresholds that fluctuate, and for more than 2e7
-        breaks.
+        For a drive that is not constant or not from a fresh start, for thresholds that
+        fluctuate, and for more than 2e7 breaks.
     """
     expected = check_breaks(ensemble, drive, seed, replicas)
     c = contacts(ensemble, drive.velocity, settled(ensemble, drive, seed, threads))
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
-    distance, stream, each = drive.over(ensemble) / unit, key(seed, TRAJECTORY), expected / count
+    distance, stream, each = (
+        drive.over(ensemble) / unit,
+        key(seed, TRAJECTORY),
+        expected / count,
+    )
 
     def block(first: int) -> Array:
         last = min(first + _BLOCK, count)
         size = int(_MARGIN * each * (last - first)) + 100
         while True:
-            listed = BreakList(distance, np.empty(size, BREAK), np.zeros(1, np.int64), current_stop())
+            listed = BreakList(
+                distance, np.empty(size, BREAK), np.zeros(1, np.int64), current_stop()
+            )
             follow(c, listed, stream, first, last, *idle_lanes(c, stream))
             size = int(listed.number[0])
             if size <= listed.rows.size:
@@ -95,28 +114,48 @@ def breaks(ensemble: Ensemble, drive: Drive, *, seed: int = 1, replicas: int = 1
     rows = rows[np.lexsort((rows["contact"], rows["X"]))]
     replica, contact = np.divmod(rows["contact"], ensemble.count)
     X, stretch, travel = (rows[name] * unit for name in ("X", "stretch", "travel"))
-    return Breaks(replica, contact, X / drive.velocity, X, stretch, travel, rows["stiffness"].copy())
+    return Breaks(
+        replica,
+        contact,
+        X / drive.velocity,
+        X,
+        stretch,
+        travel,
+        rows["stiffness"].copy(),
+    )
 
 
 def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> float:
     """About how many breaks there are. Raises InputError if they cannot be listed."""
     require_drive(drive)
     if drive.start != "fresh":
-        raise InputError(f'drive.start = "{drive.start}": breaks are listed from a fresh start only')
+        raise InputError(
+            f'drive.start = "{drive.start}": breaks are listed from a fresh start only'
+        )
     if ensemble.fluctuates:
-        raise InputError(f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of thresholds that fluctuate')
+        raise InputError(
+            f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of thresholds that fluctuate'
+        )
     expected = check_run(ensemble, drive, 2, seed, replicas, math.inf)
     if expected > MOST_BREAKS:
-        raise InputError(f"breaks: there are about {expected:.3g}; at most {MOST_BREAKS:.0e} are listed")
+        raise InputError(
+            f"breaks: there are about {expected:.3g}; at most {MOST_BREAKS:.0e} are listed"
+        )
     return expected
 
 
-BREAK = np.dtype([("contact", np.int64), *((name, float) for name in ("X", "stretch", "travel", "stiffness"))])
+BREAK = np.dtype(
+    [
+        ("contact", np.int64),
+        *((name, float) for name in ("X", "stretch", "travel", "stiffness")),
+    ]
+)
 
 
 class BreakList(NamedTuple):
-    """A recorder of `engine.follow` that lists the breaks within a distance: an array of BREAK, shape (rows,), and how
-    many there are, shape (1,); those for which there is no row are lost."""
+    """A recorder of `engine.follow` that lists the breaks within a distance: an array
+    of BREAK, shape (rows,), and how many there are, shape (1,); those for which there
+    is no row are lost."""
 
     distance: float
     rows: Array
@@ -126,7 +165,9 @@ class BreakList(NamedTuple):
 
 
 @admit.register(BreakList)
-def _admit(recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int) -> bool:
+def _admit(
+    recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int
+) -> bool:
     lanes.contact[lane] = contact
     lanes.age[lane] = 0
     lanes.position[lane] = 0.0
@@ -135,7 +176,14 @@ def _admit(recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lane: int, 
 
 @note_lives.register(BreakList)
 def _note_lives(
-    recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+    recorder: BreakList,
+    c: Contacts,
+    key: Key,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    active: int,
+    full: int,
 ) -> bool:
     ended, position = False, lanes.position
     for i in range(active):

@@ -13,8 +13,8 @@ from eqsim.numerics.tables import Array
 
 
 class Contacts(NamedTuple):
-    """The laws of a contact, each a NamedTuple by whose type kernels are compiled; lengths in units of the threshold
-    law's scale, time as displacement.
+    """The laws of a contact, each a NamedTuple by whose type kernels are compiled;
+    lengths in units of the threshold law's scale, time as displacement.
 
     Attributes
     ----------
@@ -42,18 +42,26 @@ class Contacts(NamedTuple):
 
 
 def lower(s: Reduced) -> Contacts:
-    """Dimensionless numbers as kernel arguments. Raises InputError where there is no table for them."""
+    """Dimensionless numbers as kernel arguments. Raises InputError where there is no
+    table for them."""
     barrier: Any = s.barrier
     if s.annealed:
         pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
-    born = stretched(s.newborn, s.law, not s.one_sided) if s.newborn.active else Unstressed()
+    born = (
+        stretched(s.newborn, s.law, not s.one_sided)
+        if s.newborn.active
+        else Unstressed()
+    )
     return Contacts(
         for_kernels(s.law), s.springs, barrier, s.barrier.table(), s.barrier.hazard_table(), s.aging,
         s.aging.table(s.springs), s.delay.for_kernels(), born,
     )  # fmt: skip
 
 
-def contacts(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Contacts:
-    """An ensemble at `velocity` for kernels; `mean_stretch` as in `reduced`. Raises InputError."""
+def contacts(
+    ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
+) -> Contacts:
+    """An ensemble at `velocity` for kernels; `mean_stretch` as in `reduced`. Raises
+    InputError."""
     return lower(reduced(ensemble, velocity, mean_stretch))

@@ -140,8 +140,18 @@ def prepare(laws: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> 
 
 
 @routine(inline=True)
-def _push(b: Blocks, r: Response, row: int, begin: int, end: int, offset: int, force: float, first: int) -> None:
-    """Move blocks first + begin to first + end of a row of the lattice, and mend the tree.
+def _push(
+    b: Blocks,
+    r: Response,
+    row: int,
+    begin: int,
+    end: int,
+    offset: int,
+    force: float,
+    first: int,
+) -> None:
+    """Move blocks first + begin to first + end of a row of the lattice, and mend the
+    tree.
 
     The response of block first + k is `r.G[row, offset + k]`. Indices are unsigned, so
     that numba does not look for ones that count from the end, and loops vectorise. Four
@@ -229,7 +239,14 @@ def _lowest(b: Blocks) -> int:
 
 @kernel
 def load(
-    laws: Contacts, stream: Key, first: int, b: Blocks, r: Response, state: Array, until: float, events: Array
+    laws: Contacts,
+    stream: Key,
+    first: int,
+    b: Blocks,
+    r: Response,
+    state: Array,
+    until: float,
+    events: Array,
 ) -> tuple[int, bool]:
     """Raise the level to `until`, and note the avalanches that end (`EVENT`).
 
@@ -276,7 +293,9 @@ def load(
         now.breaks += 1
         now.released += xi
         now.work += 0.5 * xi * xi
-        drawn = draw_birth(laws.newborn, laws, stream, first + contact, b.lives[contact]).threshold
+        drawn = draw_birth(
+            laws.newborn, laws, stream, first + contact, b.lives[contact]
+        ).threshold
         b.xi[contact] = _rounded(drawn, r.unit)
         b.lives[contact] += 1
         put_back(b.position[block], b.contact[block], position + b.xi[contact])
@@ -286,7 +305,8 @@ def load(
 
 @dataclass(frozen=True, repr=False)
 class ElasticTrajectory(Result):
-    """Motion of coupled blocks while the plate moves, in the mean over blocks and replicas.
+    """Motion of coupled blocks while the plate moves, in the mean over blocks and
+    replicas.
 
     Attributes
     ----------
@@ -295,22 +315,24 @@ class ElasticTrajectory(Result):
     X, force : ndarray, shape (points,)
         Mean displacement of the blocks, and F/(N k) (length).
     force_stderr : ndarray, shape (points,)
-        Standard error of `force` from the scatter between replicas; of a single replica, that
-        of independent contacts at the same displacements.
+        Standard error of `force` from the scatter between replicas; of a single
+        replica, that of independent contacts at the same displacements.
     force_reliable : bool
         Whether replicas are enough (8). One replica does not show how far its X is from
         that of others.
     force_replica_std, X_replica_std : ndarray, shape (points,), or None
         Standard deviations between replicas, if there are several.
     friction, size, single : Estimate
-        Averages over the second half of the plate's way, from batches: int F dX/Delta X of
-        all blocks (length), breaks per avalanche, and fraction of single breaks among them.
+        Averages over the second half of the plate's way, from batches: int F dX/Delta X
+        of all blocks (length), breaks per avalanche, and fraction of single breaks
+        among them.
     avalanches : dict of ndarray
-        Columns: time `t`, plate `D` (length), `block` where it began, `breaks`, `blocks` that
-        broke, `drop` of F/(N k) (length), and the `replica`.
+        Columns: time `t`, plate `D` (length), `block` where it began, `breaks`,
+        `blocks` that broke, `drop` of F/(N k) (length), and the `replica`.
     blocks : dict of ndarray
-        Columns, with a row for each record of each block: `t`, `D`, `block`, its displacement
-        `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the `replica`.
+        Columns, with a row for each record of each block: `t`, `D`, `block`, its
+        displacement `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the
+        `replica`.
     lives : int
         Number of lives of contacts that were simulated.
     seed, engine_seconds, threads
@@ -344,7 +366,12 @@ class ElasticTrajectory(Result):
 
 
 def check_elastic(
-    ensemble: Ensemble, drive: Drive, points: int, seed: int, replicas: int, max_lives: float
+    ensemble: Ensemble,
+    drive: Drive,
+    points: int,
+    seed: int,
+    replicas: int,
+    max_lives: float,
 ) -> tuple[Elastic, float]:
     """Blocks of a run, and its predicted lives.
 
@@ -371,12 +398,16 @@ def check_elastic(
     )  # fmt: skip
     for wrong, said, why in refused:
         if wrong:
-            raise InputError(f"{said} with [elastic], whose blocks move quasi-statically at T = 0: {why}")
+            raise InputError(
+                f"{said} with [elastic], whose blocks move quasi-statically at T = 0: {why}"
+            )
     distance = drive.over(ensemble) / ensemble.thresholds.mean
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
     lives = ensemble.count * replicas * (1.0 + distance)
     if not lives <= max_lives:
-        raise InputError(f"this run needs about {lives:.3g} lives, more than max_lives = {max_lives:.3g}")
+        raise InputError(
+            f"this run needs about {lives:.3g} lives, more than max_lives = {max_lives:.3g}"
+        )
     if points * elastic.count * replicas > _MOST_RECORDS:
         raise InputError(
             f"output.points = {points}: records of all blocks and replicas must be <= {_MOST_RECORDS:.0e} in number"
@@ -444,7 +475,9 @@ def _response_of(elastic: Elastic, distance: float) -> Response:
     """Response for a plate that moves by `distance`; 51 bits hold every position."""
     G = elastic.response()
     middle = G.shape[1] // 2
-    reach = np.array([np.max(np.abs(np.flatnonzero(row) - middle), initial=0) for row in G])
+    reach = np.array(
+        [np.max(np.abs(np.flatnonzero(row) - middle), initial=0) for row in G]
+    )
     unit = 2.0 ** (math.ceil(math.log2(distance + 16.0)) - 51)
     return Response(G, reach, *elastic.shape, elastic.edges == "periodic", unit)
 
@@ -461,7 +494,9 @@ def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) 
     records, totals, events = [], [], []
     for level in np.unique(np.concatenate((levels, edges, pauses))):
         before = int(now["breaks"])
-        events.append(events_of(EVENT, load, laws, stream, first, b, response, state, level))
+        events.append(
+            events_of(EVENT, load, laws, stream, first, b, response, state, level)
+        )
         told(int(now["breaks"]) - before)
         X = b.position[:, 0] - b.h[: elastic.count] + level
         force = X - b.births / n
@@ -492,7 +527,8 @@ def elastic_trajectory(
     max_lives: float = 1e10,
     progress: Callable[[int], None] | None = None,
 ) -> ElasticTrajectory:
-    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, break by break.
+    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, break by
+    break.
 
     Parameters
     ----------
@@ -531,10 +567,16 @@ def elastic_trajectory(
     batches = int(np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _BATCHES))
     edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
     laws, count = contacts(ensemble, drive.velocity), ensemble.count
-    pauses = np.linspace(0.0, levels[-1], 1 + math.ceil(count * distance / mean / _BETWEEN_PAUSES))
+    pauses = np.linspace(
+        0.0, levels[-1], 1 + math.ceil(count * distance / mean / _BETWEEN_PAUSES)
+    )
     response = _response_of(elastic, distance / unit)
-    interface = _Interface(laws, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses)
-    nothing = interface._replace(contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0])
+    interface = _Interface(
+        laws, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses
+    )
+    nothing = interface._replace(
+        contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0]
+    )
     # Kernels are compiled here, so that seconds are those of the work.
     interruptibly(_simulate, nothing, 0, lambda _: None)
     begin = time.perf_counter()
@@ -552,7 +594,9 @@ def elastic_trajectory(
     X, force = X.mean(axis=0), force.mean(axis=0)
     estimates = _estimates(runs, unit)
     over = _transient_is_over(laws, X, (estimates[0].stderr or 0.0) / unit)
-    friction, size, single = (replace(one, reliable=one.reliable and over) for one in estimates)
+    friction, size, single = (
+        replace(one, reliable=one.reliable and over) for one in estimates
+    )
     return ElasticTrajectory(
         D=D,
         t=t,
@@ -574,7 +618,12 @@ def elastic_trajectory(
     )
 
 
-def _all(interface: _Interface, replicas: int, threads: int, progress: Callable[[int], None] | None) -> list[_Run]:
+def _all(
+    interface: _Interface,
+    replicas: int,
+    threads: int,
+    progress: Callable[[int], None] | None,
+) -> list[_Run]:
     """Hand replicas to threads as these become free."""
     lives = interface.contacts * replicas
 
@@ -587,7 +636,11 @@ def _all(interface: _Interface, replicas: int, threads: int, progress: Callable[
             progress(lives)
 
     with ThreadPool(max(1, threads)) as pool:
-        return list(pool.map(lambda replica: _simulate(interface, replica, told), range(replicas)))
+        return list(
+            pool.map(
+                lambda replica: _simulate(interface, replica, told), range(replicas)
+            )
+        )
 
 
 def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estimate]:
@@ -613,7 +666,8 @@ def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estim
 
 
 def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
-    """Whether the start moves the friction of the second half by less than half its error.
+    """Whether the start moves the friction of the second half by less than half its
+    error.
 
     The answer is that for independent contacts, whose law is exact.
     """
@@ -625,7 +679,9 @@ def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
     return bool(change <= 0.5 * error + 1e-9 * level.mean[0])
 
 
-def _avalanches(runs: list[_Run], unit: float, share: float, count: int, velocity: float) -> dict[str, Array]:
+def _avalanches(
+    runs: list[_Run], unit: float, share: float, count: int, velocity: float
+) -> dict[str, Array]:
     """Avalanches of all replicas by column, in the user's units.
 
     Force is lost by breaks and gained by the motion that they cause: a fraction `share`

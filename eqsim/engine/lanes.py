@@ -1,4 +1,5 @@
-"""Lives of many contacts side by side: thresholds, births, clocks and delays drawn, and how far each is carried."""
+"""Lives of many contacts side by side: thresholds, births, clocks and delays drawn, and
+how far each is carried."""
 
 import math
 from typing import Any, NamedTuple
@@ -16,7 +17,16 @@ from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.numerics.compiled import by_law, routine
-from eqsim.numerics.streams import ROUGH, Key, bits, fill_words, fine_product, product, uniform, uniforms
+from eqsim.numerics.streams import (
+    ROUGH,
+    Key,
+    bits,
+    fill_words,
+    fine_product,
+    product,
+    uniform,
+    uniforms,
+)
 from eqsim.numerics.tables import Array, look_up_all
 from eqsim.numerics.vector_math import log
 
@@ -28,7 +38,8 @@ _THRESHOLD = 0  # and clock
 _DELAY = 1
 _FINE_THRESHOLD = 2  # and 3, of the second half
 _BIRTH = 4
-_DELAY_OF_THE_FIRST = 65535  # after the life in which a stationary start finds a contact
+# after the life in which a stationary start finds a contact
+_DELAY_OF_THE_FIRST = 65535
 
 
 class Lanes(NamedTuple):
@@ -57,7 +68,13 @@ class Lanes(NamedTuple):
     def empty(cls) -> "Lanes":
         """All lanes idle."""
         contact, age, number = np.zeros((3, LANES), np.int64)
-        return cls(contact, age, np.full(LANES, math.inf), number, np.zeros((4, LANES), np.uint64))
+        return cls(
+            contact,
+            age,
+            np.full(LANES, math.inf),
+            number,
+            np.zeros((4, LANES), np.uint64),
+        )
 
 
 class Followed(NamedTuple):
@@ -74,7 +91,8 @@ class Lives(NamedTuple):
     Attributes
     ----------
     threshold, birth, clock : ndarray
-        Threshold and stretch at birth, and what the exponential clock shows at breaking: infinite without heat.
+        Threshold and stretch at birth, and what the exponential clock shows at
+        breaking: infinite without heat.
     delay : ndarray
         Between the break and the next birth.
     stiffness : ndarray
@@ -105,20 +123,35 @@ class Lives(NamedTuple):
 
     @classmethod
     def empty(cls, c: Contacts, followed: Any = (), rounds: int = ROUNDS) -> "Lives":
-        """Lives that clocks never end, of contacts born unstressed, as stiff as uniform ones, with the mean delay."""
-        threshold, birth, clock, delay, stiffness, travel, work = np.zeros((7, rounds, LANES))
+        """Lives that clocks never end, of contacts born unstressed, as stiff as uniform
+        ones, with the mean delay."""
+        threshold, birth, clock, delay, stiffness, travel, work = np.zeros(
+            (7, rounds, LANES)
+        )
         clock[:] = math.inf
         delay[:] = c.delay.mean
         stiffness[:] = c.springs.constant
         root, per_root, rank = np.zeros((3, LANES))
         drawn = threshold, birth, clock, delay
-        return cls(*drawn, stiffness, travel, work, root, per_root, rank, np.zeros(LANES, np.int64), followed)
+        return cls(
+            *drawn,
+            stiffness,
+            travel,
+            work,
+            root,
+            per_root,
+            rank,
+            np.zeros(LANES, np.int64),
+            followed,
+        )
 
 
 def idle_lanes(c: Contacts, key: Key) -> tuple[Lanes, Lives]:
     """Lanes for contacts, and their lives."""
     lanes = Lanes.empty()
-    return lanes, Lives.empty(c, Followed(lanes, key, langevin.Walkers.empty()) if c.aging.fluctuates else ())
+    return lanes, Lives.empty(
+        c, Followed(lanes, key, langevin.Walkers.empty()) if c.aging.fluctuates else ()
+    )
 
 
 class Birth(NamedTuple):
@@ -129,11 +162,14 @@ class Birth(NamedTuple):
     clock: float
 
 
-# -------------------------------------------------------------------------------------------------- drawing lives
+# --------------------------------------------------------------------------------------------------
+# drawing lives
 
 
 @by_law
-def draw_lives(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+def draw_lives(
+    law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int
+) -> None:
     """Draw the next ROUNDS lives of the first `count` lanes, by the law of births."""
     draw_unstressed(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, count)
     if c.delay.random > 0.0:
@@ -141,7 +177,9 @@ def draw_lives(law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, coun
 
 
 @draw_lives.register(Stretched)
-def _draw_stretched(law: Stretched, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+def _draw_stretched(
+    law: Stretched, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int
+) -> None:
     threshold, birth, clock = lives.threshold, lives.birth, lives.clock
     for r in range(ROUNDS):
         for i in range(count):
@@ -152,9 +190,11 @@ def _draw_stretched(law: Stretched, c: Contacts, key: Key, lanes: Lanes, lives: 
 
 
 @routine(inline=True)
-def draw_unstressed(law: Thresholds, heat: bool, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
-    """Draw thresholds and, if heat breaks contacts, clocks. Half of a Philox result serves one draw; without a clock
-    the two halves are the thresholds of two lives."""
+def draw_unstressed(
+    law: Thresholds, heat: bool, key: Key, lanes: Lanes, lives: Lives, count: int
+) -> None:
+    """Draw thresholds and, if heat breaks contacts, clocks. Half of a Philox result
+    serves one draw; without a clock the two halves are the thresholds of two lives."""
     contact, age, number, words = lanes.contact, lanes.age, lanes.number, lanes.words
     threshold, clock, rank = lives.threshold, lives.clock, lives.rank
     for r in range(ROUNDS):
@@ -173,7 +213,14 @@ def draw_unstressed(law: Thresholds, heat: bool, key: Key, lanes: Lanes, lives: 
                 for i in range(count):
                     if rank[i] < ROUGH:
                         low, high = words[2 * half, i], words[2 * half + 1, i]
-                        rank[i] = fine_product(key, contact[i], number[i], _FINE_THRESHOLD + half, low, high)
+                        rank[i] = fine_product(
+                            key,
+                            contact[i],
+                            number[i],
+                            _FINE_THRESHOLD + half,
+                            low,
+                            high,
+                        )
         else:
             for i in range(count):
                 rank[i] = uniform(words[2 * half, i], words[2 * half + 1, i])
@@ -188,8 +235,11 @@ def draw_unstressed(law: Thresholds, heat: bool, key: Key, lanes: Lanes, lives: 
 
 
 @routine
-def draw_thresholds(law: Thresholds, u: Array, lives: Lives, r: int, count: int) -> None:
-    """Fill the first `count` thresholds of round r from uniforms `u`, which are overwritten."""
+def draw_thresholds(
+    law: Thresholds, u: Array, lives: Lives, r: int, count: int
+) -> None:
+    """Fill the first `count` thresholds of round r from uniforms `u`, which are
+    overwritten."""
     threshold = lives.threshold
     if law.steps.size > 0:
         for i in range(count):
@@ -214,7 +264,8 @@ def draw_delays(c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -
 
 @by_law
 def draw_birth(law: Any, c: Contacts, key: Key, contact: int, number: int) -> Birth:
-    """Draw life `number` of a contact, the same bits as by `draw_lives`, by the law of births."""
+    """Draw life `number` of a contact, the same bits as by `draw_lives`, by the law of
+    births."""
     heat, turn, half = thermal(c.barrier), number // ROUNDS, number % ROUNDS
     row = number if heat else turn
     a, b, d, e = bits(key, contact, row, _THRESHOLD)
@@ -222,24 +273,35 @@ def draw_birth(law: Any, c: Contacts, key: Key, contact: int, number: int) -> Bi
     if c.thresholds.exponentials == 2:
         u = product(low, high)
         if u < ROUGH:
-            u = fine_product(key, contact, row, _FINE_THRESHOLD + (0 if heat else half), low, high)
+            u = fine_product(
+                key, contact, row, _FINE_THRESHOLD + (0 if heat else half), low, high
+            )
     else:
         u = uniform(low, high)
-    xi = exponential_threshold(u) if c.thresholds.exponentials > 0 else threshold_draw(c.thresholds, u)
+    xi = (
+        exponential_threshold(u)
+        if c.thresholds.exponentials > 0
+        else threshold_draw(c.thresholds, u)
+    )
     return Birth(xi, 0.0, -log(uniform(d, e)) if heat else math.inf)
 
 
 @draw_birth.register(Stretched)
 @routine
-def _draw_stretched_birth(law: Stretched, c: Contacts, key: Key, contact: int, number: int) -> Birth:
+def _draw_stretched_birth(
+    law: Stretched, c: Contacts, key: Key, contact: int, number: int
+) -> Birth:
     u, v = uniforms(key, contact, number, _THRESHOLD)
-    xi, y = newborn_draw(law, c.thresholds, u, uniforms(key, contact, number, _BIRTH)[0])
+    xi, y = newborn_draw(
+        law, c.thresholds, u, uniforms(key, contact, number, _BIRTH)[0]
+    )
     return Birth(xi, law.sign * y, -math.log(v))
 
 
 @routine(inline=True)
 def delay_after(c: Contacts, key: Key, contact: int, number: int) -> float:
-    """Draw the delay after life `number` of a contact, the same bits as by `draw_delays`."""
+    """Draw the delay after life `number` of a contact, the same bits as by
+    `draw_delays`."""
     if c.delay.random == 0.0:
         return c.delay.mean
     v, w = uniforms(key, contact, number // ROUNDS, _DELAY)
@@ -252,12 +314,14 @@ def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
     return delay_draw(c.delay, uniforms(key, contact, 0, _DELAY_OF_THE_FIRST)[0])
 
 
-# ------------------------------------------------------------------------------------------- where contacts break
+# -------------------------------------------------------------------------------------------
+# where contacts break
 
 
 @by_law
 def carry_lives(law: Any, c: Contacts, lives: Lives, count: int) -> None:
-    """Fill travel and stiffness of the first `count` lives of every round, by the law of births."""
+    """Fill travel and stiffness of the first `count` lives of every round, by the law
+    of births."""
     for r in range(lives.threshold.shape[0]):
         break_lives(c.aging, c, lives, r, count)
 
@@ -269,7 +333,9 @@ def _carry_stretched(law: Stretched, c: Contacts, lives: Lives, count: int) -> N
     for r in range(ROUNDS):
         for i in range(count):
             stiffness[r, i] = kappa(c.springs, threshold[r, i])
-            carried[r, i] = travel(c, threshold[r, i], stiffness[r, i], birth[r, i], clock[r, i])
+            carried[r, i] = travel(
+                c, threshold[r, i], stiffness[r, i], birth[r, i], clock[r, i]
+            )
 
 
 @break_lives.register(Langevin)
@@ -278,9 +344,20 @@ def _walk_lives(law: Langevin, c: Contacts, lives: Lives, r: int, count: int) ->
     for i in range(count):
         number[i] = ROUNDS * lanes.age[i] + r
     paths = langevin.Paths(
-        lanes.contact, number, lives.threshold[r, :count], lives.clock[r], lives.travel[r], lives.work[r]
+        lanes.contact,
+        number,
+        lives.threshold[r, :count],
+        lives.clock[r],
+        lives.travel[r],
+        lives.work[r],
     )
-    langevin.walk_all(langevin.pinned(c), lives.followed.key, langevin.STEP, paths, lives.followed.walkers)
+    langevin.walk_all(
+        langevin.pinned(c),
+        lives.followed.key,
+        langevin.STEP,
+        paths,
+        lives.followed.walkers,
+    )
 
 
 @by_law

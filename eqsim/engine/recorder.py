@@ -1,12 +1,14 @@
 """What contacts leave on the output grid: exact ramps of force in fixed point.
 
-A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so it leaves six numbers, which do not depend
-on X, at the first grid point j0 >= X0 and takes them back at the first j1 >= X1; cumulative sums over the grid then
-give the exact force, its variance over contacts, and the number of pinned contacts at every point. Where the stiffness
-follows an aging threshold the force is no ramp, and is left at each point for that point alone. Uniform stiffness makes
-several of the numbers equal; if there is no delay either, a life begins where another ends, and what both leave is
-added at once. All sums are of 64-bit integers (fixed point, one power of 2 per column, so small that no sum can
-overflow): the result cannot depend on order, threads or blocks.
+A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so it leaves
+six numbers, which do not depend on X, at the first grid point j0 >= X0 and takes them
+back at the first j1 >= X1; cumulative sums over the grid then give the exact force, its
+variance over contacts, and the number of pinned contacts at every point. Where the
+stiffness follows an aging threshold the force is no ramp, and is left at each point for
+that point alone. Uniform stiffness makes several of the numbers equal; if there is no
+delay either, a life begins where another ends, and what both leave is added at once.
+All sums are of 64-bit integers (fixed point, one power of 2 per column, so small that
+no sum can overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
@@ -25,20 +27,37 @@ from eqsim.numerics.compiled import routine
 from eqsim.numerics.rows import add_rows, take_rows
 from eqsim.numerics.tables import Array, search
 
-BATCHES = 64  # independent groups whose scatter is the error of averages over the second half
-_LEAST_UNITS = 2.0**10  # the typical force in units of the last bit, far below any statistical error
-_LEAST_WORK = 2.0**5  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
+# independent groups whose scatter is the error of averages over the second half
+BATCHES = 64
+_LEAST_UNITS = (
+    2.0**10
+)  # the typical force in units of the last bit, far below any statistical error
+_LEAST_WORK = (
+    2.0**5
+)  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
 _BITS = 62  # of a sum; the sign and one more are left
 _UNITS = 0x4330000000000000  # bits of 2^52
 _SHIFTED = 0x4338000000000000  # bits of 1.5 2^52
-_NARROW_FROM = 2 ** (_BITS - 51)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
+_NARROW_FROM = 2 ** (
+    _BITS - 51
+)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
 
-# What a contact leaves at a point of the grid, with Y = -X0 where the slider would have been pulled from: 1, kappa Y,
-# (kappa Y)^2, kappa, kappa^2 and kappa^2 Y.
-DEPOSIT = np.dtype([(name, np.int64) for name in ("count", "force", "square", "slope", "slope2", "ramp2")])
-# What it leaves in a quarter of the second half: int F dX, displacement while pinned and in all, breaks, and stretch
-# and travel at these.
-WINDOW = np.dtype([(name, np.int64) for name in ("area", "pinned", "elapsed", "breaks", "stretch", "travel")])
+# What a contact leaves at a point of the grid, with Y = -X0 where the slider would have
+# been pulled from: 1, kappa Y, (kappa Y)^2, kappa, kappa^2 and kappa^2 Y.
+DEPOSIT = np.dtype(
+    [
+        (name, np.int64)
+        for name in ("count", "force", "square", "slope", "slope2", "ramp2")
+    ]
+)
+# What it leaves in a quarter of the second half: int F dX, displacement while pinned
+# and in all, breaks, and stretch and travel at these.
+WINDOW = np.dtype(
+    [
+        (name, np.int64)
+        for name in ("area", "pinned", "elapsed", "breaks", "stretch", "travel")
+    ]
+)
 
 
 class Deposit(NamedTuple):
@@ -69,16 +88,18 @@ class Run(NamedTuple):
     Attributes
     ----------
     length : float
-        Displacement of the slider, or in a hold time at the pace of another segment; in units of the threshold law's
-        scale.
+        Displacement of the slider, or in a hold time at the pace of another segment; in
+        units of the threshold law's scale.
     points : int
         Instants at which contacts are recorded, from the beginning on.
     stationary : bool
         Whether contacts are found in a steady state at the beginning.
     averages : bool
-        Whether averages over the second half are taken; then lives are followed to their ends.
+        Whether averages over the second half are taken; then lives are followed to
+        their ends.
     batch_by_life : bool
-        Few contacts: whole lives, not contacts, are the independent samples of averages.
+        Few contacts: whole lives, not contacts, are the independent samples of
+        averages.
     moves : int
         1 if the slider moves, 0 in a hold.
     sign : float
@@ -112,8 +133,9 @@ class Run(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How large what contacts leave may be: the largest stiffness over k, stretch and stretch at birth, with a margin,
-    the mean |work| over k and travel of typical lives, and whether all are equally stiff."""
+    """How large what contacts leave may be: the largest stiffness over k, stretch and
+    stretch at birth, with a margin, the mean |work| over k and travel of typical lives,
+    and whether all are equally stiff."""
 
     stiffness: float
     stretch: float
@@ -131,14 +153,21 @@ class Extent(NamedTuple):
     def of(cls, c: Contacts) -> "Extent":
         xi, x = extremes(c)
         typical, birth = typical_lives(c), c.newborn.reach(xi)
-        stiffness, alike = c.springs.constant + c.springs.slope * xi, c.springs.slope == 0.0
-        work, travel = float(np.mean(np.abs(typical.work))), float(np.mean(typical.travel))
+        stiffness, alike = (
+            c.springs.constant + c.springs.slope * xi,
+            c.springs.slope == 0.0,
+        )
+        work, travel = (
+            float(np.mean(np.abs(typical.work))),
+            float(np.mean(typical.travel)),
+        )
         return cls(stiffness, max(x, birth), birth, work, travel, alike)
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers; whether all contacts are equally
-    stiff, and whether they are so many that no deposit of one exceeds 51 bits."""
+    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers;
+    whether all contacts are equally stiff, and whether they are so many that no deposit
+    of one exceeds 51 bits."""
 
     deposits: Deposit
     windows: Window
@@ -148,7 +177,9 @@ class Scales(NamedTuple):
     narrow: bool
 
     @classmethod
-    def of(cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float) -> "Scales":
+    def of(
+        cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float
+    ) -> "Scales":
         """Scales `within` the extent of such contacts."""
         return cls.within(Extent.of(c), run, contacts, replicas, drag)
 
@@ -163,8 +194,9 @@ class Scales(NamedTuple):
         carried: float = 0.0,
         usual: float = 0.0,
     ) -> "Scales":
-        """The finest that no sum over all contacts can overflow, from the longest life there can be, or the longest
-        stretch that contacts are `carried` to the beginning with; `usual` is a typical force of these.
+        """The finest that no sum over all contacts can overflow, from the longest life
+        there can be, or the longest stretch that contacts are `carried` to the
+        beginning with; `usual` is a typical force of these.
 
         Raises InputError if these are too coarse for the typical contact.
         """
@@ -177,10 +209,19 @@ class Scales(NamedTuple):
             return (2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))).tolist()
 
         square = (strong * reach) ** 2
-        deposits = Deposit(*power([1.0, strong * reach, square, strong, strong**2, strong**2 * reach], contacts))
-        windows = Window(*power([force * reach, reach, reach, 1.0, reach, reach], contacts))
+        deposits = Deposit(
+            *power(
+                [1.0, strong * reach, square, strong, strong**2, strong**2 * reach],
+                contacts,
+            )
+        )
+        windows = Window(
+            *power([force * reach, reach, reach, 1.0, reach, reach], contacts)
+        )
         typical = max(lives.typical_force, usual)
-        rough = lives.typical_work * windows.area <= _LEAST_WORK and usual == 0.0  # no areas along a programme
+        rough = (
+            lives.typical_work * windows.area <= _LEAST_WORK and usual == 0.0
+        )  # no areas along a programme
         if rough or not typical * deposits.force > _LEAST_UNITS:
             raise InputError(
                 f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
@@ -189,13 +230,17 @@ class Scales(NamedTuple):
         most = max(force, drag)
         replica, replica_square = power([most, most**2], replicas)
         counted = deposits._replace(count=1.0), windows._replace(breaks=1.0)
-        return cls(*counted, replica, replica_square, lives.alike, contacts >= _NARROW_FROM)
+        return cls(
+            *counted, replica, replica_square, lives.alike, contacts >= _NARROW_FROM
+        )
 
 
 class Averaging(NamedTuple):
-    """What contacts have left since the last edge of a window of averages, arrays (LANES,): the next `edge`; where they
-    were pinned at the last one, `since`, and how many lives old they were, `lives`; their work over k and displacement
-    while pinned since. `broke` and `reborn` are where the life at hand and the delay after it end."""
+    """What contacts have left since the last edge of a window of averages, arrays
+    (LANES,): the next `edge`; where they were pinned at the last one, `since`, and how
+    many lives old they were, `lives`; their work over k and displacement while pinned
+    since. `broke` and `reborn` are where the life at hand and the delay after it end.
+    """
 
     edge: Array
     since: Array
@@ -213,8 +258,9 @@ class Averaging(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Scratch for what the contacts in the lanes leave, arrays (LANES,) of integers: what `Deposit` says at the point
-    `begins`, and back again at `ends`. `once` is 1 and `never` 0 for all."""
+    """Scratch for what the contacts in the lanes leave, arrays (LANES,) of integers:
+    what `Deposit` says at the point `begins`, and back again at `ends`. `once` is 1 and
+    `never` 0 for all."""
 
     begins: Array
     ends: Array
@@ -229,13 +275,16 @@ class Columns(NamedTuple):
     @classmethod
     def empty(cls) -> "Columns":
         """Scratch for LANES contacts."""
-        begins, ends, force, square, slope, slope2, ramp2 = np.zeros((7, LANES), np.int64)
+        begins, ends, force, square, slope, slope2, ramp2 = np.zeros(
+            (7, LANES), np.int64
+        )
         once, never = np.ones(LANES, np.int64), np.zeros(LANES, np.int64)
         return cls(begins, ends, force, square, slope, slope2, ramp2, once, never)
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave along a segment, some lives together, others one by one.
+    """Where kernels add up what contacts leave along a segment, some lives together,
+    others one by one.
 
     Attributes
     ----------
@@ -253,11 +302,13 @@ class Recorder(NamedTuple):
     lives, stop : ndarray of int, shape (1,)
         Lives so far; anything but 0 in `stop` ends the kernel.
     joined : bool
-        Whether a life begins where another ends, and nothing changes there but the place of birth.
+        Whether a life begins where another ends, and nothing changes there but the
+        place of birth.
     alone : bool
         Whether lives are recorded one by one.
     carries : bool
-        Whether where lives break is found for all lanes together, before they are recorded.
+        Whether where lives break is found for all lanes together, before they are
+        recorded.
     averaging : Averaging
     columns : Columns
     narrow : bool
@@ -280,13 +331,23 @@ class Recorder(NamedTuple):
     narrow: bool
 
     @classmethod
-    def of(cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0) -> "Recorder":
-        """A recorder of contacts that come in from `start`, into the sums of a `blocks.Totals`, from a row of its
-        deposits on."""
+    def of(
+        cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0
+    ) -> "Recorder":
+        """A recorder of contacts that come in from `start`, into the sums of a
+        `blocks.Totals`, from a row of its deposits on."""
         alone = recorded_alone(c, run)
         joined = not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0
-        here = total.scratch[row : row + run.points + 1], total.windows, total.lives, total.stop
-        carries, scratch = run.moves != 0 and not (alone and _follows_paths(c, run)), Columns.empty()
+        here = (
+            total.scratch[row : row + run.points + 1],
+            total.windows,
+            total.lives,
+            total.stop,
+        )
+        carries, scratch = (
+            run.moves != 0 and not (alone and _follows_paths(c, run)),
+            Columns.empty(),
+        )
         return cls(
             run,
             start,
@@ -303,14 +364,15 @@ class Recorder(NamedTuple):
 
 
 class Together(Recorder):
-    """A recorder of the lives of all lanes at once; a type, so that kernels leave out the rest."""
+    """A recorder of the lives of all lanes at once; a type, so that kernels leave out
+    the rest."""
 
     __slots__ = ()
 
 
 class OneByOne(Recorder):
-    """A recorder of lives one by one: of few contacts, of those born stretched or whose stiffness varies, of paths that
-    end with the segment, and in a hold."""
+    """A recorder of lives one by one: of few contacts, of those born stretched or whose
+    stiffness varies, of paths that end with the segment, and in a hold."""
 
     __slots__ = ()
 
@@ -325,25 +387,38 @@ def recorded_alone(c: Contacts, run: Run) -> bool:
     """Whether lives along a segment are recorded one by one."""
     varies = c.aging.stiffens and c.springs.slope > 0.0
     stretched = isinstance(c.newborn, Stretched)
-    return run.batch_by_life or varies or stretched or run.moves == 0 or _follows_paths(c, run)
+    return (
+        run.batch_by_life
+        or varies
+        or stretched
+        or run.moves == 0
+        or _follows_paths(c, run)
+    )
 
 
 def _follows_paths(c: Contacts, run: Run) -> bool:
     """Whether lives are paths that are recorded on their way, or end with the segment."""
-    return c.aging.fluctuates and (c.springs.slope > 0.0 or run.batch_by_life or not run.last)
+    return c.aging.fluctuates and (
+        c.springs.slope > 0.0 or run.batch_by_life or not run.last
+    )
 
 
 class Moments(NamedTuple):
-    """Mean force, pinned fraction, and variance of the force over contacts, at every instant."""
+    """Mean force, pinned fraction, and variance of the force over contacts, at every
+    instant."""
 
     force: Array
     pinned: Array
     variance: Array
 
 
-def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: float) -> Moments:
+def moments(
+    deposits: Array, scales: Scales, run: Run, contacts: int, drag: float
+) -> Moments:
     """What deposits say, at every grid point."""
-    X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)  # squares cancel: 64 bits where there are
+    X = np.linspace(
+        0.0, run.distance, run.points, dtype=np.longdouble
+    )  # squares cancel: 64 bits where there are
     total = Deposit(
         *(
             np.cumsum(deposits[name][: run.points]) / (np.longdouble(scale) * contacts)
@@ -359,11 +434,15 @@ def moments(deposits: Array, scales: Scales, run: Run, contacts: int, drag: floa
     force += drag * detached
     variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
     # what rounding may hide of it, over distances so long that squares of X drown it
-    lost = 4.0 * np.finfo(np.longdouble).eps * total.slope2 * X * X + (X > 0) / scales.deposits.square
+    lost = (
+        4.0 * np.finfo(np.longdouble).eps * total.slope2 * X * X
+        + (X > 0) / scales.deposits.square
+    )
     return Moments(force, pinned, variance + lost.astype(float))
 
 
-# ------------------------------------------------------------------------------------------------------- kernels
+# -------------------------------------------------------------------------------------------------------
+# kernels
 
 
 @routine(inline=True)
@@ -374,8 +453,8 @@ def fixed(x: float, scale: float) -> int:
 
 @routine(inline=True)
 def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
-    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are the last bits of the sum. Few
-    processors convert more than one number at a time."""
+    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are
+    the last bits of the sum. Few processors convert more than one number at a time."""
     if narrow:
         return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
@@ -409,9 +488,11 @@ def leave(recorder: Recorder, j: int, sign: int, stiffness: float, born: float) 
 
 
 @routine
-def leave_ramp(recorder: Recorder, stiffness: float, origin: float, born: float, broke: float) -> None:
-    """Record a life pinned at `born` <= X < `broke` whose stretch is X - `origin`; in a hold, from one instant to
-    another with stretch -`origin`."""
+def leave_ramp(
+    recorder: Recorder, stiffness: float, origin: float, born: float, broke: float
+) -> None:
+    """Record a life pinned at `born` <= X < `broke` whose stretch is X - `origin`; in a
+    hold, from one instant to another with stretch -`origin`."""
     start, end = point_at(recorder.run, born), point_at(recorder.run, broke)
     if start < end:  # otherwise no grid point sees it
         leave(recorder, start, 1, stiffness, origin)
@@ -421,7 +502,11 @@ def leave_ramp(recorder: Recorder, stiffness: float, origin: float, born: float,
 @routine(inline=True)
 def leave_force(recorder: Recorder, j: int, force: float) -> None:
     """Record a force at one grid point."""
-    scales, here, after = recorder.scales, recorder.deposits[j], recorder.deposits[j + 1]
+    scales, here, after = (
+        recorder.scales,
+        recorder.deposits[j],
+        recorder.deposits[j + 1],
+    )
     here.force += fixed(force, scales.force)
     here.square += fixed(force * force, scales.square)
     after.force -= fixed(force, scales.force)
@@ -439,8 +524,8 @@ def leave_pinned(recorder: Recorder, born: float, broke: float) -> None:
 
 @routine(inline=True)
 def edge_after(run: Run, x: float) -> float:
-    """The end of the half or quarter that x lies in, or of the segment if no averages are taken; infinite beyond the
-    last."""
+    """The end of the half or quarter that x lies in, or of the segment if no averages
+    are taken; infinite beyond the last."""
     if run.averages and x <= 0.75 * run.length:
         return (0.5 if x <= 0.5 * run.length else 0.75) * run.length
     return run.length if x <= run.length else math.inf
@@ -448,9 +533,16 @@ def edge_after(run: Run, x: float) -> float:
 
 @routine(inline=True)
 def average(
-    recorder: Recorder, batch: int, stiffness: float, origin: float, born: float, broke: float, reborn: float
+    recorder: Recorder,
+    batch: int,
+    stiffness: float,
+    origin: float,
+    born: float,
+    broke: float,
+    reborn: float,
 ) -> None:
-    """Record in the two quarters of the second half a life whose stretch is X - `origin`, and the delay after it."""
+    """Record in the two quarters of the second half a life whose stretch is X -
+    `origin`, and the delay after it."""
     length, scales = recorder.run.length, recorder.window_scales
     for quarter in range(2):
         low = length * (0.5 + 0.25 * quarter)
@@ -459,7 +551,9 @@ def average(
         start = max(born, low)
         end = min(broke, high)
         if end > start:
-            window.area += fixed(stiffness * (end - start) * (0.5 * (start + end) - origin), scales.area)
+            window.area += fixed(
+                stiffness * (end - start) * (0.5 * (start + end) - origin), scales.area
+            )
             window.pinned += fixed(end - start, scales.pinned)
         end = min(reborn, high)
         if end > start:
@@ -470,7 +564,8 @@ def average(
             window.travel += fixed(broke - born, scales.travel)
 
 
-# --------------------------------------------------------------------------------- ramps of all lanes together
+# ---------------------------------------------------------------------------------
+# ramps of all lanes together
 
 
 @routine(inline=True)
@@ -482,33 +577,48 @@ def point_after(x: float, run: Run, per_step: float) -> Any:
 
 @routine(inline=True)
 def find_points(run: Run, x: Array, points: Array, count: int) -> None:
-    """Find the grid points at or after the first `count` of x. A loop fills one array: with more, whether any of them
-    overlap would take too long to find out for the compiler to use vectors."""
+    """Find the grid points at or after the first `count` of x. A loop fills one array:
+    with more, whether any of them overlap would take too long to find out for the
+    compiler to use vectors."""
     per_step = (run.points - 1) / run.length
     for i in range(count):
         points[i] = point_after(x[i], run, per_step)
 
 
 @routine(inline=True)
-def leave_ramps(recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, count: int) -> None:
-    """Record the lives of round r of the first `count` lanes, pinned at 0 <= `born` <= X < `broke`; `count` is a
-    multiple of four."""
+def leave_ramps(
+    recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, count: int
+) -> None:
+    """Record the lives of round r of the first `count` lanes, pinned at 0 <= `born` <=
+    X < `broke`; `count` is a multiple of four."""
     scales, columns, stiffness = recorder.scales, recorder.columns, lives.stiffness
-    force, square, slope, slope2, ramp2 = columns.force, columns.square, columns.slope, columns.slope2, columns.ramp2
+    force, square, slope, slope2, ramp2 = (
+        columns.force,
+        columns.square,
+        columns.slope,
+        columns.slope2,
+        columns.ramp2,
+    )
     find_points(recorder.run, born, columns.begins, count)
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
-        force[i] = fixed_narrow(stiffness[r, i] * born[i], -scales.force, recorder.narrow)
+        force[i] = fixed_narrow(
+            stiffness[r, i] * born[i], -scales.force, recorder.narrow
+        )
     for i in range(count):
         ramp = stiffness[r, i] * born[i]
         square[i] = fixed_narrow(ramp * ramp, scales.square, recorder.narrow)
     for i in range(count):
         slope[i] = fixed_narrow(stiffness[r, i], scales.slope, recorder.narrow)
     for i in range(count):
-        slope2[i] = fixed_narrow(stiffness[r, i] * stiffness[r, i], scales.slope2, recorder.narrow)
+        slope2[i] = fixed_narrow(
+            stiffness[r, i] * stiffness[r, i], scales.slope2, recorder.narrow
+        )
     for i in range(count):
         kappa = stiffness[r, i]
-        ramp2[i] = fixed_narrow(kappa * (kappa * born[i]), -scales.ramp2, recorder.narrow)
+        ramp2[i] = fixed_narrow(
+            kappa * (kappa * born[i]), -scales.ramp2, recorder.narrow
+        )
     numbers = columns.once, force, square, slope, slope2, ramp2
     for i in range(0, count, 4):
         add_rows(recorder.deposits, columns.begins, numbers, i)
@@ -516,15 +626,20 @@ def leave_ramps(recorder: Recorder, born: Array, broke: Array, lives: Lives, r: 
 
 
 @routine(inline=True)
-def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
-    """`leave_ramps` of contacts that are equally stiff: count and force stand for the other fields."""
+def leave_uniform_ramps(
+    recorder: Recorder, born: Array, broke: Array, count: int
+) -> None:
+    """`leave_ramps` of contacts that are equally stiff: count and force stand for the
+    other fields."""
     scales, columns = recorder.scales, recorder.columns
     find_points(recorder.run, born, columns.begins, count)
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
         columns.force[i] = fixed_narrow(born[i], -scales.force, recorder.narrow)
     for i in range(count):
-        columns.square[i] = fixed_narrow(born[i] * born[i], scales.square, recorder.narrow)
+        columns.square[i] = fixed_narrow(
+            born[i] * born[i], scales.square, recorder.narrow
+        )
     numbers = columns.once, columns.force, columns.square, columns.never
     for i in range(0, count, 4):
         add_rows(recorder.deposits, columns.begins, numbers, i)
@@ -532,13 +647,17 @@ def leave_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: in
 
 
 @routine(inline=True)
-def join_uniform_ramps(recorder: Recorder, born: Array, broke: Array, count: int) -> None:
-    """`leave_uniform_ramps` without delay: a life begins where another ends, and only the square and the place of birth
-    change there."""
+def join_uniform_ramps(
+    recorder: Recorder, born: Array, broke: Array, count: int
+) -> None:
+    """`leave_uniform_ramps` without delay: a life begins where another ends, and only
+    the square and the place of birth change there."""
     scales, columns = recorder.scales, recorder.columns
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
-        columns.force[i] = fixed_narrow(broke[i] - born[i], -scales.force, recorder.narrow)
+        columns.force[i] = fixed_narrow(
+            broke[i] - born[i], -scales.force, recorder.narrow
+        )
     for i in range(count):
         difference = (broke[i] - born[i]) * (born[i] + broke[i])
         columns.square[i] = fixed_narrow(difference, scales.square, recorder.narrow)

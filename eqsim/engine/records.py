@@ -1,4 +1,5 @@
-"""What a run leaves behind: force and pinned contacts along a drive, and what is read off."""
+"""What a run leaves behind: force and pinned contacts along a drive, and what is read
+off."""
 
 import itertools
 import math
@@ -26,21 +27,24 @@ class Record(Result):
     force, force_stderr : ndarray, shape (points,)
         <F>/(N k) (length), averaged over replicas, and its standard error.
     force_reliable : bool
-        False where too few contacts make the force for five standard errors to mean what they say;
-        `force_replica_std` then misses what the sample did.
+        False where too few contacts make the force for five standard errors to mean
+        what they say; `force_replica_std` then misses what the sample did.
     pinned, pinned_stderr : ndarray, shape (points,)
         <N_c>/N, averaged over replicas, and its standard error.
     force_replica_std : ndarray, shape (points,), or None
         Standard deviation of F/(N k) between replicas, if there are several.
     force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several, of threads, and no more than 2e7 numbers.
+        F/(N k) of every replica (length), if there are several, of threads, and no more
+        than 2e7 numbers.
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds, threads
         How it was computed.
     """
 
-    drawn: ClassVar[Drawn] = Drawn("X", "force", "force_stderr", "displacement  X", "friction force  F/(N k)")
+    drawn: ClassVar[Drawn] = Drawn(
+        "X", "force", "force_stderr", "displacement  X", "friction force  F/(N k)"
+    )
     X: Array
     t: Array
     force: Array
@@ -57,12 +61,25 @@ class Record(Result):
 
     def columns(self) -> dict[str, Array]:
         """The arrays by name, `force_replica_std` only if there are replicas."""
-        names = ("X", "t", "force", "pinned", "force_stderr", "pinned_stderr", "force_replica_std")
-        return {name: column for name in names if (column := getattr(self, name)) is not None}
+        names = (
+            "X",
+            "t",
+            "force",
+            "pinned",
+            "force_stderr",
+            "pinned_stderr",
+            "force_replica_std",
+        )
+        return {
+            name: column
+            for name in names
+            if (column := getattr(self, name)) is not None
+        }
 
     def replicas(self) -> dict[str, Array]:
-        """The series of every replica, one after the other, by column: `replica`, `t`, `X` and `force`, shape (replicas
-        x points,). Raises InputError if there is one ensemble only, or if they were too many to be kept."""
+        """The series of every replica, one after the other, by column: `replica`, `t`,
+        `X` and `force`, shape (replicas x points,). Raises InputError if there is one
+        ensemble only, or if they were too many to be kept."""
         if self.force_replicas is None:
             single = self.force_replica_std is None
             raise InputError(
@@ -82,21 +99,24 @@ class Record(Result):
 
 @dataclass(frozen=True, repr=False)
 class Trajectory(Record):
-    """A record at constant velocity, with `averages` over the second half of the distance; these are unreliable also
-    where the law expects a transient in it, or too few of the lives that make their scatter (`engine.scatter`)."""
+    """A record at constant velocity, with `averages` over the second half of the
+    distance; these are unreliable also where the law expects a transient in it, or too
+    few of the lives that make their scatter (`engine.scatter`)."""
 
     averages: Averages
 
 
 @dataclass(frozen=True)
 class VelocityStep:
-    """What a step between two velocities of the same sign shows, as rate-and-state friction names it.
+    """What a step between two velocities of the same sign shows, as rate-and-state
+    friction names it.
 
     Attributes
     ----------
     direct, evolution : Estimate
-        Direct effect A and evolution effect B, the changes of force up to the peak and from there to the end of the
-        segment over ln(new velocity/old velocity) (length). Their errors are as if the two forces were independent.
+        Direct effect A and evolution effect B, the changes of force up to the peak and
+        from there to the end of the segment over ln(new velocity/old velocity)
+        (length). Their errors are as if the two forces were independent.
     memory : Estimate
         Displacement from the peak to where 1/e of the second change is left (length).
     """
@@ -117,8 +137,9 @@ class SegmentRecord:
     end : Estimate
         Force at its end, <F>/(N k) (length).
     peak : Estimate
-        The force that differs most from that at its beginning, as the peak after a hold; of a velocity step the
-        largest, or smallest if the slider becomes slower, in the direction of motion (length).
+        The force that differs most from that at its beginning, as the peak after a
+        hold; of a velocity step the largest, or smallest if the slider becomes slower,
+        in the direction of motion (length).
     at : Estimate
         Where the peak is: displacement since the beginning, in a hold time.
     step : VelocityStep or None
@@ -157,23 +178,27 @@ class ProgrammeTrajectory(Record):
 
 @dataclass(frozen=True)
 class Slip:
-    """A slip of a slider that a stage pulls: its spring relaxes faster than the stage loads it, by `model.slip` or
-    more.
+    """A slip of a slider that a stage pulls: its spring relaxes faster than the stage
+    loads it, by `model.slip` or more.
 
     Attributes
     ----------
     t, X : float
-        Time when half of the drop is done, and displacement of the slider then (length).
+        Time when half of the drop is done, and displacement of the slider then
+        (length).
     drop : float
-        By how much the force of the spring, over N k, falls from its largest to its least value, or, of a slip
-        backwards, rises from its least to its largest (length).
+        By how much the force of the spring, over N k, falls from its largest to its
+        least value, or, of a slip backwards, rises from its least to its largest
+        (length).
     duration, distance : float
-        For how long it does (time), and how far the slider moves meanwhile (length; negative backwards).
+        For how long it does (time), and how far the slider moves meanwhile (length;
+        negative backwards).
     replica : int
         Which of the independent ensembles slips.
     begun, ended : bool
-        Whether the record shows how it begins, and how it ends. If not, it was or is under way at an end of the record,
-        and `drop`, `duration` and `distance` are less than the whole, `t` and `X` those of the half that was seen.
+        Whether the record shows how it begins, and how it ends. If not, it was or is
+        under way at an end of the record, and `drop`, `duration` and `distance` are
+        less than the whole, `t` and `X` those of the half that was seen.
     """
 
     t: float
@@ -190,33 +215,39 @@ class Slip:
 class SliderTrajectory(ProgrammeTrajectory):
     """A record of a slider that a stage pulls; X is found, not given.
 
-    Forces and displacements are means over replicas, errors are from their scatter. Of a single ensemble
-    `force_stderr` is what independent contacts at the same X would have, and `force_reliable` is False: it does not
-    know how far this X(t) is from that of other ensembles. The errors of force, pinned share and X, and those of
-    `period` and `drop`, include how far the finite step may be wrong: a third of what changes in steps four times as
-    long.
+    Forces and displacements are means over replicas, errors are from their scatter. Of
+    a single ensemble `force_stderr` is what independent contacts at the same X would
+    have, and `force_reliable` is False: it does not know how far this X(t) is from that
+    of other ensembles. The errors of force, pinned share and X, and those of `period`
+    and `drop`, include how far the finite step may be wrong: a third of what changes in
+    steps four times as long.
 
     Attributes
     ----------
     X_stderr : ndarray, shape (points,)
-        Standard error of X; of a single ensemble only what the finite step makes of it (length).
+        Standard error of X; of a single ensemble only what the finite step makes of it
+        (length).
     stage, spring : ndarray, shape (points,)
-        Displacement of the stage's end of the spring, and the force of the spring, kappa_s (stage - X) (length).
+        Displacement of the stage's end of the spring, and the force of the spring,
+        kappa_s (stage - X) (length).
     X_replica_std : ndarray, shape (points,), or None
         Standard deviation of X between replicas, if there are several (length).
     X_replicas : ndarray, shape (replicas, points), or None
         X of every replica (length), if there are several.
     energy : ndarray, shape (points, 4)
-        Over N k (length squared), means over replicas: work of the stage so far; what spring, slider and contacts
-        store, less that at the beginning; what broken contacts, damping and viscosity have taken; and what is missing
-        because steps are finite.
+        Over N k (length squared), means over replicas: work of the stage so far; what
+        spring, slider and contacts store, less that at the beginning; what broken
+        contacts, damping and viscosity have taken; and what is missing because steps
+        are finite.
     slips : tuple of Slip
     coarser_slips : tuple of Slip, or None
-        Those of the same contacts in steps four times as long; None if nothing is approximate.
+        Those of the same contacts in steps four times as long; None if nothing is
+        approximate.
     avalanches : dict of ndarray, or None
-        Of a stage that pulls quasi-statically (no heat, delay, damping or mass), by column: time `t` and displacement
-        `X` (length) of the first break, how many `breaks` follow from it, `drop` of the force and `distance` that the
-        slider moves until the last (length), and the `replica`.
+        Of a stage that pulls quasi-statically (no heat, delay, damping or mass), by
+        column: time `t` and displacement `X` (length) of the first break, how many
+        `breaks` follow from it, `drop` of the force and `distance` that the slider
+        moves until the last (length), and the `replica`.
     """
 
     stage: Array
@@ -231,13 +262,21 @@ class SliderTrajectory(ProgrammeTrajectory):
 
     def columns(self) -> dict[str, Array]:
         """The arrays by name."""
-        found = {**super().columns(), "X_stderr": self.X_stderr, "stage": self.stage, "spring": self.spring}
+        found = {
+            **super().columns(),
+            "X_stderr": self.X_stderr,
+            "stage": self.stage,
+            "spring": self.spring,
+        }
         if self.X_replica_std is not None:
             found["X_replica_std"] = self.X_replica_std
-        return found | dict(zip(("work", "stored", "dissipated", "missing"), self.energy.T, strict=True))
+        return found | dict(
+            zip(("work", "stored", "dissipated", "missing"), self.energy.T, strict=True)
+        )
 
     def _over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
-        """The mean of what each replica's whole slips, but for the first, which depends on the start, are worth."""
+        """The mean of what each replica's whole slips, but for the first, which depends
+        on the start, are worth."""
         found = _mean_over(self.slips, of)
         if self.coarser_slips is None or found.value is None:
             return found
@@ -245,13 +284,18 @@ class SliderTrajectory(ProgrammeTrajectory):
         if coarse is None:
             return replace(found, reliable=False)
         return replace(
-            found, stderr=None if found.stderr is None else math.hypot(found.stderr, (coarse - found.value) / 3.0)
+            found,
+            stderr=None
+            if found.stderr is None
+            else math.hypot(found.stderr, (coarse - found.value) / 3.0),
         )
 
     @property
     def period(self) -> Estimate:
         """Mean time from one slip to the next, but for the first."""
-        return self._over_slips(lambda slips: [b.t - a.t for a, b in itertools.pairwise(slips)])
+        return self._over_slips(
+            lambda slips: [b.t - a.t for a, b in itertools.pairwise(slips)]
+        )
 
     @property
     def drop(self) -> Estimate:
@@ -259,32 +303,58 @@ class SliderTrajectory(ProgrammeTrajectory):
         return self._over_slips(lambda slips: [slip.drop for slip in slips])
 
 
-def _mean_over(slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]) -> Estimate:
-    """The mean of what the slips of each replica are worth, without its first one and what the record ends in."""
+def _mean_over(
+    slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]
+) -> Estimate:
+    """The mean of what the slips of each replica are worth, without its first one and
+    what the record ends in."""
     values: list[float] = []
     for replica in sorted({slip.replica for slip in slips}):
-        values += of([slip for slip in slips if slip.replica == replica and slip.ended][1:])
+        values += of(
+            [slip for slip in slips if slip.replica == replica and slip.ended][1:]
+        )
     n = len(values)
     if n < 2:
         return Estimate(values[0] if values else None, None, n, reliable=False)
-    return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(n)), n, n - 1, n >= _FEW)
+    return Estimate(
+        float(np.mean(values)),
+        float(np.std(values, ddof=1) / math.sqrt(n)),
+        n,
+        n - 1,
+        n >= _FEW,
+    )
 
 
 _FEW = 5  # slips, from which on the scatter of a sample says something about its mean
 
 
-def slips_of(t: Array, X: Array, spring: Array, least: float, fastest: float, replica: int = 0) -> list[Slip]:
-    """The slips in a record, arrays (points,), forwards and backwards: the force of the spring falls by `least` or more
-    before it rises by as much, or the mirror image of that, and the slider goes more than twice as fast as the stage at
-    its `fastest` meanwhile. One that the record begins or ends in is marked."""
+def slips_of(
+    t: Array, X: Array, spring: Array, least: float, fastest: float, replica: int = 0
+) -> list[Slip]:
+    """The slips in a record, arrays (points,), forwards and backwards: the force of the
+    spring falls by `least` or more before it rises by as much, or the mirror image of
+    that, and the slider goes more than twice as fast as the stage at its `fastest`
+    meanwhile. One that the record begins or ends in is marked."""
     forwards = _falls(t, X, spring, least, fastest)
-    backwards = [replace(slip, X=-slip.X, distance=-slip.distance) for slip in _falls(t, -X, -spring, least, fastest)]
-    return [replace(slip, replica=replica) for slip in sorted(forwards + backwards, key=lambda slip: slip.t)]
+    backwards = [
+        replace(slip, X=-slip.X, distance=-slip.distance)
+        for slip in _falls(t, -X, -spring, least, fastest)
+    ]
+    return [
+        replace(slip, replica=replica)
+        for slip in sorted(forwards + backwards, key=lambda slip: slip.t)
+    ]
 
 
-def _falls(t: Array, X: Array, spring: Array, least: float, fastest: float) -> list[Slip]:
+def _falls(
+    t: Array, X: Array, spring: Array, least: float, fastest: float
+) -> list[Slip]:
     """`slips_of` forwards."""
-    found, high, low = [], 0, -1  # where the force is largest, and, once it has fallen, least
+    found, high, low = (
+        [],
+        0,
+        -1,
+    )  # where the force is largest, and, once it has fallen, least
     for i in range(t.size + 1):
         done = i == t.size
         if low < 0:
@@ -300,9 +370,15 @@ def _falls(t: Array, X: Array, spring: Array, least: float, fastest: float) -> l
                 half = 0.5 * (spring[high] + spring[low])
                 j = high + 1 + int(np.argmax(spring[high + 1 : low + 1] <= half))
                 share = (spring[j - 1] - half) / (spring[j - 1] - spring[j])
-                middle, place = (float(y[j - 1] + share * (y[j] - y[j - 1])) for y in (t, X))
+                middle, place = (
+                    float(y[j - 1] + share * (y[j] - y[j - 1])) for y in (t, X)
+                )
                 drop, ended = float(spring[high] - spring[low]), low < t.size - 1
-                found.append(Slip(middle, place, drop, time, distance, begun=high > 0, ended=ended))
+                found.append(
+                    Slip(
+                        middle, place, drop, time, distance, begun=high > 0, ended=ended
+                    )
+                )
             high, low = min(i, t.size - 1), -1
     return found
 
@@ -311,36 +387,56 @@ def shown_by(
     programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True,
     X_stderr: Array | None = None,
 ) -> tuple[SegmentRecord, ...]:  # fmt: skip
-    """Summarise the segments of a programme from a force with errors, arrays (points,) at the instants of `grid`, whose
-    displacements are those of the slider, with errors `X_stderr` if they are found behind a spring."""
+    """Summarise the segments of a programme from a force with errors, arrays (points,)
+    at the instants of `grid`, whose displacements are those of the slider, with errors
+    `X_stderr` if they are found behind a spring."""
     found, before = [], programme.velocity if programme.start == "stationary" else None
     for index, segment in enumerate(programme.segments):
         here = np.flatnonzero(grid.segment == index)
         here = here if index == 0 else np.append(here[0] - 1, here)
-        along = grid.t[here] if segment.velocity == 0 else np.abs(grid.X[here] - grid.X[here[0]])
+        along = (
+            grid.t[here]
+            if segment.velocity == 0
+            else np.abs(grid.X[here] - grid.X[here[0]])
+        )
         along, forces, errors = along - along[0], force[here], stderr[here]
         ratio = segment.velocity / before if before else 0.0
         stepped = ratio > 0 and ratio != 1
-        peak, at = extreme(along, forces, errors, math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0)
+        peak, at = extreme(
+            along,
+            forces,
+            errors,
+            math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0,
+        )
         if X_stderr is not None and segment.velocity and at.value is not None:
             near = here[int(np.argmin(np.abs(along - at.value)))]
-            at = replace(at, stderr=math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]]))
+            at = replace(
+                at,
+                stderr=math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]]),
+            )
         end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
-        step = velocity_step(along, forces, errors, (peak, at), ratio) if stepped else None
-        end, peak, at = (replace(estimate, reliable=reliable) for estimate in (end, peak, at))
+        step = (
+            velocity_step(along, forces, errors, (peak, at), ratio) if stepped else None
+        )
+        end, peak, at = (
+            replace(estimate, reliable=reliable) for estimate in (end, peak, at)
+        )
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
         found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
         before = segment.velocity
     return tuple(found)
 
 
-def extreme(x: Array, force: Array, stderr: Array, direction: float = 0) -> tuple[Estimate, Estimate]:
-    """The force that differs most from the first one, if a `direction` (1 or -1) is given that way, and the `x` where
-    it is; arrays (points,).
+def extreme(
+    x: Array, force: Array, stderr: Array, direction: float = 0
+) -> tuple[Estimate, Estimate]:
+    """The force that differs most from the first one, if a `direction` (1 or -1) is
+    given that way, and the `x` where it is; arrays (points,).
 
-    The largest of many values with errors is too large. The vertex of a parabola through all values that cannot be told
-    from it is not, and how far the two differ is part of the error. A vertex beyond these values is none of the record:
-    the largest value and its place are told then.
+    The largest of many values with errors is too large. The vertex of a parabola
+    through all values that cannot be told from it is not, and how far the two differ is
+    part of the error. A vertex beyond these values is none of the record: the largest
+    value and its place are told then.
     """
     change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
@@ -353,10 +449,15 @@ def extreme(x: Array, force: Array, stderr: Array, direction: float = 0) -> tupl
     n = force.size
     best, place = float(force[top]), float(x[top])
     # on a plateau the place may be anywhere
-    spread = max(0.5 * float(np.ptp(x[near])), 0.5 * float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)]))
+    spread = max(
+        0.5 * float(np.ptp(x[near])),
+        0.5 * float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)]),
+    )
     if right - left >= 4 and 0 < top < n - 1:
         half = 0.5 * (x[right] - x[left])
-        a, b, c = np.polyfit((x[left : right + 1] - place) / half, force[left : right + 1], 2)
+        a, b, c = np.polyfit(
+            (x[left : right + 1] - place) / half, force[left : right + 1], 2
+        )
         vertex = -0.5 * b / a if a else np.inf
         within = x[left] <= place + vertex * half <= x[right]
         if a * (force[top] - force[0]) < 0 and within:
@@ -366,16 +467,22 @@ def extreme(x: Array, force: Array, stderr: Array, direction: float = 0) -> tupl
 
 
 def velocity_step(
-    x: Array, force: Array, stderr: Array, extremum: tuple[Estimate, Estimate], ratio: float
+    x: Array,
+    force: Array,
+    stderr: Array,
+    extremum: tuple[Estimate, Estimate],
+    ratio: float,
 ) -> VelocityStep:
-    """What a step of velocity by a factor `ratio` shows: force with errors against displacement since, arrays
-    (points,), and its `extreme`."""
+    """What a step of velocity by a factor `ratio` shows: force with errors against
+    displacement since, arrays (points,), and its `extreme`."""
     peak, at = extremum
     n, log_ratio, top = force.size, np.log(ratio), known(peak)
 
     def effect(level: int) -> Estimate:
         error = np.hypot(peak.stderr or 0.0, stderr[level])
-        return Estimate(float((top - force[level]) / log_ratio), float(error / abs(log_ratio)), n)
+        return Estimate(
+            float((top - force[level]) / log_ratio), float(error / abs(log_ratio)), n
+        )
 
     first = int(np.argmin(np.abs(x - known(at))))
     left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
@@ -385,8 +492,14 @@ def velocity_step(
     if below > 0 and x[j] > x[j - 1]:  # a motion that X resolves
         slope = (left[below - 1] - left[below]) / (x[j] - x[j - 1])
         place = x[j] + left[below] / slope
-        wide = max(first, j - max(1, below // 4))  # noise between neighbours makes any slope
+        wide = max(
+            first, j - max(1, below // 4)
+        )  # noise between neighbours makes any slope
         steep = abs(force[j] - force[wide]) / (x[j] - x[wide])
-        error = np.hypot(stderr[j], np.hypot(peak.stderr or 0.0, stderr[-1])) / steep if steep > 0 else np.inf
+        error = (
+            np.hypot(stderr[j], np.hypot(peak.stderr or 0.0, stderr[-1])) / steep
+            if steep > 0
+            else np.inf
+        )
         memory = Estimate(float(place - x[first]), float(error), n)
     return VelocityStep(effect(0), effect(-1), memory)

@@ -1,18 +1,21 @@
-"""What the law of the contacts says of the scatter of their forces: error bars that few contacts cannot supply.
+"""What the law of the contacts says of the scatter of their forces: error bars that few
+contacts cannot supply.
 
-The sample variance of few contacts, or of a rare kind among many, knows nothing of what the sample did not meet, and is
-smallest just where the mean is too low. But the law is known, and with it the moments of the force f of a contact at X.
-From lives, each with a probability, from the law (`births`), with the work they do over k, int_0^{x_b} (k_i/k) x dx,
-that is with an average k_i/k where it follows an aging threshold:
+The sample variance of few contacts, or of a rare kind among many, knows nothing of what
+the sample did not meet, and is smallest just where the mean is too low. But the law is
+known, and with it the moments of the force f of a contact at X. From lives, each with a
+probability, from the law (`births`), with the work they do over k, int_0^{x_b} (k_i/k)
+x dx, that is with an average k_i/k where it follows an aging threshold:
 
     stationary    E f^p = E[int_y^{x_b} (k_i x/k)^p dx] / (E[l] + v<tau>)                         (p = 0: pinned)
     fresh         E f^p = int_0^X B(Y) m_p(X - Y) dY,   m_p(s) = E[(k_i (y + s)/k)^p; l > s],   B = delta + B * g
 
-(derived) and (eta v/k)^p for detached contacts, with y the stretch at birth and l = x_b - y the travel, B the density
-of births, that at X = 0 included, and g the law of l + v tau. On a lattice of displacements B is the power series of
-1/(1 - g). Births are shared between the two nearest nodes, so that the mean life is kept; forces are averaged over the
-cells in between. However coarse the lattice, the stationary values are exact; the transient is good to a few per cent
-where a cell is a fraction of a life.
+(derived) and (eta v/k)^p for detached contacts, with y the stretch at birth and l = x_b
+- y the travel, B the density of births, that at X = 0 included, and g the law of l + v
+tau. On a lattice of displacements B is the power series of 1/(1 - g). Births are shared
+between the two nearest nodes, so that the mean life is kept; forces are averaged over
+the cells in between. However coarse the lattice, the stationary values are exact; the
+transient is good to a few per cent where a cell is a fraction of a life.
 
 This serves error bars only: forces come from the contacts that were simulated.
 """
@@ -35,7 +38,8 @@ _POWERS = 7  # of forces: 0 to 6
 _RANGE = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
 _TOLERANCE = 0.05  # of the law's variance: lattice, lives
-RARE = 1e-4  # probability of more than five standard errors of a force that can be trusted
+# probability of more than five standard errors of a force that can be trusted
+RARE = 1e-4
 ENOUGH = 100  # lives that make the variance, for their mean over its error to be normal
 
 
@@ -49,14 +53,17 @@ class Births(NamedTuple):
 
 
 def births(c: Contacts) -> Births:
-    """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal rule in s: of even relative
-    spacing where they are small, even where they are large, up to 45: beyond, contacts are too rare to matter. The
-    clocks of different thresholds lie between each other."""
+    """Lives on a grid of thresholds and clocks, each ln(1 + exp(s)) by the trapezoidal
+    rule in s: of even relative spacing where they are small, even where they are large,
+    up to 45: beyond, contacts are too rare to matter. The clocks of different
+    thresholds lie between each other."""
     if c.aging.fluctuates:  # a path for each threshold
         u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
         v = spread(_PATHS)
     else:
-        rows, clocks = (500, 70) if c.aging.closed else (150, 30)  # lives that age take long
+        rows, clocks = (
+            (500, 70) if c.aging.closed else (150, 30)
+        )  # lives that age take long
         u, share = _uniforms(np.linspace(*_RANGE, rows))
         steps = c.thresholds.steps.size
         if 0 < steps <= rows:
@@ -66,10 +73,16 @@ def births(c: Contacts) -> Births:
         if c.barrier.thermal:
             s, spacing = np.linspace(*_RANGE, clocks, retstep=True)
             v, clock_share = _uniforms(s + spacing * (spread(rows)[:, None] - 0.5))
-            u, v, share = np.repeat(u, clocks), v.ravel(), (share[:, None] * clock_share).ravel()
+            u, v, share = (
+                np.repeat(u, clocks),
+                v.ravel(),
+                (share[:, None] * clock_share).ravel(),
+            )
     found = lives(c, Source(key(0, 0), 0, STEP), u, v)
     # of contacts born unstressed the mean along a life, in which it may change
-    stiffness = found.stiffness if found.birth.any() else 2.0 * found.work / found.travel**2
+    stiffness = (
+        found.stiffness if found.birth.any() else 2.0 * found.work / found.travel**2
+    )
     return Births(share, stiffness, found.travel, found.birth)
 
 
@@ -80,10 +93,11 @@ def _uniforms(s: Array) -> tuple[Array, Array]:
 
 
 class Scatter(NamedTuple):
-    """Moments of the force of a contact at the nodes `X`, in the units of `Contacts`: mean, pinned fraction, variance,
-    fourth and sixth central moment; `one`, the mean square force of a pinned contact, or of a detached one if its
-    drag is larger, and `most`, what it can be at most with k_i = k; and how many `lives` drawn at random these are as
-    good as."""
+    """Moments of the force of a contact at the nodes `X`, in the units of `Contacts`:
+    mean, pinned fraction, variance, fourth and sixth central moment; `one`, the mean
+    square force of a pinned contact, or of a detached one if its drag is larger, and
+    `most`, what it can be at most with k_i = k; and how many `lives` drawn at random
+    these are as good as."""
 
     X: Array
     mean: Array
@@ -97,7 +111,10 @@ class Scatter(NamedTuple):
 
     def at(self, X: Array) -> "Scatter":
         """The same at other displacements."""
-        values = {name: np.interp(X, self.X, getattr(self, name)) for name in self._fields[1:-1]}
+        values = {
+            name: np.interp(X, self.X, getattr(self, name))
+            for name in self._fields[1:-1]
+        }
         return self._replace(X=X, **values)
 
 
@@ -106,34 +123,55 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
     if distance is None:
         X, moments = np.zeros(1), _stationary(c, born)[:, None]
     else:
-        size = float(np.sum(born.share * born.travel**2) / np.sum(born.share * born.travel))
+        size = float(
+            np.sum(born.share * born.travel**2) / np.sum(born.share * born.travel)
+        )
         X, moments = _fresh(c, born, min(size / _FINE, distance / _NODES))
         if X[-1] < distance:
             further, later = _fresh(c, born, distance / _NODES)
             beyond = further > X[-1]
-            X, moments = np.append(X, further[beyond]), np.hstack((moments, later[:, beyond]))
+            X, moments = (
+                np.append(X, further[beyond]),
+                np.hstack((moments, later[:, beyond])),
+            )
     pinned = np.minimum(moments[0], 1.0)
     with np.errstate(all="ignore"):  # of laws so broad that their moments overflow
         one = np.where(pinned > 0, moments[2] / pinned, 0.0)
         if c.delay.mean > 0:
             one = np.maximum(one, drag**2)
-            moments = moments + (1.0 - pinned) * drag ** np.arange(len(moments))[:, None]
+            moments = (
+                moments + (1.0 - pinned) * drag ** np.arange(len(moments))[:, None]
+            )
         moments[0] = 1.0
         mean = moments[1]
         variance, fourth, sixth = (
-            np.maximum(sum(math.comb(p, j) * (-mean) ** (p - j) * moments[j] for j in range(p + 1)), 0.0)
+            np.maximum(
+                sum(
+                    math.comb(p, j) * (-mean) ** (p - j) * moments[j]
+                    for j in range(p + 1)
+                ),
+                0.0,
+            )
             for p in (2, 4, 6)
         )
-    lives = 1.0 / float(np.sum(born.share**2)) if c.aging.fluctuates else math.inf  # by quadrature
+    lives = (
+        1.0 / float(np.sum(born.share**2)) if c.aging.fluctuates else math.inf
+    )  # by quadrature
     reach = float(np.abs(born.birth).max())
-    most = np.full(1, math.inf) if distance is None else np.maximum(X + reach, drag) ** 2
+    most = (
+        np.full(1, math.inf) if distance is None else np.maximum(X + reach, drag) ** 2
+    )
     return Scatter(X, mean, pinned, variance, fourth, sixth, one, most, lives)
 
 
 def _stationary(c: Contacts, born: Births) -> Array:
     """E f^p of pinned contacts, p = 0, 1, ..., times the pinned fraction."""
     cycle = np.sum(born.share * born.travel) + c.delay.mean
-    ends, begins, moments = born.share * (born.birth + born.travel), born.share * born.birth, []
+    ends, begins, moments = (
+        born.share * (born.birth + born.travel),
+        born.share * born.birth,
+        [],
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         for p in range(_POWERS):
             moments.append(np.sum(ends - begins) / ((p + 1) * cycle))
@@ -143,8 +181,9 @@ def _stationary(c: Contacts, born: Births) -> Array:
 
 
 def _births_after(renewals: Array) -> Array:
-    """Births in each cell, shape (n,), from one in the first and the share of it that is born again in each: what
-    `scipy.signal.lfilter` finds, whose import takes as long as 500 of these."""
+    """Births in each cell, shape (n,), from one in the first and the share of it that
+    is born again in each: what `scipy.signal.lfilter` finds, whose import takes as long
+    as 500 of these."""
     first, later = renewals[0], -renewals[1:] / (1.0 - renewals[0])
     found, pending = np.empty(renewals.size), np.zeros(renewals.size)
     pending[0] = 1.0 / (1.0 - first)
@@ -155,7 +194,8 @@ def _births_after(renewals: Array) -> Array:
 
 
 def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
-    """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts there, shape (p, X)."""
+    """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts
+    there, shape (p, X)."""
     edges = step * np.arange(_NODES + 1)
     at = np.minimum(born.travel / step, _NODES)
     cell = at.astype(np.int64)
@@ -171,12 +211,24 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     with np.errstate(over="ignore", invalid="ignore"):
         for p in range(len(moments)):
             within = np.zeros(_NODES)
-            for q in range(p + 1) if born.birth.any() else (p,):  # (y + s)^p in powers q of s
-                strength = math.comb(p, q) * born.share * born.stiffness**p * born.birth ** (p - q)
+            for q in (
+                range(p + 1) if born.birth.any() else (p,)
+            ):  # (y + s)^p in powers q of s
+                strength = (
+                    math.comb(p, q)
+                    * born.share
+                    * born.stiffness**p
+                    * born.birth ** (p - q)
+                )
                 ending = np.bincount(cell, strength, _NODES + 1)
-                lasting = np.cumsum(ending[::-1])[-2::-1]  # of lives that outlast each cell
+                lasting = np.cumsum(ending[::-1])[
+                    -2::-1
+                ]  # of lives that outlast each cell
                 power = edges ** (q + 1)
-                carried = np.bincount(cell, strength * born.travel ** (q + 1), _NODES + 1) - ending * power
+                carried = (
+                    np.bincount(cell, strength * born.travel ** (q + 1), _NODES + 1)
+                    - ending * power
+                )
                 within += (carried[:-1] + lasting * np.diff(power)) / (q + 1)
             moments[p, 1:] = np.convolve(density, within)[:_NODES] / step
         for p in range(1, len(moments)):
@@ -185,31 +237,52 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
 
 
 def pinned_variance(pinned: Array, contacts: int, delayed: bool) -> Array:
-    """Of the pinned fraction of `contacts` contacts, any shape. A sample does not tell what fewer than about two of
-    them do (Agresti and Coull, 1998): without these two an error bar would vanish wherever none happens to be pinned,
-    or all are."""
-    return pinned * (1.0 - pinned) / contacts + ((2.0 / contacts) ** 2 if delayed else 0.0)
+    """Of the pinned fraction of `contacts` contacts, any shape. A sample does not tell
+    what fewer than about two of them do (Agresti and Coull, 1998): without these two an
+    error bar would vanish wherever none happens to be pinned, or all are."""
+    return pinned * (1.0 - pinned) / contacts + (
+        (2.0 / contacts) ** 2 if delayed else 0.0
+    )
 
 
-def known_variance(law: Scatter, level: Scatter, sample: Array, contacts: int) -> tuple[Array, Array]:
-    """Variance of the mean force of `contacts` contacts whose forces scatter with variance `sample`, and a bound on the
-    probability that the mean is off by more than five times its root; `level` is the stationary state.
+def known_variance(
+    law: Scatter, level: Scatter, sample: Array, contacts: int
+) -> tuple[Array, Array]:
+    """Variance of the mean force of `contacts` contacts whose forces scatter with
+    variance `sample`, and a bound on the probability that the mean is off by more than
+    five times its root; `level` is the stationary state.
 
-    The sample variance has a relative variance of K/N, K = E(f - Ef)^4/Var^2 large where few contacts make the force
-    (derived), and so has the law's, N being its `lives`, besides 5 %; they are weighted accordingly. N/K contacts of
-    size s, s^2 = K Var, would have the same moments. Where fewer than one is expected, one stands for those that are
-    not met (as pseudo-counts do in Agresti and Coull, 1998), s being at most twice the stationary root mean square
-    force of a pinned contact, and just that where the law's lives, too, may have met none of them; it is never more
-    than twice what there can be. The bound is Markov's for sixth powers, of the large deviations that single contacts
-    make: N E(f - Ef)^6/(5 N error)^6.
+    The sample variance has a relative variance of K/N, K = E(f - Ef)^4/Var^2 large
+    where few contacts make the force (derived), and so has the law's, N being its
+    `lives`, besides 5 %; they are weighted accordingly. N/K contacts of size s, s^2 = K
+    Var, would have the same moments. Where fewer than one is expected, one stands for
+    those that are not met (as pseudo-counts do in Agresti and Coull, 1998), s being at
+    most twice the stationary root mean square force of a pinned contact, and just that
+    where the law's lives, too, may have met none of them; it is never more than twice
+    what there can be. The bound is Markov's for sixth powers, of the large deviations
+    that single contacts make: N E(f - Ef)^6/(5 N error)^6.
     """
     with np.errstate(all="ignore"):
         doubt = law.fourth / law.variance / contacts
-        share = np.nan_to_num(1.0 / (1.0 + _TOLERANCE**2 * law.variance / doubt + contacts / law.lives))
-        size = np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf) if law.lives == math.inf else math.inf
+        share = np.nan_to_num(
+            1.0 / (1.0 + _TOLERANCE**2 * law.variance / doubt + contacts / law.lives)
+        )
+        size = (
+            np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf)
+            if law.lives == math.inf
+            else math.inf
+        )
         one = np.minimum(size, 4.0 * np.minimum(level.one, law.most))
         unmet = np.nan_to_num(one / (1.0 + contacts * law.variance / one))
-        own = sample * contacts / (contacts - 1) if contacts > 1 else np.zeros_like(sample)
-        variance = (share * law.variance + (1.0 - share) * own + unmet / contacts) / contacts
-        rare = np.where(law.sixth > 0, law.sixth / contacts**5 / (25.0 * variance) ** 3, 0.0)
+        own = (
+            sample * contacts / (contacts - 1)
+            if contacts > 1
+            else np.zeros_like(sample)
+        )
+        variance = (
+            share * law.variance + (1.0 - share) * own + unmet / contacts
+        ) / contacts
+        rare = np.where(
+            law.sixth > 0, law.sixth / contacts**5 / (25.0 * variance) ** 3, 0.0
+        )
     return variance, np.where(rare < 1.0, rare, 1.0)

@@ -1,10 +1,13 @@
-"""Contacts along a segment at constant velocity, and what they leave there on a grid and in averages.
+"""Contacts along a segment at constant velocity, and what they leave there on a grid
+and in averages.
 
-A contact comes in as a start or the segment before left it, and goes on with what its exponential clock has left; the
-lives that begin in the segment are drawn and carried by `engine.follow`, in a mirror where the slider moves back; and
-where another segment follows, its state at the end is handed on. In a hold stretches stay what they are, and time is
-displacement at the pace of another segment. Thresholds that fluctuate are followed step by step, with a step that ends
-where the segment does. Each segment has an origin of its own, so that forces do not cancel over long distances.
+A contact comes in as a start or the segment before left it, and goes on with what its
+exponential clock has left; the lives that begin in the segment are drawn and carried by
+`engine.follow`, in a mirror where the slider moves back; and where another segment
+follows, its state at the end is handed on. In a hold stretches stay what they are, and
+time is displacement at the pace of another segment. Thresholds that fluctuate are
+followed step by step, with a step that ends where the segment does. Each segment has an
+origin of its own, so that forces do not cancel over long distances.
 """
 
 import math
@@ -50,11 +53,13 @@ from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array
 
 _SEEN = 100.0  # relaxations after which a threshold at rest has seen all there is
-_ATTEMPTS = 32000  # cycles that are tried for a snapshot; one in e^32 contacts finds none
+# cycles that are tried for a snapshot; one in e^32 contacts finds none
+_ATTEMPTS = 32000
 
 
 class Population(NamedTuple):
-    """Contacts between two segments, arrays (contacts,). Times are displacements at the pace of the segment before.
+    """Contacts between two segments, arrays (contacts,). Times are displacements at the
+    pace of the segment before.
 
     Attributes
     ----------
@@ -62,7 +67,8 @@ class Population(NamedTuple):
     wait : ndarray
         Of detached contacts: the time until they are pinned.
     threshold, stiffness : ndarray
-        Of pinned ones, as all that follow: at birth; where thresholds fluctuate, the one now.
+        Of pinned ones, as all that follow: at birth; where thresholds fluctuate, the
+        one now.
     stretch : ndarray
         In the direction X.
     clock : ndarray
@@ -70,13 +76,15 @@ class Population(NamedTuple):
     age : ndarray
         For how long they have been pinned.
     still : ndarray
-        For how long a contact of a stationary start is still pinned if the motion goes on.
+        For how long a contact of a stationary start is still pinned if the motion goes
+        on.
     delay : ndarray
         After the break.
     lives : ndarray of int
         ROUNDS times how often lives were drawn.
     life, draw : ndarray of int
-        Where thresholds fluctuate: which life this is, and which of its random numbers comes next.
+        Where thresholds fluctuate: which life this is, and which of its random numbers
+        comes next.
     first : int
         Number of the first contact.
     """
@@ -103,8 +111,9 @@ class Population(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A life in a segment: its stiffness at birth, its stretch in the direction of motion and its age where it `begins`
-    there, and its travel from there on, or time in a hold."""
+    """A life in a segment: its stiffness at birth, its stretch in the direction of
+    motion and its age where it `begins` there, and its travel from there on, or time in
+    a hold."""
 
     stiffness: float
     stretch: float
@@ -113,13 +122,16 @@ class Span(NamedTuple):
     travel: float
 
 
-# ----------------------------------------------------------------------------------------- how contacts come in
+# -----------------------------------------------------------------------------------------
+# how contacts come in
 
 
 @admit.register(Recorder)
 @admit.register(Together)
 @admit.register(OneByOne)
-def _admit(recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int) -> bool:
+def _admit(
+    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int
+) -> bool:
     run, averaging = recorder.run, recorder.averaging
     x, age = enter(recorder.start, c, recorder, key, contact)
     if x > run.length:
@@ -150,44 +162,68 @@ def _move_lane(recorder: Recorder, source: int, target: int) -> None:
 
 
 @by_law
-def enter(start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
-    """Take a contact through what it comes in with, by the type of the start: where its next life begins, infinity if
-    that is in a later segment; and how often lives of it were drawn."""
+def enter(
+    start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int
+) -> tuple[float, int]:
+    """Take a contact through what it comes in with, by the type of the start: where its
+    next life begins, infinity if that is in a later segment; and how often lives of it
+    were drawn."""
     return 0.0, 0
 
 
 @enter.register(Stationary)
-def _enter_stationary(start: Stationary, c: Contacts, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
+def _enter_stationary(
+    start: Stationary, c: Contacts, recorder: Recorder, key: Key, contact: int
+) -> tuple[float, int]:
     return found_at_start(c.aging, c, start, recorder, key, contact), 1
 
 
 @by_law
-def found_at_start(law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int) -> float:
-    """Record what a snapshot of the stationary state finds at X = 0, by the law of aging. Where that contact is pinned
-    again."""
+def found_at_start(
+    law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
+) -> float:
+    """Record what a snapshot of the stationary state finds at X = 0, by the law of
+    aging. Where that contact is pinned again."""
     batch, seen = contact % BATCHES, snapshot(c.newborn, c, start, key, contact)
     if not seen.pinned:
         average(recorder, batch, 0.0, 0.0, 0.0, 0.0, seen.wait)
         return seen.wait
-    span = Span(kappa(c.springs, seen.threshold), seen.stretch, 0.0, -seen.age, seen.length)
-    broke, reborn = seen.length - seen.age, seen.length - seen.age + delay_of_the_first(c, key, contact)
+    span = Span(
+        kappa(c.springs, seen.threshold), seen.stretch, 0.0, -seen.age, seen.length
+    )
+    broke, reborn = (
+        seen.length - seen.age,
+        seen.length - seen.age + delay_of_the_first(c, key, contact),
+    )
     stiffness = leave_span(c, recorder, batch, span)
-    average(recorder, batch, stiffness, -seen.age - seen.stretch, -seen.age, broke, reborn)
+    average(
+        recorder, batch, stiffness, -seen.age - seen.stretch, -seen.age, broke, reborn
+    )
     return reborn
 
 
 @found_at_start.register(Langevin)
-def _path_at_start(law: Langevin, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int) -> float:
-    """Try cycles of life and delay, each begun at a uniform time before X = 0 within the longest one, until one is
-    still under way: a cycle is found in proportion to its length (derived). An exponential delay counts as a fixed one
-    of the same mean: what is left of it is exponential again."""
+def _path_at_start(
+    law: Langevin,
+    c: Contacts,
+    start: Stationary,
+    recorder: Recorder,
+    key: Key,
+    contact: int,
+) -> float:
+    """Try cycles of life and delay, each begun at a uniform time before X = 0 within
+    the longest one, until one is still under way: a cycle is found in proportion to its
+    length (derived). An exponential delay counts as a fixed one of the same mean: what
+    is left of it is exponential again."""
     batch, delay = contact % BATCHES, c.delay.mean
     born, broke, reborn = 0.0, 0.0, 0.0
     for attempt in range(_ATTEMPTS):
         rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
         age = (start.longest + delay) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
         xi, number = threshold_draw(c.thresholds, rank), 2**32 - 1 - attempt
-        path = langevin.Path(key, contact, number, np.int64(0), xi, 0.0, -math.log(tick))
+        path = langevin.Path(
+            key, contact, number, np.int64(0), xi, 0.0, -math.log(tick)
+        )
         ends, _ = leave_path(langevin.pinned(c), recorder, batch, path, -age)
         if ends + delay > 0.0:
             born, broke, reborn = -age, ends, ends + delay_of_the_first(c, key, contact)
@@ -200,7 +236,9 @@ def _path_at_start(law: Langevin, c: Contacts, start: Stationary, recorder: Reco
 
 
 @enter.register(Population)
-def _enter_between(start: Population, c: Contacts, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
+def _enter_between(
+    start: Population, c: Contacts, recorder: Recorder, key: Key, contact: int
+) -> tuple[float, int]:
     run, i = recorder.run, contact - start.first
     lives, reborn = start.lives[i] // ROUNDS, start.wait[i] * run.ratio
     if start.pinned[i]:
@@ -215,9 +253,11 @@ def _enter_between(start: Population, c: Contacts, recorder: Recorder, key: Key,
 
 
 @by_law
-def go_on(law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int) -> float:
-    """Take a pinned contact through the segment, by the law of aging: where it breaks. Infinity if it does not; then
-    its state at the end is noted."""
+def go_on(
+    law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
+) -> float:
+    """Take a pinned contact through the segment, by the law of aging: where it breaks.
+    Infinity if it does not; then its state at the end is noted."""
     run, stiffness = recorder.run, p.stiffness[i]
     y, age = run.sign * p.stretch[i], p.age[i] * run.ratio
     contact = Held(p.threshold[i], stiffness, y, age)
@@ -237,25 +277,44 @@ def go_on(law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i:
 
 
 @go_on.register(Langevin)
-def _path_goes_on(law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int) -> float:
+def _path_goes_on(
+    law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
+) -> float:
     run = recorder.run
     laws = langevin.Pinned(c.barrier, c.springs, law, float(run.moves))
-    path = langevin.Path(key, p.first + i, p.life[i], p.draw[i], p.threshold[i], run.sign * p.stretch[i], p.clock[i])
+    path = langevin.Path(
+        key,
+        p.first + i,
+        p.life[i],
+        p.draw[i],
+        p.threshold[i],
+        run.sign * p.stretch[i],
+        p.clock[i],
+    )
     broke, path = leave_path(laws, recorder, 0, path, 0.0)
     if broke == math.inf:
         keep_path(p, run, path)
     return broke
 
 
-# --------------------------------------------------------------------------------------- what lives leave there
+# ---------------------------------------------------------------------------------------
+# what lives leave there
 
 
 @routine(inline=True)
 def note_together(
-    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+    recorder: Recorder,
+    c: Contacts,
+    key: Key,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    active: int,
+    full: int,
 ) -> bool:
-    """Record the lives of all lanes at once. A contact's lives come in order of position, so what they leave in
-    averages is added up on the way, and noted when a life crosses the edge of a window."""
+    """Record the lives of all lanes at once. A contact's lives come in order of
+    position, so what they leave in averages is added up on the way, and noted when a
+    life crosses the edge of a window."""
     averaging, position = recorder.averaging, lanes.position
     broke, reborn, edge = averaging.broke, averaging.reborn, averaging.edge
     work, pinned = averaging.work, averaging.pinned
@@ -285,11 +344,23 @@ def note_together(
 
 
 @routine(inline=True)
-def cross_edges(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int) -> bool:
-    """Note what contacts whose lives cross the edge of a window have left in it, and these lives; whether any has come
-    to the end of the segment."""
-    run, averaging, scales, ended = recorder.run, recorder.averaging, recorder.window_scales, False
-    edge, broke, reborn, position = averaging.edge, averaging.broke, averaging.reborn, lanes.position
+def cross_edges(
+    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
+) -> bool:
+    """Note what contacts whose lives cross the edge of a window have left in it, and
+    these lives; whether any has come to the end of the segment."""
+    run, averaging, scales, ended = (
+        recorder.run,
+        recorder.averaging,
+        recorder.window_scales,
+        False,
+    )
+    edge, broke, reborn, position = (
+        averaging.edge,
+        averaging.broke,
+        averaging.reborn,
+        lanes.position,
+    )
     for i in range(active):
         if reborn[i] <= edge[i]:
             continue
@@ -298,15 +369,27 @@ def cross_edges(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: 
         if run.averages and edge[i] > 0.5 * run.length:
             window = recorder.windows[batch, 0 if edge[i] < run.length else 1]
             elapsed = position[i] - averaging.since[i]
-            pinned = elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x  # to the last bit
-            window.area += fixed(averaging.work[i] - 0.5 * stiffness * x * x, scales.area)
+            pinned = (
+                elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x
+            )  # to the last bit
+            window.area += fixed(
+                averaging.work[i] - 0.5 * stiffness * x * x, scales.area
+            )
             window.pinned += fixed(pinned, scales.pinned)
             window.elapsed += fixed(elapsed, scales.elapsed)
             window.breaks += number - averaging.lives[i]
             window.stretch += fixed(pinned, scales.stretch)
             window.travel += fixed(pinned, scales.travel)
         if run.averages:
-            average(recorder, batch, stiffness, position[i], position[i], broke[i], reborn[i])
+            average(
+                recorder,
+                batch,
+                stiffness,
+                position[i],
+                position[i],
+                broke[i],
+                reborn[i],
+            )
         recorder.lives[0] += number + 1 - averaging.lives[i]
         if reborn[i] > run.length:
             hand_on(recorder.start, c, recorder, lanes, lives, r, i, broke[i])
@@ -322,7 +405,14 @@ def cross_edges(recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: 
 
 @routine
 def note_alone(
-    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+    recorder: Recorder,
+    c: Contacts,
+    key: Key,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    active: int,
+    full: int,
 ) -> bool:
     """Record the lives of the lanes one by one."""
     run, position, ended = recorder.run, lanes.position, False
@@ -333,12 +423,28 @@ def note_alone(
         number = ROUNDS * lanes.age[i] + r
         batch = (lanes.contact[i] + number * run.batch_by_life) % BATCHES
         path = langevin.Path(
-            key, lanes.contact[i], number, np.int64(0), lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
+            key,
+            lanes.contact[i],
+            number,
+            np.int64(0),
+            lives.threshold[r, i],
+            lives.birth[r, i],
+            lives.clock[r, i],
         )
-        stiffness, broke = leave_life(c.aging, c, recorder, batch, path, born, lives.travel[r, i])
+        stiffness, broke = leave_life(
+            c.aging, c, recorder, batch, path, born, lives.travel[r, i]
+        )
         reborn = broke + lives.delay[r, i]
         if run.averages and reborn > 0.5 * run.length:
-            average(recorder, batch, stiffness, born - lives.birth[r, i], born, broke, reborn)
+            average(
+                recorder,
+                batch,
+                stiffness,
+                born - lives.birth[r, i],
+                born,
+                broke,
+                reborn,
+            )
         recorder.lives[0] += 1
         if reborn > run.length:
             hand_on(recorder.start, c, recorder, lanes, lives, r, i, broke)
@@ -350,7 +456,14 @@ def note_alone(
 
 @note_lives.register(Recorder)
 def _note_either(
-    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lives: Lives, r: int, active: int, full: int
+    recorder: Recorder,
+    c: Contacts,
+    key: Key,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    active: int,
+    full: int,
 ) -> bool:
     if recorder.alone:
         return note_alone(recorder, c, key, lanes, lives, r, active, full)
@@ -363,33 +476,54 @@ note_lives.register(OneByOne)(note_alone)
 
 @by_law
 def leave_life(
-    law: Any, c: Contacts, recorder: Recorder, batch: int, drawn: langevin.Path, born: float, travel: float
+    law: Any,
+    c: Contacts,
+    recorder: Recorder,
+    batch: int,
+    drawn: langevin.Path,
+    born: float,
+    travel: float,
 ) -> tuple[float, float]:
-    """Record a life that begins at `born` as `drawn`, by the law of aging, and is carried over `travel` unless in a
-    hold. The stiffness whose work is yet to be averaged, and where the life ends."""
+    """Record a life that begins at `born` as `drawn`, by the law of aging, and is
+    carried over `travel` unless in a hold. The stiffness whose work is yet to be
+    averaged, and where the life ends."""
     stiffness = kappa(c.springs, drawn.xi)
     if recorder.run.moves == 0:
         contact = Held(drawn.xi, stiffness, drawn.x, 0.0)
-        travel = time_in_hold(recorder.start, c, contact, recorder.run.length - born, drawn.left)
-    stiffness = leave_span(c, recorder, batch, Span(stiffness, drawn.x, 0.0, born, travel))
+        travel = time_in_hold(
+            recorder.start, c, contact, recorder.run.length - born, drawn.left
+        )
+    stiffness = leave_span(
+        c, recorder, batch, Span(stiffness, drawn.x, 0.0, born, travel)
+    )
     return stiffness, born + travel
 
 
 @by_law
-def time_in_hold(start: Any, c: Contacts, contact: Held, longest: float, clock: float) -> float:
-    """How long a contact is pinned in a hold, or infinity if that is longer than it lasts; by the type of the start, as
-    only programmes have holds."""
+def time_in_hold(
+    start: Any, c: Contacts, contact: Held, longest: float, clock: float
+) -> float:
+    """How long a contact is pinned in a hold, or infinity if that is longer than it
+    lasts; by the type of the start, as only programmes have holds."""
     return math.inf
 
 
 @time_in_hold.register(Population)
-def _time_in_hold(start: Population, c: Contacts, contact: Held, longest: float, clock: float) -> float:
+def _time_in_hold(
+    start: Population, c: Contacts, contact: Held, longest: float, clock: float
+) -> float:
     return spend(c.aging, c, contact, 0, longest, clock)[0]
 
 
 @leave_life.register(Langevin)
 def _leave_drawn_path(
-    law: Langevin, c: Contacts, recorder: Recorder, batch: int, drawn: langevin.Path, born: float, travel: float
+    law: Langevin,
+    c: Contacts,
+    recorder: Recorder,
+    batch: int,
+    drawn: langevin.Path,
+    born: float,
+    travel: float,
 ) -> tuple[float, float]:
     laws = langevin.Pinned(c.barrier, c.springs, law, float(recorder.run.moves))
     broke, path = leave_path(laws, recorder, batch, drawn, born)
@@ -400,14 +534,16 @@ def _leave_drawn_path(
 
 @routine
 def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float:
-    """Record the force of a contact that is pinned for a span of a segment; the stiffness whose work is yet to be
-    averaged, 0 where that is done."""
+    """Record the force of a contact that is pinned for a span of a segment; the
+    stiffness whose work is yet to be averaged, 0 where that is done."""
     run, begins, stiffness = recorder.run, span.begins, span.stiffness
     if not stiffness_varies(c.aging, c.springs):
         origin = begins - span.stretch if run.moves != 0 else -span.stretch
         leave_ramp(recorder, stiffness, origin, begins, begins + span.travel)
         return stiffness
-    for j in range(point_at(run, begins), min(point_at(run, begins + span.travel), run.points)):
+    for j in range(
+        point_at(run, begins), min(point_at(run, begins + span.travel), run.points)
+    ):
         elapsed = max(instant(run, j) - begins, 0.0)
         x = span.stretch + elapsed * run.moves
         leave_force(recorder, j, stiffness * growth(c.aging, span.age + elapsed) * x)
@@ -418,16 +554,23 @@ def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float
         if high > low:
             until = work_of(c.aging, c.aging_table, c.springs, stiffness, high)
             before = work_of(c.aging, c.aging_table, c.springs, stiffness, low)
-            recorder.windows[batch, quarter].area += fixed(until - before, recorder.window_scales.area)
+            recorder.windows[batch, quarter].area += fixed(
+                until - before, recorder.window_scales.area
+            )
     return 0.0
 
 
 @routine
 def leave_path(
-    laws: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, begins: float
+    laws: langevin.Pinned,
+    recorder: Recorder,
+    batch: int,
+    path: langevin.Path,
+    begins: float,
 ) -> tuple[float, langevin.Path]:
-    """Follow the path of a contact whose threshold fluctuates, from `begins` on, and record it. Where it breaks, or
-    infinity if that is in a later segment, and its path there. It may be on its way, stretched at the beginning."""
+    """Follow the path of a contact whose threshold fluctuates, from `begins` on, and
+    record it. Where it breaks, or infinity if that is in a later segment, and its path
+    there. It may be on its way, stretched at the beginning."""
     run = recorder.run
     if laws.springs.slope == 0.0:
         y, stiffness = path.x, laws.springs.constant
@@ -436,7 +579,9 @@ def leave_path(
         ends = begins + travel if broken else math.inf
         if broken and not run.averages:
             ends = min(ends, run.length)
-        leave_ramp(recorder, stiffness, begins - y if run.moves != 0 else -y, begins, ends)
+        leave_ramp(
+            recorder, stiffness, begins - y if run.moves != 0 else -y, begins, ends
+        )
         return ends, path
     if run.moves == 0:
         return leave_path_at_rest(laws, recorder, path, begins)
@@ -447,11 +592,13 @@ def leave_path(
 def leave_path_at_rest(
     laws: langevin.Pinned, recorder: Recorder, path: langevin.Path, begins: float
 ) -> tuple[float, langevin.Path]:
-    """`leave_path` in a hold, of a contact whose stiffness follows its threshold: steps end at the instants that are
-    recorded."""
+    """`leave_path` in a hold, of a contact whose stiffness follows its threshold: steps
+    end at the instants that are recorded."""
     run, now = recorder.run, begins
     for j in range(point_at(run, begins), run.points):
-        broken, path, elapsed, _ = langevin.follow(laws, path, run.instants[j] - now, langevin.STEP)
+        broken, path, elapsed, _ = langevin.follow(
+            laws, path, run.instants[j] - now, langevin.STEP
+        )
         if broken:
             return min(now + elapsed, run.length), path
         now = run.instants[j]
@@ -463,14 +610,25 @@ def leave_path_at_rest(
 
 @routine
 def leave_stiffening_path(
-    laws: langevin.Pinned, recorder: Recorder, batch: int, path: langevin.Path, begins: float
+    laws: langevin.Pinned,
+    recorder: Recorder,
+    batch: int,
+    path: langevin.Path,
+    begins: float,
 ) -> tuple[float, langevin.Path]:
-    """`leave_path` of a contact whose stiffness follows its threshold: steps end at grid points and at edges of windows
-    of averages. It is not followed beyond the last one."""
+    """`leave_path` of a contact whose stiffness follows its threshold: steps end at
+    grid points and at edges of windows of averages. It is not followed beyond the last
+    one."""
     run = recorder.run
     step, quarters, y = run.length / (run.points - 1), 0.25 * run.length, path.x
-    s, broken, j = 0.0, False, point_at(run, begins)  # travel so far, which the stretch may not resolve
-    window = max(2, math.floor(begins / quarters) + 1)  # the next edge of a window is at window * quarters
+    s, broken, j = (
+        0.0,
+        False,
+        point_at(run, begins),
+    )  # travel so far, which the stretch may not resolve
+    window = max(
+        2, math.floor(begins / quarters) + 1
+    )  # the next edge of a window is at window * quarters
     while not broken:
         if j < run.points and j * step - begins <= s:
             leave_force(recorder, j, kappa(laws.springs, path.xi) * path.x)
@@ -486,29 +644,48 @@ def leave_stiffening_path(
             stop = min(stop, j * step - begins)
         broken, path, h, work = langevin.stride(laws, path, stop - s, langevin.STEP)
         if run.averages and 2 < window < 5:
-            recorder.windows[batch, window - 3].area += fixed(work, recorder.window_scales.area)
+            recorder.windows[batch, window - 3].area += fixed(
+                work, recorder.window_scales.area
+            )
         reached = not broken and s + h >= stop * (1.0 - 1e-15)
         s = stop if reached else s + h
-        path = langevin.moved(path, path.draw, path.xi, y + s if reached else path.x, path.left)
+        path = langevin.moved(
+            path, path.draw, path.xi, y + s if reached else path.x, path.left
+        )
     ends = begins + s if broken and begins + s <= run.length else math.inf
     leave_pinned(recorder, begins, ends)
     return ends, path
 
 
-# -------------------------------------------------------------------------------------------- how they are handed on
+# --------------------------------------------------------------------------------------------
+# how they are handed on
 
 
 @by_law
 def hand_on(
-    start: Any, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int, broke: float
+    start: Any,
+    c: Contacts,
+    recorder: Recorder,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    i: int,
+    broke: float,
 ) -> None:
-    """Note the state of a contact whose life of round r in lane i is the last one in a segment, for the next one, by
-    the type of the start."""
+    """Note the state of a contact whose life of round r in lane i is the last one in a
+    segment, for the next one, by the type of the start."""
 
 
 @hand_on.register(Population)
 def _hand_on(
-    start: Population, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int, broke: float
+    start: Population,
+    c: Contacts,
+    recorder: Recorder,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    i: int,
+    broke: float,
 ) -> None:
     run, contact = recorder.run, lanes.contact[i] - start.first
     if run.last:
@@ -522,10 +699,27 @@ def _hand_on(
 
 
 @by_law
-def keep_life(law: Any, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int) -> None:
-    """Note the state at the end of the segment of a contact that is pinned, by the law of aging."""
-    run, p, contact = recorder.run, recorder.start, lanes.contact[i] - recorder.start.first
-    xi, y, age = lives.threshold[r, i], lives.birth[r, i], run.length - lanes.position[i]
+def keep_life(
+    law: Any,
+    c: Contacts,
+    recorder: Recorder,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    i: int,
+) -> None:
+    """Note the state at the end of the segment of a contact that is pinned, by the law
+    of aging."""
+    run, p, contact = (
+        recorder.run,
+        recorder.start,
+        lanes.contact[i] - recorder.start.first,
+    )
+    xi, y, age = (
+        lives.threshold[r, i],
+        lives.birth[r, i],
+        run.length - lanes.position[i],
+    )
     stiffness = kappa(c.springs, xi)
     passed = spent(law, c, Held(xi, stiffness, y, 0.0), run.moves, age)
     p.threshold[contact] = xi
@@ -536,13 +730,22 @@ def keep_life(law: Any, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Li
 
 
 @keep_life.register(Langevin)
-def _keep_no_life(law: Langevin, c: Contacts, recorder: Recorder, lanes: Lanes, lives: Lives, r: int, i: int) -> None:
+def _keep_no_life(
+    law: Langevin,
+    c: Contacts,
+    recorder: Recorder,
+    lanes: Lanes,
+    lives: Lives,
+    r: int,
+    i: int,
+) -> None:
     pass  # its path is kept where it ends
 
 
 @by_law
 def keep_path(start: Any, run: Run, path: langevin.Path) -> None:
-    """Note where a path is at the end of a segment, for the next one, by the type of the start."""
+    """Note where a path is at the end of a segment, for the next one, by the type of
+    the start."""
 
 
 @keep_path.register(Population)
@@ -555,11 +758,14 @@ def _keep_path(start: Population, run: Run, path: langevin.Path) -> None:
     start.draw[i] = path.draw
 
 
-# ------------------------------------------------------------------------------------------------ stationary starts
+# ------------------------------------------------------------------------------------------------
+# stationary starts
 
 
 @kernel
-def begin_stationary(c: Contacts, stationary: Stationary, key: Key, p: Population) -> None:
+def begin_stationary(
+    c: Contacts, stationary: Stationary, key: Key, p: Population
+) -> None:
     """Fill a population as a snapshot of the steady state of `c` finds its contacts."""
     for i in range(p.wait.size):
         contact = p.first + i
@@ -569,7 +775,13 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, p: Populatio
         p.wait[i] = seen.wait
         if seen.pinned:
             stiffness = kappa(c.springs, seen.threshold)
-            passed = spent(c.aging, c, Held(seen.threshold, stiffness, seen.stretch, 0.0), 1, seen.age)
+            passed = spent(
+                c.aging,
+                c,
+                Held(seen.threshold, stiffness, seen.stretch, 0.0),
+                1,
+                seen.age,
+            )
             p.threshold[i] = seen.threshold
             p.stiffness[i] = stiffness
             p.stretch[i] = seen.stretch + seen.age
@@ -579,12 +791,13 @@ def begin_stationary(c: Contacts, stationary: Stationary, key: Key, p: Populatio
             p.delay[i] = delay_of_the_first(c, key, contact)
 
 
-# ---------------------------------------------------------------------------------------------- how long lives last
+# ----------------------------------------------------------------------------------------------
+# how long lives last
 
 
 def waits_at_rest(c: Contacts, most: float) -> Array:
-    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares of thresholds and of clocks;
-    where thresholds fluctuate roughly, and at 16 x 16."""
+    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares
+    of thresholds and of clocks; where thresholds fluctuate roughly, and at 16 x 16."""
     u, v = typical_uniforms(c)
     waits = np.empty(u.size)
     fill_waits(c, u, v, spread(u.size), most, waits)
@@ -592,26 +805,40 @@ def waits_at_rest(c: Contacts, most: float) -> Array:
 
 
 @kernel
-def fill_waits(c: Contacts, u: Array, v: Array, birth: Array, most: float, waits: Array) -> None:
+def fill_waits(
+    c: Contacts, u: Array, v: Array, birth: Array, most: float, waits: Array
+) -> None:
     """The kernel of `waits_at_rest`; longer lives may be infinite."""
     for i in range(u.size):
         xi, y = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
-        waits[i] = wait_at_rest(c.aging, c, Held(xi, kappa(c.springs, xi), y, 0.0), -math.log(v[i]), most, i)
+        waits[i] = wait_at_rest(
+            c.aging, c, Held(xi, kappa(c.springs, xi), y, 0.0), -math.log(v[i]), most, i
+        )
 
 
 @by_law
-def wait_at_rest(law: Any, c: Contacts, contact: Held, clock: float, most: float, i: int) -> float:
-    """How long a life lasts at rest, by the law of aging; path i where thresholds fluctuate. Infinite, or anything
-    longer, if it is more than `most`."""
+def wait_at_rest(
+    law: Any, c: Contacts, contact: Held, clock: float, most: float, i: int
+) -> float:
+    """How long a life lasts at rest, by the law of aging; path i where thresholds
+    fluctuate. Infinite, or anything longer, if it is more than `most`."""
     return spend(law, c, contact, 0, most, clock)[0]
 
 
 @wait_at_rest.register(Langevin)
-def _path_at_rest(law: Langevin, c: Contacts, contact: Held, clock: float, most: float, i: int) -> float:
+def _path_at_rest(
+    law: Langevin, c: Contacts, contact: Held, clock: float, most: float, i: int
+) -> float:
     if not thermal(c.barrier):
         return math.inf
     laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
     key = Key(np.uint64(0), np.uint64(0))
-    path = langevin.Path(key, i, np.int64(0), np.int64(0), contact.threshold, 0.0, clock)
-    broke, path, elapsed, _ = langevin.follow(laws, path, min(_SEEN / law.alpha, most), langevin.STEP)
-    return elapsed if broke else elapsed * (clock / (clock - path.left))  # by then the hazard grows in proportion
+    path = langevin.Path(
+        key, i, np.int64(0), np.int64(0), contact.threshold, 0.0, clock
+    )
+    broke, path, elapsed, _ = langevin.follow(
+        laws, path, min(_SEEN / law.alpha, most), langevin.STEP
+    )
+    return (
+        elapsed if broke else elapsed * (clock / (clock - path.left))
+    )  # by then the hazard grows in proportion

@@ -4,18 +4,18 @@ In each step the force F of the contacts is first estimated as
 
     F + (A + rho) dX + r dt,
 
-with A the stiffness of all pinned contacts, and rho and r the changes of F by breaks per
-displacement and per time, which are known from the last breaks (derived, of second order
-in the step). The equation of motion without a mass
+with A the stiffness of all pinned contacts, and rho and r the changes of F by breaks
+per displacement and per time, which are known from the last breaks (derived, of second
+order in the step). The equation of motion without a mass
 
     eta X' = kappa (Y - X) - F
 
-has a closed solution for this estimate. With a mass, forces are balanced in the middle of
-the step, or at its end where the slider's own vibration is faster than a step. Then every
-contact is followed along the straight piece of X(t), so that F is exact for this X(t).
-The next step makes up for the displacement and the velocity that the estimate has missed
-(`Behind`). Without this the error would be of first order in the step, since rho and r
-lag behind by the breaks that they are means of.
+has a closed solution for this estimate. With a mass, forces are balanced in the middle
+of the step, or at its end where the slider's own vibration is faster than a step. Then
+every contact is followed along the straight piece of X(t), so that F is exact for this
+X(t). The next step makes up for the displacement and the velocity that the estimate has
+missed (`Behind`). Without this the error would be of first order in the step, since rho
+and r lag behind by the breaks that they are means of.
 
 A step is so short that its estimate misses F by less than the tolerance, beyond the
 scatter of the breaks themselves, and that its displacement is at most the root of the
@@ -95,7 +95,8 @@ _SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
 class Piece(NamedTuple):
-    """A straight piece of X(t): its duration, speed over the pace, and direction (1, -1)."""
+    """A straight piece of X(t): its duration, speed over the pace, and direction (1,
+    -1)."""
 
     duration: float
     speed: float
@@ -103,7 +104,14 @@ class Piece(NamedTuple):
 
 
 @kernel
-def advance(laws: Contacts, piece: Piece, stream: Key, first: int, population: Array, sums: Array) -> None:
+def advance(
+    laws: Contacts,
+    piece: Piece,
+    stream: Key,
+    first: int,
+    population: Array,
+    sums: Array,
+) -> None:
     """Follow contacts along a piece, and add up each block of them.
 
     `population` holds records of type `CONTACT`, of contacts from `first` on; `sums`
@@ -118,7 +126,9 @@ def advance(laws: Contacts, piece: Piece, stream: Key, first: int, population: A
 
 
 @routine(inline=True)
-def _follow(laws: Contacts, piece: Piece, stream: Key, number: int, contact: Any, sums: Any) -> None:
+def _follow(
+    laws: Contacts, piece: Piece, stream: Key, number: int, contact: Any, sums: Any
+) -> None:
     """Follow contact `number` along a piece."""
     left = piece.duration
     by_motion = False
@@ -128,7 +138,9 @@ def _follow(laws: Contacts, piece: Piece, stream: Key, number: int, contact: Any
                 contact.time_to_pinning -= left
                 return
             left -= contact.time_to_pinning
-            xi, born, clock = draw_birth(laws.newborn, laws, stream, number, contact.lives)
+            xi, born, clock = draw_birth(
+                laws.newborn, laws, stream, number, contact.lives
+            )
             contact.threshold = xi
             contact.stretch = born
             contact.clock = clock
@@ -209,7 +221,8 @@ class State(NamedTuple):
 
 
 class Behind(NamedTuple):
-    """What the slider would be ahead in `distance` and `velocity` had no estimate missed F.
+    """What the slider would be ahead in `distance` and `velocity` had no estimate
+    missed F.
 
     To be made up for within the time `over` (derived, of first order in the missed F).
     """
@@ -221,8 +234,8 @@ class Behind(NamedTuple):
     def within(self, dt: float) -> "Behind":
         """Share that a step of dt makes up for.
 
-        What a longer step has missed takes as long as that step, so that the displacement
-        vanishes with dt.
+        What a longer step has missed takes as long as that step, so that the
+        displacement vanishes with dt.
         """
         share = min(1.0, dt / self.over) if self.over > 0.0 else 0.0
         return Behind(share * self.distance, share * self.velocity, self.over)
@@ -265,7 +278,9 @@ class BreakRates:
         return -self.by_heat / self.waited if self.waited > 0.0 else 0.0
 
 
-def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: float) -> float:
+def _relaxed(
+    net: float, gain: float, stiffness: float, damping: float, dt: float
+) -> float:
     """Displacement X(dt) from damping X' = net + gain t - stiffness X and X(0) = 0."""
     if damping == 0.0:
         return (net + gain * dt) / stiffness if stiffness > 0.0 else math.inf
@@ -280,8 +295,8 @@ def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: floa
 class Slider:
     """A slider on the contacts of an ensemble, pulled by the stage of a programme.
 
-    Contacts are number `first` and the following ones. Steps are `longer` times as long as
-    the tolerance of the stage asks for.
+    Contacts are number `first` and the following ones. Steps are `longer` times as long
+    as the tolerance of the stage asks for.
     """
 
     def __init__(
@@ -311,7 +326,11 @@ class Slider:
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
         ends = [blocks * i // threads for i in range(threads + 1)]
         self.shares = [
-            (first + low * _BLOCK, self.population[low * _BLOCK : high * _BLOCK], records[low:high])
+            (
+                first + low * _BLOCK,
+                self.population[low * _BLOCK : high * _BLOCK],
+                records[low:high],
+            )
             for low, high in itertools.pairwise(ends)
         ]  # what each thread advances
         self.least_slip = least_slip(law) / unit
@@ -343,7 +362,8 @@ class Slider:
         )
 
     def _begin_stationary(self, before: Contacts, speed: float) -> None:
-        """Put contacts into the steady state of a speed, at which their laws are `before`."""
+        """Put contacts into the steady state of a speed, at which their laws are
+        `before`."""
         law = stationary(before)
         for begin in range(0, self.count, _DRAWN_AT_ONCE):
             drawn = self.population[begin : begin + _DRAWN_AT_ONCE]
@@ -371,7 +391,11 @@ class Slider:
         self.block_sums.fill(0.0)
         moved = self.laws, piece, self.stream
         mine, *others = self.shares
-        waiting = [self.pool.submit(advance, *moved, *share) for share in others] if self.pool else []
+        waiting = (
+            [self.pool.submit(advance, *moved, *share) for share in others]
+            if self.pool
+            else []
+        )
         advance(*moved, *mine)
         for other in waiting:
             other.result()
@@ -383,8 +407,9 @@ class Slider:
         return self.pull.stiffness + self.state.sums.stiffness + self.breaks.rho
 
     def _implicit(self, dt: float) -> tuple[float, float]:
-        """Share theta of a step of dt after which forces on the mass are balanced, and the
-        force per displacement in the step that inertia, damping and springs ask for."""
+        """Share theta of a step of dt after which forces on the mass are balanced, and
+        the force per displacement in the step that inertia, damping and springs ask
+        for."""
         elastic = self.pull.stiffness + self.state.sums.stiffness
         theta = 0.5 if dt * dt * elastic < self.pull.mass else 1.0
         inertia = self.pull.mass / (theta * dt * dt)
@@ -398,7 +423,11 @@ class Slider:
         """
         now, pull, behind = self.state, self.pull, self.behind.within(dt)
         elastic = self._elastic
-        net = pull.stiffness * (now.Y - now.X) - now.sums.force - elastic * behind.distance
+        net = (
+            pull.stiffness * (now.Y - now.X)
+            - now.sums.force
+            - elastic * behind.distance
+        )
         gain = pull.stiffness * speed - self.breaks.r
         if pull.mass == 0.0:
             damping = self._damping(now.sums)
@@ -413,7 +442,8 @@ class Slider:
     def _fall_behind(self, dt: float, missed: float) -> Behind:
         """What is left to make up for after a step of dt whose estimate missed F.
 
-        F was `missed` at the end of the step, and before in proportion to time in the mean.
+        F was `missed` at the end of the step, and before in proportion to time in the
+        mean.
         """
         if self.pull.mass == 0.0:
             damping = self._damping(self.state.sums)
@@ -450,12 +480,17 @@ class Slider:
         missed = sums.force - now.sums.force - change
         made_up = self.behind.within(dt)
         behind = self._fall_behind(dt, missed)
-        momentum = self._damping(now.sums) * made_up.distance + self.pull.mass * made_up.velocity
+        momentum = (
+            self._damping(now.sums) * made_up.distance
+            + self.pull.mass * made_up.velocity
+        )
         force = now.sums.force + 0.5 * change - momentum / dt
         self._account(dt, dX, speed * dt, V, sums, force)
         self.behind = behind
         self.breaks.add(dX, dt, sums, self.count)
-        self.dt = min(self._next_step(dt, dt == left, missed, now), self._until_a_break())
+        self.dt = min(
+            self._next_step(dt, dt == left, missed, now), self._until_a_break()
+        )
         if dt == left:
             self.state = self.state._replace(time=until)
         return self.state
@@ -469,7 +504,9 @@ class Slider:
         sums = self.state.sums
         noise = _NOISE * math.sqrt(sums.scatter / self.count)
         error = max(abs(missed) - noise, 0.0)
-        if self.pull.mass:  # the change of the acceleration makes forces miss the balance
+        if (
+            self.pull.mass
+        ):  # the change of the acceleration makes forces miss the balance
             acceleration = (self.state.V - before.V) / dt
             elastic = self.pull.stiffness + sums.stiffness
             jump = abs(acceleration - self.acceleration)
@@ -483,10 +520,12 @@ class Slider:
         return dt * factor
 
     def _until_a_break(self) -> float:
-        """Longest step in which so few contacts break by heat that their estimate holds.
+        """Longest step in which so few contacts break by heat that their estimate
+        holds.
 
-        A time without a break tells no more than that the rate of breaks is about one in
-        that time. A step may have as many as move the slider by the longest displacement.
+        A time without a break tells no more than that the rate of breaks is about one
+        in that time. A step may have as many as move the slider by the longest
+        displacement.
         """
         sums = self.state.sums
         if not self.waits or sums.square <= 0.0:
@@ -512,7 +551,9 @@ class Slider:
         self.breaks.add(dX, dt, sums, self.count)
         return self.state
 
-    def _account(self, dt: float, dX: float, dY: float, V: float, sums: Sums, force: float) -> None:
+    def _account(
+        self, dt: float, dX: float, dY: float, V: float, sums: Sums, force: float
+    ) -> None:
         """Take a step in which F is taken for `force` in the mean.
 
         Damping takes what is left of the work of the spring.

@@ -1,4 +1,5 @@
-"""Trajectories of sliders that a stage pulls, with errors that hold what finite steps miss.
+"""Trajectories of sliders that a stage pulls, with errors that hold what finite steps
+miss.
 
 Every ensemble is followed a second time in steps four times as long. What that changes
 tells how far the finite step may be wrong (`step_error`). Sliders that are always in
@@ -147,7 +148,9 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
     moved = np.stack((X, X + events["distance"]), axis=1).ravel()
     twice = np.repeat(t, 2), moved, np.repeat(events["Y"], 2)
     slips = _slips(slider, course, *twice) if events.size else []
-    columns = {"t": t} | {name: events[name] for name in ("X", "breaks", "drop", "distance")}
+    columns = {"t": t} | {
+        name: events[name] for name in ("X", "breaks", "drop", "distance")
+    }
     return _Run(course, slips, slider.count + int(now["breaks"]), columns)
 
 
@@ -168,9 +171,9 @@ def step_error(fine: Array, coarse: Array, recorded: Array) -> Array:
 
     `fine` is a quantity of shape (replicas, points), `coarse` the same at the instants
     `recorded`, in steps four times as long. An error of first order in the step is four
-    times as large there, and a third of the difference; one of a higher order is less than
-    that. The difference has a scatter and may vanish by chance at an instant: its standard
-    error is added, and of neighbouring instants the largest counts.
+    times as large there, and a third of the difference; one of a higher order is less
+    than that. The difference has a scatter and may vanish by chance at an instant: its
+    standard error is added, and of neighbouring instants the largest counts.
     """
     changed = coarse - fine[:, recorded]
     replicas = len(changed)
@@ -259,13 +262,16 @@ def pulled(
     delayed = ensemble.delay.time > 0
     pinned_stderr = np.sqrt(pinned_variance(mean["pinned"], ensemble.count, delayed))
     if replicas > 1:
-        X_std, force_std, pinned_std = (np.std(every[name], axis=0, ddof=1) for name in ("X", "friction", "pinned"))
+        X_std, force_std, pinned_std = (
+            np.std(every[name], axis=0, ddof=1) for name in ("X", "friction", "pinned")
+        )
         X_stderr = X_std / math.sqrt(replicas)
         stderr = np.sqrt(force_std**2 / replicas)
         pinned_stderr = pinned_std / math.sqrt(replicas)
     if coarse:
         missed_X, missed, missed_pinned = (
-            step_error(every[name], again[name], recorded) for name in ("X", "friction", "pinned")
+            step_error(every[name], again[name], recorded)
+            for name in ("X", "friction", "pinned")
         )
         behind = np.abs(mean["behind"])
         X_stderr = np.hypot(X_stderr, missed_X + behind)
@@ -273,7 +279,14 @@ def pulled(
         pinned_stderr = np.hypot(pinned_stderr, missed_pinned)
     X, force = mean["X"] * unit, mean["friction"] * unit
     reliable = replicas >= _ENOUGH_REPLICAS
-    segments = shown_by(programme, Grid(grid.t, X, grid.segment), force, stderr * unit, reliable, X_stderr * unit)
+    segments = shown_by(
+        programme,
+        Grid(grid.t, X, grid.segment),
+        force,
+        stderr * unit,
+        reliable,
+        X_stderr * unit,
+    )
     energies = [mean[name] for name in ("work", "stored", "dissipated", "missed")]
     return SliderTrajectory(
         X=X,

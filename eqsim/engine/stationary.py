@@ -1,12 +1,15 @@
-"""The stationary population: what a snapshot of the steady state finds, as tables to draw from.
+"""The stationary population: what a snapshot of the steady state finds, as tables to
+draw from.
 
-A snapshot sees contacts in proportion to their time, not to their births (length bias, derived): pinned contacts have
-thresholds of density P_c(xi) m(xi)/C, where m(xi) = E[x_b|xi] and C = E[x_b], and given xi a stretch of density
-S(x|xi)/m(xi) with S(x|xi) = P(x_b > x|xi).
+A snapshot sees contacts in proportion to their time, not to their births (length bias,
+derived): pinned contacts have thresholds of density P_c(xi) m(xi)/C, where m(xi) =
+E[x_b|xi] and C = E[x_b], and given xi a stretch of density S(x|xi)/m(xi) with S(x|xi) =
+P(x_b > x|xi).
 
-S decreases, so x S(x) <= int_0^x S dy <= m and S is below the envelope g(x) = min(1, m/x). A stretch x proposed from
-g is kept with probability S(x)/g(x): that is, if a life whose clock shows -ln(U g(x)), U uniform, breaks beyond x.
-Given that, this clock is Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
+S decreases, so x S(x) <= int_0^x S dy <= m and S is below the envelope g(x) = min(1,
+m/x). A stretch x proposed from g is kept with probability S(x)/g(x): that is, if a life
+whose clock shows -ln(U g(x)), U uniform, breaks beyond x. Given that, this clock is
+Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
 """
 
 import itertools
@@ -26,14 +29,30 @@ from eqsim.laws.barrier.base import travel
 from eqsim.laws.delay import residual_delay_draw
 from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Thresholds, threshold_draw
+from eqsim.laws.threshold import (
+    FIRST_OCTAVE,
+    LAST_OCTAVE,
+    NO_STEPS,
+    Thresholds,
+    threshold_draw,
+)
 from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.streams import key as key_of
-from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table, search
+from eqsim.numerics.tables import (
+    NO_TABLE,
+    Array,
+    look_up,
+    octave_edges,
+    octave_table,
+    search,
+)
 
 _LEAST_LOG_E, _MOST_LOG_E = -53 * math.log(2), math.log(500)
-_EXTREME_RANK, _EXTREME_CLOCK = 45.0, 110.0  # -ln of no 63-bit uniform, no clock of a contact found, exceeds these
+_EXTREME_RANK, _EXTREME_CLOCK = (
+    45.0,
+    110.0,
+)  # -ln of no 63-bit uniform, no clock of a contact found, exceeds these
 _EXTREME_PRODUCT = 129.0  # rank of the sum of -ln of two uniforms of 2^-96
 _MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
@@ -41,10 +60,11 @@ _MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 class Stationary(NamedTuple):
     """Tables of the stationary state, in the units of `Contacts`.
 
-    `pinned` is the pinned fraction. A smooth law has `biased`, e of a threshold found against -ln of a uniform, and
-    `life`, m against e; a discrete one has `share`, the cumulative share of its thresholds, and `step_life`, m of each.
-    Contacts of `langevin` thresholds and contacts born stretched, whose lives are found by trying, only have `longest`:
-    no life is longer.
+    `pinned` is the pinned fraction. A smooth law has `biased`, e of a threshold found
+    against -ln of a uniform, and `life`, m against e; a discrete one has `share`, the
+    cumulative share of its thresholds, and `step_life`, m of each. Contacts of
+    `langevin` thresholds and contacts born stretched, whose lives are found by trying,
+    only have `longest`: no life is longer.
     """
 
     pinned: float = 1.0
@@ -56,12 +76,14 @@ class Stationary(NamedTuple):
 
 
 class Fresh(NamedTuple):
-    """In the place of `Stationary` at a fresh start, so that kernels leave out what finds contacts."""
+    """In the place of `Stationary` at a fresh start, so that kernels leave out what
+    finds contacts."""
 
 
 def stationary(c: Contacts) -> Stationary:
-    """The stationary state of contacts; tables are good to 1e-6 relative. Raises InputError where contacts found by
-    trying that live 1000 times longer than the mean still matter, too rare to be found."""
+    """The stationary state of contacts; tables are good to 1e-6 relative. Raises
+    InputError where contacts found by trying that live 1000 times longer than the mean
+    still matter, too rare to be found."""
     if c.aging.fluctuates or isinstance(c.newborn, Stretched):
         return Stationary(longest=_longest(c))
     if c.thresholds.steps.size:
@@ -69,13 +91,19 @@ def stationary(c: Contacts) -> Stationary:
         mean = float(means.mean())
         share = np.cumsum(means) / means.sum()
         return Stationary(mean / (mean + c.delay.mean), share=share, step_life=means)
-    grid = np.linspace(_LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging.closed else 600)  # lives that age take long
+    grid = np.linspace(
+        _LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging.closed else 600
+    )  # lives that age take long
     xi = np.empty(grid.size)
     thresholds(c.thresholds, np.exp(-np.exp(grid)), xi)
     means = mean_lives(c, xi)
-    time = means * np.exp(grid - np.exp(grid))  # density of contacts found in ln e, times C
+    time = means * np.exp(
+        grid - np.exp(grid)
+    )  # density of contacts found in ln e, times C
     below = integrate.cumulative_simpson(time, dx=grid[1] - grid[0], initial=0)
-    above = integrate.cumulative_simpson(time[::-1], dx=grid[1] - grid[0], initial=0)[::-1]
+    above = integrate.cumulative_simpson(time[::-1], dx=grid[1] - grid[0], initial=0)[
+        ::-1
+    ]
     mean = float(below[-1])
     use = (below > 0) & (above > 1e-200 * mean)  # beyond, nothing to draw
     below, above, log_e = below[use] / mean, above[use] / mean, grid[use]
@@ -88,23 +116,30 @@ def stationary(c: Contacts) -> Stationary:
     at = np.clip(np.log(edges), log_rank[0], log_rank[-1])
     e = np.exp(to_e(at))
     inside = at == np.log(edges)
-    biased = octave_table(FIRST_OCTAVE, e, np.where(inside, e * to_e(at, 1) / edges, 0.0))
+    biased = octave_table(
+        FIRST_OCTAVE, e, np.where(inside, e * to_e(at, 1) / edges, 0.0)
+    )
     to_life = interpolate.CubicSpline(grid, np.log(means))
     at = np.clip(np.log(edges), grid[0], grid[-1])
     m = np.exp(to_life(at))
-    table = octave_table(FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0))
+    table = octave_table(
+        FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0)
+    )
     return Stationary(mean / (mean + c.delay.mean), biased=biased, life=table)
 
 
 def _longest(c: Contacts) -> float:
-    """A life so long that a share of 1e-5 of all time lies in what others have beyond it."""
+    """A life so long that a share of 1e-5 of all time lies in what others have beyond
+    it."""
     proposal = Proposal.of(c)
     p, q = np.random.default_rng(0).random((2, 2**15))
     (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
     stretch = lives(c, Source(key_of(0, 0), 0, STEP), u, v).travel
     order = np.argsort(-stretch)
     stretch, weight = stretch[order], (weight * clock_weight)[order]
-    beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(weight)  # time spent beyond each of these lives
+    beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(
+        weight
+    )  # time spent beyond each of these lives
     longest = float(stretch[np.searchsorted(beyond, 1e-5 * (weight @ stretch))])
     mean = float(weight @ stretch / weight.sum())
     if not longest < 1000.0 * mean:
@@ -117,20 +152,27 @@ def _longest(c: Contacts) -> float:
 
 
 def mean_lives(c: Contacts, xi: Array) -> Array:
-    """m(xi) = E[x_b|xi] = int_0^inf x_b(xi, E) exp(-E) dE by Gauss-Legendre panels in ln E, shape of `xi`.
+    """m(xi) = E[x_b|xi] = int_0^inf x_b(xi, E) exp(-E) dE by Gauss-Legendre panels in
+    ln E, shape of `xi`.
 
-    The integrand has a kink where x_b reaches xi, at the integrated hazard of xi; panels shrink towards it.
+    The integrand has a kink where x_b reaches xi, at the integrated hazard of xi;
+    panels shrink towards it.
     """
     if not c.aging.closed:
         ends, kink = np.empty(xi.size), np.empty(xi.size)
         whole_lives(c, xi, ends, kink)
     elif c.barrier.thermal:
-        ends, kink = xi, c.barrier.whole_hazard(xi, c.springs.constant + c.springs.slope * xi)
+        ends, kink = (
+            xi,
+            c.barrier.whole_hazard(xi, c.springs.constant + c.springs.slope * xi),
+        )
     if not c.barrier.thermal:
         return xi.copy() if c.aging.closed else ends
     low, top = -46.0, math.log(50.0)
     last = np.clip(np.log(np.maximum(kink, 1e-300)), low, top)
-    panels = np.concatenate((np.linspace(1.0, 0.05, 28), 0.025 * 2.0 ** -np.arange(0.0, 20.0, 2.0), [0.0]))
+    panels = np.concatenate(
+        (np.linspace(1.0, 0.05, 28), 0.025 * 2.0 ** -np.arange(0.0, 20.0, 2.0), [0.0])
+    )
     nodes, weights = np.polynomial.legendre.leggauss(10)
     total = np.zeros(xi.size)
     stretch = np.empty(xi.size)
@@ -139,13 +181,20 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
         for node, weight in zip(nodes, weights, strict=True):
             log_clock = 0.5 * (a + b) + 0.5 * (b - a) * node
             stretches(c, xi, np.exp(log_clock), stretch)
-            total += 0.5 * (b - a) * weight * stretch * np.exp(log_clock - np.exp(log_clock))
+            total += (
+                0.5 * (b - a) * weight * stretch * np.exp(log_clock - np.exp(log_clock))
+            )
     return total + ends * np.exp(-np.exp(last))
 
 
 def extremes(c: Contacts) -> tuple[float, float]:
-    """A threshold that sets a stiffness and a stretch at breaking that no contact exceeds, with a margin of a tenth."""
-    ranks = np.linspace(0.01, _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK, 2000)
+    """A threshold that sets a stiffness and a stretch at breaking that no contact
+    exceeds, with a margin of a tenth."""
+    ranks = np.linspace(
+        0.01,
+        _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK,
+        2000,
+    )
     xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
     thresholds(c.thresholds, np.exp(-ranks), xi)
     strongest = 1.1 * float(xi.max()) * c.aging.most
@@ -157,8 +206,8 @@ def extremes(c: Contacts) -> tuple[float, float]:
 
 @kernel
 def whole_lives(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
-    """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically, `hazard` with their integrated
-    hazards until then."""
+    """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically,
+    `hazard` with their integrated hazards until then."""
     for i in range(xi.size):
         ends[i], hazard[i] = whole_hazard(c.aging, c, xi[i])
 
@@ -172,15 +221,17 @@ def thresholds(law: Thresholds, u: Array, xi: Array) -> None:
 
 @kernel
 def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
-    """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show `clock`."""
+    """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show
+    `clock`."""
     for i in range(xi.size):
         stretch[i] = life(c.aging, c, xi[i], clock[i])
 
 
 class Seen(NamedTuple):
-    """A contact of the stationary state: whether it is pinned, and if not for how long it waits; if it is, threshold
-    and stretch at birth, its travel until now, `age`, which may be less than the resolution of a stretch, and until it
-    breaks, `length`, and its exponential clock."""
+    """A contact of the stationary state: whether it is pinned, and if not for how long
+    it waits; if it is, threshold and stretch at birth, its travel until now, `age`,
+    which may be less than the resolution of a stretch, and until it breaks, `length`,
+    and its exponential clock."""
 
     pinned: bool
     wait: float
@@ -196,15 +247,20 @@ def snapshot(law: Any, c: Contacts, s: Stationary, key: Key, contact: int) -> Se
     """What a snapshot of the stationary state finds, by the law of births."""
     u_state, u_rest = uniforms(key, contact, 0, 0)
     if u_state >= s.pinned:
-        return Seen(False, residual_delay_draw(c.delay, u_rest), 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Seen(
+            False, residual_delay_draw(c.delay, u_rest), 0.0, 0.0, 0.0, 0.0, 0.0
+        )
     xi, x, ends, clock = found_pinned(c, s, key, contact, u_rest)
     return Seen(True, 0.0, xi, 0.0, x, ends, clock)
 
 
 @snapshot.register(Stretched)
-def _try_cycles(law: Stretched, c: Contacts, s: Stationary, key: Key, contact: int) -> Seen:
-    """Try cycles of life and delay, each begun at a uniform time before now within the longest one, until one is still
-    under way: a cycle is found in proportion to its length (derived)."""
+def _try_cycles(
+    law: Stretched, c: Contacts, s: Stationary, key: Key, contact: int
+) -> Seen:
+    """Try cycles of life and delay, each begun at a uniform time before now within the
+    longest one, until one is still under way: a cycle is found in proportion to its
+    length (derived)."""
     for attempt in range(32000):
         rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
         birth, part = uniforms(key, contact, 0, 2 * attempt + 2)
@@ -215,15 +271,21 @@ def _try_cycles(law: Stretched, c: Contacts, s: Stationary, key: Key, contact: i
             return Seen(True, 0.0, xi, y, age, length, clock)
         if length + c.delay.mean > age:
             u_rest = uniforms(key, contact, 0, 0)[1]
-            rest = residual_delay_draw(c.delay, u_rest) if c.delay.random > 0.0 else length + c.delay.mean - age
+            rest = (
+                residual_delay_draw(c.delay, u_rest)
+                if c.delay.random > 0.0
+                else length + c.delay.mean - age
+            )
             return Seen(False, rest, 0.0, 0.0, 0.0, 0.0, 0.0)
     return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # one in e^32
 
 
 @routine(inline=True)
-def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -> tuple[Any, Any, Any, Any]:
-    """Threshold at birth, stretch now, stretch at breaking and exponential clock of a pinned contact of the stationary
-    state."""
+def found_pinned(
+    c: Contacts, s: Stationary, key: Key, contact: int, u: float
+) -> tuple[Any, Any, Any, Any]:
+    """Threshold at birth, stretch now, stretch at breaking and exponential clock of a
+    pinned contact of the stationary state."""
     steps = c.thresholds.steps
     if steps.size > 0:
         rank = min(search(s.share, u, True), steps.size - 1)
@@ -233,7 +295,9 @@ def found_pinned(c: Contacts, s: Stationary, key: Key, contact: int, u: float) -
         xi, m = threshold_draw(c.thresholds, math.exp(-e)), look_up(s.life, e)
     top = end(c.aging, xi)
     m = min(m * _MARGIN, top)
-    plateau = 1.0 / (1.0 + math.log(top / m))  # share of the envelope's area where it is 1
+    plateau = 1.0 / (
+        1.0 + math.log(top / m)
+    )  # share of the envelope's area where it is 1
     draw = 1
     while True:
         u_stretch, u_clock = uniforms(key, contact, 0, draw)

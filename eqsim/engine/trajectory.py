@@ -1,7 +1,8 @@
-"""Force of an ensemble on a grid of slider displacements, event driven: cost O(lives) + O(points), memory O(points).
+"""Force of an ensemble on a grid of slider displacements, event driven: cost O(lives) +
+O(points), memory O(points).
 
-Contacts do not act on each other, so each is followed on its own from start to end (`engine.follow`), by any thread
-or any worker of an executor.
+Contacts do not act on each other, so each is followed on its own from start to end
+(`engine.follow`), by any thread or any worker of an executor.
 """
 
 import math
@@ -19,12 +20,29 @@ from eqsim.engine.programme import along, check_programme, constant_drive, cycle
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.sample import rough_stretch, typical_lives
-from eqsim.engine.scatter import ENOUGH, RARE, Births, Scatter, births, known_variance, pinned_variance, scatter
+from eqsim.engine.scatter import (
+    ENOUGH,
+    RARE,
+    Births,
+    Scatter,
+    births,
+    known_variance,
+    pinned_variance,
+    scatter,
+)
 from eqsim.engine.slider_runs import pulled
 from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import OBSERVABLES, Averages, Estimate, drifts, infinite, known, ratio
+from eqsim.estimate import (
+    OBSERVABLES,
+    Averages,
+    Estimate,
+    drifts,
+    infinite,
+    known,
+    ratio,
+)
 from eqsim.model.drive import Drive, Programme, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
@@ -35,11 +53,18 @@ from eqsim.numerics.threads import interruptibly
 _FEW = 1000  # lives, which are over before anybody counts them
 
 
-def predicted_lives(ensemble: Ensemble, drive: Drive | Programme, replicas: int = 1) -> float:
-    """How many lives a run will take, within a few per cent or somewhat too many: by Wald's identity a contact that
-    uses up min(life and delay, distance) each time fills the distance."""
+def predicted_lives(
+    ensemble: Ensemble, drive: Drive | Programme, replicas: int = 1
+) -> float:
+    """How many lives a run will take, within a few per cent or somewhat too many: by
+    Wald's identity a contact that uses up min(life and delay, distance) each time fills
+    the distance."""
     if isinstance(drive, Programme):
-        ahead = abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean if drive.stage else 0.0
+        ahead = (
+            abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
+            if drive.stage
+            else 0.0
+        )
         return ensemble.count * replicas * (sum(cycles(ensemble, drive)) + ahead)
     c = contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
     distance = drive.over(ensemble) / ensemble.thresholds.scale
@@ -49,9 +74,15 @@ def predicted_lives(ensemble: Ensemble, drive: Drive | Programme, replicas: int 
 
 
 def check_run(
-    ensemble: Ensemble, drive: Drive | Programme, points: int, seed: int, replicas: int, max_lives: float
+    ensemble: Ensemble,
+    drive: Drive | Programme,
+    points: int,
+    seed: int,
+    replicas: int,
+    max_lives: float,
 ) -> float:
-    """The predicted lives of a run. Raises InputError if it cannot be done, or takes more than `max_lives` lives."""
+    """The predicted lives of a run. Raises InputError if it cannot be done, or takes
+    more than `max_lives` lives."""
     check_output(points, seed, replicas)
     if isinstance(drive, Programme):
         check_programme(ensemble, drive)
@@ -61,13 +92,16 @@ def check_run(
         require_number("distance / threshold", distance, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, replicas)
     if not expected <= max_lives:
-        raise InputError(f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}")
+        raise InputError(
+            f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}"
+        )
     return expected
 
 
 def guarded(progress: Progress | None, expected: float, max_lives: float) -> Progress:
-    """`progress` of a run of which so many lives are `expected`, which stops it with InputError where it takes more
-    than twice `max_lives`: a prediction from typical lives may miss what a slider does behind a spring."""
+    """`progress` of a run of which so many lives are `expected`, which stops it with
+    InputError where it takes more than twice `max_lives`: a prediction from typical
+    lives may miss what a slider does behind a spring."""
 
     def count(lives: int) -> None:
         if lives > 2.0 * max_lives + _FEW:
@@ -108,18 +142,22 @@ def trajectory(
     ----------
     ensemble : Ensemble
     drive : Drive or Programme
-        Constant velocity over a distance, or one segment after another, from a fresh or a stationary start.
+        Constant velocity over a distance, or one segment after another, from a fresh or
+        a stationary start.
     points : int
-        Equidistant X from 0 at which the force is recorded; of a programme about so many instants (`Programme.grid`).
+        Equidistant X from 0 at which the force is recorded; of a programme about so
+        many instants (`Programme.grid`).
     seed : int
         Of the random numbers; the result depends on nothing else.
     replicas : int
         Independent ensembles; means and standard deviations are over all of them.
     threads : int or (Executor, int)
-        Threads of this process; or an executor (a ProcessPoolExecutor, the `get_executor()` of a dask client), which
-        the caller shuts down, and about how many workers it has. The same bits.
+        Threads of this process; or an executor (a ProcessPoolExecutor, the
+        `get_executor()` of a dask client), which the caller shuts down, and about how
+        many workers it has. The same bits.
     max_lives : float
-        Work that needs more lives of contacts is refused, and stopped where it takes twice as many.
+        Work that needs more lives of contacts is refused, and stopped where it takes
+        twice as many.
     progress : callable, optional
         `progress(lives)` is told now and then how many lives have been simulated.
 
@@ -130,8 +168,9 @@ def trajectory(
     Raises
     ------
     InputError
-        For arguments out of range, for contacts that follow no programme, and if more than `max_lives` lives are
-        predicted, or twice as many are taken. What a lost worker makes an executor raise is passed on.
+        For arguments out of range, for contacts that follow no programme, and if more
+        than `max_lives` lives are predicted, or twice as many are taken. What a lost
+        worker makes an executor raise is passed on.
     """
     expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
     progress = guarded(progress, expected, max_lives)
@@ -144,12 +183,19 @@ def trajectory(
     c = contacts(ensemble, drive.velocity, mean_stretch)
     unit = ensemble.thresholds.scale
     count = ensemble.count * replicas
-    run = Run(drive.over(ensemble) / unit, points, drive.start == "stationary", batch_by_life=count < BATCHES)
+    run = Run(
+        drive.over(ensemble) / unit,
+        points,
+        drive.start == "stationary",
+        batch_by_life=count < BATCHES,
+    )
     table = stationary(c) if run.stationary else Fresh()
     drag = drag_of(ensemble, drive.velocity)
     scales = Scales.of(c, run, count, replicas, drag)
     job = constant_drive(c, table, run, scales, key(seed, TRAJECTORY), drag)
-    interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, so that seconds are those of the work
+    interruptibly(
+        job.simulate, job.totals(1), 0, 0
+    )  # compiles, so that seconds are those of the work
     begin = time.perf_counter()
     total = simulate_all(job, ensemble.count, replicas, threads, progress)
 
@@ -159,20 +205,31 @@ def trajectory(
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         scatter_of_pinned[0] = 0.0
     one = replace(ensemble, count=1)
-    law, level, (alike, noise) = _expected(one, drive.velocity, mean_stretch, None if run.stationary else run.distance)
+    law, level, (alike, noise) = _expected(
+        one, drive.velocity, mean_stretch, None if run.stationary else run.distance
+    )
     force_variance, rare = known_variance(law.at(grid / unit), level, variance, count)
     _, always_rare = known_variance(level, level, level.variance, count)
-    # what steps of fluctuating thresholds cost, relative, where that is more than usual: the usual is below scatter
+    # what steps of fluctuating thresholds cost, relative, where that is more than
+    # usual: the usual is below scatter
     bias = max(step_error(c.aging) - STEP_ERROR, 0.0) if c.aging.fluctuates else 0.0
     scatter_of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
     force_variance = force_variance + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
     std, every = total.replica_std(job, replicas), total.replica_forces()
-    second_half = _second_half(_in_units(total.windows, scales.windows), int(total.lives[0]), count, drag)
+    second_half = _second_half(
+        _in_units(total.windows, scales.windows), int(total.lives[0]), count, drag
+    )
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    second_half += (infinite(count) if ensemble.divergence else _force_variance(variance, level, run, count, noise),)
+    second_half += (
+        infinite(count)
+        if ensemble.divergence
+        else _force_variance(variance, level, run, count, noise),
+    )
     friction, pinned_fraction = second_half[:2]
-    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(pinned_fraction, late.pinned, level.pinned[0])
+    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(
+        pinned_fraction, late.pinned, level.pinned[0]
+    )
     settled_too = _is_over(second_half[-1], late.variance, level.variance[0])
     units = [shown.size(unit) for shown in OBSERVABLES.values()]
     enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
@@ -202,10 +259,14 @@ def trajectory(
 
 @lru_cache(maxsize=32)
 def _expected(
-    ensemble: Ensemble, velocity: float, mean_stretch: float | None, distance: float | None
+    ensemble: Ensemble,
+    velocity: float,
+    mean_stretch: float | None,
+    distance: float | None,
 ) -> tuple[Scatter, Scatter, tuple[tuple[float, ...], float]]:
-    """What the law says of the scatter of forces over a distance and in the stationary state, and of how many
-    `independent` lives there are to a unit of displacement. Remembered: it takes 20 ms, and seeds share it."""
+    """What the law says of the scatter of forces over a distance and in the stationary
+    state, and of how many `independent` lives there are to a unit of displacement.
+    Remembered: it takes 20 ms, and seeds share it."""
     c, drag = contacts(ensemble, velocity, mean_stretch), drag_of(ensemble, velocity)
     born = births(c)
     level = scatter(c, born, None, drag)
@@ -213,20 +274,32 @@ def _expected(
     return law, level, independent(c, born, drag)
 
 
-def independent(c: Contacts, born: Births, drag: float) -> tuple[tuple[float, ...], float]:
-    """How many lives like those that make the scatter there are to a unit of displacement, for each of `OBSERVABLES`;
-    and the variance, per unit of displacement, of (f - F)^2 added up along it, f the force of a contact. Of n lives
-    with residuals r = work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their inverse
-    square root bounds the skewness of the mean of r, and half of it how far Student's t is off in the mean (derived).
+def independent(
+    c: Contacts, born: Births, drag: float
+) -> tuple[tuple[float, ...], float]:
+    """How many lives like those that make the scatter there are to a unit of
+    displacement, for each of `OBSERVABLES`; and the variance, per unit of displacement,
+    of (f - F)^2 added up along it, f the force of a contact. Of n lives with residuals
+    r = work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2:
+    their inverse square root bounds the skewness of the mean of r, and half of it how
+    far Student's t is off in the mean (derived).
     """
     waits = c.delay.law.sample()
-    share, wait = np.repeat(born.share / waits.size, waits.size), np.tile(waits, born.share.size)
-    travel, birth = np.repeat(born.travel, waits.size), np.repeat(born.birth, waits.size)
+    share, wait = (
+        np.repeat(born.share / waits.size, waits.size),
+        np.tile(waits, born.share.size),
+    )
+    travel, birth = (
+        np.repeat(born.travel, waits.size),
+        np.repeat(born.birth, waits.size),
+    )
     stiffness = np.repeat(born.stiffness, waits.size)
     work, cycle = stiffness * travel * (birth + 0.5 * travel), travel + wait
     square = stiffness**2 * travel * (birth**2 + travel * (birth + travel / 3.0))
     force = np.sum(share * (work + drag * wait)) / np.sum(share * cycle)
-    deviation = square - 2.0 * force * work + force**2 * travel + (drag - force) ** 2 * wait
+    deviation = (
+        square - 2.0 * force * work + force**2 * travel + (drag - force) ** 2 * wait
+    )
     residual = deviation - np.sum(share * deviation) / np.sum(share * cycle) * cycle
     noise = float(np.sum(share * residual**2) / np.sum(share * cycle))
 
@@ -235,11 +308,22 @@ def independent(c: Contacts, born: Births, drag: float) -> tuple[tuple[float, ..
             residual = reward - np.sum(share * reward) / np.sum(share * per) * per
             residual *= np.abs(residual) > 1e-12 * np.abs(reward)  # rounding
             cubes = share * residual**3
-            square, cube = np.sum(share * residual**2), max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0]))
-            return float(1.0 / np.sum(share * cycle) * square**3 / cube**2) if cube > 0 else math.inf
+            square, cube = (
+                np.sum(share * residual**2),
+                max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0])),
+            )
+            return (
+                float(1.0 / np.sum(share * cycle) * square**3 / cube**2)
+                if cube > 0
+                else math.inf
+            )
 
     once = np.ones(travel.size)
-    reached, gone, begun = alike(birth + travel, once), alike(travel, once), alike(birth, once)
+    reached, gone, begun = (
+        alike(birth + travel, once),
+        alike(travel, once),
+        alike(birth, once),
+    )
     return (
         (alike(work + drag * wait, cycle), alike(travel, cycle), reached, gone, begun, alike(deviation, cycle)), noise
     )  # fmt: skip
@@ -250,18 +334,27 @@ def _in_units(windows: Array, scales: Window) -> Window:
     return Window(*(windows[name] / scale for name, scale in scales._asdict().items()))
 
 
-def _second_half(sums: Window, lives: int, contacts: int, drag: float) -> tuple[Estimate, ...]:
-    """Averages over the second half of the distance; unreliable if its two quarters differ by more than 4 sigma, or
-    fewer contacts broke in it than there are batches."""
+def _second_half(
+    sums: Window, lives: int, contacts: int, drag: float
+) -> tuple[Estimate, ...]:
+    """Averages over the second half of the distance; unreliable if its two quarters
+    differ by more than 4 sigma, or fewer contacts broke in it than there are batches.
+    """
     area, pinned, elapsed, breaks, stretch, travel = sums
     seen = breaks.sum()
     enough = seen >= BATCHES and (contacts >= BATCHES or seen >= 4 * BATCHES)
 
     def over(numerator: Array, denominator: Array) -> Estimate:
         found = ratio(numerator.sum(1), denominator.sum(1), lives)
-        if found.stderr is not None and seen and not (numerator is pinned and found.stderr == 0):
+        if (
+            found.stderr is not None
+            and seen
+            and not (numerator is pinned and found.stderr == 0)
+        ):
             # nor does a sample of lives tell what fewer than about two of them do
-            found = replace(found, stderr=math.hypot(found.stderr, 2.0 / seen * abs(known(found))))
+            found = replace(
+                found, stderr=math.hypot(found.stderr, 2.0 / seen * abs(known(found)))
+            )
         steady = found.reliable and not drifts(numerator, denominator, sigmas=4.0)
         return replace(found, reliable=bool(steady and enough))
 
@@ -272,32 +365,45 @@ def _second_half(sums: Window, lives: int, contacts: int, drag: float) -> tuple[
     )  # fmt: skip
 
 
-def _force_variance(variance: Array, level: Scatter, run: Run, contacts: int, noise: float) -> Estimate:
-    """From the variance over contacts at every grid point, shape (points,), those of the second half; its error from
-    the law: what `noise` says of the time average, and what instants that far apart may miss."""
+def _force_variance(
+    variance: Array, level: Scatter, run: Run, contacts: int, noise: float
+) -> Estimate:
+    """From the variance over contacts at every grid point, shape (points,), those of
+    the second half; its error from the law: what `noise` says of the time average, and
+    what instants that far apart may miss."""
     late = variance[run.points // 2 :]
     if contacts < 2:
         return Estimate(None, None, contacts)
     over_time = noise / (0.5 * run.distance)
     at_once = max(float(level.fourth[0] - level.variance[0] ** 2), 0.0) / late.size
     value = float(np.mean(late)) * contacts / (contacts - 1)
-    return Estimate(value, math.sqrt((over_time + at_once) / contacts), contacts * late.size)
+    return Estimate(
+        value, math.sqrt((over_time + at_once) / contacts), contacts * late.size
+    )
 
 
 def _is_over(estimate: Estimate, expected: Array, level: float) -> bool:
-    """Whether the transient, as the law expects it, moves an average by less than half its error, or by rounding."""
-    return bool(abs(np.mean(expected) - level) <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * abs(level))
+    """Whether the transient, as the law expects it, moves an average by less than half
+    its error, or by rounding."""
+    return bool(
+        abs(np.mean(expected) - level)
+        <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * abs(level)
+    )
 
 
 def _widened(estimate: Estimate, relative: float) -> Estimate:
     """With a relative error more."""
     if not relative or estimate.value is None or estimate.stderr is None:
         return estimate
-    return replace(estimate, stderr=math.hypot(estimate.stderr, relative * estimate.value))
+    return replace(
+        estimate, stderr=math.hypot(estimate.stderr, relative * estimate.value)
+    )
 
 
 def _in(estimate: Estimate, unit: float, trusted: bool) -> Estimate:
     """In the user's unit, and unreliable unless `trusted`."""
     value = None if estimate.value is None else estimate.value * unit
     stderr = None if estimate.stderr is None else estimate.stderr * unit
-    return replace(estimate, value=value, stderr=stderr, reliable=estimate.reliable and trusted)
+    return replace(
+        estimate, value=value, stderr=stderr, reliable=estimate.reliable and trusted
+    )

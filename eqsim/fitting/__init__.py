@@ -1,1 +1,2 @@
-"""From measurements to parameters: what they decide, with intervals, and what they cannot."""
+"""From measurements to parameters: what they decide, with intervals, and what they
+cannot."""

@@ -1,4 +1,5 @@
-"""Least squares from many starts, and what it says about parameters: covariance and the ladder of directions."""
+"""Least squares from many starts, and what it says about parameters: covariance and the
+ladder of directions."""
 
 import math
 import pickle
@@ -18,12 +19,14 @@ from eqsim.io.storage import publish
 from eqsim.master.slider import TooManySteps
 from eqsim.numerics.tables import Array
 
-DEGENERATE = 1e-7  # ratio of eigenvalues of J'J below which a direction is not determined
+# ratio of eigenvalues of J'J below which a direction is not determined
+DEGENERATE = 1e-7
 _SAME = 0.1  # of chi-square: minima that differ by less are one
 
 
 class Minimum(NamedTuple):
-    """Where a minimisation ended: parameters, chi-square (priors included), whether it converged, and solves."""
+    """Where a minimisation ended: parameters, chi-square (priors included), whether it
+    converged, and solves."""
 
     u: Array
     chi2: float
@@ -32,8 +35,11 @@ class Minimum(NamedTuple):
 
 
 def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
-    """Least squares from `u`, the parameter of index `held` as it is there; the linear ones need no start."""
-    active = np.array([i for i in range(u.size) if i != held and not problem.linear[i]], int)
+    """Least squares from `u`, the parameter of index `held` as it is there; the linear
+    ones need no start."""
+    active = np.array(
+        [i for i in range(u.size) if i != held and not problem.linear[i]], int
+    )
     known: dict[bytes, Array] = {}  # least squares ask twice
 
     def residuals(x: Array) -> Array:
@@ -46,12 +52,18 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
     def jacobian(x: Array) -> Array:
         columns = []
         for i, j in enumerate(active):
-            step = problem.step if x[i] + problem.step <= problem.high[j] else -problem.step
+            step = (
+                problem.step
+                if x[i] + problem.step <= problem.high[j]
+                else -problem.step
+            )
             moved, other = x.copy(), x.copy()
             moved[i] += step
             if problem.central:
                 other[i] = min(max(x[i] - step, problem.low[j]), problem.high[j])
-            columns.append((residuals(moved) - residuals(other)) / (moved[i] - other[i]))
+            columns.append(
+                (residuals(moved) - residuals(other)) / (moved[i] - other[i])
+            )
         return np.array(columns).T
 
     if not active.size:
@@ -60,7 +72,14 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
     low, high = problem.low[active], problem.high[active]
     inside = np.clip(u[active], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     found = optimize.least_squares(
-        residuals, inside, jacobian, (low, high), ftol=1e-8, xtol=1e-8, gtol=1e-8, max_nfev=200
+        residuals,
+        inside,
+        jacobian,
+        (low, high),
+        ftol=1e-8,
+        xtol=1e-8,
+        gtol=1e-8,
+        max_nfev=200,
     )
     full = u.copy()
     full[active] = found.x
@@ -75,13 +94,16 @@ def starts(problem: Problem, count: int, seed: int) -> list[Array]:
     """The run file's values, and others spread evenly between the bounds."""
     if count == 1:
         return [problem.start]
-    sampler = qmc.LatinHypercube(len(problem.parameters), rng=np.random.default_rng(seed))
+    sampler = qmc.LatinHypercube(
+        len(problem.parameters), rng=np.random.default_rng(seed)
+    )
     spread = problem.low + (problem.high - problem.low) * sampler.random(count - 1)
     return [problem.start, *spread]
 
 
 def check_starts(problem: Problem, every: list[Array]) -> None:
-    """Raise InputError where the reference refuses, and say which key and bound it takes."""
+    """Raise InputError where the reference refuses, and say which key and bound it
+    takes."""
     for u in every:
         try:
             problem.parts(u)
@@ -103,19 +125,28 @@ def check_starts(problem: Problem, every: list[Array]) -> None:
                     f"fit.free.{one.key}: the reference refuses a start at {float(one.value(u[i])):.4g}; its {side} "
                     f"bound {bound:g} must be nearer ({error})"
                 ) from None
-            raise InputError(f"fit.free: the reference refuses the start ({error})") from None
+            raise InputError(
+                f"fit.free: the reference refuses the start ({error})"
+            ) from None
 
 
 class Kept(NamedTuple):
-    """Results of finished tasks in a folder, for a computation that is stopped and begun again; in none, they are not
-    kept. Tasks are known by a name and their number, so the folder must belong to one computation."""
+    """Results of finished tasks in a folder, for a computation that is stopped and
+    begun again; in none, they are not kept. Tasks are known by a name and their number,
+    so the folder must belong to one computation."""
 
     folder: Path | None
 
     def get(self, name: str, index: int) -> Any:
         """The result, None where there is none."""
-        file = self.folder / f"{name}-{index}.pickle" if self.folder is not None else None
-        return pickle.loads(file.read_bytes()) if file is not None and file.is_file() else None
+        file = (
+            self.folder / f"{name}-{index}.pickle" if self.folder is not None else None
+        )
+        return (
+            pickle.loads(file.read_bytes())
+            if file is not None and file.is_file()
+            else None
+        )
 
     def put(self, name: str, index: int, result: Any) -> None:
         """Keep a result. Raises InputError if it cannot be written."""
@@ -138,7 +169,8 @@ def together(
     done: Callable[[], None] = lambda: None,
     kept: tuple[Kept, str] = (_NOT_KEPT, ""),
 ) -> list[Any]:
-    """Results of independent tasks, in order, whoever computes them; those that are `kept` are not computed again."""
+    """Results of independent tasks, in order, whoever computes them; those that are
+    `kept` are not computed again."""
     every, (store, name) = list(tasks), kept
     found = [store.get(name, index) for index in range(len(every))]
 
@@ -170,8 +202,8 @@ def different(minima: list[Minimum]) -> list[Minimum]:
 
 
 class Direction(NamedTuple):
-    """An eigenvector of J'J: its eigenvalue, over the largest, how far all may move along it (standard deviation), and
-    components by key, and its name."""
+    """An eigenvector of J'J: its eigenvalue, over the largest, how far all may move
+    along it (standard deviation), and components by key, and its name."""
 
     eigenvalue: float
     ratio: float
@@ -198,12 +230,14 @@ def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
 
 
 def _name(components: dict[str, float]) -> str:
-    """Which keys a direction moves, as powers of the one that moves most: "thermal.kT up, fit.scale down as its 0.9th
-    power" in short."""
+    """Which keys a direction moves, as powers of the one that moves most: "thermal.kT
+    up, fit.scale down as its 0.9th power" in short."""
     order = sorted(components.items(), key=lambda item: -abs(item[1]))
     lead = order[0][1]
     shown = [(key, part / lead) for key, part in order if abs(part / lead) > 0.1]
-    return " * ".join(f"{key}^{power:+.2g}" if power != 1.0 else key for key, power in shown)
+    return " * ".join(
+        f"{key}^{power:+.2g}" if power != 1.0 else key for key, power in shown
+    )
 
 
 def covariance(jacobian: Array) -> Array:

@@ -16,7 +16,13 @@ from eqsim.fitting import estimate, profiles, symmetry
 from eqsim.fitting.data import Table, read_table
 from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
 from eqsim.fitting.model import STUDENT, Problem, problem_of
-from eqsim.fitting.record import Correlation, correlated, read_record, record_problem, search
+from eqsim.fitting.record import (
+    Correlation,
+    correlated,
+    read_record,
+    record_problem,
+    search,
+)
 from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
@@ -35,7 +41,8 @@ Progress = Callable[[int, float], None]
 
 
 class Interval(NamedTuple):
-    """What is known of a key: its best value, the profile intervals with None for an open side, and a status."""
+    """What is known of a key: its best value, the profile intervals with None for an
+    open side, and a status."""
 
     key: str
     estimate: float
@@ -46,8 +53,9 @@ class Interval(NamedTuple):
 
 
 class Goodness(NamedTuple):
-    """How well a model describes data: chi-square (priors included), degrees of freedom, the probability of more (None
-    without degrees of freedom), -2 ln L, and the criteria of Akaike (corrected) and Bayes."""
+    """How well a model describes data: chi-square (priors included), degrees of
+    freedom, the probability of more (None without degrees of freedom), -2 ln L, and the
+    criteria of Akaike (corrected) and Bayes."""
 
     chi2: float
     dof: int
@@ -110,13 +118,21 @@ class FitResult:
     @property
     def values(self) -> dict[str, float]:
         """The best value of each parameter."""
-        return {one.key: float(one.value(x)) for one, x in zip(self.problem.parameters, self.best.u, strict=True)}
+        return {
+            one.key: float(one.value(x))
+            for one, x in zip(self.problem.parameters, self.best.u, strict=True)
+        }
 
     def to_pandas(self) -> Any:
-        """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 % intervals (None: open) and status."""
+        """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 %
+        intervals (None: open) and status."""
         import pandas as pd
 
-        ends = {f"{side}_{level}": (level, i) for level in ("68", "95") for i, side in enumerate(("low", "high"))}
+        ends = {
+            f"{side}_{level}": (level, i)
+            for level in ("68", "95")
+            for i, side in enumerate(("low", "high"))
+        }
         rows = {
             one.key: {
                 "estimate": one.estimate,
@@ -128,7 +144,8 @@ class FitResult:
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def plot(self) -> Any:
-        """A matplotlib Figure of the data, the fitted curves and their bands, and residuals."""
+        """A matplotlib Figure of the data, the fitted curves and their bands, and
+        residuals."""
         from eqsim.fitting.pictures import fit_figure
 
         return fit_figure(self, self.file.title)
@@ -136,7 +153,9 @@ class FitResult:
     def __repr__(self) -> str:
         found = [f"{one.key} {one.estimate:.4g} {one.status}" for one in self.intervals]
         quality = f"chi-square {self.goodness.chi2:.4g} of {self.goodness.dof} degrees of freedom"
-        return f"FitResult({', '.join([*found, quality, *['REJECTED'] * self.rejected])})"
+        return (
+            f"FitResult({', '.join([*found, quality, *['REJECTED'] * self.rejected])})"
+        )
 
     def _repr_html_(self) -> str:
         shown: str = self.to_pandas().to_html()
@@ -154,7 +173,8 @@ class FitResult:
 
 
 class Prepared(NamedTuple):
-    """A fit before the work: its section, measurements and problem, and what was noticed."""
+    """A fit before the work: its section, measurements and problem, and what was
+    noticed."""
 
     fit: Fit
     table: Table
@@ -162,21 +182,29 @@ class Prepared(NamedTuple):
     warnings: list[str]
 
 
-def prepare(file: RunFile, folder: Path, data: Path | None, allow_degenerate: bool) -> Prepared:
+def prepare(
+    file: RunFile, folder: Path, data: Path | None, allow_degenerate: bool
+) -> Prepared:
     """Read and check what a fit needs. Raises InputError."""
     section = section_of(file)
     free = parameters_of(file, section)
     table = _measured(file, folder, section, data)
     file.ensemble(folder)
     scales, _ = scales_of(section, table.sets)
-    if scales and not any(name in ("friction", "force_std") for name in table.observable):
+    if scales and not any(
+        name in ("friction", "force_std") for name in table.observable
+    ):
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")
     count, needed = table.value.size, len(free) + max(1, len(scales))
     if count < needed:
-        raise InputError(f"fit.data: has {count} measurements for {len(free)} free keys; at least {needed} are needed")
+        raise InputError(
+            f"fit.data: has {count} measurements for {len(free)} free keys; at least {needed} are needed"
+        )
     seen = {"record"} if table.time is not None else set(table.observable)
     loose = [one for one in free if one.prior is None]
-    warnings = symmetry.check(symmetry.refused(file, loose, bool(scales), seen), allow_degenerate)
+    warnings = symmetry.check(
+        symmetry.refused(file, loose, bool(scales), seen), allow_degenerate
+    )
     problem = _problem(file, folder, section, table)
     return Prepared(section, table, problem, warnings)
 
@@ -184,10 +212,14 @@ def prepare(file: RunFile, folder: Path, data: Path | None, allow_degenerate: bo
 def _measured(file: RunFile, folder: Path, section: Fit, data: Path | None) -> Table:
     """The measurements. Raises InputError."""
     if section.record is not None:
-        return read_record(data or path_of("fit.record.file", folder, section.record.file), section)
+        return read_record(
+            data or path_of("fit.record.file", folder, section.record.file), section
+        )
     if data is None and section.data is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
-    table = read_table(data or path_of("fit.data", folder, str(section.data)), file, section)
+    table = read_table(
+        data or path_of("fit.data", folder, str(section.data)), file, section
+    )
     _check_drive(file, table)
     _check_rows(file, folder, table)
     return table
@@ -205,15 +237,24 @@ def _check_drive(file: RunFile, table: Table) -> None:
     """Raise InputError unless every measurement has a velocity, and it is constant."""
     for name in ("programme", "file", "stage"):
         if getattr(file.drive, name) is not None:
-            raise InputError(f"drive.{name}: not allowed with fit.data, a table of steady observables")
-    if file.drive.velocity is None and not all("drive.velocity" in dict(row.changes) for row in table.rows):
-        raise InputError("drive.velocity: is required, in the run file or in every line of the data")
+            raise InputError(
+                f"drive.{name}: not allowed with fit.data, a table of steady observables"
+            )
+    if file.drive.velocity is None and not all(
+        "drive.velocity" in dict(row.changes) for row in table.rows
+    ):
+        raise InputError(
+            "drive.velocity: is required, in the run file or in every line of the data"
+        )
 
 
 def _check_rows(file: RunFile, folder: Path, table: Table) -> None:
-    """Raise InputError, with the line, for a row whose values no ensemble or drive can have."""
+    """Raise InputError, with the line, for a row whose values no ensemble or drive can
+    have."""
     file.ensemble(folder)  # what the run file itself has wrong is not a row's fault
-    for changes, line in {row.changes: row.line for row in reversed(table.rows)}.items():
+    for changes, line in {
+        row.changes: row.line for row in reversed(table.rows)
+    }.items():
         try:
             there = at(file, dict(changes))
             there.ensemble(folder), there.constant(folder)
@@ -243,14 +284,15 @@ def fit(
     data : Path or str, optional
         Measurements, instead of the section's.
     starts : int
-        Points from which a least-squares fit begins: the run file's values, and others between the bounds.
+        Points from which a least-squares fit begins: the run file's values, and others
+        between the bounds.
     allow_degenerate : bool
         Whether to go on where the data cannot separate free keys.
     workers : int
         Processes; they change speed, never a number.
     keep : Path, optional
-        A folder for finished least-squares fits: the same fit, if it was stopped, goes on from these, and removes them
-        when it is finished.
+        A folder for finished least-squares fits: the same fit, if it was stopped, goes
+        on from these, and removes them when it is finished.
     progress : callable, optional
         `progress(done, total)` counts least-squares fits.
 
@@ -261,36 +303,55 @@ def fit(
     Raises
     ------
     InputError
-        If the section or the data cannot be used, free keys cannot be told apart whatever the data say, or the
-        reference refuses a start.
+        If the section or the data cannot be used, free keys cannot be told apart
+        whatever the data say, or the reference refuses a start.
     """
     require_integer("starts", starts, 1, 1000)
     require_integer("workers", workers, 1, 1024)
     file = opened(file)
     folder = file.folder if folder is None else Path(folder)
-    prepared = prepare(file, folder, None if data is None else Path(data), allow_degenerate)
+    prepared = prepare(
+        file, folder, None if data is None else Path(data), allow_degenerate
+    )
     problem = prepared.problem
     every = estimate.starts(problem, starts, file.output.seed)
     estimate.check_starts(problem, every)
     warnings = prepared.warnings + _singular(problem, allow_degenerate)
     with Workers(workers).executor() as executor:
-        kept = Kept(None if keep is None else Path(keep) / f".unfinished-{_identity(file, prepared, every)}")
-        result = _fitted(file, folder, prepared._replace(warnings=warnings), every, (executor, kept), progress)
+        kept = Kept(
+            None
+            if keep is None
+            else Path(keep) / f".unfinished-{_identity(file, prepared, every)}"
+        )
+        result = _fitted(
+            file,
+            folder,
+            prepared._replace(warnings=warnings),
+            every,
+            (executor, kept),
+            progress,
+        )
         kept.clear()
         return result
 
 
 def _identity(file: RunFile, prepared: Prepared, every: list[Array]) -> str:
-    """A digest of what the numbers of a fit depend on, and of the release of eqsim, whose
-    pickled objects are kept."""
+    """A digest of what the numbers of a fit depend on, and of the release of eqsim,
+    whose pickled objects are kept."""
     release = storage.versions()["eqsim"]
-    parts = [release, str(RESULTS_VERSION), file.model_dump_json(), prepared.table.sha256]
+    parts = [
+        release,
+        str(RESULTS_VERSION),
+        file.model_dump_json(),
+        prepared.table.sha256,
+    ]
     digest = hashlib.sha256(" ".join(parts).encode() + np.array(every).tobytes())
     return digest.hexdigest()[:16]
 
 
 def _singular(problem: Problem, allowed: bool) -> list[str]:
-    """What cannot be told apart at the start, by the eigenvalues of J'J. Raises InputError unless it is allowed."""
+    """What cannot be told apart at the start, by the eigenvalues of J'J. Raises
+    InputError unless it is allowed."""
     u, *_ = problem.solved(problem.start)
     keys = [one.key for one in problem.parameters]
     rungs = estimate.ladder(keys, problem.unitless(problem.jacobian(u)))
@@ -323,55 +384,92 @@ def _fitted(
 
     progress(0, total)
     first = estimate.minimise if table.time is None else search
-    minima = estimate.together(first, [(problem, u) for u in every], executor, count, (kept, "start"))
+    minima = estimate.together(
+        first, [(problem, u) for u in every], executor, count, (kept, "start")
+    )
     best, correlation = min(minima, key=lambda one: one.chi2), None
     for again in range(_WHITENED if table.time is not None else 0):
         assert table.time is not None
         problem, correlation = correlated(problem, best.u, table.time)
-        (best,) = estimate.together(estimate.minimise, [(problem, best.u)], None, kept=(kept, f"white{again}"))
+        (best,) = estimate.together(
+            estimate.minimise, [(problem, best.u)], None, kept=(kept, f"white{again}")
+        )
     for again in range(_AGAIN):
         jacobian = problem.jacobian(best.u)
         covariance = estimate.covariance(jacobian)
         sd = np.sqrt(np.diag(covariance))
-        tasks = [(problem, best, i, sign, float(sd[i])) for i in range(len(parameters)) for sign in (-1, 1)]
+        tasks = [
+            (problem, best, i, sign, float(sd[i]))
+            for i in range(len(parameters))
+            for sign in (-1, 1)
+        ]
         done = len(every)
-        sides = estimate.together(profiles.side, tasks, executor, count, (kept, f"side{again}"))
-        lower = [point for one in sides if one.better for point in one.points[[np.argmin(one.rise)]]]
+        sides = estimate.together(
+            profiles.side, tasks, executor, count, (kept, f"side{again}")
+        )
+        lower = [
+            point
+            for one in sides
+            if one.better
+            for point in one.points[[np.argmin(one.rise)]]
+        ]
         if not lower:
             break
         better = estimate.together(
-            estimate.minimise, [(problem, u) for u in lower], executor, kept=(kept, f"better{again}")
+            estimate.minimise,
+            [(problem, u) for u in lower],
+            executor,
+            kept=(kept, f"better{again}"),
         )
         best = min([best, *better], key=lambda one: one.chi2)
-    pairs = {one.key: (sides[2 * i], sides[2 * i + 1]) for i, one in enumerate(parameters)}
+    pairs = {
+        one.key: (sides[2 * i], sides[2 * i + 1]) for i, one in enumerate(parameters)
+    }
     intervals = tuple(
-        _interval(one, float(x), float(s), *pairs[one.key]) for one, x, s in zip(parameters, best.u, sd, strict=True)
+        _interval(one, float(x), float(s), *pairs[one.key])
+        for one, x, s in zip(parameters, best.u, sd, strict=True)
     )
     _, _, error = problem.solved(best.u)
     floor = float(np.max(error / problem.sigma))
     if floor > _FLOOR:
-        warnings = [*warnings, f"noise floor: the solver's own error is {floor:.2g} of a measurement's standard error"]
+        warnings = [
+            *warnings,
+            f"noise floor: the solver's own error is {floor:.2g} of a measurement's standard error",
+        ]
     for one, x in zip(parameters, best.u, strict=True):
         for bound in (one.low, one.high):
             if abs(x - bound) < _AT_BOUND * (one.high - one.low):
                 place = f"{one.key} is at its bound {float(one.value(bound)):g}"
-                warnings = [*warnings, f"{place}: values and intervals of the other keys depend on this bound"]
+                warnings = [
+                    *warnings,
+                    f"{place}: values and intervals of the other keys depend on this bound",
+                ]
     rough = [
         one.key
         for one, x, s in zip(parameters, best.u, sd, strict=True)
         if one.low < x < one.high  # at a bound a covariance says nothing
-        and any(end is not None and abs(end - x) < _ROUGH * s for end in (side.ends["95"] for side in pairs[one.key]))
+        and any(
+            end is not None and abs(end - x) < _ROUGH * s
+            for end in (side.ends["95"] for side in pairs[one.key])
+        )
     ]
     if rough:
-        warnings = [*warnings, f"intervals of {', '.join(rough)} end at roughness of the solver: not to be trusted"]
-    rungs = tuple(estimate.ladder([one.key for one in parameters], problem.unitless(jacobian)))
+        warnings = [
+            *warnings,
+            f"intervals of {', '.join(rough)} end at roughness of the solver: not to be trusted",
+        ]
+    rungs = tuple(
+        estimate.ladder([one.key for one in parameters], problem.unitless(jacobian))
+    )
     return FitResult(
         file, folder, section, problem, table, best, intervals, goodness(problem, best.u), rungs, covariance,
         tuple(minima), pairs, floor, tuple(warnings), file.output.seed, correlation,
     )  # fmt: skip
 
 
-def _interval(one: Parameter, u: float, sd: float, low: profiles.Side, high: profiles.Side) -> Interval:
+def _interval(
+    one: Parameter, u: float, sd: float, low: profiles.Side, high: profiles.Side
+) -> Interval:
     def ends(name: str) -> tuple[float | None, float | None]:
         left, right = low.ends[name], high.ends[name]
         return (
@@ -381,7 +479,12 @@ def _interval(one: Parameter, u: float, sd: float, low: profiles.Side, high: pro
 
     intervals = {name: ends(name) for name in profiles.LEVELS}
     return Interval(
-        one.key, float(one.value(u)), one.transform, sd, intervals, profiles.status(low, high, one.transform)
+        one.key,
+        float(one.value(u)),
+        one.transform,
+        sd,
+        intervals,
+        profiles.status(low, high, one.transform),
     )
 
 
@@ -392,10 +495,18 @@ def goodness(problem: Problem, u: Array) -> Goodness:
     residuals = problem.residuals(u)
     n, k = problem.value.size, len(problem.parameters)
     dof = n + problem.priors - k
-    normal = r if problem.loss == "gaussian" else -stats.norm.ppf(stats.t.sf(r, STUDENT))
+    normal = (
+        r if problem.loss == "gaussian" else -stats.norm.ppf(stats.t.sf(r, STUDENT))
+    )
     tested = float(normal @ normal + residuals[n:] @ residuals[n:])
-    law = stats.norm.logpdf if problem.loss == "gaussian" else lambda x: stats.t.logpdf(x, STUDENT)
-    deviance = float(-2.0 * np.sum(law(r) - np.log(problem.sigma)) + residuals[n:] @ residuals[n:])
+    law = (
+        stats.norm.logpdf
+        if problem.loss == "gaussian"
+        else lambda x: stats.t.logpdf(x, STUDENT)
+    )
+    deviance = float(
+        -2.0 * np.sum(law(r) - np.log(problem.sigma)) + residuals[n:] @ residuals[n:]
+    )
     if problem.correlation is not None:
         deviance += float(np.sum(np.log1p(-(problem.correlation**2))))
     aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1) if n > k + 1 else None
@@ -404,19 +515,28 @@ def goodness(problem: Problem, u: Array) -> Goodness:
 
 
 def derived(result: FitResult) -> dict[str, float]:
-    """Groups that the best fit implies: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of annealed contacts,
-    and where the section gives an area or a normal stress, contacts per area and their spacing."""
+    """Groups that the best fit implies: F0 = N k x_* (scale times x_*), v0 = omega x_*,
+    b, v_* of annealed contacts, and where the section gives an area or a normal stress,
+    contacts per area and their spacing."""
     values = result.values
-    changes = {key: value for key, value in values.items() if not key.startswith("fit.")}
+    changes = {
+        key: value for key, value in values.items() if not key.startswith("fit.")
+    }
     ensemble = at(result.file, changes).ensemble(result.folder)
-    scale = next((value for key, value in values.items() if key.startswith("fit.scale")), result.problem.fixed_scale)
+    scale = next(
+        (value for key, value in values.items() if key.startswith("fit.scale")),
+        result.problem.fixed_scale,
+    )
     unit = ensemble.thresholds.scale
     found = {"F0 = N k x_*": scale * unit}
     if ensemble.thermal.kT > 0:
         kelvin = result.file.in_units().kelvin(ensemble.thermal.kT)
         if kelvin is not None:
             found["T of kT (K)"] = kelvin
-        found |= {"v0 = omega x_*": ensemble.thermal.attempt_frequency * unit, "b = k x_*^2/(2 kT)": ensemble.b}
+        found |= {
+            "v0 = omega x_*": ensemble.thermal.attempt_frequency * unit,
+            "b = k x_*^2/(2 kT)": ensemble.b,
+        }
         if ensemble.disorder == "annealed":
             found["v_*"] = ensemble.crossover_velocity
     density = None
@@ -425,18 +545,32 @@ def derived(result: FitResult) -> dict[str, float]:
     elif result.fit.normal_stress is not None:
         density = scale * result.fit.normal_stress / ensemble.stiffness
     if density is not None:
-        found |= {"contacts per area": density, "spacing of contacts": 1.0 / math.sqrt(density)}
+        found |= {
+            "contacts per area": density,
+            "spacing of contacts": 1.0 / math.sqrt(density),
+        }
     return {name: float(value) for name, value in found.items()}
 
 
 def compared(result: FitResult, other: RunFile, folder: Path, starts: int) -> Goodness:
-    """How well another model describes the same measurements with the same errors. Raises InputError."""
+    """How well another model describes the same measurements with the same errors.
+    Raises InputError."""
     section = section_of(other)
     if (section.record is None) != (result.table.time is None):
-        raise InputError("--compare: one of the run files fits a table and the other a record")
-    problem = _problem(other, folder, section.model_copy(update={"loss": result.fit.loss}), result.table)
+        raise InputError(
+            "--compare: one of the run files fits a table and the other a record"
+        )
+    problem = _problem(
+        other,
+        folder,
+        section.model_copy(update={"loss": result.fit.loss}),
+        result.table,
+    )
     problem = replace(problem, correlation=result.problem.correlation)
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)
-    minima = [(estimate.minimise if result.table.time is None else search)(problem, u) for u in every]
+    minima = [
+        (estimate.minimise if result.table.time is None else search)(problem, u)
+        for u in every
+    ]
     return goodness(problem, min(minima, key=lambda one: one.chi2).u)

@@ -1,4 +1,5 @@
-"""What a fit leaves behind: fit.json, tables, pictures, and the run file of the best fit."""
+"""What a fit leaves behind: fit.json, tables, pictures, and the run file of the best
+fit."""
 
 import json
 import math
@@ -68,7 +69,11 @@ def _posterior(sampled: Posterior) -> dict[str, Any]:
     intervals = sampled.intervals
     return {
         "parameters": {
-            key: {"median": one["median"], "interval_68": one["68"], "interval_95": one["95"]}
+            key: {
+                "median": one["median"],
+                "interval_68": one["68"],
+                "interval_95": one["95"],
+            }
             for key, one in intervals.items()
         },
         "walkers": sampled.walkers,
@@ -81,15 +86,20 @@ def _posterior(sampled: Posterior) -> dict[str, Any]:
 
 
 def _values(result: FitResult, u: Any) -> dict[str, float]:
-    return {one.key: float(one.value(x)) for one, x in zip(result.problem.parameters, u, strict=True)}
+    return {
+        one.key: float(one.value(x))
+        for one, x in zip(result.problem.parameters, u, strict=True)
+    }
 
 
 def fitted(result: FitResult) -> dict[str, Any]:
-    """Columns of fitted.parquet, one measurement a row: where it was made, what was found, and the fit."""
+    """Columns of fitted.parquet, one measurement a row: where it was made, what was
+    found, and the fit."""
     table, problem = result.table, result.problem
     rows = [table.rows[row] for row in table.row]
     columns: dict[str, Any] = {
-        name: np.array([dict(row.changes).get(name, math.nan) for row in rows]) for name in table.names
+        name: np.array([dict(row.changes).get(name, math.nan) for row in rows])
+        for name in table.names
     }
     if result.fit.temperature is not None:
         columns["temperature"] = table.temperatures[table.row]
@@ -106,7 +116,8 @@ def fitted(result: FitResult) -> dict[str, Any]:
 
 
 def profiles(result: FitResult) -> dict[str, Any]:
-    """Columns of profiles.parquet: the key that is held, chi-square over its least value, and all values there."""
+    """Columns of profiles.parquet: the key that is held, chi-square over its least
+    value, and all values there."""
     parameters = result.problem.parameters
     held: list[str] = []
     rises, points = [], []
@@ -116,17 +127,22 @@ def profiles(result: FitResult) -> dict[str, Any]:
             rises.append(side.rise)
             points.append(side.points)
     every = np.concatenate(points)
-    values = {one.key: np.asarray(one.value(every[:, i])) for i, one in enumerate(parameters)}
+    values = {
+        one.key: np.asarray(one.value(every[:, i])) for i, one in enumerate(parameters)
+    }
     return {"key": held, "rise": np.concatenate(rises), **values}
 
 
 def write(result: FitResult, out: Path, title: str = "") -> list[str]:
-    """Write a results folder; the names of its files. Draws from the posterior of another fit are removed."""
+    """Write a results folder; the names of its files. Draws from the posterior of
+    another fit are removed."""
     from eqsim.fitting import pictures
     from eqsim.io.style import saved
 
     file, title = result.file, result.file.title or title
-    origin = storage.provenance("fit", file.model_dump(), file.text, result.seed, result.folder)
+    origin = storage.provenance(
+        "fit", file.model_dump(), file.text, result.seed, result.folder
+    )
     files = {
         "fit.json": storage.to_json(summary(result)).encode(),
         "fitted.parquet": storage.parquet(fitted(result), origin),
@@ -142,35 +158,70 @@ def write(result: FitResult, out: Path, title: str = "") -> list[str]:
     return list(files)
 
 
-def write_posterior(result: FitResult, sampled: Posterior, out: Path, title: str = "") -> list[str]:
+def write_posterior(
+    result: FitResult, sampled: Posterior, out: Path, title: str = ""
+) -> list[str]:
     """Add draws from the posterior to a results folder; the names of the new files."""
     from eqsim.fitting import pictures
     from eqsim.io.style import saved
 
-    origin = storage.provenance("fit", result.file.model_dump(), result.file.text, result.seed, result.folder)
+    origin = storage.provenance(
+        "fit", result.file.model_dump(), result.file.text, result.seed, result.folder
+    )
     picture = pictures.posterior_figure(sampled, result.file.title or title)
-    content = dict(zip(_DRAWN, (storage.parquet(sampled.columns, origin), saved(picture)), strict=True))
-    storage.publish(out, {**content, "fit.json": storage.to_json(summary(result, sampled)).encode()})
+    content = dict(
+        zip(
+            _DRAWN,
+            (storage.parquet(sampled.columns, origin), saved(picture)),
+            strict=True,
+        )
+    )
+    storage.publish(
+        out, {**content, "fit.json": storage.to_json(summary(result, sampled)).encode()}
+    )
     return list(content)
 
 
 def run_toml(result: FitResult, out: Path) -> str:
-    """The run file of the best fit, at the middle velocity of the data unless the run file has one."""
+    """The run file of the best fit, at the middle velocity of the data unless the run
+    file has one."""
     values = result.values
-    changes = {key: value for key, value in values.items() if not key.startswith("fit.")}
+    changes = {
+        key: value for key, value in values.items() if not key.startswith("fit.")
+    }
     file = at(result.file, changes)
-    if file.drive.velocity is None and file.drive.programme is None and file.drive.file is None:
-        given = [dict(result.table.rows[row].changes).get("drive.velocity") for row in result.table.row]
+    if (
+        file.drive.velocity is None
+        and file.drive.programme is None
+        and file.drive.file is None
+    ):
+        given = [
+            dict(result.table.rows[row].changes).get("drive.velocity")
+            for row in result.table.row
+        ]
         known = [v for v in given if v is not None]
         if known:
-            file = at(file, {"drive.velocity": float(f"{math.exp(np.mean(np.log(known))):.6g}")})
-    data = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True, exclude_none=True)
+            file = at(
+                file,
+                {"drive.velocity": float(f"{math.exp(np.mean(np.log(known))):.6g}")},
+            )
+    data = file.model_dump(
+        exclude={"sweep", "fit"}, exclude_unset=True, exclude_none=True
+    )
     for section in ("thresholds", "drive"):
         name = data.get(section, {}).get("file")
         if name is not None:
-            data[section]["file"] = os.path.relpath((result.folder / name).absolute(), out.absolute())
-    lines = [f"# best fit of {len(result.table.value)} measurements; data SHA-256 {result.table.sha256}"]
-    lines += [f"# {key} = {value!r}" for key, value in values.items() if key.startswith("fit.")]
+            data[section]["file"] = os.path.relpath(
+                (result.folder / name).absolute(), out.absolute()
+            )
+    lines = [
+        f"# best fit of {len(result.table.value)} measurements; data SHA-256 {result.table.sha256}"
+    ]
+    lines += [
+        f"# {key} = {value!r}"
+        for key, value in values.items()
+        if key.startswith("fit.")
+    ]
     return "\n".join([*lines, *to_toml(data)]) + "\n"
 
 
@@ -182,7 +233,9 @@ def to_toml(data: dict[str, Any]) -> Iterator[str]:
     for key, value in data.items():
         if isinstance(value, dict) and value:
             yield f"\n[{key}]"
-            yield from (f"{_name(name)} = {_text(part)}" for name, part in value.items())
+            yield from (
+                f"{_name(name)} = {_text(part)}" for name, part in value.items()
+            )
 
 
 def _name(key: str) -> str:
@@ -195,7 +248,11 @@ def _text(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_name(key)} = {_text(part)}" for key, part in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f"{_name(key)} = {_text(part)}" for key, part in value.items())
+            + " }"
+        )
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_text, value)) + "]"
     return repr(value)  # also inf
@@ -204,21 +261,36 @@ def _text(value: Any) -> str:
 def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
     """What is printed of each key."""
     for one in result.intervals:
-        yield one.key, f"{one.estimate:.4g}", _range(*one.intervals["68"]), _range(*one.intervals["95"]), one.status
+        yield (
+            one.key,
+            f"{one.estimate:.4g}",
+            _range(*one.intervals["68"]),
+            _range(*one.intervals["95"]),
+            one.status,
+        )
 
 
 def _range(low: float | None, high: float | None) -> str:
     """An interval as text; None where it is open."""
     digits = 3
-    if low is not None and high is not None and high > low:  # so many that the width shows
-        digits = min(max(digits, 2 - math.floor(math.log10((high - low) / max(abs(low), abs(high))))), 12)
+    if (
+        low is not None and high is not None and high > low
+    ):  # so many that the width shows
+        digits = min(
+            max(
+                digits,
+                2 - math.floor(math.log10((high - low) / max(abs(low), abs(high)))),
+            ),
+            12,
+        )
     left = "open" if low is None else f"{low:.{digits}g}"
     right = "open" if high is None else f"{high:.{digits}g}"
     return f"{left} to {right}"
 
 
 def remarks(result: FitResult) -> Iterator[str]:
-    """What needs to be said besides: how good the fit is, what else is determined, and what is not."""
+    """What needs to be said besides: how good the fit is, what else is determined, and
+    what is not."""
     yield quality("this model", result.goodness)
     if not result.converged:
         yield "NO START CONVERGED: these are no estimates"
@@ -240,7 +312,10 @@ def remarks(result: FitResult) -> Iterator[str]:
         elif rung.sd > WIDE:
             yield f"known to no better than a factor {math.exp(min(rung.sd, 50.0)):.3g}: {rung.name}"
     unsure = [one.key for one in result.intervals if one.status != "determined"]
-    if any(key.startswith("thermal.") for key in unsure) and len({row.heat for row in result.table.rows}) == 1:
+    if (
+        any(key.startswith("thermal.") for key in unsure)
+        and len({row.heat for row in result.table.rows}) == 1
+    ):
         yield "these are data of one temperature: a second one tells most about heat and thresholds (eqsim design)"
     if not result.rejected and unsure:
         yield "predictions within the range of the data are good all the same; beyond it they are not"

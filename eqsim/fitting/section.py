@@ -1,4 +1,5 @@
-"""The [fit] section of a run file: which keys are free, where the measurements are, and how noisy."""
+"""The [fit] section of a run file: which keys are free, where the measurements are, and
+how noisy."""
 
 import math
 from collections.abc import Iterator
@@ -8,12 +9,24 @@ import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    meant,
+    require_choice,
+    require_number,
+    shown,
+    under,
+)
 from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.laws.named import threshold_parameters
 
 TRANSFORMS = ("log", "log1p", "linear")
-NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}  # free keys of a record that no contact knows
+NUISANCES = {
+    "fit.offset": "offset",
+    "fit.drift": "drift",
+}  # free keys of a record that no contact knows
 
 
 class _Section(BaseModel):
@@ -78,9 +91,11 @@ class Parameter(NamedTuple):
     Attributes
     ----------
     key : str
-        A key of the run file, "fit.scale" (of a set: "fit.scale.SET"), "fit.offset" or "fit.drift".
+        A key of the run file, "fit.scale" (of a set: "fit.scale.SET"), "fit.offset" or
+        "fit.drift".
     transform : str
-        The variable in which it is fitted is ln x ("log"), ln(1 + x) ("log1p") or x ("linear").
+        The variable in which it is fitted is ln x ("log"), ln(1 + x) ("log1p") or x
+        ("linear").
     low, high : float
         Bounds of it, and `start`, in that variable.
     prior : NormalPrior, optional
@@ -99,18 +114,32 @@ class Parameter(NamedTuple):
 
     def value(self, u: Any) -> Any:
         """The key's value, from the variable, any shape."""
-        return np.exp(u) if self.transform == "log" else np.expm1(u) if self.transform == "log1p" else u
+        return (
+            np.exp(u)
+            if self.transform == "log"
+            else np.expm1(u)
+            if self.transform == "log1p"
+            else u
+        )
 
 
 def variable(transform: str, value: float) -> float:
     """The variable in which a value is fitted."""
-    return math.log(value) if transform == "log" else math.log1p(value) if transform == "log1p" else value
+    return (
+        math.log(value)
+        if transform == "log"
+        else math.log1p(value)
+        if transform == "log1p"
+        else value
+    )
 
 
 def section_of(file: RunFile) -> Fit:
     """The [fit] section. Raises InputError with one line that names the field."""
     if not file.fit:
-        raise InputError("fit: the run file has no section [fit]; it says which keys are free and where the data are")
+        raise InputError(
+            "fit: the run file has no section [fit]; it says which keys are free and where the data are"
+        )
     if file.sweep:
         raise InputError("sweep: not allowed with [fit]; a fit chooses its own points")
     given = file.fit
@@ -128,23 +157,34 @@ def section_of(file: RunFile) -> Fit:
         require_number("offset", found.offset)
         require_number("drift", found.drift)
         if found.record is not None and found.record.machine_stiffness is not None:
-            require_number("record.machine_stiffness", found.record.machine_stiffness, **POSITIVE)
+            require_number(
+                "record.machine_stiffness", found.record.machine_stiffness, **POSITIVE
+            )
         for name in ("reference_temperature", "area", "normal_stress"):
             if getattr(found, name) is not None:
                 require_number(name, getattr(found, name), **POSITIVE)
     if found.area is None and found.normal_stress is None:
         found = found.model_copy(update=_of_interface(file))
     if found.data is not None and found.record is not None:
-        raise InputError("fit.record: not allowed with fit.data; fit a table or a record")
+        raise InputError(
+            "fit.record: not allowed with fit.data; fit a table or a record"
+        )
     if (found.temperature is None) != (found.reference_temperature is None):
-        missing = "reference_temperature" if found.reference_temperature is None else "temperature"
-        raise InputError(f"fit.{missing}: is required; kT of a row is thermal.kT T/reference_temperature")
+        missing = (
+            "reference_temperature"
+            if found.reference_temperature is None
+            else "temperature"
+        )
+        raise InputError(
+            f"fit.{missing}: is required; kT of a row is thermal.kT T/reference_temperature"
+        )
     return found
 
 
 def _of_interface(file: RunFile) -> dict[str, float]:
-    """The area or the normal stress of the run file's [interface], if only one of them is there: with an area what is
-    measured is a force, with a normal stress a coefficient."""
+    """The area or the normal stress of the run file's [interface], if only one of them
+    is there: with an area what is measured is a force, with a normal stress a
+    coefficient."""
     given = {name: getattr(file.interface, name) for name in ("area", "normal_stress")}
     known = {name: value for name, value in given.items() if value is not None}
     return known if len(known) == 1 else {}
@@ -153,7 +193,11 @@ def _of_interface(file: RunFile) -> dict[str, float]:
 def _flat(free: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
     """Keys that were not quoted, which TOML takes for sections in sections."""
     for name, content in free.items():
-        nested = isinstance(content, dict) and content and all(isinstance(part, dict) for part in content.values())
+        nested = (
+            isinstance(content, dict)
+            and content
+            and all(isinstance(part, dict) for part in content.values())
+        )
         if nested and "prior" not in content:
             yield from _flat(content, f"{above}{name}.")
         else:
@@ -165,13 +209,22 @@ def _explain(error: pydantic.ValidationError) -> str:
     place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
     field, value = ".".join(["fit", *place]), shown(first["input"])
     if first["type"] == "extra_forbidden":
-        sections: dict[str, type[BaseModel]] = {"free": Free, "scale": Scale, "noise": Noise, "record": Record}
+        sections: dict[str, type[BaseModel]] = {
+            "free": Free,
+            "scale": Scale,
+            "noise": Noise,
+            "record": Record,
+        }
         known = list(sections.get(place[0] if place[1:] else "", Fit).model_fields)
-        return f"{field}: unknown key; " + (meant(place[-1], known) or "known here: " + ", ".join(known))
+        return f"{field}: unknown key; " + (
+            meant(place[-1], known) or "known here: " + ", ".join(known)
+        )
     if first["type"] in ("model_type", "dict_type"):
         free = ", such as { bounds = [0.1, 10.0] }" if place[:1] == ["free"] else ""
         return f"{field} = {value}: must be a section{free}"
-    return f"{field} = {value}: " + first["msg"].replace("Input should be", "must be").replace("'", '"')
+    return f"{field} = {value}: " + first["msg"].replace(
+        "Input should be", "must be"
+    ).replace("'", '"')
 
 
 def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
@@ -184,19 +237,27 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
             if fit.record is None:
                 raise InputError(f"{field}: only of a record")
             value: Any = getattr(fit, NUISANCES[key])
-            transform = free.transform if "transform" in free.model_fields_set else "linear"
+            transform = (
+                free.transform if "transform" in free.model_fields_set else "linear"
+            )
             free = free.model_copy(update={"transform": transform})
         else:
             if key not in known:
-                hint = meant(key, [*known, *NUISANCES]) or "known are " + ", ".join(known)
+                hint = meant(key, [*known, *NUISANCES]) or "known are " + ", ".join(
+                    known
+                )
                 raise InputError(f"{field}: is not a key of the run file; {hint}")
             if known[key] is not float:
                 what = "text" if known[key] is str else "an integer"
-                raise InputError(f"{field}: its value is {what}; only numbers with a fraction can be fitted")
+                raise InputError(
+                    f"{field}: its value is {what}; only numbers with a fraction can be fitted"
+                )
             value = values[key]
             _check_effect(file, key, field)
             if value is None:
-                raise InputError(f"{field}: has no value in the run file, which is its start")
+                raise InputError(
+                    f"{field}: has no value in the run file, which is its start"
+                )
         found.append(_parameter(key, field, float(value), free, key in NUISANCES))
     return found
 
@@ -206,25 +267,37 @@ def _check_effect(file: RunFile, key: str, field: str) -> None:
     law, rule = file.thresholds.law, file.aging.rule
     if key == "thermal.temperature":
         raise InputError(f"{field}: must be thermal.kT, to which it is proportional")
-    if key.startswith("thresholds.") and key.partition(".")[2] not in threshold_parameters(law):
+    if key.startswith("thresholds.") and key.partition(".")[
+        2
+    ] not in threshold_parameters(law):
         raise InputError(f'{field}: has no effect with thresholds.law = "{law}"')
     if key.startswith("aging.") and rule == "none":
-        raise InputError(f'{field}: has no effect with aging.rule = "none", contacts that do not age')
+        raise InputError(
+            f'{field}: has no effect with aging.rule = "none", contacts that do not age'
+        )
 
 
-def _parameter(key: str, field: str, value: float, free: Free, linear: bool) -> Parameter:
+def _parameter(
+    key: str, field: str, value: float, free: Free, linear: bool
+) -> Parameter:
     require_choice(f"{field}.transform", free.transform, TRANSFORMS)
     low, high = _bounds(field, free.bounds, free.transform)
     if not free.bounds[0] <= value <= free.bounds[1]:
         where = f"[{free.bounds[0]:g}, {free.bounds[1]:g}]"
-        raise InputError(f"{field}: starts at {value:g}, the run file's value; must be inside its bounds {where}")
+        raise InputError(
+            f"{field}: starts at {value:g}, the run file's value; must be inside its bounds {where}"
+        )
     prior = None
     if free.prior is not None:
         normal = free.prior.normal
         if len(normal) != 2 or not all(map(math.isfinite, normal)) or not normal[1] > 0:
-            raise InputError(f"{field}.prior.normal = {shown(normal)}: must be [mean, sd] with sd > 0")
+            raise InputError(
+                f"{field}.prior.normal = {shown(normal)}: must be [mean, sd] with sd > 0"
+            )
         prior = NormalPrior(*normal)
-    return Parameter(key, free.transform, low, high, variable(free.transform, value), prior, linear)
+    return Parameter(
+        key, free.transform, low, high, variable(free.transform, value), prior, linear
+    )
 
 
 def _bounds(field: str, bounds: list[float], transform: str) -> tuple[float, float]:
@@ -233,11 +306,19 @@ def _bounds(field: str, bounds: list[float], transform: str) -> tuple[float, flo
     if len(bounds) != 2 or not all(map(math.isfinite, bounds)):
         raise InputError(f"{said}: must be two finite numbers")
     if not bounds[0] < bounds[1]:
-        raise InputError(f"{said}: must be [least, greatest], the first smaller than the second")
+        raise InputError(
+            f"{said}: must be [least, greatest], the first smaller than the second"
+        )
     least = {"log": 0.0, "log1p": -1.0, "linear": -math.inf}[transform]
     if not bounds[0] > least:
-        hint = '; transform = "linear" or "log1p" may begin at 0' if transform == "log" else ""
-        raise InputError(f'{said}: must be > {least:g} with transform = "{transform}"{hint}')
+        hint = (
+            '; transform = "linear" or "log1p" may begin at 0'
+            if transform == "log"
+            else ""
+        )
+        raise InputError(
+            f'{said}: must be > {least:g} with transform = "{transform}"{hint}'
+        )
     return variable(transform, bounds[0]), variable(transform, bounds[1])
 
 
@@ -246,6 +327,8 @@ def scales_of(fit: Fit, sets: list[str]) -> tuple[list[Parameter], float]:
     if not isinstance(fit.scale, Scale):
         require_number("fit.scale", fit.scale, **POSITIVE)
         return [], fit.scale
-    one = _parameter("fit.scale", "fit.scale", fit.scale.start, Free(bounds=fit.scale.bounds), True)
+    one = _parameter(
+        "fit.scale", "fit.scale", fit.scale.start, Free(bounds=fit.scale.bounds), True
+    )
     names = [f"fit.scale.{name}" for name in sets] if len(sets) > 1 else ["fit.scale"]
     return [one._replace(key=name) for name in names], 1.0

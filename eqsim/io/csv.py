@@ -1,9 +1,11 @@
-"""CSV files, those that users bring and those that `eqsim export` writes: one reader, one writer.
+"""CSV files, those that users bring and those that `eqsim export` writes: one reader,
+one writer.
 
-A line holds cells with commas between them, and the first one names the columns. A cell may stand in double quotes, in
-which a quote is doubled; it ends on its line. Comments (lines that begin with #, whatever else they hold), empty lines,
-a byte-order mark, the kind of line ends and blanks around cells do not count. Every other line is a row, or is refused
-with its number: none can vanish between two quotes.
+A line holds cells with commas between them, and the first one names the columns. A cell
+may stand in double quotes, in which a quote is doubled; it ends on its line. Comments
+(lines that begin with #, whatever else they hold), empty lines, a byte-order mark, the
+kind of line ends and blanks around cells do not count. Every other line is a row, or is
+refused with its number: none can vanish between two quotes.
 """
 
 import hashlib
@@ -19,9 +21,13 @@ from typing import Any
 from eqsim.errors import InputError
 
 MOST_BYTES = 1_000_000_000  # of a file, which is read into memory
-_CELL = re.compile(r'\s*(?:"((?:[^"]|"")*)"\s*|([^",\s][^,]*|))(?:,|\Z)')  # in quotes, or as it stands
+_CELL = re.compile(
+    r'\s*(?:"((?:[^"]|"")*)"\s*|([^",\s][^,]*|))(?:,|\Z)'
+)  # in quotes, or as it stands
 _LINE_END = re.compile(rb"\r\n|\r|\n")
-_LIKE_A_NUMBER = re.compile(r"[+-]?(\.?\d|(nan|inf|infinity)\Z)", re.IGNORECASE)  # how numbers begin
+_LIKE_A_NUMBER = re.compile(
+    r"[+-]?(\.?\d|(nan|inf|infinity)\Z)", re.IGNORECASE
+)  # how numbers begin
 
 
 @dataclass(frozen=True)
@@ -50,21 +56,26 @@ class Sheet:
 
     @property
     def headless(self) -> bool:
-        """True if the first line begins with a number, so that it is a row and no names."""
+        """True if the first line begins with a number, so that it is a row and no
+        names."""
         return bool(_LIKE_A_NUMBER.match(self.columns[0]))
 
     def index(self, name: str, hint: str = "") -> int:
-        """Which column has a name. Raises InputError, to which a `hint` is added, unless exactly one has."""
+        """Which column has a name. Raises InputError, to which a `hint` is added,
+        unless exactly one has."""
         count = self.columns.count(name)
         if count == 0:
             there = ", ".join(self.columns)[:60]
-            raise InputError(f'{self.field}: needs a column "{name}" in its first line; found {there}{hint}')
+            raise InputError(
+                f'{self.field}: needs a column "{name}" in its first line; found {there}{hint}'
+            )
         if count > 1:
             raise InputError(f'{self.field}: has {count} columns "{name}"')
         return self.columns.index(name)
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Number of the line and a cell for each column, of every row. Raises InputError for a line that is none."""
+        """Number of the line and a cell for each column, of every row. Raises
+        InputError for a line that is none."""
         width = len(self.columns)
         for number, line in _lines(self.text):
             if number <= self.first:
@@ -72,9 +83,13 @@ class Sheet:
             where = f"{self.field}, line {number}"
             cells = _cells(line, where)
             if any(cells[width:]):
-                raise InputError(f"{where}: more values than columns (a decimal comma?)")
+                raise InputError(
+                    f"{where}: more values than columns (a decimal comma?)"
+                )
             if len(cells) < width:
-                raise InputError(f"{where}: has {len(cells)} of {width} cells; an empty one takes its comma, too")
+                raise InputError(
+                    f"{where}: has {len(cells)} of {width} cells; an empty one takes its comma, too"
+                )
             yield number, cells[:width]
 
 
@@ -84,7 +99,8 @@ def read(path: Path, field: str) -> Sheet:
     Raises
     ------
     InputError
-        If it cannot be read, is no text in UTF-8, or has no first line with names and commas.
+        If it cannot be read, is no text in UTF-8, or has no first line with names and
+        commas.
     """
     content = _content(path, field)
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -116,7 +132,9 @@ def _content(path: Path, field: str) -> bytes:
     except InputError:
         raise
     except (OSError, ValueError) as error:  # of a name that no file can have
-        raise InputError(f"{field}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+        raise InputError(
+            f"{field}: cannot be read ({getattr(error, 'strerror', None) or error})"
+        ) from None
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
@@ -128,7 +146,8 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _cells(line: str, where: str) -> list[str]:
-    """The cells of a line. Raises InputError, which says `where`, for a quote that is not closed."""
+    """The cells of a line. Raises InputError, which says `where`, for a quote that is
+    not closed."""
     if '"' not in line:
         return [cell.strip() for cell in line.split(",")]
     cells: list[str] = []
@@ -137,7 +156,9 @@ def _cells(line: str, where: str) -> list[str]:
         match = _CELL.match(line, place)
         if match is None:
             shown = line[place:].strip()[:40]
-            raise InputError(f"{where}: {shown!r} is no cell; a quote must be closed before the next comma or line end")
+            raise InputError(
+                f"{where}: {shown!r} is no cell; a quote must be closed before the next comma or line end"
+            )
         quoted, plain = match.groups()
         cells.append(plain.rstrip() if quoted is None else quoted.replace('""', '"'))
         place, more = match.end(), match[0].endswith(",")
@@ -147,7 +168,9 @@ def _cells(line: str, where: str) -> list[str]:
 def value_of(cell: str) -> float:
     """The number in a cell; NaN if it holds none."""
     try:
-        return float(cell if "_" not in cell else "nan")  # Python's 1_000 is not a number elsewhere
+        return float(
+            cell if "_" not in cell else "nan"
+        )  # Python's 1_000 is not a number elsewhere
     except ValueError:
         return math.nan
 
@@ -164,9 +187,10 @@ def number(cell: str, where: str) -> float:
 
 
 def written(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
-    """The lines of a table, names of columns first. Text is in quotes, so that no # in it begins a comment; a value
-    that is missing or NaN is an empty cell, and numbers are as exact as they are. Raises InputError for text with a
-    line break, which no cell can hold."""
+    """The lines of a table, names of columns first. Text is in quotes, so that no # in
+    it begins a comment; a value that is missing or NaN is an empty cell, and numbers
+    are as exact as they are. Raises InputError for text with a line break, which no
+    cell can hold."""
     yield ",".join(_name(name) for name in columns)
     for row in rows:
         yield ",".join(map(_cell, row)) or '""'  # an empty line would be none
@@ -179,7 +203,9 @@ def _name(name: str) -> str:
 
 def _quoted(text: str) -> str:
     if "\n" in text or "\r" in text:
-        raise InputError(f"{text[:40]!r} has a line break, which no cell of a CSV file can hold")
+        raise InputError(
+            f"{text[:40]!r} has a line break, which no cell of a CSV file can hold"
+        )
     return '"' + text.replace('"', '""') + '"'
 
 

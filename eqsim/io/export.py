@@ -1,4 +1,5 @@
-"""Tables as CSV: comment lines that say what they are, then what `pandas.read_csv(FILE, comment="#")` reads."""
+"""Tables as CSV: comment lines that say what they are, then what `pandas.read_csv(FILE,
+comment="#")` reads."""
 
 import json
 from contextlib import suppress
@@ -11,26 +12,45 @@ from eqsim.io import csv, labels
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, sweep_files
 from eqsim.io.units import Units
 
-# Columns that sweeps of version 1 of the schema call otherwise: there `force` was no length.
-RENAMED_COLUMNS = {f"force{end}": f"friction_force{end}" for end in ("", "_stderr", "_reference")}
+# Columns that sweeps of version 1 of the schema call otherwise: there `force` was no
+# length.
+RENAMED_COLUMNS = {
+    f"force{end}": f"friction_force{end}" for end in ("", "_stderr", "_reference")
+}
 _UNKNOWN = Units()
-_RATE = ("breaks per contact and displacement, along a programme per contact and time", "")  # of an exact curve
-_SETTINGS = {"sweep": "sweep", "fluctuations": "run"}  # commands whose settings hold more than the run file
+_RATE = (
+    "breaks per contact and displacement, along a programme per contact and time",
+    "",
+)  # of an exact curve
+_SETTINGS = {
+    "sweep": "sweep",
+    "fluctuations": "run",
+}  # commands whose settings hold more than the run file
 
 
-def meaning(column: str, units: Units = _UNKNOWN, command: str = "", fractions: bool = False) -> str:
-    """Meaning of a column of a table of a `command`, with its unit; "" where its name says it all."""
+def meaning(
+    column: str, units: Units = _UNKNOWN, command: str = "", fractions: bool = False
+) -> str:
+    """Meaning of a column of a table of a `command`, with its unit; "" where its name
+    says it all."""
     if command == "sweep":
         column = RENAMED_COLUMNS.get(column, column)
-    words, unit = _RATE if (command, column) == ("reference", "breaks") else labels.column(column, units, fractions)
+    words, unit = (
+        _RATE
+        if (command, column) == ("reference", "breaks")
+        else labels.column(column, units, fractions)
+    )
     return f"{words} ({unit})".strip() if unit else words
 
 
 def tables(path: Path) -> dict[str, list[Path]]:
-    """The Parquet files that make up each table of a file, of a sweep's folder (one table, finished or not) or of
-    another folder of results, by the name of the table. Raises InputError."""
+    """The Parquet files that make up each table of a file, of a sweep's folder (one
+    table, finished or not) or of another folder of results, by the name of the table.
+    Raises InputError."""
     if path.is_file():
-        return {path.stem: [path]} if (sweep := sweep_of(path)) is None else tables(sweep)
+        return (
+            {path.stem: [path]} if (sweep := sweep_of(path)) is None else tables(sweep)
+        )
     if not path.is_dir():
         raise InputError(f"{path}: is neither a file nor a folder")
     rows = sweep_files(path)
@@ -45,9 +65,13 @@ def tables(path: Path) -> dict[str, list[Path]]:
 
 
 def sweep_of(path: Path) -> Path | None:
-    """The folder of the sweep that a Parquet file belongs to; None if it belongs to none."""
+    """The folder of the sweep that a Parquet file belongs to; None if it belongs to
+    none."""
     folder = path.absolute().parent
-    if folder.name in (SWEEP_PARTS, SWEEP_HIDDEN) and (folder.parent / SWEEP_MANIFEST).exists():
+    if (
+        folder.name in (SWEEP_PARTS, SWEEP_HIDDEN)
+        and (folder.parent / SWEEP_MANIFEST).exists()
+    ):
         return folder.parent
     return folder if (folder / SWEEP_MANIFEST).exists() else None
 
@@ -58,21 +82,32 @@ def as_csv(paths: list[Path]) -> bytes:
     from pyarrow import parquet as pq
 
     try:
-        table = pyarrow.concat_tables([pq.read_table(pyarrow.BufferReader(path.read_bytes())) for path in paths])
+        table = pyarrow.concat_tables(
+            [pq.read_table(pyarrow.BufferReader(path.read_bytes())) for path in paths]
+        )
         origin = json.loads((table.schema.metadata or {}).get(b"eqsim", b"{}"))
     except OSError as error:
-        raise InputError(f"{paths[0]}: cannot be read ({error.strerror or error})") from None
+        raise InputError(
+            f"{paths[0]}: cannot be read ({error.strerror or error})"
+        ) from None
     except (pyarrow.ArrowException, ValueError, RecursionError):
         raise InputError(f"{paths[0]}: is not a Parquet file, or is damaged") from None
     origin = origin if isinstance(origin, dict) else {}
     command, settings = str(origin.get("command", "")), _settings(origin)
-    units, fractions = _units(settings), settings.get("newborn", {}).get("of") == "threshold"
+    units, fractions = (
+        _units(settings),
+        settings.get("newborn", {}).get("of") == "threshold",
+    )
     lines = [*_origin(origin, units), *_unfinished(paths, table.num_rows)]
-    told = ((name, meaning(name, units, command, fractions)) for name in table.column_names)
+    told = (
+        (name, meaning(name, units, command, fractions)) for name in table.column_names
+    )
     lines += [f"{' '.join(name.split())}: {text}" for name, text in told if text]
     rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
     try:
-        lines = [f"# {line}".rstrip() for line in lines] + [*csv.written(table.column_names, rows)]
+        lines = [f"# {line}".rstrip() for line in lines] + [
+            *csv.written(table.column_names, rows)
+        ]
     except InputError as error:
         raise InputError(f"{paths[0]}: {error}") from None
     return "".join(f"{line}\n" for line in lines).encode()
@@ -98,7 +133,9 @@ def _unfinished(paths: list[Path], rows: int) -> list[str]:
     """Remarks on a sweep whose rows are not all there."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         if paths[0].parent.name in (SWEEP_PARTS, SWEEP_HIDDEN):
-            planned = json.loads((paths[0].parent.parent / SWEEP_MANIFEST).read_bytes())["points"]
+            planned = json.loads(
+                (paths[0].parent.parent / SWEEP_MANIFEST).read_bytes()
+            )["points"]
             return [f"{rows} of {planned} points: the sweep is not finished"]
     return []
 
@@ -109,7 +146,13 @@ def _origin(origin: dict[str, Any], units: Units) -> list[str]:
         return []
     versions, run_file = origin.get("versions") or {}, str(origin.get("run_file") or "")
     given = ", ".join(f"{name} {unit}" for name, unit in asdict(units).items() if unit)
-    lines = [f"eqsim {versions.get('eqsim', '')}: {origin['command']}, seed {origin.get('seed')}"]
+    lines = [
+        f"eqsim {versions.get('eqsim', '')}: {origin['command']}, seed {origin.get('seed')}"
+    ]
     if given or run_file:
-        lines.append(f"units: {given}" if given else "units: lengths, times and energies are in those of the run file")
+        lines.append(
+            f"units: {given}"
+            if given
+            else "units: lengths, times and energies are in those of the run file"
+        )
     return lines + [f"| {line}" for line in run_file.splitlines()]

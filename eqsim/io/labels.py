@@ -1,4 +1,5 @@
-"""What pictures and tables call things: keys, observables, ensembles, in the units of a run file."""
+"""What pictures and tables call things: keys, observables, ensembles, in the units of a
+run file."""
 
 import math
 import re
@@ -11,7 +12,8 @@ from eqsim.model.ensemble import Ensemble
 FORCE = "friction  $F / (N k)$"
 _FREE = "unit of the run file"
 _FRICTION = r"$\langle F \rangle / (N k)$"
-# Of each key of a run file and column of a sweep: words, symbol, and the dimension of its unit.
+# Of each key of a run file and column of a sweep: words, symbol, and the dimension of
+# its unit.
 _KNOWN: dict[str, tuple[str, str, Dimension]] = {
     "disorder": ("ensemble", "", dimensions.NUMBER),
     "contacts.count": ("number of contacts", "$N$", dimensions.NUMBER),
@@ -30,17 +32,41 @@ _KNOWN: dict[str, tuple[str, str, Dimension]] = {
     "aging.cutoff_time": ("cutoff time of aging", "$t_c$", dimensions.TIME),
     "newborn.stretch": ("stretch at birth", "", dimensions.LENGTH),
     "newborn.mean": ("mean stretch at birth", "", dimensions.LENGTH),
-    "newborn.std": ("standard deviation of the stretch at birth", "", dimensions.LENGTH),
+    "newborn.std": (
+        "standard deviation of the stretch at birth",
+        "",
+        dimensions.LENGTH,
+    ),
     "delay.time": ("mean delay", r"$\tau$", dimensions.TIME),
     "delay.law": ("law of the delay", "", dimensions.NUMBER),
-    "viscosity.eta": ("viscous coefficient of a detached contact", r"$\eta$", Dimension(-1, 1, 1)),
+    "viscosity.eta": (
+        "viscous coefficient of a detached contact",
+        r"$\eta$",
+        Dimension(-1, 1, 1),
+    ),
     "drive.velocity": ("driving velocity", "$v$", dimensions.VELOCITY),
     "drive.distance": ("distance", "", dimensions.LENGTH),
-    "drive.stage.stiffness": ("stiffness of the spring", r"$\kappa_s = K / (N k)$", dimensions.NUMBER),
-    "drive.stage.damping": ("damping of the slider", r"$\eta_s / (N k)$", dimensions.TIME),
+    "drive.stage.stiffness": (
+        "stiffness of the spring",
+        r"$\kappa_s = K / (N k)$",
+        dimensions.NUMBER,
+    ),
+    "drive.stage.damping": (
+        "damping of the slider",
+        r"$\eta_s / (N k)$",
+        dimensions.TIME,
+    ),
     "drive.stage.mass": ("mass of the slider", "$m / (N k)$", Dimension(0, 2)),
-    "elastic.coupling": ("coupling of blocks", r"$\kappa_b / (n k)$", dimensions.NUMBER),
-    "elastic.drive_stiffness": ("spring of a block", "$K_d / (n k)$", dimensions.NUMBER),
+    "elastic.coupling": (
+        "coupling of blocks",
+        r"$\kappa_b / (n k)$",
+        dimensions.NUMBER,
+    ),
+    "elastic.drive_stiffness": (
+        "spring of a block",
+        "$K_d / (n k)$",
+        dimensions.NUMBER,
+    ),
     "elastic.blocks": ("number of blocks", "", dimensions.NUMBER),
     "output.seed": ("seed", "", dimensions.NUMBER),
     "friction": ("friction", _FRICTION, dimensions.LENGTH),
@@ -48,7 +74,11 @@ _KNOWN: dict[str, tuple[str, str, Dimension]] = {
     "break_stretch": ("mean stretch at breaking", "", dimensions.LENGTH),
     "travel": ("mean travel from birth to breaking", "", dimensions.LENGTH),
     "birth_stretch": ("mean stretch at birth", "", dimensions.LENGTH),
-    "force_variance": ("force variance", r"$\mathrm{Var}(F) / (N k^2)$", dimensions.AREA),
+    "force_variance": (
+        "force variance",
+        r"$\mathrm{Var}(F) / (N k^2)$",
+        dimensions.AREA,
+    ),
     "friction_force": ("friction force", r"$\langle F \rangle$", dimensions.FORCE),
     "friction_coefficient": ("friction coefficient", r"$\mu$", dimensions.NUMBER),
     "size": ("breaks per avalanche", "", dimensions.NUMBER),
@@ -65,7 +95,8 @@ _SEGMENT = {
     "direct": ("direct effect", dimensions.LENGTH), "evolution": ("evolution effect", dimensions.LENGTH),
     "memory": ("memory length", dimensions.LENGTH),
 }  # fmt: skip
-# Of each column of the tables of results that is no key of a run file and no column of a sweep: words and dimension.
+# Of each column of the tables of results that is no key of a run file and no column of
+# a sweep: words and dimension.
 _COLUMNS: dict[str, tuple[str, Dimension]] = {
     "t": ("time", dimensions.TIME),
     "stage": ("displacement of the stage", dimensions.LENGTH),
@@ -83,17 +114,26 @@ _COLUMNS: dict[str, tuple[str, Dimension]] = {
     "f_k": ("elastic force per pinned contact, F/(N_c k)", dimensions.LENGTH),
     "shear_stress": ("friction force over apparent area", dimensions.STRESS),
     "velocity": ("driving velocity", dimensions.VELOCITY),
-    "critical_stiffness": ("kappa_s = K/(N k) below which steady sliding is unstable", dimensions.NUMBER),
-    "fresh_critical_stiffness": ("kappa_s = K/(N k) of a first slip", dimensions.NUMBER),
+    "critical_stiffness": (
+        "kappa_s = K/(N k) below which steady sliding is unstable",
+        dimensions.NUMBER,
+    ),
+    "fresh_critical_stiffness": (
+        "kappa_s = K/(N k) of a first slip",
+        dimensions.NUMBER,
+    ),
     "lag": ("displacement between two forces", dimensions.LENGTH),
     "covariance": ("N times the autocovariance of F/(N k)", dimensions.AREA),
     "simulated": ("N times the autocovariance of F/(N k), simulated", dimensions.AREA),
     "error": ("bound of the error of the covariance", dimensions.AREA),
-    **{f"thresholds.{name}": ("", dimensions.LENGTH) for name in ("low", "high", "std")},
+    **{
+        f"thresholds.{name}": ("", dimensions.LENGTH) for name in ("low", "high", "std")
+    },
     **{f"newborn.{name}": ("", dimensions.LENGTH) for name in ("low", "high")},
 }
 _KELVIN = ("temperature", "thermal.temperature")
-# What a suffix of a column adds to its name, and whether it has the unit of the column; the longer of two first.
+# What a suffix of a column adds to its name, and whether it has the unit of the column;
+# the longer of two first.
 _SUFFIXES = {
     "_reference_error": ("bound of the error of the reference", True),
     "_reference": ("exact value", True),
@@ -123,12 +163,15 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
     Returns
     -------
     words, unit : str
-        Words are "" of a key of a run file, whose name says it. The unit is such as "um/s", or "length/time" where
-        units are not given; "" of a number and of what is not known.
+        Words are "" of a key of a run file, whose name says it. The unit is such as
+        "um/s", or "length/time" where units are not given; "" of a number and of what
+        is not known.
     """
     for suffix, (text, same) in _SUFFIXES.items():
         if name.endswith(suffix):
-            return text, column(name.removesuffix(suffix), units, fractions)[1] if same else ""
+            return text, column(name.removesuffix(suffix), units, fractions)[
+                1
+            ] if same else ""
     if name in _KELVIN:
         return "", "K"
     dimension: Dimension | None = None
@@ -155,7 +198,8 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
 
 
 def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:
-    """A unit as pictures show it, in mathtext; if it is not known, that it is the run file's, unless not `unknown`."""
+    """A unit as pictures show it, in mathtext; if it is not known, that it is the run
+    file's, unless not `unknown`."""
     if of == dimensions.NUMBER:
         return ""
     label = units.label(of)
@@ -169,7 +213,9 @@ def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:
 def _tex(label: str) -> str:
     """A label of a unit in mathtext."""
     text = re.sub(r"(?<![A-Za-z])u(?=[msN](?![A-Za-z]))", "µ", label)
-    if text == "x_*" or re.fullmatch(r"[A-Za-z]+_[*A-Za-z0-9]( [A-Za-z]+_[*A-Za-z0-9])*", text):
+    if text == "x_*" or re.fullmatch(
+        r"[A-Za-z]+_[*A-Za-z0-9]( [A-Za-z]+_[*A-Za-z0-9])*", text
+    ):
         return f"${text}$".replace(" ", r"\,")
     text = text.replace("$", r"\$")
     text = re.sub(r"\^(\d+)", r"$^{\1}$", text)
@@ -181,19 +227,31 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text}  [{unit}]" if unit else text
 
 
-def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True, fractions: bool = False) -> str:
-    """A label for the axis of a key, an observable or a column of a sweep, or the head of a legend, which says nothing
-    of an `unknown` unit; `stress`: the unit of a shear stress, if it is known; `fractions`: whether stretches of the
-    newborn are fractions of their thresholds."""
+def axis(
+    name: str,
+    units: Units,
+    stress: str = "",
+    *,
+    unknown: bool = True,
+    fractions: bool = False,
+) -> str:
+    """A label for the axis of a key, an observable or a column of a sweep, or the head
+    of a legend, which says nothing of an `unknown` unit; `stress`: the unit of a shear
+    stress, if it is known; `fractions`: whether stretches of the newborn are fractions
+    of their thresholds."""
     if fractions and name.startswith("newborn.") and name in _KNOWN:
         return f"{_KNOWN[name][0]} over threshold"
     if name == "thermal.temperature":
         return "temperature  $T$  [K]"
     if name == "shear_stress":
-        return with_unit(r"shear stress  $\tau$", stress or unit_text(units, dimensions.STRESS))
+        return with_unit(
+            r"shear stress  $\tau$", stress or unit_text(units, dimensions.STRESS)
+        )
     if name in _KNOWN:
         words, symbol, dimension = _KNOWN[name]
-        return with_unit(f"{words}  {symbol}".strip(), unit_text(units, dimension, unknown))
+        return with_unit(
+            f"{words}  {symbol}".strip(), unit_text(units, dimension, unknown)
+        )
     found = re.fullmatch(r"segment_(\d+)_(\w+)", name)
     if found and found[2] in _SEGMENT:
         words, segment_dimension = _SEGMENT[found[2]]
@@ -203,14 +261,21 @@ def axis(name: str, units: Units, stress: str = "", *, unknown: bool = True, fra
     found = re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name)
     if found and found[2] in _OF_SEGMENT:
         words = "hold" if found[2] == "hold" else found[2]
-        return with_unit(f"{words} of segment {found[1]}", unit_text(units, _OF_SEGMENT[found[2]], unknown))
+        return with_unit(
+            f"{words} of segment {found[1]}",
+            unit_text(units, _OF_SEGMENT[found[2]], unknown),
+        )
     return plain(name)
 
 
 def of_trajectory(x: str, units: Units) -> dict[str, str]:
-    """Labels of the axes of a picture of the force against the column `x` of a trajectory."""
+    """Labels of the axes of a picture of the force against the column `x` of a
+    trajectory."""
     along = axis({"t": "time"}.get(x, x), units, unknown=False)
-    return {"xlabel": along, "ylabel": with_unit(FORCE, unit_text(units, dimensions.LENGTH, unknown=False))}
+    return {
+        "xlabel": along,
+        "ylabel": with_unit(FORCE, unit_text(units, dimensions.LENGTH, unknown=False)),
+    }
 
 
 def symbol(name: str) -> str:
@@ -227,10 +292,18 @@ def plain(text: str) -> str:
 
 
 def described(contacts: Ensemble, units: Units, tex: bool = False) -> str:
-    """An ensemble in some words: how many contacts of which disorder and stiffness, temperature and aging."""
+    """An ensemble in some words: how many contacts of which disorder and stiffness,
+    temperature and aging."""
     count = f"{contacts.count:,}".replace(",", " ")
-    law = (r"$k_i \propto \sqrt{f_{si}}$" if tex else "k_i ~ sqrt(f_si)") if contacts.stiffness_law == "sqrt" else ""
-    parts = [f"{count} {contacts.disorder} contact{'s' * (contacts.count != 1)}", law or "uniform stiffness"]
+    law = (
+        (r"$k_i \propto \sqrt{f_{si}}$" if tex else "k_i ~ sqrt(f_si)")
+        if contacts.stiffness_law == "sqrt"
+        else ""
+    )
+    parts = [
+        f"{count} {contacts.disorder} contact{'s' * (contacts.count != 1)}",
+        law or "uniform stiffness",
+    ]
     kT, energy = contacts.thermal.kT, contacts.stiffness * contacts.thresholds.scale**2
     kelvin = units.kelvin(kT)
     if not kT:

@@ -1,7 +1,8 @@
 """Run files: TOML in, checked, turned into an Ensemble and a Drive.
 
-Structure and types are checked here; what a value may be is known to the law it belongs to. `workflows.run` simulates
-what comes out, and `model.reduced` makes it dimensionless.
+Structure and types are checked here; what a value may be is known to the law it belongs
+to. `workflows.run` simulates what comes out, and `model.reduced` makes it
+dimensionless.
 """
 
 import functools
@@ -16,7 +17,16 @@ import pydantic
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from pydantic.fields import FieldInfo
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, meant, require_choice, require_number, shown, under
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    meant,
+    require_choice,
+    require_number,
+    shown,
+    under,
+)
 from eqsim.estimate import Averages, Estimate
 from eqsim.io import csv
 from eqsim.io.labels import described, of_trajectory
@@ -27,7 +37,15 @@ from eqsim.laws.named import THRESHOLDS, law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
-from eqsim.model.drive import MOST_SERIES, Drive, Programme, Segment, Stage, check_output, require_drive
+from eqsim.model.drive import (
+    MOST_SERIES,
+    Drive,
+    Programme,
+    Segment,
+    Stage,
+    check_output,
+    require_drive,
+)
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 
@@ -40,7 +58,11 @@ def _whole(value: Any) -> Any:
 Result = TypeVar("Result")
 Whole = Annotated[int, BeforeValidator(_whole)]
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
-_FREE_TEXT = ("title", "file", "column")  # keys whose text may be any word, also "Infinity"
+_FREE_TEXT = (
+    "title",
+    "file",
+    "column",
+)  # keys whose text may be any word, also "Infinity"
 _LONGEST = 10_000_000  # characters of a run file
 
 
@@ -77,15 +99,19 @@ class Thresholds(_Section):
 
 
 class ThermalSection(_Section):
-    temperature: Annotated[float | None, Field(description="kelvin, instead of kT; takes [units] of SI")] = None
+    temperature: Annotated[
+        float | None, Field(description="kelvin, instead of kT; takes [units] of SI")
+    ] = None
     kT: float = 0.0  # b = k x_*^2/(2 kT): `Ensemble.b`; field b of a barrier
-    attempt_frequency: float = 1.0  # log_w: `model.reduced._barrier`; field log_w of a barrier
+    # log_w: `model.reduced._barrier`; field log_w of a barrier
+    attempt_frequency: float = 1.0
     barrier: str = "soft"
 
 
 class AgingSection(_Section):
     rule: str = "none"
-    rate: float = 0.0  # 4 D x_*i/(v x_*f^2): `Aging.alpha`; field alpha of a law of aging
+    # 4 D x_*i/(v x_*f^2): `Aging.alpha`; field alpha of a law of aging
+    rate: float = 0.0
     x_star_final: float | None = None
     beta: float | None = None
     cutoff_time: float | None = None
@@ -120,13 +146,22 @@ class SegmentSection(_Section):
     def segment(self) -> Segment:
         """Raises InputError."""
         if (self.velocity is None) == (self.hold is None):
-            raise InputError("velocity: a segment has either a velocity or a hold, the time for which nothing moves")
+            raise InputError(
+                "velocity: a segment has either a velocity or a hold, the time for which nothing moves"
+            )
         if self.hold is not None:
             for name in ("distance", "time"):
                 if getattr(self, name) is not None:
-                    raise InputError(f"{name} = {shown(getattr(self, name))}: not allowed with hold, which is a time")
+                    raise InputError(
+                        f"{name} = {shown(getattr(self, name))}: not allowed with hold, which is a time"
+                    )
             require_number("hold", self.hold, **POSITIVE)
-        return Segment(self.velocity or 0.0, self.distance, self.time if self.hold is None else self.hold, self.points)
+        return Segment(
+            self.velocity or 0.0,
+            self.distance,
+            self.time if self.hold is None else self.hold,
+            self.points,
+        )
 
 
 class StageSection(_Section):
@@ -148,7 +183,9 @@ class DriveSection(_Section):
 
 def _whole_numbers(value: Any) -> Any:
     """One number of blocks, or two."""
-    return [_whole(part) for part in value] if isinstance(value, list) else _whole(value)
+    return (
+        [_whole(part) for part in value] if isinstance(value, list) else _whole(value)
+    )
 
 
 class ElasticSection(_Section):
@@ -160,32 +197,51 @@ class ElasticSection(_Section):
 
 class Output(_Section):
     points: Whole = 2001
-    seed: Whole = 1  # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
+    # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
+    seed: Whole = 1
     replicas: Whole = 1
     series: bool = False
     breaks: bool = False
 
 
 class UnitsSection(_Section):
-    length: Annotated[str, Field(description='"nm", "um", ...: known units of SI, or any label, such as "x_*"')] = ""
+    length: Annotated[
+        str,
+        Field(
+            description='"nm", "um", ...: known units of SI, or any label, such as "x_*"'
+        ),
+    ] = ""
     time: Annotated[str, Field(description='"s", "ms", "min", ..., or any label')] = ""
-    force: Annotated[str, Field(description='"N", "nN", ..., or any label; kT is in units of force times length')] = ""
+    force: Annotated[
+        str,
+        Field(
+            description='"N", "nN", ..., or any label; kT is in units of force times length'
+        ),
+    ] = ""
 
 
 class InterfaceSection(_Section):
     area: Annotated[float | None, Field(description="apparent area (length^2)")] = None
     contacts_per_area: Annotated[
         float | None,
-        Field(description="1/length^2; with an area the interface has their product of contacts, else contacts.count"),
+        Field(
+            description="1/length^2; with an area the interface has their product of contacts, else contacts.count"
+        ),
     ] = None
-    normal_load: Annotated[float | None, Field(description="force on all contacts of the interface")] = None
+    normal_load: Annotated[
+        float | None, Field(description="force on all contacts of the interface")
+    ] = None
     normal_stress: Annotated[
-        float | None, Field(description="force/length^2, instead of normal_load; takes an area or contacts_per_area")
+        float | None,
+        Field(
+            description="force/length^2, instead of normal_load; takes an area or contacts_per_area"
+        ),
     ] = None
 
 
 class RunFile(_Section):
-    """A checked run file; the defaults are the contract. `text` is what was read, and what was changed then."""
+    """A checked run file; the defaults are the contract. `text` is what was read, and
+    what was changed then."""
 
     title: Annotated[str, Field(max_length=200)] = ""
     disorder: str = "quenched"
@@ -221,12 +277,19 @@ class RunFile(_Section):
             return Interface(**self.interface.model_dump())
 
     def quantities(self, ensemble: Ensemble) -> tuple[Quantity, ...]:
-        """What friction is as a force, a shear stress and a coefficient, as far as that is known."""
+        """What friction is as a force, a shear stress and a coefficient, as far as that
+        is known."""
         return quantities(ensemble, self.in_units(), self.of_interface())
 
-    def physical(self, ensemble: Ensemble, friction: Estimate, reference: float | None = None) -> dict[str, Any]:
-        """For JSON: friction, and that of the reference, as `quantities` under the key "physical", if any is known."""
-        found = {one.name: one.as_dict(friction, reference) for one in self.quantities(ensemble)}
+    def physical(
+        self, ensemble: Ensemble, friction: Estimate, reference: float | None = None
+    ) -> dict[str, Any]:
+        """For JSON: friction, and that of the reference, as `quantities` under the key
+        "physical", if any is known."""
+        found = {
+            one.name: one.as_dict(friction, reference)
+            for one in self.quantities(ensemble)
+        }
         return {"physical": found} if found else {}
 
     def headline(self, ensemble: Ensemble, name: str) -> str:
@@ -234,12 +297,13 @@ class RunFile(_Section):
         return f"{self.title or name}: {described(ensemble, self.in_units())}"
 
     def labels(self, x: str) -> dict[str, str]:
-        """Labels of the axes of a picture of the force against `x`, a column of a trajectory, in its units."""
+        """Labels of the axes of a picture of the force against `x`, a column of a
+        trajectory, in its units."""
         return of_trajectory(x, self.in_units())
 
     def preferred(self, ensemble: Ensemble, friction: Estimate) -> Quantity | None:
-        """That of `quantities` which says most, a coefficient before a stress before a force, in a unit fit for
-        `friction`; None if none is known."""
+        """That of `quantities` which says most, a coefficient before a stress before a
+        force, in a unit fit for `friction`; None if none is known."""
         found = self.quantities(ensemble)
         return found[-1].near(friction.value or 0.0) if found else None
 
@@ -248,7 +312,8 @@ class RunFile(_Section):
         return rows_of(averages, self.in_units(), self.quantities(ensemble))
 
     def heated(self) -> "RunFile":
-        """With the kT that belongs to thermal.temperature, if that is given. Raises InputError."""
+        """With the kT that belongs to thermal.temperature, if that is given. Raises
+        InputError."""
         given = self.thermal
         if given.temperature is None:
             return self
@@ -257,7 +322,9 @@ class RunFile(_Section):
             if given.kT and not math.isclose(given.kT, kT, rel_tol=1e-12, abs_tol=0.0):
                 raise InputError(_two_temperatures(given.temperature))
         warm = given.model_copy(update={"kT": kT})
-        warm.model_fields_set.discard("kT")  # it follows, also where the temperature changes
+        warm.model_fields_set.discard(
+            "kT"
+        )  # it follows, also where the temperature changes
         return self.model_copy(update={"thermal": warm})
 
     @property
@@ -266,32 +333,54 @@ class RunFile(_Section):
         return self._folder
 
     def ensemble(self, folder: Path | None = None) -> Ensemble:
-        """The contacts; the path of a threshold table is relative to `folder`, by default that of the run file. Raises
-        InputError."""
+        """The contacts; the path of a threshold table is relative to `folder`, by
+        default that of the run file. Raises InputError."""
         folder = self.folder if folder is None else folder
         with under("thermal"):
-            thermal = Thermal(self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier)
+            thermal = Thermal(
+                self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier
+            )
         with under("delay"):
             delay = Delay(self.delay.time, self.delay.law)
         law = self._threshold_law(folder)
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         given, final = self.aging.model_fields_set, self.aging.x_star_final
-        if given and "rule" not in given:  # contacts that do not age would be a surprise
+        if (
+            given and "rule" not in given
+        ):  # contacts that do not age would be a surprise
             rules = ", ".join(f'"{rule}"' for rule in RULES)
-            raise InputError(f'aging.rule: is required with {min(given)}; must be {rules} or "none"')
+            raise InputError(
+                f'aging.rule: is required with {min(given)}; must be {rules} or "none"'
+            )
         with under("aging"):
-            rule, beta, cutoff_time = self.aging.rule, self.aging.beta, self.aging.cutoff_time
-            aging = Aging(rule, self.aging.rate, 1.0 if final is None else final, beta, cutoff_time)
-            aging.check_keys({key for key in given if getattr(self.aging, key) is not None})
+            rule, beta, cutoff_time = (
+                self.aging.rule,
+                self.aging.beta,
+                self.aging.cutoff_time,
+            )
+            aging = Aging(
+                rule,
+                self.aging.rate,
+                1.0 if final is None else final,
+                beta,
+                cutoff_time,
+            )
+            aging.check_keys(
+                {key for key in given if getattr(self.aging, key) is not None}
+            )
             aging.check(law, self.disorder)
             if final is None and rule != "none" and "x_star_final" in RULES[rule].keys:
-                raise InputError(f'x_star_final: is required with rule = "{aging.rule}"')
+                raise InputError(
+                    f'x_star_final: is required with rule = "{aging.rule}"'
+                )
         with under("viscosity"):
             require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
         given = self.newborn.model_fields_set
         if given and "law" not in given:  # contacts born unstressed would be a surprise
             laws = ", ".join(f'"{law}"' for law in LAWS)
-            raise InputError(f'newborn.law: is required with {min(given)}; must be {laws} or "unstressed"')
+            raise InputError(
+                f'newborn.law: is required with {min(given)}; must be {laws} or "unstressed"'
+            )
         with under("newborn"):
             newborn = Newborn(**self.newborn.model_dump())
             newborn.check(law, self.disorder, aging.active)
@@ -316,7 +405,9 @@ class RunFile(_Section):
         allowed = tabled if law == "table" else threshold_parameters(law)
         for key, value in given.items():
             if key not in allowed:
-                raise InputError(f'thresholds.{key} = {shown(value)}: not allowed with law = "{law}"')
+                raise InputError(
+                    f'thresholds.{key} = {shown(value)}: not allowed with law = "{law}"'
+                )
         if law != "table":
             with under("thresholds"):
                 return law_of(law, given)
@@ -324,20 +415,32 @@ class RunFile(_Section):
             raise InputError('thresholds.file: is required with law = "table"')
         scale = given.get("scale", 1.0)
         require_number("thresholds.scale", scale, **POSITIVE)
-        found = read_thresholds(path_of("thresholds.file", folder, given["file"]), given.get("column"), scale)
+        found = read_thresholds(
+            path_of("thresholds.file", folder, given["file"]),
+            given.get("column"),
+            scale,
+        )
         if given.get("quantity") != "force":
             return found
         require_number("contacts.stiffness", self.contacts.stiffness, **POSITIVE)
         force = found.steps  # f = k_i xi, with k_i = k sqrt(f/<f>) under the sqrt law
-        stretch = force if self.contacts.stiffness_law == "uniform" else np.sqrt(force * force.mean())
+        stretch = (
+            force
+            if self.contacts.stiffness_law == "uniform"
+            else np.sqrt(force * force.mean())
+        )
         with under("thresholds"):
             return Table(stretch / self.contacts.stiffness)
 
     def driven(self, folder: Path | None = None) -> Drive | Programme:
-        """How the slider moves; the path of a recorded drive is relative to `folder`, by default that of the run file.
-        Raises InputError."""
+        """How the slider moves; the path of a recorded drive is relative to `folder`,
+        by default that of the run file. Raises InputError."""
         given, folder = self.drive, self.folder if folder is None else folder
-        if given.programme is not None or given.file is not None or given.stage is not None:
+        if (
+            given.programme is not None
+            or given.file is not None
+            or given.stage is not None
+        ):
             return self._programme(folder)
         if given.velocity is None:
             raise InputError("drive.velocity: is required")
@@ -355,13 +458,21 @@ class RunFile(_Section):
     def _programme(self, folder: Path) -> Programme:
         given = self.drive
         if self.elastic is not None:
-            name = next(name for name in ("programme", "file", "stage") if getattr(given, name) is not None)
-            raise InputError(f"drive.{name}: not allowed with [elastic], whose plate moves at drive.velocity")
+            name = next(
+                name
+                for name in ("programme", "file", "stage")
+                if getattr(given, name) is not None
+            )
+            raise InputError(
+                f"drive.{name}: not allowed with [elastic], whose plate moves at drive.velocity"
+            )
         if given.programme is not None and given.file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
         alone = given.programme is None and given.file is None
         if given.distance is not None and not alone:
-            raise InputError(f"drive.distance = {given.distance!r}: not allowed with a programme or file")
+            raise InputError(
+                f"drive.distance = {given.distance!r}: not allowed with a programme or file"
+            )
         if alone and given.velocity is None:
             raise InputError("drive.velocity: is required")
         stage, segments = None, []
@@ -372,7 +483,11 @@ class RunFile(_Section):
             if given.file is not None:
                 segments = read_drive(path_of("file", folder, given.file))
             elif alone:
-                distance = 200.0 * self._threshold_law(folder).mean if given.distance is None else given.distance
+                distance = (
+                    200.0 * self._threshold_law(folder).mean
+                    if given.distance is None
+                    else given.distance
+                )
                 segments = [Segment(given.velocity or 0.0, distance)]
             for index, section in enumerate(given.programme or []):
                 with under(f"programme.{index}"):
@@ -385,23 +500,42 @@ class RunFile(_Section):
         with under("output"):
             check_output(output.points, output.seed, output.replicas)
         if output.series and output.replicas == 1:
-            raise InputError("output.series: writes the force of every replica; needs output.replicas of 2 or more")
+            raise InputError(
+                "output.series: writes the force of every replica; needs output.replicas of 2 or more"
+            )
         if output.series and output.replicas * output.points > MOST_SERIES:
             size = f"output.replicas x output.points = {output.replicas * output.points:.3g}"
-            raise InputError(f"output.series: {size}; at most {MOST_SERIES:.0e} forces are kept")
+            raise InputError(
+                f"output.series: {size}; at most {MOST_SERIES:.0e} forces are kept"
+            )
         for name, asked in (("series", output.series), ("breaks", output.breaks)):
             if asked and self.elastic is not None:
-                raise InputError(f"output.{name}: not with [elastic], which writes every block and avalanche")
-        constant = self.drive.programme is None and self.drive.file is None and self.drive.stage is None
+                raise InputError(
+                    f"output.{name}: not with [elastic], which writes every block and avalanche"
+                )
+        constant = (
+            self.drive.programme is None
+            and self.drive.file is None
+            and self.drive.stage is None
+        )
         if output.breaks and not constant:
-            raise InputError("output.breaks: breaks are listed at a constant drive.velocity only")
+            raise InputError(
+                "output.breaks: breaks are listed at a constant drive.velocity only"
+            )
 
 
 _KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()}
-_SECTIONS = {name: kind for name, kind in _KINDS.items() if isinstance(kind, type) and issubclass(kind, BaseModel)}
+_SECTIONS = {
+    name: kind
+    for name, kind in _KINDS.items()
+    if isinstance(kind, type) and issubclass(kind, BaseModel)
+}
 
 
-_PAIRS = (("thermal.temperature", "thermal.kT"), ("interface.normal_load", "interface.normal_stress"))
+_PAIRS = (
+    ("thermal.temperature", "thermal.kT"),
+    ("interface.normal_load", "interface.normal_stress"),
+)
 _ALTERNATIVES = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
 
 
@@ -410,7 +544,8 @@ def _two_temperatures(temperature: float) -> str:
 
 
 def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Of two keys that say the same, a change of one replaces the other in the content of a run file."""
+    """Of two keys that say the same, a change of one replaces the other in the content
+    of a run file."""
     for key in _ALTERNATIVES.keys() & changes.keys():
         section, name = _ALTERNATIVES[key].split(".")
         if _ALTERNATIVES[key] not in changes and isinstance(data.get(section), dict):
@@ -425,13 +560,15 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     path : Path or str
         TOML in UTF-8. It is read once: it may be a pipe.
     changes : dict, optional
-        Values by "section.key", put in before anything is checked: {"drive.velocity": 0.2}.
+        Values by "section.key", put in before anything is checked: {"drive.velocity":
+        0.2}.
 
     Returns
     -------
     RunFile
-        Its sections are attributes (`file.output.seed`); `file.ensemble()` are the contacts and `file.driven()` is the
-        drive, as `steady` and `trajectory` take them.
+        Its sections are attributes (`file.output.seed`); `file.ensemble()` are the
+        contacts and `file.driven()` is the drive, as `steady` and `trajectory` take
+        them.
 
     Raises
     ------
@@ -445,7 +582,11 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
         *sections, last = key.split(".")
         axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
         first = axis.split(".")[0]
-        nested = not isinstance(axes, dict) or isinstance(axes.get(first), dict) or first in ("zip", "file")
+        nested = (
+            not isinstance(axes, dict)
+            or isinstance(axes.get(first), dict)
+            or first in ("zip", "file")
+        )
         if axis != key and not nested:  # an axis, its key in quotes
             sections, last = ["sweep"], axis
         place: Any = data
@@ -457,14 +598,20 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
             if not isinstance(place, (dict, list)):
                 raise InputError(f"{key}: {name} is not a section")
         if isinstance(place, list):
-            raise InputError(f"{key}: must name a key of a segment, as in drive.programme.0.{last}")
+            raise InputError(
+                f"{key}: must name a key of a segment, as in drive.programme.0.{last}"
+            )
         place[last] = value
     heat = data.get("thermal")
-    if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():  # even if kT is 0
+    if (
+        isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys()
+    ):  # even if kT is 0
         raise InputError("thermal." + _two_temperatures(heat["temperature"]))
     file = check(data)
     file._folder = path.parent
-    file._text = text + "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
+    file._text = text + "".join(
+        f"# --set {key}={value!r}\n" for key, value in changes.items()
+    )
     return file
 
 
@@ -473,7 +620,10 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     text = _read(path)
     try:
         return text, tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers and nesting beyond Python's limits
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # also numbers and nesting beyond Python's limits
         raise InputError(f"{path}: is not valid TOML: {error}") from None
 
 
@@ -493,24 +643,32 @@ def _read(path: Path) -> str:
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8") from None
     if len(text) > _LONGEST:  # a device may never end
-        raise InputError(f"{path}: is longer than {_LONGEST:.0e} characters; a run file is not")
+        raise InputError(
+            f"{path}: is longer than {_LONGEST:.0e} characters; a run file is not"
+        )
     return text
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
-    """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and `interface`, and the type of its values:
-    float, int or str. Given a `file`, also those that its programme, stage or coupled blocks have, such as
+    """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and
+    `interface`, and the type of its values: float, int or str. Given a `file`, also
+    those that its programme, stage or coupled blocks have, such as
     drive.programme.1.hold."""
     known = dict(_keys())
     if file and file.elastic:
         kinds: dict[str, type] = {"blocks": int, "edges": str}
-        known |= {f"elastic.{name}": kinds.get(name, float) for name in ElasticSection.model_fields}
+        known |= {
+            f"elastic.{name}": kinds.get(name, float)
+            for name in ElasticSection.model_fields
+        }
     if file and file.drive.stage:
         known |= {f"drive.stage.{name}": float for name in StageSection.model_fields}
     for index, segment in enumerate((file.drive.programme if file else None) or []):
         for name, value in segment:
             if value is not None:
-                known[f"drive.programme.{index}.{name}"] = int if name == "points" else float
+                known[f"drive.programme.{index}.{name}"] = (
+                    int if name == "points" else float
+                )
     return known
 
 
@@ -518,29 +676,47 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
 def _keys() -> dict[str, type]:
 
     def kind(field: FieldInfo) -> type:
-        first, *_ = get_args(field.annotation) or (field.annotation,)  # of float | None; of a Literal it is text
+        first, *_ = get_args(field.annotation) or (
+            field.annotation,
+        )  # of float | None; of a Literal it is text
         return first if isinstance(first, type) else str
 
     labels = ("units", "interface")  # no parameters: averages do not depend on them
     others = {"title", "sweep", "fit", "elastic", *_SECTIONS}
-    known = {name: kind(field) for name, field in RunFile.model_fields.items() if name not in others}
+    known = {
+        name: kind(field)
+        for name, field in RunFile.model_fields.items()
+        if name not in others
+    }
     for name, section in _SECTIONS.items():
         if name in labels:
             continue
-        fields = {key: field for key, field in section.model_fields.items() if key not in ("programme", "stage")}
-        fields = {key: field for key, field in fields.items() if field.annotation is not bool}  # what is written
+        fields = {
+            key: field
+            for key, field in section.model_fields.items()
+            if key not in ("programme", "stage")
+        }
+        fields = {
+            key: field for key, field in fields.items() if field.annotation is not bool
+        }  # what is written
         known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
     return known
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
-    """The values of all `keys()`, with the defaults of the threshold law filled in: equal settings, equal dicts."""
+    """The values of all `keys()`, with the defaults of the threshold law filled in:
+    equal settings, equal dicts."""
     data = file.model_dump()
-    found: dict[str, Any] = {key: functools.reduce(_part, key.split("."), data) for key in keys(file)}
+    found: dict[str, Any] = {
+        key: functools.reduce(_part, key.split("."), data) for key in keys(file)
+    }
     for key, default in threshold_parameters(file.thresholds.law).items():
         if found[f"thresholds.{key}"] is None:
             found[f"thresholds.{key}"] = default
-    return {key: value + 0.0 if isinstance(value, float) else value for key, value in found.items()}  # no -0.0
+    return {
+        key: value + 0.0 if isinstance(value, float) else value
+        for key, value in found.items()
+    }  # no -0.0
 
 
 def _part(data: Any, name: str) -> Any:
@@ -549,18 +725,27 @@ def _part(data: Any, name: str) -> Any:
 
 
 def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
-    """The run file of one point of its sweep, with `changes` ("section.key": value). Raises InputError."""
+    """The run file of one point of its sweep, with `changes` ("section.key": value).
+    Raises InputError."""
     data = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
     known = keys(file)
     _without_alternatives(data, changes)
     for key, value in changes.items():
         if key not in known:
-            hint = meant(key, known) or "there are " + ", ".join(dict.fromkeys(one.split(".")[0] for one in known))
-            raise InputError(f"{key}: is not a key that can change from point to point; {hint}")
+            hint = meant(key, known) or "there are " + ", ".join(
+                dict.fromkeys(one.split(".")[0] for one in known)
+            )
+            raise InputError(
+                f"{key}: is not a key that can change from point to point; {hint}"
+            )
         *sections, last = key.split(".")
         place: Any = data
         for name in sections:
-            place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
+            place = (
+                place[int(name)]
+                if isinstance(place, list)
+                else place.setdefault(name, {})
+            )
         place[last] = value
     found = check(data)
     found._folder = file.folder
@@ -568,7 +753,8 @@ def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
 
 
 def stored(settings: dict[str, Any]) -> RunFile:
-    """A run file as it was in force, from the provenance of a table, infinite rates included. Raises InputError."""
+    """A run file as it was in force, from the provenance of a table, infinite rates
+    included. Raises InputError."""
 
     def restored(value: Any, name: str = "") -> Any:
         if isinstance(value, dict):
@@ -581,7 +767,8 @@ def stored(settings: dict[str, Any]) -> RunFile:
 
 
 def check(data: dict[str, Any]) -> RunFile:
-    """A run file from its content. Raises InputError with one line that names the field."""
+    """A run file from its content. Raises InputError with one line that names the
+    field."""
     for name in ("sweep", "fit"):
         _check_plain(name, data.get(name))
     try:
@@ -593,17 +780,22 @@ def check(data: dict[str, Any]) -> RunFile:
 
 
 def _check_plain(field: str, content: Any) -> None:
-    """Refuse what is no number or text of a sweep, wherever it is: dates, huge integers, endless nesting."""
+    """Refuse what is no number or text of a sweep, wherever it is: dates, huge
+    integers, endless nesting."""
     pending = [(field, content, 0)]
     while pending:
         name, value, depth = pending.pop()
         if depth > _DEEPEST:
             raise InputError(f"{name}: is nested too deep")
         if isinstance(value, dict):
-            pending += [(f"{name}.{key}", part, depth + 1) for key, part in value.items()]
+            pending += [
+                (f"{name}.{key}", part, depth + 1) for key, part in value.items()
+            ]
         elif isinstance(value, list):
             pending += [(name, part, depth + 1) for part in value]
-        elif not isinstance(value, (str, float, int, type(None))) or (isinstance(value, int) and abs(value) > 10**300):
+        elif not isinstance(value, (str, float, int, type(None))) or (
+            isinstance(value, int) and abs(value) > 10**300
+        ):
             raise InputError(f"{name} = {shown(value)}: must be numbers or text")
 
 
@@ -619,42 +811,62 @@ def _explain(error: pydantic.ValidationError) -> str:
         return f"{field} = {value}: must be a section, [{field}]{more}"
     if first["type"] == "missing":
         return f"{field}: is required{more}"
-    allowed = first["msg"].replace("Input should be", "must be").replace("String should", "must").replace("'", '"')
+    allowed = (
+        first["msg"]
+        .replace("Input should be", "must be")
+        .replace("String should", "must")
+        .replace("'", '"')
+    )
     return f"{field} = {value}: {allowed}{more}"
 
 
 def _nearest(location: list[str]) -> str:
     """Which key may have been meant, here or in another section."""
-    section, last = RunFile if len(location) == 1 else _SECTIONS.get(location[0]), location[-1]
+    section, last = (
+        RunFile if len(location) == 1 else _SECTIONS.get(location[0]),
+        location[-1],
+    )
     for name, part in (("programme", SegmentSection), ("stage", StageSection)):
         if location[:2] == ["drive", name]:
-            return meant(last, part.model_fields) or "known here: " + ", ".join(part.model_fields)
+            return meant(last, part.model_fields) or "known here: " + ", ".join(
+                part.model_fields
+            )
     if len(location) > 1 and location[0] == "elastic":
-        return meant(last, ElasticSection.model_fields) or "known here: " + ", ".join(ElasticSection.model_fields)
+        return meant(last, ElasticSection.model_fields) or "known here: " + ", ".join(
+            ElasticSection.model_fields
+        )
     here = list(section.model_fields) if section else []
     others = [(name, kind) for name, kind in _SECTIONS.items() if kind != section]
     elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]
-    same = [key for key in here + elsewhere if key.rpartition(".")[2].lower() == last.lower()]
+    same = [
+        key
+        for key in here + elsewhere
+        if key.rpartition(".")[2].lower() == last.lower()
+    ]
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
 
 
 def path_of(field: str, folder: Path, name: str) -> Path:
-    """The path of a file that a key names, relative to `folder`. Raises InputError for an empty name."""
+    """The path of a file that a key names, relative to `folder`. Raises InputError for
+    an empty name."""
     if not name.strip():
         raise InputError(f"{field} = {shown(name)}: must be the name of a file")
     return folder / name
 
 
 def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
-    """The empirical law of a CSV file, one positive number a row; lines that begin with # are comments.
+    """The empirical law of a CSV file, one positive number a row; lines that begin with
+    # are comments.
 
     Parameters
     ----------
     path : Path
     column : str, optional
-        Where the thresholds stand. Default: `threshold`, or the only column there is, which needs no name.
+        Where the thresholds stand. Default: `threshold`, or the only column there is,
+        which needs no name.
     scale : float
-        What they are multiplied by, such as 1e-9 of nanometres where lengths are in metres.
+        What they are multiplied by, such as 1e-9 of nanometres where lengths are in
+        metres.
 
     Raises
     ------
@@ -666,7 +878,8 @@ def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -
 
 
 def read_drive(path: Path) -> list[Segment]:
-    """The segments of a recorded drive: a CSV file with columns `t` and `X`, piecewise linear, from 0 and 0 on.
+    """The segments of a recorded drive: a CSV file with columns `t` and `X`, piecewise
+    linear, from 0 and 0 on.
 
     Raises
     ------
@@ -683,7 +896,9 @@ class _Stamp(NamedTuple):
     size: int
 
 
-def _of_file(read: Callable[[Path, str, _Stamp | None], Result], field: str, path: Path) -> Result:
+def _of_file(
+    read: Callable[[Path, str, _Stamp | None], Result], field: str, path: Path
+) -> Result:
     """What a reader makes of a file, remembered for as long as that stays as it is."""
     try:
         found = path.stat()
@@ -694,13 +909,21 @@ def _of_file(read: Callable[[Path, str, _Stamp | None], Result], field: str, pat
 
 
 @functools.lru_cache(maxsize=8)
-def _thresholds(path: Path, field: str, stamp: _Stamp | None, column: str | None = None, scale: float = 1.0) -> Table:
+def _thresholds(
+    path: Path,
+    field: str,
+    stamp: _Stamp | None,
+    column: str | None = None,
+    scale: float = 1.0,
+) -> Table:
     """All points of a sweep share it."""
     values = []
     for line, text in _column_of_thresholds(csv.read(path, field), column):
         value = csv.value_of(text)
         if not 0 < value < math.inf:
-            raise InputError(f"{field}, line {line}: {text[:40]!r} must be a finite number > 0")
+            raise InputError(
+                f"{field}, line {line}: {text[:40]!r} must be a finite number > 0"
+            )
         values.append(value * scale)
     if not values:
         raise InputError(f"{field}: is empty; at least one threshold is needed")
@@ -710,8 +933,11 @@ def _thresholds(path: Path, field: str, stamp: _Stamp | None, column: str | None
         raise InputError(f"{field}: {error}") from None
 
 
-def _column_of_thresholds(sheet: csv.Sheet, column: str | None) -> Iterator[tuple[int, str]]:
-    """Lines and cells of a `column`; by default of `threshold`, or of the only one there is, which needs no name."""
+def _column_of_thresholds(
+    sheet: csv.Sheet, column: str | None
+) -> Iterator[tuple[int, str]]:
+    """Lines and cells of a `column`; by default of `threshold`, or of the only one
+    there is, which needs no name."""
     index = 0
     if column is None and len(sheet.columns) == 1:
         if sheet.headless:
@@ -741,14 +967,20 @@ def _recorded(path: Path, field: str, stamp: _Stamp | None) -> list[Segment]:
         here = f"{field}, line {line}"
         now = _Instant(*map(csv.value_of, texts))
         if not all(map(math.isfinite, now)):
-            raise InputError(f"{here}: {', '.join(texts)[:40]!r} must be finite numbers")
+            raise InputError(
+                f"{here}: {', '.join(texts)[:40]!r} must be finite numbers"
+            )
         if before is None:
             if now != (0.0, 0.0):
-                raise InputError(f"{here}: t = {now.t:g}, X = {now.X:g}; the first instant must be t = 0, X = 0")
+                raise InputError(
+                    f"{here}: t = {now.t:g}, X = {now.X:g}; the first instant must be t = 0, X = 0"
+                )
         else:
             elapsed = now.t - before.t
             if not elapsed > 0:
-                raise InputError(f"{here}: t = {now.t:g} must be later than the {before.t:g} before it")
+                raise InputError(
+                    f"{here}: t = {now.t:g} must be later than the {before.t:g} before it"
+                )
             with under(here):
                 segments.append(Segment((now.X - before.X) / elapsed, time=elapsed))
         before = now

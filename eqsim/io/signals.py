@@ -1,8 +1,10 @@
-"""Ctrl-C, and what batch systems and closed terminals send: one signal ends a command within a second.
+"""Ctrl-C, and what batch systems and closed terminals send: one signal ends a command
+within a second.
 
-The first signal raises KeyboardInterrupt. Python does so between two instructions of its main thread only, which may
-be in a compiler for much longer, and libraries may lose the exception, in a finaliser or as they catch everything. So
-a thread waits for signals, too, and ends a process that does not acknowledge one in time.
+The first signal raises KeyboardInterrupt. Python does so between two instructions of
+its main thread only, which may be in a compiler for much longer, and libraries may lose
+the exception, in a finaliser or as they catch everything. So a thread waits for
+signals, too, and ends a process that does not acknowledge one in time.
 """
 
 import atexit
@@ -16,14 +18,19 @@ from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 MESSAGE = "interrupted; nothing is half-written"
-_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_SIGNALS = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)
+]
 _ANSWER = 0.6  # seconds that a process has to acknowledge a signal: ending it takes a tenth of a second
 _LEAVE = 5.0  # seconds that it has after that, to write what is finished
 _SHOW_CURSOR = b"\x1b[?25h"  # which progress bars hide
 
 
 class _Interrupt:
-    """Fate of the first signal: its `number`, and whether it was `raised` and `acknowledged`."""
+    """Fate of the first signal: its `number`, and whether it was `raised` and
+    `acknowledged`."""
 
     def __init__(self) -> None:
         self.number = 0
@@ -42,9 +49,10 @@ _undo: list[Callable[[], None]] = []  # of the `undone` blocks
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Inside, a signal that ends a process, unless it was ignored before, raises KeyboardInterrupt, and any further one
-    does nothing; the process ends with 128 + its number, whatever becomes of the exception. To be entered before other
-    modules are imported, so that what they do at exit is done first."""
+    """Inside, a signal that ends a process, unless it was ignored before, raises
+    KeyboardInterrupt, and any further one does nothing; the process ends with 128 + its
+    number, whatever becomes of the exception. To be entered before other modules are
+    imported, so that what they do at exit is done first."""
     if os.name == "posix":
         sys.unraisablehook = _unraisable
         atexit.register(_leave)
@@ -68,9 +76,11 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Inside, interrupts wait; processes started inside inherit that signals are blocked.
+    """Inside, interrupts wait; processes started inside inherit that signals are
+    blocked.
 
-    Blocking in this thread is not enough: Python answers here also to signals that reach another thread.
+    Blocking in this thread is not enough: Python answers here also to signals that
+    reach another thread.
     """
     block: Any = getattr(signal, "pthread_sigmask", lambda *_: None)
     before = block(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT, signal.SIGTERM})
@@ -97,7 +107,8 @@ def undone(undo: Callable[[], None]) -> Iterator[None]:
 
 
 def acknowledge() -> int:
-    """Let the process end by itself, in a few seconds; returns the exit code of a process that was interrupted."""
+    """Let the process end by itself, in a few seconds; returns the exit code of a
+    process that was interrupted."""
     if _interrupt.number:
         _interrupt.acknowledged.set()
     return _interrupt.code
@@ -143,7 +154,8 @@ def _watch(arrived: int) -> NoReturn:
 
 
 def _leave() -> None:
-    """End an interrupted process before Python takes itself apart under threads that still compile."""
+    """End an interrupted process before Python takes itself apart under threads that
+    still compile."""
     if _interrupt.number:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):

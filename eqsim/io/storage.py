@@ -1,4 +1,5 @@
-"""Results on disk: Parquet with provenance, JSON without NaN, and folders that are never half-written."""
+"""Results on disk: Parquet with provenance, JSON without NaN, and folders that are
+never half-written."""
 
 import io
 import json
@@ -15,34 +16,54 @@ from eqsim.errors import InputError
 from eqsim.io.signals import undone
 
 # What the folder of a sweep holds (`eqsim.sweeps.store`).
-SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are computed
+# all rows, in the order of the grid, once all are computed
+SWEEP_TABLE = "sweep.parquet"
 SWEEP_MANIFEST = "_sweep.json"  # what was asked for
 SWEEP_PARTS = "parts"  # rows that are computed while others are not
 SWEEP_HIDDEN = "_parts"  # the same folder from just before the table gets its name
 
 
 def sweep_files(folder: Path) -> list[Path] | None:
-    """The Parquet files that hold the rows of a sweep, each once, whether it is finished or at work; none if no row is
-    there yet. None of a folder that is no sweep's."""
+    """The Parquet files that hold the rows of a sweep, each once, whether it is
+    finished or at work; none if no row is there yet. None of a folder that is no
+    sweep's."""
     if not (folder / SWEEP_MANIFEST).exists():
         return None
-    parts = [path for name in (SWEEP_PARTS, SWEEP_HIDDEN) for path in (folder / name).glob("*.parquet")]
+    parts = [
+        path
+        for name in (SWEEP_PARTS, SWEEP_HIDDEN)
+        for path in (folder / name).glob("*.parquet")
+    ]
     return [*folder.glob(SWEEP_TABLE)] or sorted(parts)
 
 
 def versions() -> dict[str, str]:
     """Of everything that numbers depend on."""
     packages = ("eqsim", "numpy", "numba", "scipy")
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in packages}}
+    return {
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in packages},
+    }
 
 
 def provenance(
-    command: str, settings: dict[str, Any], run_file: str, seed: int, folder: Path | None = None
+    command: str,
+    settings: dict[str, Any],
+    run_file: str,
+    seed: int,
+    folder: Path | None = None,
 ) -> dict[str, Any]:
-    """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run file as it stood and the folder
-    its paths are relative to, every setting in force (an infinite one as "Infinity"), versions."""
+    """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run
+    file as it stood and the folder its paths are relative to, every setting in force
+    (an infinite one as "Infinity"), versions."""
     settings = json.loads(json.dumps(settings), parse_constant=str)
-    known = {"command": command, "run_file": run_file, "settings": settings, "seed": seed, "versions": versions()}
+    known = {
+        "command": command,
+        "run_file": run_file,
+        "settings": settings,
+        "seed": seed,
+        "versions": versions(),
+    }
     return known if folder is None else {**known, "folder": str(folder.absolute())}
 
 
@@ -63,20 +84,27 @@ def to_json(data: Any) -> str:
 
 
 def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
-    """A Parquet file of a DataFrame or of arrays by name, with `origin` as JSON under the metadata key `eqsim`."""
+    """A Parquet file of a DataFrame or of arrays by name, with `origin` as JSON under
+    the metadata key `eqsim`."""
     import numpy as np
     import pyarrow
 
     def whole(column: Any) -> Any:
-        """Numbers as they lie in memory; left to itself pyarrow imports pandas for them, a third of a second."""
+        """Numbers as they lie in memory; left to itself pyarrow imports pandas for
+        them, a third of a second."""
         if not isinstance(column, np.ndarray) or column.dtype.kind not in "if":
             return column
         memory = pyarrow.py_buffer(np.ascontiguousarray(column))
-        return pyarrow.Array.from_buffers(pyarrow.from_numpy_dtype(column.dtype), column.size, [None, memory])
+        return pyarrow.Array.from_buffers(
+            pyarrow.from_numpy_dtype(column.dtype), column.size, [None, memory]
+        )
 
     if isinstance(columns, dict):
         columns = {name: whole(column) for name, column in columns.items()}
-    return as_parquet(pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)}), checksums=False)
+    return as_parquet(
+        pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)}),
+        checksums=False,
+    )
 
 
 def as_parquet(table: Any, checksums: bool = True) -> bytes:
@@ -89,36 +117,45 @@ def as_parquet(table: Any, checksums: bool = True) -> bytes:
 
 
 def from_parquet(content: bytes, schema: Any) -> Any:
-    """The pyarrow table of a Parquet file with checksums; None if it is damaged or its columns are not those of
-    `schema`."""
+    """The pyarrow table of a Parquet file with checksums; None if it is damaged or its
+    columns are not those of `schema`."""
     import pyarrow
     from pyarrow import parquet as pq
 
     try:
-        table = pq.read_table(pyarrow.BufferReader(content), page_checksum_verification=True)
+        table = pq.read_table(
+            pyarrow.BufferReader(content), page_checksum_verification=True
+        )
     except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
         return None
     return table if table.schema.equals(schema) else None
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError unless files can be written to `folder` (made by then or not); leaves no trace."""
-    present = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    """Raise InputError unless files can be written to `folder` (made by then or not);
+    leaves no trace."""
+    present = next(
+        path for path in (folder, *folder.absolute().parents) if os.path.lexists(path)
+    )
     if not present.is_dir():
         raise InputError(f"--out {folder}: {present} is not a folder")
     try:
         tempfile.TemporaryFile(dir=present).close()
     except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror})") from None
+        raise InputError(
+            f"--out {folder}: cannot be written ({error.strerror})"
+        ) from None
 
 
 def save(path: Path, content: bytes) -> None:
-    """Write one file, whole or not at all, whenever the process or the machine dies. Raises InputError."""
+    """Write one file, whole or not at all, whenever the process or the machine dies.
+    Raises InputError."""
     publish(path.parent, {path.name: content}, str(path))
 
 
 def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:
-    """Write files, and only when all are on disk give them their names. Raises InputError, which names `place`."""
+    """Write files, and only when all are on disk give them their names. Raises
+    InputError, which names `place`."""
     place = place or f"--out {folder}"
     for name in files:
         if (folder / name).is_dir():

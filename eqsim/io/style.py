@@ -1,4 +1,5 @@
-"""How pictures look: one palette for eyes that confuse colours and for print in grey, no hidden offsets, 150 dpi."""
+"""How pictures look: one palette for eyes that confuse colours and for print in grey,
+no hidden offsets, 150 dpi."""
 
 import functools
 import io
@@ -11,8 +12,16 @@ from matplotlib.rcsetup import cycler
 
 from eqsim.errors import require_choice
 
-# Okabe and Ito (2008), colours that all kinds of colour vision tell apart, without the yellow that paper swallows.
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+# Okabe and Ito (2008), colours that all kinds of colour vision tell apart, without the
+# yellow that paper swallows.
+BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#CC79A7",
+    "#56B4E9",
+)
 COLORS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, "#000000", "#8C8C8C")
 MARKERS = "os^DvPX<>ph*"
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
@@ -47,7 +56,8 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
 
 def saved(figure: Figure, form: str = "png") -> bytes:
-    """A picture as the content of a file. Raises InputError unless `form` is one of `FORMATS`."""
+    """A picture as the content of a file. Raises InputError unless `form` is one of
+    `FORMATS`."""
     require_choice("format", form, FORMATS)
     buffer = io.BytesIO()
     with matplotlib.rc_context(STYLE):
@@ -57,7 +67,9 @@ def saved(figure: Figure, form: str = "png") -> bytes:
     return buffer.getvalue()
 
 
-def pictures(name: str, figure: Figure, formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
+def pictures(
+    name: str, figure: Figure, formats: Sequence[str] = ("png",)
+) -> dict[str, bytes]:
     """A picture in some formats, by the names of the files."""
     return {f"{name}.{form}": saved(figure, form) for form in formats}
 
@@ -67,4 +79,6 @@ def _not_flat(axes: Any) -> None:
     low, high = axes.get_ylim()
     size = max(abs(low), abs(high))
     if axes.get_yscale() == "linear" and 0 < abs(high - low) < _FLAT * size:
-        axes.set_ylim(0.5 * (low + high) - 0.005 * size, 0.5 * (low + high) + 0.005 * size)
+        axes.set_ylim(
+            0.5 * (low + high) - 0.005 * size, 0.5 * (low + high) + 0.005 * size
+        )

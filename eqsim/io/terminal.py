@@ -14,12 +14,16 @@ if TYPE_CHECKING:
 
 _LONG = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
-_FILE_WIDTH, _LEAST_TEXT = 100, 24  # of a table that no terminal shows; of a column of text
+_FILE_WIDTH, _LEAST_TEXT = (
+    100,
+    24,
+)  # of a table that no terminal shows; of a column of text
 
 
 @dataclass(frozen=True)
 class Report:
-    """The result of a command: `data` for machines; for people a table, unless it has no columns, and lines below."""
+    """The result of a command: `data` for machines; for people a table, unless it has
+    no columns, and lines below."""
 
     data: Any
     title: str = ""
@@ -49,27 +53,42 @@ class Report:
         console.width = max(console.width, _total(widths))
         table = Table()
         for column, width in zip(self.columns, widths, strict=True):
-            justify: Any = "left" if column in ("", "group", "meaning", "unit") else "right"
+            justify: Any = (
+                "left" if column in ("", "group", "meaning", "unit") else "right"
+            )
             table.add_column(Text(column), justify=justify, width=width)
         for row in rows:
             table.add_row(*map(Text, row))
         console.print(Text(self.title, style="bold"), table)
 
 
-def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> list[int]:
-    """Of the columns of a table in so much room. Where it is scarce heads break, then meanings, then other cells, all
-    of them at spaces: no word and no number is cut, and a table may be too wide."""
-    words = [max(map(len, " ".join(parts).split()), default=0) for parts in zip(columns, *rows, strict=True)]
-    cells = [max(map(len, parts), default=0) for parts in zip(*rows, strict=True)] or [0] * len(columns)
+def _widths(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], room: int
+) -> list[int]:
+    """Of the columns of a table in so much room. Where it is scarce heads break, then
+    meanings, then other cells, all of them at spaces: no word and no number is cut, and
+    a table may be too wide."""
+    words = [
+        max(map(len, " ".join(parts).split()), default=0)
+        for parts in zip(columns, *rows, strict=True)
+    ]
+    cells = [max(map(len, parts), default=0) for parts in zip(*rows, strict=True)] or [
+        0
+    ] * len(columns)
     heads = [max(map(len, column.split()), default=0) for column in columns]
-    widths = [max(cell, len(column)) for cell, column in zip(cells, columns, strict=True)]
+    widths = [
+        max(cell, len(column)) for cell, column in zip(cells, columns, strict=True)
+    ]
     texts = [max(word, _LEAST_TEXT) for word in words]
     unbroken = [max(both) for both in zip(cells, heads, strict=True)]
     meant = [
-        text if column == "meaning" else width for text, column, width in zip(texts, columns, unbroken, strict=True)
+        text if column == "meaning" else width
+        for text, column, width in zip(texts, columns, unbroken, strict=True)
     ]
     for least in (unbroken, meant, words):
-        for place in sorted(range(len(widths)), key=lambda place: least[place] - widths[place]):
+        for place in sorted(
+            range(len(widths)), key=lambda place: least[place] - widths[place]
+        ):
             spare = max(widths[place] - least[place], 0)
             widths[place] -= min(spare, max(_total(widths) - room, 0))
     return widths
@@ -89,7 +108,11 @@ def relative_error(estimate: "Estimate") -> str:
     """Standard error over value."""
     if estimate.diverges:
         return "none"
-    return "exact" if not estimate.stderr or not estimate.value else f"{abs(estimate.stderr / estimate.value):.1e}"
+    return (
+        "exact"
+        if not estimate.stderr or not estimate.value
+        else f"{abs(estimate.stderr / estimate.value):.1e}"
+    )
 
 
 def score(z: float | None) -> str:
@@ -120,9 +143,12 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
 
 
-def announcing(progress: Callable[[int, int], None], note: Callable[[str], None]) -> Callable[[int, int], None]:
-    """`progress(done, total)` of lives that are drawn in attempts, each of which begins with done = 0; it also notes
-    how long an attempt of more than 20 s will take, by the speed of the one before."""
+def announcing(
+    progress: Callable[[int, int], None], note: Callable[[str], None]
+) -> Callable[[int, int], None]:
+    """`progress(done, total)` of lives that are drawn in attempts, each of which begins
+    with done = 0; it also notes how long an attempt of more than 20 s will take, by the
+    speed of the one before."""
     begin, speed, largest = 0.0, 0.0, 0
 
     def announced(done: int, total: int) -> None:
@@ -132,7 +158,9 @@ def announcing(progress: Callable[[int, int], None], note: Callable[[str], None]
             begin = now
             if speed and total > max(largest, _LONG * speed):
                 largest = total
-                note(f"about {duration(total / speed)} to go: {count(total)} lives at {count(speed)}/s")
+                note(
+                    f"about {duration(total / speed)} to go: {count(total)} lives at {count(speed)}/s"
+                )
         elif now > begin:
             speed = done / (now - begin)
         progress(done, total)
@@ -142,8 +170,8 @@ def announcing(progress: Callable[[int, int], None], note: Callable[[str], None]
 
 @contextmanager
 def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], None]]:
-    """A progress bar on the terminal's standard error, for `progress(done, total)`; it tells when kernels are compiled
-    for longer than a moment."""
+    """A progress bar on the terminal's standard error, for `progress(done, total)`; it
+    tells when kernels are compiled for longer than a moment."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
     from rich.text import Text
@@ -176,7 +204,13 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
             begin.append(now)
         speed = done / (now - begin[0]) if begin and now > begin[0] else 0.0
         description = title if unit == "lives" else f"{title} {done}/{total:.0f}"
-        shown.update(task, completed=done, total=total, description=description, rate=count(speed))
+        shown.update(
+            task,
+            completed=done,
+            total=total,
+            description=description,
+            rate=count(speed),
+        )
 
     with shown:
         yield progress

@@ -32,8 +32,18 @@ class Dimension(NamedTuple):
     force: int = 0
 
 
-NUMBER, LENGTH, TIME, FORCE = Dimension(), Dimension(1), Dimension(0, 1), Dimension(0, 0, 1)
-VELOCITY, RATE, ENERGY, STIFFNESS = Dimension(1, -1), Dimension(0, -1), Dimension(1, 0, 1), Dimension(-1, 0, 1)
+NUMBER, LENGTH, TIME, FORCE = (
+    Dimension(),
+    Dimension(1),
+    Dimension(0, 1),
+    Dimension(0, 0, 1),
+)
+VELOCITY, RATE, ENERGY, STIFFNESS = (
+    Dimension(1, -1),
+    Dimension(0, -1),
+    Dimension(1, 0, 1),
+    Dimension(-1, 0, 1),
+)
 STRESS, AREA, PER_AREA = Dimension(-2, 0, 1), Dimension(2), Dimension(-2)
 _NAMED = {(ENERGY, "N m"): "J", (STRESS, "N/m^2"): "Pa"}
 
@@ -45,8 +55,9 @@ class Units:
     Parameters
     ----------
     length, time, force : str
-        An SI unit with its prefix ("nm", "um", "s", "min", "nN"), whose size is known, or any other label of up to 20
-        characters ("x_*"), which is shown as it is. Empty: not given.
+        An SI unit with its prefix ("nm", "um", "s", "min", "nN"), whose size is known,
+        or any other label of up to 20 characters ("x_*"), which is shown as it is.
+        Empty: not given.
 
     Raises
     ------
@@ -60,7 +71,11 @@ class Units:
 
     def __post_init__(self) -> None:
         for name, label in self._given():
-            if not label.isprintable() or len(label) > _LONGEST or label != label.strip():
+            if (
+                not label.isprintable()
+                or len(label) > _LONGEST
+                or label != label.strip()
+            ):
                 said = f"must be a unit, such as {self._examples(name)}, or a label of up to {_LONGEST} characters"
                 raise InputError(f"{name} = {shown(label)}: {said}")
 
@@ -71,13 +86,17 @@ class Units:
         return [(field.name, getattr(self, field.name)) for field in fields(self)]
 
     def _parts(self, of: Dimension) -> list[tuple[str, str, int]]:
-        """Name, label and power of each unit that has a part in a dimension, those in the numerator and force first."""
+        """Name, label and power of each unit that has a part in a dimension, those in
+        the numerator and force first."""
         order = ("force", "length", "time")
         powers = [(name, getattr(self, name), getattr(of, name)) for name in order]
-        return sorted((part for part in powers if part[2]), key=lambda part: part[2] < 0)
+        return sorted(
+            (part for part in powers if part[2]), key=lambda part: part[2] < 0
+        )
 
     def size(self, of: Dimension) -> float | None:
-        """The unit of a dimension in SI units; None if a part of it is not given or no SI unit."""
+        """The unit of a dimension in SI units; None if a part of it is not given or no
+        SI unit."""
         size = 1.0
         for name, label, power in self._parts(of):
             one = _size(name, label)
@@ -87,24 +106,36 @@ class Units:
         return size
 
     def label(self, of: Dimension) -> str:
-        """The unit of a dimension, such as "um/s", "nN nm" or "Pa"; "" of a number, or if a part of it is not given."""
+        """The unit of a dimension, such as "um/s", "nN nm" or "Pa"; "" of a number, or
+        if a part of it is not given."""
         parts = self._parts(of)
         if not all(label for _, label, _ in parts):
             return ""
-        texts = [label + (f"^{abs(power)}" if abs(power) > 1 else "") for _, label, power in parts]
-        above = " ".join(text for text, part in zip(texts, parts, strict=True) if part[2] > 0)
-        below = "".join(f"/{text}" for text, part in zip(texts, parts, strict=True) if part[2] < 0)
+        texts = [
+            label + (f"^{abs(power)}" if abs(power) > 1 else "")
+            for _, label, power in parts
+        ]
+        above = " ".join(
+            text for text, part in zip(texts, parts, strict=True) if part[2] > 0
+        )
+        below = "".join(
+            f"/{text}" for text, part in zip(texts, parts, strict=True) if part[2] < 0
+        )
         whole = (above or "1" * bool(below)) + below
         return _NAMED.get((of, whole), whole)
 
     def energy(self, temperature: float) -> float:
-        """k_B T in the unit of energy, length times force, of a `temperature` in kelvin. Raises InputError if that is
-        negative or the unit is not known."""
+        """k_B T in the unit of energy, length times force, of a `temperature` in
+        kelvin. Raises InputError if that is negative or the unit is not known."""
         require_number("temperature", temperature, **NOT_NEGATIVE)
         for name in ("length", "force"):
             label = getattr(self, name)
             if _size(name, label) is None:
-                here = f"units.{name} = {shown(label)} is none" if label else f"units.{name} is not given"
+                here = (
+                    f"units.{name} = {shown(label)} is none"
+                    if label
+                    else f"units.{name} is not given"
+                )
                 raise InputError(
                     f"temperature = {shown(temperature)}: kT takes SI units of length and force, and {here}; "
                     f"must be such as {self._examples(name)}"
@@ -126,20 +157,26 @@ def _size(name: str, label: str) -> float | None:
     if label in _OTHERS[name]:
         return _OTHERS[name][label]
     prefix = label.removesuffix(_BASES[name])
-    return float(f"1e{_PREFIXES[prefix]}") if prefix != label and prefix in _PREFIXES else None
+    return (
+        float(f"1e{_PREFIXES[prefix]}")
+        if prefix != label and prefix in _PREFIXES
+        else None
+    )
 
 
 @dataclass(frozen=True)
 class Interface:
-    """The interface that the simulated contacts stand for, in the units of the run file.
+    """The interface that the simulated contacts stand for, in the units of the run
+    file.
 
-    The interface has `contacts_per_area` times `area` contacts if both are given, of which the ensemble's are a sample;
-    else it has those of the ensemble.
+    The interface has `contacts_per_area` times `area` contacts if both are given, of
+    which the ensemble's are a sample; else it has those of the ensemble.
 
     Parameters
     ----------
     area : float, optional
-        Apparent area (length^2); default: that of the ensemble's contacts, if `contacts_per_area` is given.
+        Apparent area (length^2); default: that of the ensemble's contacts, if
+        `contacts_per_area` is given.
     contacts_per_area : float, optional
         1/length^2; default: the ensemble's contacts over `area`, if that is given.
     normal_load : float, optional
@@ -150,7 +187,8 @@ class Interface:
     Raises
     ------
     InputError
-        For values that are not positive, for both loads, and for a stress without an area or contacts per area.
+        For values that are not positive, for both loads, and for a stress without an
+        area or contacts per area.
     """
 
     area: float | None = None
@@ -163,9 +201,17 @@ class Interface:
             if getattr(self, field.name) is not None:
                 require_number(field.name, getattr(self, field.name), **POSITIVE)
         if self.normal_stress is not None and self.normal_load is not None:
-            raise InputError(f"normal_stress = {shown(self.normal_stress)}: not allowed with normal_load; give one")
-        if self.normal_stress is not None and self.area is None and self.contacts_per_area is None:
-            said = "needs area or contacts_per_area, which say how many contacts carry it"
+            raise InputError(
+                f"normal_stress = {shown(self.normal_stress)}: not allowed with normal_load; give one"
+            )
+        if (
+            self.normal_stress is not None
+            and self.area is None
+            and self.contacts_per_area is None
+        ):
+            said = (
+                "needs area or contacts_per_area, which say how many contacts carry it"
+            )
             raise InputError(f"normal_stress = {shown(self.normal_stress)}: {said}")
 
     def __bool__(self) -> bool:
@@ -173,7 +219,11 @@ class Interface:
 
     def contacts(self, count: int) -> float:
         """How many contacts it has, if `count` are simulated."""
-        return count if self.area is None or self.contacts_per_area is None else self.area * self.contacts_per_area
+        return (
+            count
+            if self.area is None or self.contacts_per_area is None
+            else self.area * self.contacts_per_area
+        )
 
     def density(self, count: int) -> float | None:
         """Contacts per area; None if neither that nor the area is given."""
@@ -194,7 +244,8 @@ class Quantity(NamedTuple):
     factor : float
         It is `factor` times friction.
     unit : str
-        Pa if that is known, else as in the run file; "" of a coefficient, or if no units are given.
+        Pa if that is known, else as in the run file; "" of a coefficient, or if no
+        units are given.
     """
 
     name: str
@@ -222,7 +273,8 @@ class Quantity(NamedTuple):
         )
 
     def near(self, friction: float) -> "Quantity":
-        """The same in kPa, MPa or GPa, or mPa, where `friction` is some thousands of Pa, or thousandths."""
+        """The same in kPa, MPa or GPa, or mPa, where `friction` is some thousands of
+        Pa, or thousandths."""
         value = abs(friction * self.factor)
         if self.unit != "Pa" or not value or not math.isfinite(value):
             return self
@@ -230,18 +282,28 @@ class Quantity(NamedTuple):
         prefix = {-3: "m", 0: "", 3: "k", 6: "M", 9: "G"}[power]
         return self._replace(factor=self.factor / 10.0**power, unit=prefix + "Pa")
 
-    def as_dict(self, friction: Estimate, reference: float | None = None) -> dict[str, float | str | None]:
+    def as_dict(
+        self, friction: Estimate, reference: float | None = None
+    ) -> dict[str, float | str | None]:
         """For JSON; `reference` is that of friction, if there is one."""
         found = self.of(friction)
         exact = {} if reference is None else {"reference": reference * self.factor}
-        return {"value": found.value, "stderr": found.stderr, **exact, "unit": self.unit}
+        return {
+            "value": found.value,
+            "stderr": found.stderr,
+            **exact,
+            "unit": self.unit,
+        }
 
 
-def quantities(ensemble: Ensemble, units: Units, interface: Interface) -> tuple[Quantity, ...]:
+def quantities(
+    ensemble: Ensemble, units: Units, interface: Interface
+) -> tuple[Quantity, ...]:
     """What the friction F/(N k) of an ensemble is at an interface.
 
-    The force is that of all contacts of the interface and is known if anything of the interface is given, or a unit of
-    force; the shear stress if an area or contacts per area are; the coefficient if a load or normal stress is.
+    The force is that of all contacts of the interface and is known if anything of the
+    interface is given, or a unit of force; the shear stress if an area or contacts per
+    area are; the coefficient if a load or normal stress is.
     """
     if not interface and not units.force:
         return ()
@@ -253,40 +315,67 @@ def quantities(ensemble: Ensemble, units: Units, interface: Interface) -> tuple[
         unit = units.label(STRESS) if size is None else "Pa"
         found.append(Quantity("shear_stress", "tau", density * k * (size or 1.0), unit))
     if interface.normal_load is not None:
-        found.append(Quantity("friction_coefficient", "mu", force / interface.normal_load, ""))
+        found.append(
+            Quantity("friction_coefficient", "mu", force / interface.normal_load, "")
+        )
     elif interface.normal_stress is not None and density is not None:
-        found.append(Quantity("friction_coefficient", "mu", density * k / interface.normal_stress, ""))
+        found.append(
+            Quantity(
+                "friction_coefficient", "mu", density * k / interface.normal_stress, ""
+            )
+        )
     return tuple(found)
 
 
 def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group]:
-    """Physical scales of an ensemble in its units, beside its dimensionless groups; none if neither units nor anything
-    of the interface is given."""
+    """Physical scales of an ensemble in its units, beside its dimensionless groups;
+    none if neither units nor anything of the interface is given."""
     if not units and not interface:
         return []
     unit, kelvin = ensemble.thresholds.scale, units.kelvin(ensemble.thermal.kT)
     found = [
-        Group(f"x_* ({units.label(LENGTH) or 'length'})", unit, "scale of thresholds, a length"),
-        Group(f"k ({units.label(STIFFNESS) or 'force/length'})", ensemble.stiffness, "stiffness of a contact"),
+        Group(
+            f"x_* ({units.label(LENGTH) or 'length'})",
+            unit,
+            "scale of thresholds, a length",
+        ),
+        Group(
+            f"k ({units.label(STIFFNESS) or 'force/length'})",
+            ensemble.stiffness,
+            "stiffness of a contact",
+        ),
     ]
     if kelvin is not None:
-        found.append(Group("T (K)", kelvin, "temperature, kT over the constant of Boltzmann"))
-    contacts, density = interface.contacts(ensemble.count), interface.density(ensemble.count)
+        found.append(
+            Group("T (K)", kelvin, "temperature, kT over the constant of Boltzmann")
+        )
+    contacts, density = (
+        interface.contacts(ensemble.count),
+        interface.density(ensemble.count),
+    )
     if interface:
         found.append(Group("contacts", contacts, "of the interface"))
     if density is not None:
-        area, per = units.label(AREA) or "length^2", units.label(PER_AREA) or "1/length^2"
-        found.append(Group(f"area ({area})", contacts / density, "of the interface, apparent"))
+        area, per = (
+            units.label(AREA) or "length^2",
+            units.label(PER_AREA) or "1/length^2",
+        )
+        found.append(
+            Group(f"area ({area})", contacts / density, "of the interface, apparent")
+        )
         found.append(Group(f"contacts per area ({per})", density, "of the interface"))
     for one in quantities(ensemble, units, interface):
         one = one.near(unit)
         mark = f" ({one.unit})" * bool(one.unit)
-        found.append(Group(one.label + mark, one.factor * unit, "if friction F/(N k) were x_*"))
+        found.append(
+            Group(one.label + mark, one.factor * unit, "if friction F/(N k) were x_*")
+        )
     return found
 
 
 class Row(NamedTuple):
-    """How a table shows an observable: `label`, its `unit` as a column, if there is one, and a factor."""
+    """How a table shows an observable: `label`, its `unit` as a column, if there is
+    one, and a factor."""
 
     label: str
     unit: tuple[str, ...] = ()
@@ -303,15 +392,23 @@ class Row(NamedTuple):
         return "infinite" if estimate.diverges else f"{self.of(estimate).value:{form}}"
 
 
-def rows_of(averages: Averages, units: Units, found: Iterable[Quantity]) -> list[tuple[str, Row]]:
-    """The observables that a table shows, each with its row; those of friction as a force, stress and coefficient come
-    after itself. Units are shown where any is known."""
+def rows_of(
+    averages: Averages, units: Units, found: Iterable[Quantity]
+) -> list[tuple[str, Row]]:
+    """The observables that a table shows, each with its row; those of friction as a
+    force, stress and coefficient come after itself. Units are shown where any is known.
+    """
     found = [quantity.near(averages.friction.value or 0.0) for quantity in found]
     several = bool(units or found)
     rows = []
     for name in averages.shown:
-        dimension = Dimension(length={"length": 1, "length^2": 2}.get(OBSERVABLES[name].unit, 0))
+        dimension = Dimension(
+            length={"length": 1, "length^2": 2}.get(OBSERVABLES[name].unit, 0)
+        )
         rows.append((name, Row(name, (units.label(dimension),) * several)))
         if name == "friction":
-            rows += [(name, Row("mu" if one.symbol == "mu" else one.name, (one.unit,), one)) for one in found]
+            rows += [
+                (name, Row("mu" if one.symbol == "mu" else one.name, (one.unit,), one))
+                for one in found
+            ]
     return rows

@@ -1,1 +1,2 @@
-"""Contact laws: the physics of one contact, each law in one place, for NumPy and for the kernels."""
+"""Contact laws: the physics of one contact, each law in one place, for NumPy and for
+the kernels."""

@@ -1,6 +1,8 @@
-"""Delay between the breaking of a contact and its re-attachment (section V of Braun and Peyrard, 2011).
+"""Delay between the breaking of a contact and its re-attachment (section V of Braun and
+Peyrard, 2011).
 
-`DELAYS` lists the laws. Each is a NamedTuple of the mean, as a displacement v<tau>, with NumPy's formulas as methods.
+`DELAYS` lists the laws. Each is a NamedTuple of the mean, as a displacement v<tau>,
+with NumPy's formulas as methods.
 """
 
 import math
@@ -30,16 +32,19 @@ class Fixed(_Mean, Law):
         return np.where(np.asarray(t) >= self.mean, 1.0, 0.0)
 
     def residual_cdf(self, t: Any) -> Array:
-        """P(rest of the delay <= t) of a contact found detached in the stationary state (derived, renewal theory)."""
-        return np.clip(np.asarray(t) / self.mean, 0.0, 1.0) if self.mean else self.cdf(t)
+        """P(rest of the delay <= t) of a contact found detached in the stationary state
+        (derived, renewal theory)."""
+        return (
+            np.clip(np.asarray(t) / self.mean, 0.0, 1.0) if self.mean else self.cdf(t)
+        )
 
     def rest(self, x: Array) -> Array:
         """E[(delay - x)+]."""
         return np.maximum(self.mean - x, 0.0)
 
     def waiting(self, h: float, cells: int) -> Array:
-        """Chance that a contact that breaks anywhere in a cell of width `h` is still detached at the end of that cell,
-        and of the next ones, shape (cells,)."""
+        """Chance that a contact that breaks anywhere in a cell of width `h` is still
+        detached at the end of that cell, and of the next ones, shape (cells,)."""
         return np.clip(self.mean / h - np.arange(cells), 0.0, 1.0)
 
     def coherence(self, k: Array) -> Array:
@@ -64,7 +69,11 @@ class Exponential(_Mean, Law):
     __slots__ = ()
 
     def cdf(self, t: Any) -> Array:
-        return -np.expm1(-np.maximum(t, 0.0) / self.mean) if self.mean else np.where(np.asarray(t) >= 0, 1.0, 0.0)
+        return (
+            -np.expm1(-np.maximum(t, 0.0) / self.mean)
+            if self.mean
+            else np.where(np.asarray(t) >= 0, 1.0, 0.0)
+        )
 
     def residual_cdf(self, t: Any) -> Array:
         return self.cdf(t)
@@ -76,7 +85,9 @@ class Exponential(_Mean, Law):
         later = np.arange(cells)
         if not self.mean:
             return np.zeros(cells)
-        return np.asarray(-math.expm1(-h / self.mean) * self.mean / h * np.exp(-h / self.mean * later))
+        return np.asarray(
+            -math.expm1(-h / self.mean) * self.mean / h * np.exp(-h / self.mean * later)
+        )
 
     def coherence(self, k: Array) -> Array:
         return np.asarray(1.0 / np.hypot(1.0, k * self.mean))
@@ -91,7 +102,10 @@ class Exponential(_Mean, Law):
         return Waits(self.mean, self.mean)
 
 
-DELAYS: dict[str, type[Fixed] | type[Exponential]] = {"fixed": Fixed, "exponential": Exponential}
+DELAYS: dict[str, type[Fixed] | type[Exponential]] = {
+    "fixed": Fixed,
+    "exponential": Exponential,
+}
 
 
 @dataclass(frozen=True)
@@ -127,12 +141,14 @@ class Delay:
         return self.reduced().cdf(t)
 
     def residual_cdf(self, t: Any) -> Array:
-        """P(rest of the delay <= t) of a contact found detached in the stationary state (derived, renewal theory)."""
+        """P(rest of the delay <= t) of a contact found detached in the stationary state
+        (derived, renewal theory)."""
         return self.reduced().residual_cdf(t)
 
 
 class Waits(NamedTuple):
-    """A law of delays for kernels, one type for all: of the `mean`, `random` is exponential and the rest fixed."""
+    """A law of delays for kernels, one type for all: of the `mean`, `random` is
+    exponential and the rest fixed."""
 
     mean: float
     random: float
@@ -151,5 +167,6 @@ def delay_draw(law: Waits, u: float) -> float:
 
 @routine(inline=True)
 def residual_delay_draw(law: Waits, u: float) -> float:
-    """The rest of a delay in the stationary state, where all of it is random or none, from a uniform u in (0, 1)."""
+    """The rest of a delay in the stationary state, where all of it is random or none,
+    from a uniform u in (0, 1)."""
     return (law.mean - law.random) * u - law.random * math.log(u)

@@ -1,4 +1,5 @@
-"""Find where a density that is known by its values alone has jumps, kinks or infinities."""
+"""Find where a density that is known by its values alone has jumps, kinks or
+infinities."""
 
 from collections.abc import Callable
 
@@ -6,13 +7,16 @@ import numpy as np
 
 from eqsim.numerics.tables import Array
 
-# Windows are cut to a quarter of their width, LEVELS times to judge them and SHARPER times more to locate kinks.
+# Windows are cut to a quarter of their width, LEVELS times to judge them and SHARPER
+# times more to locate kinks.
 LEVELS = 7
 SHARPER = 17
-# A second difference falls by 4 per level at a kink and by 16 where the density is smooth, so that over the last three
-# levels it falls by 64 or by 4096. The border is between.
+# A second difference falls by 4 per level at a kink and by 16 where the density is
+# smooth, so that over the last three levels it falls by 64 or by 4096. The border is
+# between.
 FALLS = 1.0 / 400.0
-NOISE = 1e-11  # second differences, in units of the density nearby, that rounding may make
+# second differences, in units of the density nearby, that rounding may make
+NOISE = 1e-11
 LARGEST = 1e100  # density in the place of an infinite one
 MOST = 64  # kinks that are kept, those of the largest second differences: a density with noise has them everywhere
 APART = 1e-9  # relative distance of kinks that are the same
@@ -31,11 +35,13 @@ def density_kinks(pdf: Callable[[Array], Array], x: Array) -> Array:
     Returns
     -------
     ndarray
-        Ascending positions, to about 1e-13 of the distance of points, between the first and the last point.
+        Ascending positions, to about 1e-13 of the distance of points, between the first
+        and the last point.
     """
 
     def sharpest(left: Array, width: Array) -> tuple[Array, Array]:
-        """Left ends of the quarters of windows with the largest second differences, and these over the density."""
+        """Left ends of the quarters of windows with the largest second differences, and
+        these over the density."""
         at = left[:, None] + width[:, None] * np.linspace(0.0, 1.0, 9)
         with np.errstate(all="ignore"):
             f = np.nan_to_num(pdf(at), nan=LARGEST, posinf=LARGEST)

@@ -4,16 +4,19 @@ from typing import Any
 
 
 class Law:
-    """Equality of laws, which are NamedTuples of their numbers: two of them are equal if their types and numbers are.
+    """Equality of laws, which are NamedTuples of their numbers: two of them are equal
+    if their types and numbers are.
 
-    Tuples of equal numbers are equal, so that `Soft(b, log_w) == Stiff(b, log_w)` would hold, and a cache would take
-    one law for the other. A law inherits from `Law` and a NamedTuple, in any order.
+    Tuples of equal numbers are equal, so that `Soft(b, log_w) == Stiff(b, log_w)` would
+    hold, and a cache would take one law for the other. A law inherits from `Law` and a
+    NamedTuple, in any order.
     """
 
     __slots__ = ()
 
     def __init_subclass__(cls) -> None:
-        """Give a law these methods as its own: those of tuple come first where the NamedTuple does."""
+        """Give a law these methods as its own: those of tuple come first where the
+        NamedTuple does."""
         super().__init_subclass__()
         for method in ("__eq__", "__ne__", "__hash__"):
             setattr(cls, method, vars(Law)[method])

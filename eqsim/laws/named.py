@@ -1,7 +1,8 @@
 """Laws of thresholds that run files call by name. This is where they are listed.
 
-A law is a dataclass of its parameters, which are keys of `[thresholds]`: a length `x_star`, the unit of the formulas
-below, and numbers of its own. Kernels draw from a table of the quantile function (`laws.threshold.Smooth`).
+A law is a dataclass of its parameters, which are keys of `[thresholds]`: a length
+`x_star`, the unit of the formulas below, and numbers of its own. Kernels draw from a
+table of the quantile function (`laws.threshold.Smooth`).
 """
 
 import math
@@ -19,8 +20,9 @@ _NODES, _WEIGHTS = special.roots_legendre(12)
 
 
 class Named(Smooth):
-    """A law in units u = xi/unit. Each has `name`, `density`, `below` = P(U <= u), `above` = P(U > u), and `exceeded`,
-    which exp(-e) of the contacts exceed, of arrays of any shape, and `moments` <u> and <u^2>."""
+    """A law in units u = xi/unit. Each has `name`, `density`, `below` = P(U <= u),
+    `above` = P(U > u), and `exceeded`, which exp(-e) of the contacts exceed, of arrays
+    of any shape, and `moments` <u> and <u^2>."""
 
     name: ClassVar[str]
     ends: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -34,7 +36,8 @@ class Named(Smooth):
     @property
     def numbers(self) -> tuple[float, ...]:
         """Dimensionless parameters."""
-        return tuple(getattr(self, field.name) for field in fields(self) if field.name != "x_star")  # type: ignore[arg-type]
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return tuple(getattr(self, name) for name in names if name != "x_star")
 
     @property
     def moments(self) -> tuple[float, float]:
@@ -86,7 +89,9 @@ class Named(Smooth):
         u = np.asarray(x, float) / self.unit
         with np.errstate(all="ignore"):  # u = 0 and the tail
             found = self.density(np.clip(u, *self.ends)) / self.unit
-        return np.where((u >= self.ends[0]) & (u <= self.ends[1]) & ~np.isnan(found), found, 0.0)
+        return np.where(
+            (u >= self.ends[0]) & (u <= self.ends[1]) & ~np.isnan(found), found, 0.0
+        )
 
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
@@ -131,7 +136,10 @@ class Lognormal(Named):
         return math.exp(0.5 * self.sigma**2), math.exp(2.0 * self.sigma**2)
 
     def density(self, u: Array) -> Array:
-        return np.asarray(np.exp(-0.5 * (np.log(u) / self.sigma) ** 2) / (u * self.sigma * math.sqrt(2.0 * math.pi)))
+        return np.asarray(
+            np.exp(-0.5 * (np.log(u) / self.sigma) ** 2)
+            / (u * self.sigma * math.sqrt(2.0 * math.pi))
+        )
 
     def below(self, u: Array) -> Array:
         return np.asarray(special.ndtr(np.log(u) / self.sigma))
@@ -173,7 +181,9 @@ class Weibull(Named):
         return math.gamma(1.0 + 1.0 / self.shape), math.gamma(1.0 + 2.0 / self.shape)
 
     def density(self, u: Array) -> Array:
-        return np.asarray(self.shape * u ** (self.shape - 1.0) * np.exp(-(u**self.shape)))
+        return np.asarray(
+            self.shape * u ** (self.shape - 1.0) * np.exp(-(u**self.shape))
+        )
 
     def below(self, u: Array) -> Array:
         return np.asarray(-np.expm1(-(u**self.shape)))
@@ -220,12 +230,14 @@ class Exponential(Named):
 
 @dataclass(frozen=True)
 class Normal(Named):
-    """A normal law of which positive thresholds are drawn: P_c(x) ~ exp(-(x - x_*)^2/(2 std^2)), x > 0.
+    """A normal law of which positive thresholds are drawn: P_c(x) ~ exp(-(x - x_*)^2/(2
+    std^2)), x > 0.
 
     Parameters
     ----------
     std : float
-        Standard deviation of the normal law, before it is cut off at 0 (length), from 1e-3 to 10 x_*.
+        Standard deviation of the normal law, before it is cut off at 0 (length), from
+        1e-3 to 10 x_*.
     x_star : float
         Its mean, the most likely threshold (length), > 0.
 
@@ -241,7 +253,9 @@ class Normal(Named):
 
     def __post_init__(self) -> None:
         require_number("x_star", self.x_star, **POSITIVE)
-        require_number("std", self.std, least=1e-3 * self.x_star, most=10.0 * self.x_star)
+        require_number(
+            "std", self.std, least=1e-3 * self.x_star, most=10.0 * self.x_star
+        )
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -251,7 +265,9 @@ class Normal(Named):
     def _at_cut(self) -> float:
         """Density of (xi - 0)/std at the cut."""
         z = 1.0 / self.numbers[0]
-        return math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) / float(special.ndtr(z))
+        return (
+            math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) / float(special.ndtr(z))
+        )
 
     @property
     def moments(self) -> tuple[float, float]:
@@ -261,18 +277,28 @@ class Normal(Named):
 
     def density(self, u: Array) -> Array:
         (s,) = self.numbers
-        return np.asarray(np.exp(-0.5 * ((u - 1.0) / s) ** 2) / (s * math.sqrt(2.0 * math.pi) * special.ndtr(1.0 / s)))
+        return np.asarray(
+            np.exp(-0.5 * ((u - 1.0) / s) ** 2)
+            / (s * math.sqrt(2.0 * math.pi) * special.ndtr(1.0 / s))
+        )
 
     def _near_cut(self, w: Array) -> Array:
-        """int_0^w exp(y/s - y^2/2) dy, without the cancellation of two normal integrals that are almost the same."""
+        """int_0^w exp(y/s - y^2/2) dy, without the cancellation of two normal integrals
+        that are almost the same."""
         y = np.multiply.outer(w, 0.5 + 0.5 * _NODES)
-        return np.asarray(0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _WEIGHTS))
+        return np.asarray(
+            0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _WEIGHTS)
+        )
 
     def below(self, u: Array) -> Array:
         (s,) = self.numbers
         z, nearest = 1.0 / s, 0.5 * min(1.0, s)
         far = (special.ndtr((u - 1.0) / s) - special.ndtr(-z)) / special.ndtr(z)
-        return np.where(u < s * nearest, self._at_cut * self._near_cut(np.minimum(u / s, nearest)), far)
+        return np.where(
+            u < s * nearest,
+            self._at_cut * self._near_cut(np.minimum(u / s, nearest)),
+            far,
+        )
 
     def above(self, u: Array) -> Array:
         (s,) = self.numbers
@@ -286,7 +312,9 @@ class Normal(Named):
             wanted = -np.expm1(-e) / self._at_cut
         w = np.minimum(np.log1p(z * wanted) / z, nearest)
         for _ in range(5):  # of Newton, from a first guess that misses y^2/2
-            w = np.minimum(w - (self._near_cut(w) - wanted) * np.exp(0.5 * w * w - w * z), nearest)
+            w = np.minimum(
+                w - (self._near_cut(w) - wanted) * np.exp(0.5 * w * w - w * z), nearest
+            )
         return np.where(w < nearest, s * w, far)
 
 
@@ -352,7 +380,8 @@ class Pareto(Named):
     Parameters
     ----------
     exponent : float
-        From 3.05 to 1000; only above 3 the work of a contact of the sqrt law has a mean.
+        From 3.05 to 1000; only above 3 the work of a contact of the sqrt law has a
+        mean.
     x_star : float
         Least threshold (length), > 0.
 
@@ -373,7 +402,9 @@ class Pareto(Named):
 
     @property
     def moments(self) -> tuple[float, float]:
-        return self.exponent / (self.exponent - 1.0), self.exponent / (self.exponent - 2.0)
+        return self.exponent / (self.exponent - 1.0), self.exponent / (
+            self.exponent - 2.0
+        )
 
     def density(self, u: Array) -> Array:
         return np.asarray(self.exponent * u ** (-self.exponent - 1.0))
@@ -388,12 +419,24 @@ class Pareto(Named):
         return np.asarray(np.exp(e / self.exponent))
 
 
-NAMED: tuple[type[Named], ...] = (Lognormal, Weibull, Exponential, Normal, Uniform, Pareto)
-THRESHOLDS: dict[str, Any] = {"gamma": Gamma, "delta": Delta, **{law.name: law for law in NAMED}}
+NAMED: tuple[type[Named], ...] = (
+    Lognormal,
+    Weibull,
+    Exponential,
+    Normal,
+    Uniform,
+    Pareto,
+)
+THRESHOLDS: dict[str, Any] = {
+    "gamma": Gamma,
+    "delta": Delta,
+    **{law.name: law for law in NAMED},
+}
 
 
 def threshold_parameters(name: str) -> dict[str, float | None]:
-    """The parameters of a law and their defaults, None of those that are required; empty for a law that has none."""
+    """The parameters of a law and their defaults, None of those that are required;
+    empty for a law that has none."""
     return {
         field.name: None if field.default is MISSING else field.default
         for field in (fields(THRESHOLDS[name]) if name in THRESHOLDS else ())
@@ -401,9 +444,12 @@ def threshold_parameters(name: str) -> dict[str, float | None]:
 
 
 def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:
-    """A law of the list from what is given (not None). Raises InputError for a parameter that is missing."""
+    """A law of the list from what is given (not None). Raises InputError for a
+    parameter that is missing."""
     for key, default in threshold_parameters(name).items():
         if default is None and given.get(key) is None:
             raise InputError(f'{key}: is required with law = "{name}"')
-    law: ThresholdLaw = THRESHOLDS[name](**{key: value for key, value in given.items() if value is not None})
+    law: ThresholdLaw = THRESHOLDS[name](
+        **{key: value for key, value in given.items() if value is not None}
+    )
     return law

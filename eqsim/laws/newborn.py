@@ -1,12 +1,16 @@
-"""Stretches y of newborn contacts: R of the master equation (Q5a of Braun and Peyrard, 2011) in general.
+"""Stretches y of newborn contacts: R of the master equation (Q5a of Braun and Peyrard,
+2011) in general.
 
-A contact is born at y, is carried to y + s, and breaks at x_b; l = x_b - y is its travel. y is a length, or a fraction
-of the contact's own threshold. In the first case a contact that forms is one that holds: its threshold is drawn given
-that it is above |y|; that of an annealed contact given that it is above y, for the master equation knows no mechanical
-breaking at negative stretch, P(x) = P_c/J_c for x > 0 only. In the second the threshold is drawn first.
+A contact is born at y, is carried to y + s, and breaks at x_b; l = x_b - y is its
+travel. y is a length, or a fraction of the contact's own threshold. In the first case a
+contact that forms is one that holds: its threshold is drawn given that it is above |y|;
+that of an annealed contact given that it is above y, for the master equation knows no
+mechanical breaking at negative stretch, P(x) = P_c/J_c for x > 0 only. In the second
+the threshold is drawn first.
 
-`LAWS` lists the laws. Each is a NamedTuple of its numbers, lengths in units of the threshold law's scale, with NumPy's
-formulas as methods and a body of the kernel routine `birth_draw`.
+`LAWS` lists the laws. Each is a NamedTuple of its numbers, lengths in units of the
+threshold law's scale, with NumPy's formulas as methods and a body of the kernel routine
+`birth_draw`.
 """
 
 import functools
@@ -33,7 +37,9 @@ _NUMBERS = {
 }
 _LOST = 1e-9  # share of births that may be so stretched that hardly a threshold is above them
 _RAREST = 470.0  # -ln J_c of a threshold that counts as the greatest
-_FIRST_OCTAVE = -40  # of stretches over the scale of the thresholds; below, hardly a threshold is passed
+_FIRST_OCTAVE = (
+    -40
+)  # of stretches over the scale of the thresholds; below, hardly a threshold is passed
 
 
 class _Stretch(NamedTuple):
@@ -85,7 +91,9 @@ class UniformBirths(_Bounds, Law):
         return self.low, self.high
 
     def pdf(self, y: Array) -> Array:
-        return np.where((y >= self.low) & (y <= self.high), 1.0 / (self.high - self.low), 0.0)
+        return np.where(
+            (y >= self.low) & (y <= self.high), 1.0 / (self.high - self.low), 0.0
+        )
 
     def sf(self, y: float) -> float:
         return min(max((self.high - y) / (self.high - self.low), 0.0), 1.0)
@@ -106,7 +114,9 @@ class ExponentialBirths(_Mean, Law):
         return 0.0, 36.0 * self.mean
 
     def pdf(self, y: Array) -> Array:
-        return np.where(y >= 0.0, np.exp(-np.maximum(y, 0.0) / self.mean) / self.mean, 0.0)
+        return np.where(
+            y >= 0.0, np.exp(-np.maximum(y, 0.0) / self.mean) / self.mean, 0.0
+        )
 
     def sf(self, y: float) -> float:
         return math.exp(-max(y, 0.0) / self.mean)
@@ -119,8 +129,8 @@ class _MeanAndWidth(NamedTuple):
 
 
 class NormalBirths(_MeanAndWidth, Law):
-    """Births of this mean and standard deviation; methods are those of `DeltaBirths`. `table`: |z| of a normal deviate
-    against -ln P(|Z| > |z|)."""
+    """Births of this mean and standard deviation; methods are those of `DeltaBirths`.
+    `table`: |z| of a normal deviate against -ln P(|Z| > |z|)."""
 
     __slots__ = ()
 
@@ -145,9 +155,11 @@ def _deviates() -> Array:
     """|z| against e = -ln P(|Z| > |z|), for |z| up to 12."""
     first, last = -54, 7
     e = octave_edges(first, last)
-    z = np.where(e < 1.0, special.erfinv(-np.expm1(-e)), special.erfcinv(np.exp(-np.minimum(e, 600.0)))) * math.sqrt(
-        2.0
-    )
+    z = np.where(
+        e < 1.0,
+        special.erfinv(-np.expm1(-e)),
+        special.erfcinv(np.exp(-np.minimum(e, 600.0))),
+    ) * math.sqrt(2.0)
     return octave_table(first, z, np.exp(0.5 * z**2 - e) * math.sqrt(0.5 * math.pi))
 
 
@@ -168,8 +180,8 @@ class Newborn:
     law : str
         "unstressed", "delta", "uniform", "exponential" or "normal".
     of : str
-        "length", or "threshold": the numbers are fractions of the contact's own threshold, between -1 and 1 ("delta"
-        and "uniform" only).
+        "length", or "threshold": the numbers are fractions of the contact's own
+        threshold, between -1 and 1 ("delta" and "uniform" only).
     stretch : float, optional
         Of "delta" (length, positive in the direction of X, or fraction).
     low, high : float, optional
@@ -182,7 +194,8 @@ class Newborn:
     Raises
     ------
     InputError
-        For an unknown law, values out of range, parameters of another law, and missing ones.
+        For an unknown law, values out of range, parameters of another law, and missing
+        ones.
     """
 
     law: str = "unstressed"
@@ -201,7 +214,9 @@ class Newborn:
             if name not in _NUMBERS[self.law]:
                 if value is not None:
                     taken = " and ".join(_NUMBERS[self.law]) or "no number"
-                    raise InputError(f'{name} = {value!r}: not allowed with law = "{self.law}", which takes {taken}')
+                    raise InputError(
+                        f'{name} = {value!r}: not allowed with law = "{self.law}", which takes {taken}'
+                    )
             elif value is None:
                 raise InputError(f'{name}: is required with law = "{self.law}"')
             elif name == "std" or self.law == "exponential":
@@ -215,7 +230,9 @@ class Newborn:
                 raise InputError(f'law = "{self.law}": reaches beyond any threshold; of = "threshold" takes "delta" or '
                                  '"uniform"')  # fmt: skip
             if self.stretch is not None and not -1.0 < self.stretch < 1.0:
-                raise InputError(f'stretch = {self.stretch!r}: must be > -1 and < 1 with of = "threshold"')
+                raise InputError(
+                    f'stretch = {self.stretch!r}: must be > -1 and < 1 with of = "threshold"'
+                )
             for name in ("low", "high"):
                 if self.law == "uniform":
                     require_number(name, getattr(self, name), least=-1.0, most=1.0)
@@ -223,23 +240,30 @@ class Newborn:
     @property
     def active(self) -> bool:
         """Whether any contact is born stretched."""
-        return self.law != "unstressed" and not (self.law == "delta" and self.stretch == 0.0)
+        return self.law != "unstressed" and not (
+            self.law == "delta" and self.stretch == 0.0
+        )
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """The name of random streams: texts and numbers as they were given, lengths to be divided by a unit."""
+        """The name of random streams: texts and numbers as they were given, lengths to
+        be divided by a unit."""
         return self.law, self.of, *(getattr(self, name) for name in _NUMBERS[self.law])
 
     def reduced(self, unit: float) -> Any:
-        """The law of births that are `active`, one of `LAWS`, lengths in units of `unit`."""
+        """The law of births that are `active`, one of `LAWS`, lengths in units of
+        `unit`."""
         scale = 1.0 if self.of == "threshold" else unit
-        numbers: list[Any] = [getattr(self, name) / scale for name in _NUMBERS[self.law]]
+        numbers: list[Any] = [
+            getattr(self, name) / scale for name in _NUMBERS[self.law]
+        ]
         if self.law == "normal":
             numbers.append(_deviates())
         return LAWS[self.law](*numbers)
 
     def check(self, thresholds: ThresholdLaw, disorder: str, ages: bool) -> None:
-        """Raise InputError if contacts are born beyond the thresholds there are, or age."""
+        """Raise InputError if contacts are born beyond the thresholds there are, or
+        age."""
         if not self.active:
             return
         if ages:
@@ -250,8 +274,14 @@ class Newborn:
             return
         law, unit = self.reduced(thresholds.scale), thresholds.scale
         top = _greatest(thresholds)
-        below = 1.0 - law.sf(-top) if disorder == "quenched" or thresholds.steps.size == 1 else 0.0
-        if law.sf(top) + below > _LOST or (law.range[1] >= top and law.range[0] == law.range[1]):
+        below = (
+            1.0 - law.sf(-top)
+            if disorder == "quenched" or thresholds.steps.size == 1
+            else 0.0
+        )
+        if law.sf(top) + below > _LOST or (
+            law.range[1] >= top and law.range[0] == law.range[1]
+        ):
             at = max(abs(part) for part in law.range) * unit
             raise InputError(
                 f'law = "{self.law}": contacts are born with stretches up to {at:.3g}, but no threshold is above '
@@ -262,10 +292,14 @@ class Newborn:
 def _greatest(thresholds: ThresholdLaw) -> float:
     """The greatest threshold that counts, in units of the scale."""
     steps = thresholds.steps
-    return float(steps[-1] if steps.size else thresholds.inverse_survival(_RAREST)) / thresholds.scale
+    return (
+        float(steps[-1] if steps.size else thresholds.inverse_survival(_RAREST))
+        / thresholds.scale
+    )
 
 
-# --------------------------------------------------------------------------------------------------------- kernels
+# ---------------------------------------------------------------------------------------------------------
+# kernels
 
 
 class Unstressed(NamedTuple):
@@ -279,10 +313,11 @@ class Unstressed(NamedTuple):
 
 
 class Stretched(NamedTuple):
-    """For kernels: a law of births; whether it is one of fractions of the threshold; whether a threshold has to be
-    above |y|, or above y only; the stretch that births beyond it, as good as none, count as; -ln J_c(|y|) against |y|,
-    an empty table where that is sought in the thresholds' own; and the direction of motion, in which stretches of
-    contacts count that are followed along a segment."""
+    """For kernels: a law of births; whether it is one of fractions of the threshold;
+    whether a threshold has to be above |y|, or above y only; the stretch that births
+    beyond it, as good as none, count as; -ln J_c(|y|) against |y|, an empty table where
+    that is sought in the thresholds' own; and the direction of motion, in which
+    stretches of contacts count that are followed along a segment."""
 
     law: Any
     of_threshold: bool
@@ -296,7 +331,9 @@ class Stretched(NamedTuple):
         low, high = self.law.range
         if self.of_threshold:
             return xi * max(abs(low), abs(high))
-        return max(min(high, self.most), min(-low, self.most) if self.two_sided else -low)
+        return max(
+            min(high, self.most), min(-low, self.most) if self.two_sided else -low
+        )
 
 
 def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> Stretched:
@@ -307,10 +344,13 @@ def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> St
     if isinstance(thresholds, Gamma):
         ranks = _ranks(thresholds.n)
     top = _greatest(thresholds)
-    return Stretched(law, False, two_sided, top if not thresholds.steps.size else math.inf, ranks)
+    return Stretched(
+        law, False, two_sided, top if not thresholds.steps.size else math.inf, ranks
+    )
 
 
-# It takes 0.6 ms, and sweeps and replicas ask for it again; 32 tables of 100 kB are 3 MB.
+# It takes 0.6 ms, and sweeps and replicas ask for it again; 32 tables of 100 kB are 3
+# MB.
 @functools.lru_cache(maxsize=32)
 def _ranks(n: float) -> Array:
     """-ln J_c of a gamma law against the stretch."""
@@ -365,14 +405,18 @@ def _born_stretched(law: Stretched) -> bool:
 
 
 @by_law
-def newborn_draw(born: Any, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
-    """Threshold and stretch of a newborn contact from uniforms u (the share of possible thresholds that are greater)
-    and v (its birth)."""
+def newborn_draw(
+    born: Any, thresholds: Thresholds, u: float, v: float
+) -> tuple[float, float]:
+    """Threshold and stretch of a newborn contact from uniforms u (the share of possible
+    thresholds that are greater) and v (its birth)."""
     return threshold_draw(thresholds, u), 0.0
 
 
 @newborn_draw.register(Stretched)
-def _draw(born: Stretched, thresholds: Thresholds, u: float, v: float) -> tuple[float, float]:
+def _draw(
+    born: Stretched, thresholds: Thresholds, u: float, v: float
+) -> tuple[float, float]:
     y = birth_draw(born.law, v)
     if born.of_threshold:
         xi = threshold_draw(thresholds, u)
@@ -387,7 +431,9 @@ def _draw(born: Stretched, thresholds: Thresholds, u: float, v: float) -> tuple[
 
 
 @routine
-def threshold_above(thresholds: Thresholds, ranks: Array, bound: float, u: float) -> float:
+def threshold_above(
+    thresholds: Thresholds, ranks: Array, bound: float, u: float
+) -> float:
     """A threshold given that it is above `bound`."""
     steps = thresholds.steps
     if steps.size > 0:

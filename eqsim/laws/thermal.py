@@ -17,7 +17,8 @@ class Thermal:
     attempt_frequency : float
         omega (1/time).
     barrier : str
-        One of `eqsim.laws.barrier.BARRIERS`: "soft" (behind temper11) or "stiff" (behind temper12).
+        One of `eqsim.laws.barrier.BARRIERS`: "soft" (behind temper11) or "stiff"
+        (behind temper12).
 
     Raises
     ------

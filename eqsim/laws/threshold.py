@@ -1,8 +1,11 @@
-"""Threshold stretches xi of newborn contacts: P_c(xi), its moments, and how a kernel draws from it.
+"""Threshold stretches xi of newborn contacts: P_c(xi), its moments, and how a kernel
+draws from it.
 
-A smooth law is drawn as xi(e), e ~ Exp(1): the threshold that a fraction exp(-e) of the contacts exceeds, that is
-J_c(xi) = exp(-e) (PcP of Braun and Peyrard, 2011). In this variable rare strong contacts are resolved to 1e-19 of all
-births and weak ones to 1e-16, and one table serves every law. A law of finitely many thresholds is drawn by its rank.
+A smooth law is drawn as xi(e), e ~ Exp(1): the threshold that a fraction exp(-e) of the
+contacts exceeds, that is J_c(xi) = exp(-e) (PcP of Braun and Peyrard, 2011). In this
+variable rare strong contacts are resolved to 1e-19 of all births and weak ones to
+1e-16, and one table serves every law. A law of finitely many thresholds is drawn by its
+rank.
 """
 
 import functools
@@ -27,10 +30,13 @@ LAST_OCTAVE = 9
 NO_STEPS: Array = np.empty(0)
 
 # moments over strong contacts, in e = -ln J_c(xi)
-RAREST = 500.0  # up to here a tail is integrated; beyond, it is continued as a power law
+# up to here a tail is integrated; beyond, it is continued as a power law
+RAREST = 500.0
 _TAIL_STEP = 25.0  # between the three thresholds that tell its power
 _PANEL = 4.0  # the longest panel of Gauss and Legendre: e^(p e/exponent - e) is smooth on this scale
-_FINEST_PANEL = 2.0**-40  # the shortest, next to the lower end of the integral, where integrands may have a kink
+_FINEST_PANEL = (
+    2.0**-40
+)  # the shortest, next to the lower end of the integral, where integrands may have a kink
 _LEAST_DECAY = 1e-9  # of a moment's tail per e, below which rounding cannot tell it from a divergent one
 _KNOWN_SHARE = 1e-6  # a J_c that is good to 1e-10 even if it is 1 less the distribution
 _ROUNDED = 1e-13  # relative, of sums and of logarithms of about 500
@@ -45,8 +51,9 @@ class ThresholdLaw(Protocol):
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """The name of random streams: a length that was given, then the law's name and numbers in units of it; nothing
-        that takes more than products and ratios to compute."""
+        """The name of random streams: a length that was given, then the law's name and
+        numbers in units of it; nothing that takes more than products and ratios to
+        compute."""
 
     @property
     def scale(self) -> float:
@@ -62,7 +69,8 @@ class ThresholdLaw(Protocol):
 
     @property
     def steps(self) -> Array:
-        """Ascending equally likely thresholds of a discrete law; empty for a smooth one."""
+        """Ascending equally likely thresholds of a discrete law; empty for a smooth
+        one."""
 
     @property
     def support(self) -> tuple[float, float]:
@@ -74,8 +82,8 @@ class ThresholdLaw(Protocol):
 
     @property
     def kinks(self) -> Array:
-        """Ascending thresholds > 0 where the density or its slope jumps or is infinite, with the ends of the support;
-        the different thresholds of a discrete law."""
+        """Ascending thresholds > 0 where the density or its slope jumps or is infinite,
+        with the ends of the support; the different thresholds of a discrete law."""
 
     def pdf(self, x: Any) -> Array:
         """P_c(x) of a smooth law."""
@@ -90,15 +98,16 @@ class ThresholdLaw(Protocol):
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
 
     def table(self) -> Array:
-        """`inverse_survival` in units of `scale` for `threshold_draw`; empty for a discrete law."""
+        """`inverse_survival` in units of `scale` for `threshold_draw`; empty for a
+        discrete law."""
 
 
 @dataclass(frozen=True)
 class Gamma:
     """Gamma law of threshold forces, f_s ~ f^n exp(-f/f_*) (eq:pcf).
 
-    Thresholds have the density P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2): xi^2/x_*^2 follows the gamma law of shape
-    n + 1.
+    Thresholds have the density P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2): xi^2/x_*^2
+    follows the gamma law of shape n + 1.
 
     Parameters
     ----------
@@ -156,15 +165,23 @@ class Gamma:
         """P_c(x) (PxPf2, normalised)."""
         u = np.asarray(x, float) / self.x_star
         inside = np.where(u > 0, u, 1.0)
-        log_pdf = (1 + 2 * self.n) * np.log(inside) - inside**2 - special.gammaln(self.n + 1.0)
+        log_pdf = (
+            (1 + 2 * self.n) * np.log(inside)
+            - inside**2
+            - special.gammaln(self.n + 1.0)
+        )
         return np.where(u > 0, 2.0 / self.x_star * np.exp(log_pdf), 0.0)
 
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
-        return np.asarray(special.gammainc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2))
+        return np.asarray(
+            special.gammainc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2)
+        )
 
     def sf(self, x: Any) -> Array:
-        return np.asarray(special.gammaincc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2))
+        return np.asarray(
+            special.gammaincc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2)
+        )
 
     def inverse_survival(self, e: Any) -> Array:
         e = np.asarray(e, float)
@@ -175,7 +192,9 @@ class Gamma:
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         u = self.inverse_survival(e) / self.x_star
-        slope = 0.5 * np.exp(u**2 - e + special.gammaln(self.n + 1.0) - (2 * self.n + 1) * np.log(u))  # J_c/P_c
+        slope = 0.5 * np.exp(
+            u**2 - e + special.gammaln(self.n + 1.0) - (2 * self.n + 1) * np.log(u)
+        )  # J_c/P_c
         return octave_table(FIRST_OCTAVE, u, slope)
 
 
@@ -251,7 +270,8 @@ class Delta(_Discrete):
 
 
 class Table(_Discrete):
-    """Measured or computed thresholds, resampled with equal weights as they are (the empirical law).
+    """Measured or computed thresholds, resampled with equal weights as they are (the
+    empirical law).
 
     Parameters
     ----------
@@ -261,7 +281,8 @@ class Table(_Discrete):
     Raises
     ------
     InputError
-        If there is none, one is not a number from 1e-100 to 1e100, or they span over 30 decades.
+        If there is none, one is not a number from 1e-100 to 1e100, or they span over 30
+        decades.
     """
 
     def __init__(self, thresholds: Any) -> None:
@@ -270,14 +291,18 @@ class Table(_Discrete):
         except (TypeError, ValueError):
             raise InputError("threshold table: every value must be a number") from None
         if steps.size == 0:
-            raise InputError("threshold table: is empty; at least one positive threshold is needed")
+            raise InputError(
+                "threshold table: is empty; at least one positive threshold is needed"
+            )
         bad = steps[~((steps >= 1e-100) & (steps <= 1e100))]
         if bad.size:
             raise InputError(
                 f"threshold table: holds {bad[0]:g}; every threshold must be a number from 1e-100 to 1e100"
             )
         if steps[-1] > 1e30 * steps[0]:
-            raise InputError(f"threshold table: spans {steps[0]:g} to {steps[-1]:g}; at most 30 decades")
+            raise InputError(
+                f"threshold table: spans {steps[0]:g} to {steps[-1]:g}; at most 30 decades"
+            )
         steps.flags.writeable = False
         self.steps = steps
 
@@ -286,7 +311,8 @@ class Table(_Discrete):
 
 
 class Smooth:
-    """Properties that laws with a density share: their draws come from a table of the quantile function."""
+    """Properties that laws with a density share: their draws come from a table of the
+    quantile function."""
 
     steps: Array = NO_STEPS
     breakpoints: Array = NO_STEPS
@@ -295,7 +321,8 @@ class Smooth:
 
     @property
     def kinks(self) -> Array:
-        """Those of a law whose density is smooth between the ends of its support and its breakpoints."""
+        """Those of a law whose density is smooth between the ends of its support and
+        its breakpoints."""
         ends = [end for end in self.support if 0.0 < end < math.inf]
         return np.union1d(self.breakpoints[self.breakpoints > 0.0], ends)
 
@@ -316,53 +343,76 @@ class Smooth:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         xi = self.inverse_survival(e)
         if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
-            raise InputError("threshold distribution: its ppf and isf must be finite, positive and monotone")
+            raise InputError(
+                "threshold distribution: its ppf and isf must be finite, positive and monotone"
+            )
         with np.errstate(all="ignore"):
             slope = self.sf(xi) / self.pdf(xi)
         secant = np.gradient(xi, e)
-        slope = np.where(np.isfinite(slope), slope, secant)  # where the density vanishes: support ends, gaps
+        slope = np.where(
+            np.isfinite(slope), slope, secant
+        )  # where the density vanishes: support ends, gaps
         return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
 
     @functools.cached_property
     def drawn_to(self) -> float:
-        """A bound on the relative error of averages over thresholds drawn from `table`, up to the work xi^3 of the sqrt
-        law: where the density jumps, a cell of the table is smooth and the law is not."""
+        """A bound on the relative error of averages over thresholds drawn from `table`,
+        up to the work xi^3 of the sqrt law: where the density jumps, a cell of the
+        table is smooth and the law is not."""
         first, third = self._drawn_to(1, 3, rarest=40.0)
         return first + third
 
     @functools.cached_property
     def squares_drawn_to(self) -> tuple[float, float]:
-        """The same of mean squares of forces, that is of xi^3 (uniform stiffness) and of xi^5 (the sqrt law), to which
-        thresholds contribute that are far rarer."""
+        """The same of mean squares of forces, that is of xi^3 (uniform stiffness) and
+        of xi^5 (the sqrt law), to which thresholds contribute that are far rarer."""
         third, fifth = self._drawn_to(3, 5, rarest=RAREST)
         return third, fifth
 
     def _drawn_to(self, *powers: int, rarest: float) -> list[float]:
-        """Mean absolute errors of powers of drawn thresholds, over the means of these powers, for e up to `rarest`."""
+        """Mean absolute errors of powers of drawn thresholds, over the means of these
+        powers, for e up to `rarest`."""
         edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
         matter = (edges[:-1] > 1e-6) & (edges[:-1] < rarest)
         e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
-        drawn, exact = self.table()[2:][matter] @ t ** np.arange(4)[:, None], self.inverse_survival(e) / self.scale
+        drawn, exact = (
+            self.table()[2:][matter] @ t ** np.arange(4)[:, None],
+            self.inverse_survival(e) / self.scale,
+        )
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
-        with np.errstate(all="ignore"):  # powers of extreme thresholds may overflow, of laws without such a mean
-            return [float(share @ np.abs(drawn**p - exact**p).sum(1) / (share @ (exact**p).sum(1))) for p in powers]
+        with np.errstate(
+            all="ignore"
+        ):  # powers of extreme thresholds may overflow, of laws without such a mean
+            return [
+                float(
+                    share
+                    @ np.abs(drawn**p - exact**p).sum(1)
+                    / (share @ (exact**p).sum(1))
+                )
+                for p in powers
+            ]
 
 
 _SAME = 1e-6  # of the scale, how far a kink may be that is another; nearer to an infinite end a density is rounded
 
 
-# Points between which the bins of a histogram are sought, in equal steps and in equal shares.
+# Points between which the bins of a histogram are sought, in equal steps and in equal
+# shares.
 _SEEN = 4097
 
 
 def _bins(histogram: Any) -> Array:
-    """Find where the density of an `rv_histogram` jumps, to the last bit, and the ends of its support.
+    """Find where the density of an `rv_histogram` jumps, to the last bit, and the ends
+    of its support.
 
-    SciPy does not tell its bins. They are found by bisection between points whose densities differ. Only bins that are
-    both narrower and less likely than 1/4096 may be hidden between two points of equal density.
+    SciPy does not tell its bins. They are found by bisection between points whose
+    densities differ. Only bins that are both narrower and less likely than 1/4096 may
+    be hidden between two points of equal density.
     """
     low, high = histogram.support()
-    x = np.append(np.linspace(low, high, _SEEN), histogram.ppf(np.linspace(0.0, 1.0, _SEEN)))
+    x = np.append(
+        np.linspace(low, high, _SEEN), histogram.ppf(np.linspace(0.0, 1.0, _SEEN))
+    )
     x = np.unique(np.append(x, np.nextafter(low, -np.inf)))
     left, right = x[:-1], x[1:]
     while True:
@@ -383,8 +433,9 @@ class Distribution(Smooth):
     frozen : scipy.stats frozen distribution
         With a finite mean cube (the work of a contact under the sqrt law).
     breakpoints : array_like, optional
-        Where its density jumps inside the support (those of an `rv_histogram` are found). Next to these draws are
-        interpolated, which the error bars of `steady` count, up to some 1e-3 across a gap.
+        Where its density jumps inside the support (those of an `rv_histogram` are
+        found). Next to these draws are interpolated, which the error bars of `steady`
+        count, up to some 1e-3 across a gap.
 
     Raises
     ------
@@ -393,33 +444,46 @@ class Distribution(Smooth):
     """
 
     def __init__(self, frozen: Any, breakpoints: Any = None) -> None:
-        from scipy import stats  # takes long to import, but who has a distribution has imported it
+        from scipy import (
+            stats,
+        )  # takes long to import, but who has a distribution has imported it
 
         try:
             least, scalar = frozen.ppf(0.0), np.ndim(frozen.pdf(1.0)) == 0
         except (AttributeError, TypeError):
             scalar = False
         if not scalar:
-            raise InputError(f"threshold distribution = {frozen!r}: must be a frozen continuous scipy.stats one")
+            raise InputError(
+                f"threshold distribution = {frozen!r}: must be a frozen continuous scipy.stats one"
+            )
         self.frozen = frozen
         if not least >= 0.0:
-            raise InputError(f"threshold distribution: its support begins at {least:g}; must be >= 0")
+            raise InputError(
+                f"threshold distribution: its support begins at {least:g}; must be >= 0"
+            )
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a divergent integral is refused in our words
+            warnings.simplefilter(
+                "ignore"
+            )  # a divergent integral is refused in our words
             third = float(frozen.moment(3))
             second, self.mean = float(frozen.moment(2)), float(frozen.mean())
         low, high = frozen.support()
         self.support, self.scale = (float(low), float(high)), 1.0
-        if self._third_diverges():  # formulas and quadratures of SciPy may give a finite number then
+        if (
+            self._third_diverges()
+        ):  # formulas and quadratures of SciPy may give a finite number then
             third = math.inf
         require_number("threshold distribution: <xi^3>", third, above=0)
         self.scale, self.rms = self.mean, math.sqrt(second)
         if breakpoints is None:
-            breakpoints = _bins(frozen) if isinstance(frozen, stats.rv_histogram) else NO_STEPS
+            breakpoints = (
+                _bins(frozen) if isinstance(frozen, stats.rv_histogram) else NO_STEPS
+            )
         self.breakpoints = np.asarray(breakpoints, float)
 
     def _third_diverges(self) -> bool:
-        """True if <xi^3> diverges, as far as SciPy knows the tail: an isf that fails is refused where it is needed."""
+        """True if <xi^3> diverges, as far as SciPy knows the tail: an isf that fails is
+        refused where it is needed."""
         try:
             return diverges(self, 3)
         except InputError:
@@ -434,9 +498,22 @@ class Distribution(Smooth):
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        given = [*getattr(self.frozen, "args", ()), *sorted(getattr(self.frozen, "kwds", {}).items())]
-        flat = [part for item in given for part in (item if isinstance(item, tuple) else (item,))]
-        return 1.0, self._name, *flat, self.breakpoints, self.cdf(self.breakpoints)  # a histogram's are all it has
+        given = [
+            *getattr(self.frozen, "args", ()),
+            *sorted(getattr(self.frozen, "kwds", {}).items()),
+        ]
+        flat = [
+            part
+            for item in given
+            for part in (item if isinstance(item, tuple) else (item,))
+        ]
+        return (
+            1.0,
+            self._name,
+            *flat,
+            self.breakpoints,
+            self.cdf(self.breakpoints),
+        )  # a histogram's are all it has
 
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
@@ -451,8 +528,11 @@ class Distribution(Smooth):
 
     @functools.cached_property
     def kinks(self) -> Array:
-        """Kinks as in `ThresholdLaw`: SciPy does not tell those inside, which are sought in the density."""
-        share = np.concatenate((10.0 ** np.arange(-9.0, -2.5, 0.25), np.arange(0.005, 0.5, 0.005)))
+        """Kinks as in `ThresholdLaw`: SciPy does not tell those inside, which are
+        sought in the density."""
+        share = np.concatenate(
+            (10.0 ** np.arange(-9.0, -2.5, 0.25), np.arange(0.005, 0.5, 0.005))
+        )
         e = np.concatenate((-np.log1p(-share), [math.log(2.0)], -np.log(share[::-1])))
         x = np.unique(self.inverse_survival(e))
         between = x[:-1] + np.multiply.outer(np.arange(3) / 3.0, np.diff(x))
@@ -462,12 +542,18 @@ class Distribution(Smooth):
         return np.union1d(super().kinks, inside[new])
 
     def inverse_survival(self, e: Any) -> Array:
-        """The quantile function of `ThresholdLaw`. Raises InputError where SciPy's isf fails far out in the tail: where
-        it is not finite, or beyond all that the density and the survival function know."""
+        """The quantile function of `ThresholdLaw`. Raises InputError where SciPy's isf
+        fails far out in the tail: where it is not finite, or beyond all that the
+        density and the survival function know."""
         e = np.asarray(e, float)
         with np.errstate(all="ignore"):
-            xi = np.where(e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e)))
-            lost = ~np.isfinite(xi) | ((xi < self.support[1]) & (self.frozen.pdf(xi) + self.frozen.sf(xi) == 0.0))
+            xi = np.where(
+                e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e))
+            )
+            lost = ~np.isfinite(xi) | (
+                (xi < self.support[1])
+                & (self.frozen.pdf(xi) + self.frozen.sf(xi) == 0.0)
+            )
         if np.any(lost):
             share = math.exp(-np.min(e[lost]))
             raise InputError(
@@ -478,11 +564,14 @@ class Distribution(Smooth):
 
 
 def tail_exponent(law: ThresholdLaw) -> float:
-    """Exponent a of the power law J_c ~ x^-a that a law follows where it is 1e-206 to 1e-217: E[xi^p] is finite for
-    p < a only. Infinite for thresholds that are bounded, large (above 15) for named laws but `Pareto`."""
+    """Exponent a of the power law J_c ~ x^-a that a law follows where it is 1e-206 to
+    1e-217: E[xi^p] is finite for p < a only. Infinite for thresholds that are bounded,
+    large (above 15) for named laws but `Pareto`."""
     if law.steps.size or law.support[1] < math.inf:
         return math.inf
-    nearer, further = np.log(law.inverse_survival(np.array([RAREST - _TAIL_STEP, RAREST])) / law.scale)
+    nearer, further = np.log(
+        law.inverse_survival(np.array([RAREST - _TAIL_STEP, RAREST])) / law.scale
+    )
     return float(_TAIL_STEP / (further - nearer)) if further > nearer else math.inf
 
 
@@ -492,8 +581,9 @@ def diverges(law: ThresholdLaw, power: int) -> bool:
 
 
 def rank_above(law: ThresholdLaw, x: float) -> float:
-    """-ln J_c(x) of a smooth law, x in units of the scale; from the quantiles where SciPy's survival functions, which
-    may be 1 less the distribution, are rounded to 0."""
+    """-ln J_c(x) of a smooth law, x in units of the scale; from the quantiles where
+    SciPy's survival functions, which may be 1 less the distribution, are rounded to 0.
+    """
     share = float(law.sf(x * law.scale))
     if share > _KNOWN_SHARE:
         return -math.log(share)
@@ -507,28 +597,40 @@ def rank_above(law: ThresholdLaw, x: float) -> float:
     return low
 
 
-def means_above(law: ThresholdLaw, x: float, log_values: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Means E[value(xi); xi > x] of a smooth law and bounds of their errors, shape (values,), x and xi in units of the
-    scale; `log_values` gives logarithms of shape (values, n) of thresholds (n,). Infinite if one diverges.
+def means_above(
+    law: ThresholdLaw, x: float, log_values: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    """Means E[value(xi); xi > x] of a smooth law and bounds of their errors, shape
+    (values,), x and xi in units of the scale; `log_values` gives logarithms of shape
+    (values, n) of thresholds (n,). Infinite if one diverges.
 
-    In e = -ln J_c(xi) they are integrals of value exp(-e). Panels reach e = 500, and beyond the integrands fall as
-    exp(-e decay), decay = 1 - power/exponent if the value is a power of xi and the tail one of x. How the decay
-    changes from e = 450 to 500 says how far this continuation may be off.
+    In e = -ln J_c(xi) they are integrals of value exp(-e). Panels reach e = 500, and
+    beyond the integrands fall as exp(-e decay), decay = 1 - power/exponent if the value
+    is a power of xi and the tail one of x. How the decay changes from e = 450 to 500
+    says how far this continuation may be off.
     """
     first = rank_above(law, x)
     with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
         kinks = -np.log(law.sf(law.breakpoints))
 
     def log_terms(e: Array) -> Array:
-        return np.asarray(log_values(np.asarray(law.inverse_survival(e)) / law.scale) - e)
+        return np.asarray(
+            log_values(np.asarray(law.inverse_survival(e)) / law.scale) - e
+        )
 
     end = max(RAREST, first + _PANEL)
     growing = np.exp2(np.arange(math.log2(_FINEST_PANEL), math.log2(_PANEL) + 1.0))
-    edges = np.concatenate((first + growing, np.arange(first + 2.0 * _PANEL, end, _PANEL), kinks))
-    edges = np.unique(np.concatenate(([first, end], edges[(edges > first) & (edges < end)])))
+    edges = np.concatenate(
+        (first + growing, np.arange(first + 2.0 * _PANEL, end, _PANEL), kinks)
+    )
+    edges = np.unique(
+        np.concatenate(([first, end], edges[(edges > first) & (edges < end)]))
+    )
     half = 0.5 * np.diff(edges)
     nodes = edges[:-1, None] + half[:, None] * (1.0 + _TAIL_NODES)
-    with np.errstate(all="ignore"):  # a value may vanish at x, or overflow where its mean diverges
+    with np.errstate(
+        all="ignore"
+    ):  # a value may vanish at x, or overflow where its mean diverges
         terms = np.exp(log_terms(nodes.ravel())).reshape(-1, *nodes.shape)
         total = np.asarray(terms @ _TAIL_WEIGHTS @ half)
         error = _ROUNDED * total
@@ -537,30 +639,57 @@ def means_above(law: ThresholdLaw, x: float, log_values: Callable[[Array], Array
         steps = log_terms(end - _TAIL_STEP * np.array([2.0, 1.0, 0.0]))
         before, decay = -np.diff(steps).T / _TAIL_STEP
         rest = np.exp(steps[:, 2]) / decay
-        # a decay d(e) changes the rest by its derivative over d^2; logarithms of about 500 are rounded by 1e-13
-        error += rest * (np.abs(decay - before) / _TAIL_STEP / decay**2 + _ROUNDED / decay)
+        # a decay d(e) changes the rest by its derivative over d^2; logarithms of about
+        # 500 are rounded by 1e-13
+        error += rest * (
+            np.abs(decay - before) / _TAIL_STEP / decay**2 + _ROUNDED / decay
+        )
     negligible, lost = steps[:, 2] == -math.inf, ~(decay > _LEAST_DECAY)
     total = np.where(negligible, total, np.where(lost, math.inf, total + rest))
-    return total, np.where(negligible, _ROUNDED * total, np.where(lost, math.inf, error))
+    return total, np.where(
+        negligible, _ROUNDED * total, np.where(lost, math.inf, error)
+    )
 
 
 _SHARES = np.array(
-    [1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0]
+    [
+        1e-6,
+        1e-4,
+        2e-3,
+        0.01,
+        0.05,
+        0.15,
+        0.4,
+        0.8,
+        1.5,
+        2.5,
+        4.0,
+        6.0,
+        9.0,
+        13.0,
+        18.0,
+        25.0,
+        35.0,
+        50.0,
+    ]
 )
 
 
-# Where panels end next to an infinite density at an end of the support: distances from it over that of the median, or
-# of the panels' own beginning.
+# Where panels end next to an infinite density at an end of the support: distances from
+# it over that of the median, or of the panels' own beginning.
 _TOWARDS_INFINITE = 0.25 ** np.arange(1.0, 16.0)
 
 
 def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Array:
-    """Edges of panels, shape (n, panels + 1), from x (n,) to where no threshold of a smooth law is left: on the scale
-    of the law itself, and of a boundary layer above x whose edges `layer`, shape (n, any), are merged in. Lengths in
-    units of `law.scale`."""
+    """Edges of panels, shape (n, panels + 1), from x (n,) to where no threshold of a
+    smooth law is left: on the scale of the law itself, and of a boundary layer above x
+    whose edges `layer`, shape (n, any), are merged in. Lengths in units of `law.scale`.
+    """
     low, high = (edge / law.scale for edge in law.support)
     left = np.maximum(x, low)[:, None]
-    e = np.exp(np.linspace(-36.0, math.log(100.0), 400))  # only panels depend on this table
+    e = np.exp(
+        np.linspace(-36.0, math.log(100.0), 400)
+    )  # only panels depend on this table
     xi = np.asarray(law.inverse_survival(e)) / law.scale
     rank = np.interp(left, xi, e)
     edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
@@ -570,14 +699,23 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
         if math.isfinite(high) and np.isinf(law.pdf(law.support[1])):
             inside.append(high - (high - left) * _TOWARDS_INFINITE)
         if np.isinf(law.pdf(law.support[0])):
-            inside.append(low + (np.interp(math.log(2.0), e, xi) - low) * _TOWARDS_INFINITE + np.zeros_like(left))
-    edges = np.sort(np.concatenate((edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1))
+            inside.append(
+                low
+                + (np.interp(math.log(2.0), e, xi) - low) * _TOWARDS_INFINITE
+                + np.zeros_like(left)
+            )
+    edges = np.sort(
+        np.concatenate(
+            (edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1
+        )
+    )
     return np.concatenate((left, edges), axis=1)
 
 
 class Thresholds(NamedTuple):
-    """A law of thresholds for kernels, lengths in units of its scale: a quantile `table`, or equally likely `steps`, or
-    if `exponentials` is 1 or 2 xi^2/x_*^2 is the sum of so many exponential variables (gamma with n = 0 or 1)."""
+    """A law of thresholds for kernels, lengths in units of its scale: a quantile
+    `table`, or equally likely `steps`, or if `exponentials` is 1 or 2 xi^2/x_*^2 is the
+    sum of so many exponential variables (gamma with n = 0 or 1)."""
 
     table: Array
     steps: Array
@@ -588,14 +726,16 @@ class Thresholds(NamedTuple):
 @functools.lru_cache(maxsize=32)
 def for_kernels(law: ThresholdLaw) -> Thresholds:
     """The law for kernels, remembered: sweeps over velocity and temperature share it."""
-    exponentials = int(law.n) + 1 if isinstance(law, Gamma) and law.n in (0.0, 1.0) else 0
+    exponentials = (
+        int(law.n) + 1 if isinstance(law, Gamma) and law.n in (0.0, 1.0) else 0
+    )
     return Thresholds(law.table(), law.steps / law.scale, exponentials)
 
 
 @routine(inline=True)
 def exponential_threshold(p: float) -> float:
-    """xi/x_* of a gamma law with n = 0 or 1 from the product of n + 1 uniforms, without a table: -ln p is the sum of as
-    many exponential variables."""
+    """xi/x_* of a gamma law with n = 0 or 1 from the product of n + 1 uniforms, without
+    a table: -ln p is the sum of as many exponential variables."""
     return math.sqrt(-log(p))
 
 

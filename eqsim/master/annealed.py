@@ -1,15 +1,18 @@
-"""Annealed contacts: the published master equation (Braun and Peyrard, 2011), stationary.
+"""Annealed contacts: the published master equation (Braun and Peyrard, 2011),
+stationary.
 
-With J_c(x) = P(xi > x), U = -ln J_c and Delta U(x) = (omega/v) G(x), G the integral of the pooled rate h (temper11,
-temper12 are H = (omega/v) h), the stationary density of stretches is Q(x) = E_P(x)/C with E_P = J_c exp(-Delta U)
-(Q11a, nt13) and
+With J_c(x) = P(xi > x), U = -ln J_c and Delta U(x) = (omega/v) G(x), G the integral of
+the pooled rate h (temper11, temper12 are H = (omega/v) h), the stationary density of
+stretches is Q(x) = E_P(x)/C with E_P = J_c exp(-Delta U) (Q11a, nt13) and
 
     C = int_0^inf E_P dx,        friction * C = int_0^inf x exp(-Delta U) E[k_i/k; xi > x] dx        (no delay),
 
-where k_i = k gives nt13 and the sqrt law, beyond the paper, uses the threshold drawn at birth (derived).
+where k_i = k gives nt13 and the sqrt law, beyond the paper, uses the threshold drawn at
+birth (derived).
 
-Panels in x end where the density of thresholds jumps, and are split towards their ends until the highest Chebyshev
-coefficients of the hazard, times the life that is left, and of the integrands are negligible.
+Panels in x end where the density of thresholds jumps, and are split towards their ends
+until the highest Chebyshev coefficients of the hazard, times the life that is left, and
+of the integrands are negligible.
 """
 
 import functools
@@ -21,7 +24,14 @@ import numpy as np
 from eqsim.errors import InputError
 from eqsim.laws.aging import PooledThresholds
 from eqsim.laws.threshold import Gamma, ThresholdLaw, means_above, panels_above
-from eqsim.master.quenched import Moments, beyond, different_steps, kappa_of, panels_between_steps, weakest
+from eqsim.master.quenched import (
+    Moments,
+    beyond,
+    different_steps,
+    kappa_of,
+    panels_between_steps,
+    weakest,
+)
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
 from eqsim.numerics.tables import Array
@@ -66,8 +76,8 @@ _rule = functools.lru_cache(maxsize=4)(np.polynomial.legendre.leggauss)
 
 
 def stationary(contacts: Reduced) -> Moments:
-    """Moments of the lives of annealed contacts at kT > 0. Raises InputError for a discrete law of more than 1000
-    thresholds."""
+    """Moments of the lives of annealed contacts at kT > 0. Raises InputError for a
+    discrete law of more than 1000 thresholds."""
     if contacts.law.steps.size:
         return _of_steps(contacts)
     p, (parts, errors) = refined(
@@ -77,10 +87,14 @@ def stationary(contacts: Reduced) -> Moments:
         pieces=_PIECES,
         most=_MOST_PANELS,
     )
-    # the rate's own error, from a finer rule in the middle of panels; eightfold, as that may not be the worst place
+    # the rate's own error, from a finer rule in the middle of panels; eightfold, as
+    # that may not be the worst place
     alive, onward = _alive(p), _onward(parts)
     seen = alive > _DEAD
-    better = hazard_rate(contacts, 0.5 * (p.left + p.right)[seen], _ORDER + 4) * (p.right - p.left)[seen]
+    better = (
+        hazard_rate(contacts, 0.5 * (p.left + p.right)[seen], _ORDER + 4)
+        * (p.right - p.left)[seen]
+    )
     missed = np.abs(2.0 * _Integrals(*p.values).middle[seen] - better)
     errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
     total, rarest = parts.sum(axis=1), alive[-1] * beyond(contacts)
@@ -91,10 +105,12 @@ def stationary(contacts: Reduced) -> Moments:
 class _Integrals(NamedTuple):
     """Integrals over panels of 0 < x < inf, each array of shape (panels,).
 
-    Delta U gained inside; with exp(-Delta U) = 1 at the left end, the integrals of E_P and of
-    x exp(-Delta U) E[kappa; xi > x], but for thresholds beyond the panel, for which the latter is `carried`, the
-    integral of x exp(-Delta U), times the sum of `heavier` = int J_c dx/xi_rms of later panels (0 if stiffness is
-    uniform); the highest Chebyshev coefficients of each integrand; and the rate in the middle times half the width.
+    Delta U gained inside; with exp(-Delta U) = 1 at the left end, the integrals of E_P
+    and of x exp(-Delta U) E[kappa; xi > x], but for thresholds beyond the panel, for
+    which the latter is `carried`, the integral of x exp(-Delta U), times the sum of
+    `heavier` = int J_c dx/xi_rms of later panels (0 if stiffness is uniform); the
+    highest Chebyshev coefficients of each integrand; and the rate in the middle times
+    half the width.
     """
 
     hazard: Array
@@ -122,7 +138,9 @@ def _integrals(contacts: Reduced, left: Array, right: Array) -> Array:
     if contacts.stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
         heavier = half * J / contacts.rms
         inside = heavier @ ClenshawCurtis.weights
-        stiff = x * J / contacts.rms + np.maximum(inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0)
+        stiff = x * J / contacts.rms + np.maximum(
+            inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0
+        )
     integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
     values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
     tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
@@ -140,14 +158,18 @@ def _onward(parts: Array) -> Array:
 
 
 def _judged(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-    """Which panels are too rough; what each adds to C and work, and to their errors, both of shape (2, panels)."""
+    """Which panels are too rough; what each adds to C and work, and to their errors,
+    both of shape (2, panels)."""
     of, alive = _Integrals(*panels.values), _alive(panels)
     heavier = np.append(of.heavier[:0:-1].cumsum()[::-1], 0.0)
     carried = alive * of.carried
     parts = np.array([alive * of.stretch, alive * of.work + heavier * carried])
     errors = of.hazard_tail * _onward(parts)
     errors[0] += alive * of.stretch_tail
-    errors[1] += alive * (of.work_tail + heavier * of.carried_tail) + of.heavier_tail * carried.cumsum()
+    errors[1] += (
+        alive * (of.work_tail + heavier * of.carried_tail)
+        + of.heavier_tail * carried.cumsum()
+    )
     rough = (errors > _RESOLVED * parts.sum(axis=1)[:, None]).any(axis=0) & (
         panels.right - panels.left > _STEP * panels.right
     )
@@ -155,7 +177,8 @@ def _judged(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
 
 
 def _first_edges(contacts: Reduced) -> Array:
-    """Ends of the first panels: from lives of newborn contacts to where no threshold is left."""
+    """Ends of the first panels: from lives of newborn contacts to where no threshold is
+    left."""
     law = contacts.law
     marks = np.append(law.inverse_survival(_LAW), law.breakpoints) / law.scale
     marks = marks[(marks > 0) & np.isfinite(marks)]
@@ -169,17 +192,26 @@ def _first_edges(contacts: Reduced) -> Array:
 
 
 def hazard_rate(contacts: Reduced, y: Array, order: int = _ORDER) -> Array:
-    """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled` (temper11, temper12), to about 1e-13 for gamma
-    laws and 1e-10 for most others.
+    """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled` (temper11,
+    temper12), to about 1e-13 for gamma laws and 1e-10 for most others.
 
-    In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds, and with panels next to the
-    ends of the support besides those next to y.
+    In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds,
+    and with panels next to the ends of the support besides those next to y.
     """
-    law, barrier, b, rms = contacts.law, contacts.barrier, contacts.barrier.b, contacts.rms
+    law, barrier, b, rms = (
+        contacts.law,
+        contacts.barrier,
+        contacts.barrier.b,
+        contacts.rms,
+    )
     least, greatest = law.support[0] / law.scale, law.support[1] / law.scale
     upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
     ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
-    far = np.cbrt(_EXPONENTS * rms / b) if contacts.stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)  # if y = 0
+    far = (
+        np.cbrt(_EXPONENTS * rms / b)
+        if contacts.stiffness == "sqrt"
+        else np.sqrt(_EXPONENTS / b)
+    )  # if y = 0
     nodes, weights = _rule(order)
     found = np.empty(y.size)
 
@@ -192,35 +224,62 @@ def hazard_rate(contacts: Reduced, y: Array, order: int = _ORDER) -> Array:
         at = y[start : start + _AT_ONCE, None]
         origin = np.maximum(at, least)
         with np.errstate(divide="ignore", over="ignore"):
-            near = barrier.width(_EXPONENTS, origin, np.maximum(b * kappa_of(contacts, origin), 1e-300))
-        layer = np.concatenate((origin + np.minimum(near, far), np.broadcast_to(ends, (at.size, ends.size))), axis=1)
+            near = barrier.width(
+                _EXPONENTS, origin, np.maximum(b * kappa_of(contacts, origin), 1e-300)
+            )
+        layer = np.concatenate(
+            (
+                origin + np.minimum(near, far),
+                np.broadcast_to(ends, (at.size, ends.size)),
+            ),
+            axis=1,
+        )
         edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
         with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
-            unseen = barrier.log_w - barrier.exponent(*contact(at, edges[:, :-1])) <= _UNSEEN
+            unseen = (
+                barrier.log_w - barrier.exponent(*contact(at, edges[:, :-1])) <= _UNSEEN
+            )
         row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
         half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
         root = edges[row, column, None] + half * (1.0 + nodes)
         inner = contact(at[row], root)
         density = law.pdf(inner[2] * law.scale) * law.scale
-        terms = half * weights * 2.0 * root * density * np.exp(barrier.log_w + barrier.log_attempt(*inner))
-        terms[~np.isfinite(terms)] = 0.0  # a density that diverges at an end of the support
+        terms = (
+            half
+            * weights
+            * 2.0
+            * root
+            * density
+            * np.exp(barrier.log_w + barrier.log_attempt(*inner))
+        )
+        terms[~np.isfinite(terms)] = (
+            0.0  # a density that diverges at an end of the support
+        )
         found[start : start + at.size] = np.bincount(row, terms.sum(axis=1), at.size)
     return found
 
 
 def survivors(contacts: Reduced, x: Array) -> Array:
-    """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x > 0, shape (3, n).
+    """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x >
+    0, shape (3, n).
 
-    For a smooth law x has to begin near 0 and to rise by small factors, up to where nothing survives.
+    For a smooth law x has to begin near 0 and to rise by small factors, up to where
+    nothing survives.
     """
     law = contacts.law
     if law.steps.size:
         xi, share, kappa = _few_steps(contacts)
         with np.errstate(divide="ignore"):
-            log_dU = np.log(_pooled_hazard(contacts, xi, share, kappa, x)) + contacts.barrier.log_w
+            log_dU = (
+                np.log(_pooled_hazard(contacts, xi, share, kappa, x))
+                + contacts.barrier.log_w
+            )
         dU = np.exp(np.minimum(log_dU, 7.0))
         above = np.searchsorted(xi, x, side="right")
-        means = [np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above] for power in range(3)]
+        means = [
+            np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above]
+            for power in range(3)
+        ]
         return np.exp(-dU) * np.array(means)
     log_x = np.log(x)
     half = 0.5 * np.diff(log_x)[:, None]
@@ -228,17 +287,27 @@ def survivors(contacts: Reduced, x: Array) -> Array:
     weights = half * _WEIGHTS * inner
     at = np.append(x[0], inner)
 
-    def log_rate(y: Array) -> Array:  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
+    def log_rate(
+        y: Array,
+    ) -> (
+        Array
+    ):  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
         return np.log1p(y * hazard_rate(contacts, y))
 
     rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
-    dU = x[0] * rate[0] + np.append(0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1)))
+    dU = x[0] * rate[0] + np.append(
+        0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1))
+    )
     J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
     means = [J, J, J]
-    if contacts.stiffness == "sqrt":  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
+    if (
+        contacts.stiffness == "sqrt"
+    ):  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
         for p in (1, 2):
             cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
-            beyond_x = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(law, float(x[-1]), p)
+            beyond_x = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(
+                law, float(x[-1]), p
+            )
             means[p] = (x**p * J + beyond_x) / contacts.rms**p
     return np.exp(-dU) * np.array(means)
 
@@ -250,7 +319,10 @@ def _above(law: ThresholdLaw, x: float, power: int) -> float:
 
     def log_values(xi: Array) -> Array:
         with np.errstate(divide="ignore"):
-            return power * math.log(x) + np.log(np.expm1(power * np.log(np.maximum(xi / x, 1.0))))[None]
+            return (
+                power * math.log(x)
+                + np.log(np.expm1(power * np.log(np.maximum(xi / x, 1.0))))[None]
+            )
 
     return float(means_above(law, x, log_values)[0][0])
 
@@ -260,11 +332,15 @@ def _few_steps(contacts: Reduced) -> tuple[Array, Array, Array]:
     found = different_steps(contacts)
     if found[0].size > _MOST_STEPS:
         count = found[0].size
-        raise InputError(f"thresholds: {count} different values; the annealed reference takes at most {_MOST_STEPS}")
+        raise InputError(
+            f"thresholds: {count} different values; the annealed reference takes at most {_MOST_STEPS}"
+        )
     return found
 
 
-def _pooled_hazard(contacts: Reduced, xi: Array, share: Array, kappa: Array, x: Array) -> Array:
+def _pooled_hazard(
+    contacts: Reduced, xi: Array, share: Array, kappa: Array, x: Array
+) -> Array:
     """G of a discrete law, a mean of closed forms."""
     G = np.zeros(x.size)
     for own, part, a in zip(xi, share, contacts.barrier.b * kappa, strict=True):
@@ -275,7 +351,8 @@ def _pooled_hazard(contacts: Reduced, xi: Array, share: Array, kappa: Array, x: 
 
 
 def _of_steps(contacts: Reduced) -> Moments:
-    """Discrete thresholds: E_P drops at each of them, after a layer in which attempts on it succeed."""
+    """Discrete thresholds: E_P drops at each of them, after a layer in which attempts
+    on it succeed."""
     edge = panels_between_steps(contacts)
 
     def integrate(order: int) -> Array:

@@ -1,7 +1,9 @@
-"""Linear stability of steady sliding through a spring, of contacts that neither heat nor age changes (derived).
+"""Linear stability of steady sliding through a spring, of contacts that neither heat
+nor age changes (derived).
 
-While X = V t + x exp(p t), contacts born at a rate that varies as exp(p t) break after a displacement xi. To first
-order in x the force of all changes by Z(p) x, so that perturbations obey, all per N k,
+While X = V t + x exp(p t), contacts born at a rate that varies as exp(p t) break after
+a displacement xi. To first order in x the force of all changes by Z(p) x, so that
+perturbations obey, all per N k,
 
     m p^2 + eta_s p + kappa_s + Z(p) = 0,
     Z(p) = beta (1 - D) (drag (1 - P) - q M)/(1 - D P) + eta_l p (1 - pinned),
@@ -9,13 +11,16 @@ order in x the force of all changes by Z(p) x, so that perturbations obey, all p
     P = E[exp(-q xi)],   M = E[(k_i/k) (1 - exp(-q xi) (1 + q xi))/q^2],   q = p/V,   D = E[exp(-p delay)],
     beta = 1/(C + V tau),   drag = eta_l V,   pinned = beta C,
 
-where births answer to breaks as b = D Gamma, Gamma = p beta (1 - P)/(1 - D P) being the perturbation of breaks, and the
-detached share changes by Gamma (1 - D)/p. M is the transform of x E[k_i/k; xi > x]. Without delay D = 1 and Z = 0: no
-perturbation is amplified or damped by the contacts.
+where births answer to breaks as b = D Gamma, Gamma = p beta (1 - P)/(1 - D P) being the
+perturbation of breaks, and the detached share changes by Gamma (1 - D)/p. M is the
+transform of x E[k_i/k; xi > x]. Without delay D = 1 and Z = 0: no perturbation is
+amplified or damped by the contacts.
 
-Lengths are in units of the law's scale and time is displacement, V = 1. Means over births are sums over Gauss-Legendre
-nodes in the normal deviate of the threshold; two sets of panels, of different range, give the result and its error:
-where many thresholds are so much greater than most that decaying exponentials make their mean diverge, it is large.
+Lengths are in units of the law's scale and time is displacement, V = 1. Means over
+births are sums over Gauss-Legendre nodes in the normal deviate of the threshold; two
+sets of panels, of different range, give the result and its error: where many thresholds
+are so much greater than most that decaying exponentials make their mean diverge, it is
+large.
 """
 
 import math
@@ -35,19 +40,23 @@ METHOD = "characteristic equation"
 
 
 class Nodes(NamedTuple):
-    """How finely a law is resolved: panels, and the range of thresholds in normal deviates, on either side."""
+    """How finely a law is resolved: panels, and the range of thresholds in normal
+    deviates, on either side."""
 
     panels: int
     reach: float
 
 
 FINE = Nodes(128, 8.2)
-# Another number of panels and another range than FINE, so that the difference tells the error of either.
+# Another number of panels and another range than FINE, so that the difference tells the
+# error of either.
 COARSE = Nodes(64, 7.4)
 # Fewest panels, for scans.
 SCAN = Nodes(24, 8.2)
 _NODES, _WEIGHTS = special.roots_legendre(8)
-_SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])  # of (1 - exp(-z)(1 + z))/z^2
+_SERIES = np.array(
+    [(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)]
+)  # of (1 - exp(-z)(1 + z))/z^2
 # Terms that are summed at once, to bound memory.
 _AT_ONCE = 2**21
 # The step of the scan in phase over a cycle.
@@ -60,7 +69,8 @@ _MOST = 100_000
 _FAINT = 1e-4
 # Rounds of Newton's method.
 _ROUNDS = 25
-# The relative step that ends it, after which a root is good to its square, or to rounding.
+# The relative step that ends it, after which a root is good to its square, or to
+# rounding.
 _SETTLED = 1e-8
 # How small the equation is at a root, relative to its terms.
 _FOUND = 1e-9
@@ -87,7 +97,10 @@ def births_of(contacts: Reduced, nodes: Nodes) -> Births:
     z = (edges[:-1, None] + half * (1.0 + _NODES)).ravel()
     share = (half * _WEIGHTS).ravel() * np.exp(-0.5 * z**2)
     low, high = -special.log_ndtr(-z), -np.log1p(-special.ndtr(np.minimum(z, 0.0)))
-    xi = np.asarray(contacts.law.inverse_survival(np.where(z < 0, high, low))) / contacts.law.scale
+    xi = (
+        np.asarray(contacts.law.inverse_survival(np.where(z < 0, high, low)))
+        / contacts.law.scale
+    )
     return Births(xi, share / share.sum(), kappa_of(contacts, xi))
 
 
@@ -97,8 +110,9 @@ def _kinks(law: ThresholdLaw) -> Array:
 
 
 class Loop(NamedTuple):
-    """The loop that answers to a perturbation: contacts, their delays, the viscous force of a detached contact, and the
-    damping and the mass of the slider; damping also by contacts that are detached in the mean."""
+    """The loop that answers to a perturbation: contacts, their delays, the viscous
+    force of a detached contact, and the damping and the mass of the slider; damping
+    also by contacts that are detached in the mean."""
 
     births: Births
     delay: Fixed | Exponential
@@ -113,32 +127,53 @@ class Loop(NamedTuple):
         return 1.0 / self.beta
 
     def response(self, p: Array) -> Array:
-        """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex, not 0, shape (n,)."""
+        """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
+        not 0, shape (n,)."""
         xi, share, kappa = self.births
         rows = max(1, _AT_ONCE // xi.size)
-        return np.concatenate([self._response(p[i : i + rows], xi, share, kappa) for i in range(0, p.size, rows)])
+        return np.concatenate(
+            [
+                self._response(p[i : i + rows], xi, share, kappa)
+                for i in range(0, p.size, rows)
+            ]
+        )
 
     def _response(self, p: Array, xi: Array, share: Array, kappa: Array) -> Array:
         z = p[:, None] * xi
         lost = -np.expm1(-z)
         broken = lost @ share  # 1 - P
-        work = np.polynomial.polynomial.polyval(np.where(np.abs(z) < 0.5, z, 0.0), _SERIES)
+        work = np.polynomial.polynomial.polyval(
+            np.where(np.abs(z) < 0.5, z, 0.0), _SERIES
+        )
         far = np.abs(z) >= 0.5
         work[far] = (lost[far] - z[far] * (1.0 - lost[far])) / z[far] ** 2
         M = work @ (share * kappa * xi**2)
         away = self.delay.forgotten(p)  # 1 - D
-        return np.asarray(self.beta * away * (self.drag * broken - p * M) / (away + (1.0 - away) * broken))
+        return np.asarray(
+            self.beta
+            * away
+            * (self.drag * broken - p * M)
+            / (away + (1.0 - away) * broken)
+        )
 
     def balance(self, p: Array, stiffness: float) -> Array:
         """The characteristic equation, shape (n,)."""
-        return np.asarray(self.mass * p**2 + self.damping * p + stiffness + self.response(p))
+        return np.asarray(
+            self.mass * p**2 + self.damping * p + stiffness + self.response(p)
+        )
 
 
 def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
     """Raises InputError for identical contacts with a fixed delay."""
     delay = contacts.delay
-    if isinstance(delay, Fixed) and contacts.law.steps.size and np.ptp(contacts.law.steps) == 0.0:
-        raise InputError("thresholds: identical contacts with a fixed delay stay in step; no steady state")
+    if (
+        isinstance(delay, Fixed)
+        and contacts.law.steps.size
+        and np.ptp(contacts.law.steps) == 0.0
+    ):
+        raise InputError(
+            "thresholds: identical contacts with a fixed delay stay in step; no steady state"
+        )
     births = births_of(contacts, nodes)
     C = float(births.share @ births.xi)
     beta = 1.0 / (C + delay.mean)
@@ -147,19 +182,22 @@ def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
 
 
 class Border(NamedTuple):
-    """The largest stiffness at which a perturbation neither grows nor decays, and its frequency (0 without one)."""
+    """The largest stiffness at which a perturbation neither grows nor decays, and its
+    frequency (0 without one)."""
 
     stiffness: float
     frequency: float
 
 
 def border_of(loop: Loop, coarse: Loop) -> Border:
-    """Below it steady sliding is unstable: the greatest of m w^2 - Re Z(i w) over the roots of eta w + Im Z(i w) = 0.
+    """Below it steady sliding is unstable: the greatest of m w^2 - Re Z(i w) over the
+    roots of eta w + Im Z(i w) = 0.
 
-    Infinite of a slider with a mass, no damping and contacts with a fixed delay: whenever w tau is near a multiple of
-    2 pi Im Z changes its sign. The scan, with the nodes of `coarse`, ends where |Z| is below the greatest found, or too
-    small for another root; of discrete thresholds without damping, whose |Z| does not fall, after `_MOST` steps. Raises
-    InputError if with a mass it does not end.
+    Infinite of a slider with a mass, no damping and contacts with a fixed delay:
+    whenever w tau is near a multiple of 2 pi Im Z changes its sign. The scan, with the
+    nodes of `coarse`, ends where |Z| is below the greatest found, or too small for
+    another root; of discrete thresholds without damping, whose |Z| does not fall, after
+    `_MOST` steps. Raises InputError if with a mass it does not end.
     """
     if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
         return Border(math.inf, math.inf)
@@ -167,7 +205,8 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
     mean = float(share @ xi)
     apart = max(float(share @ xi**2) - mean**2, 0.0)
     apart += 0.0 if isinstance(loop.delay, Fixed) else loop.delay.mean**2
-    # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width that of its length
+    # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width that of its
+    # length
     step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
     best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST / mean
     while True:
@@ -178,7 +217,9 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
                 )
             if loop.mass == 0.0:
                 return best
-            raise InputError("drive.stage: its damping is too small beside its mass to find the border of stability")
+            raise InputError(
+                "drive.stage: its damping is too small beside its mass to find the border of stability"
+            )
         w = np.arange(low, high + step, step)
         Z = coarse.response(1j * w)
         size = float(np.abs(Z[w.size // 2 :]).max())
@@ -190,7 +231,11 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         if faint or loop.damping * high > 2.0 * size:
             return best
         # |Z| falls as 1/w from here on
-        last = math.sqrt(2.0 * size * high / loop.damping) if loop.mass > 0.0 and loop.damping > 0.0 else 0.0
+        last = (
+            math.sqrt(2.0 * size * high / loop.damping)
+            if loop.mass > 0.0 and loop.damping > 0.0
+            else 0.0
+        )
         low, high = float(w[-1]), max(2.0 * high, last if last > _MOST * step else 0.0)
 
 
@@ -203,25 +248,42 @@ def _crossing(loop: Loop, low: float, high: float) -> Border:
     if phase(low) * phase(high) > 0.0:  # the coarser nodes differ
         return Border(0.0, 0.0)
     w = float(optimize.brentq(phase, low, high, xtol=1e-14, rtol=1e-13))
-    return Border(loop.mass * w**2 - float(loop.response(np.array([1j * w]))[0].real), w)
+    return Border(
+        loop.mass * w**2 - float(loop.response(np.array([1j * w]))[0].real), w
+    )
 
 
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
-    """The root of the characteristic equation with the largest real part, imaginary part >= 0; None if all decay faster
-    than `_LEFT` per cycle. Newton's method from a grid of beginnings, with the nodes of `coarse`; then by those of
-    `loop`."""
+    """The root of the characteristic equation with the largest real part, imaginary
+    part >= 0; None if all decay faster than `_LEFT` per cycle. Newton's method from a
+    grid of beginnings, with the nodes of `coarse`; then by those of `loop`."""
     mean = float(loop.births.share @ loop.births.xi)
     stiff = float(loop.births.share @ loop.births.kappa)
     left = -_LEFT / loop.cycle
     if loop.delay.mean and not isinstance(loop.delay, Fixed):
         left = max(left, -0.9 / loop.delay.mean)
-    scales = [loop.cycle, mean, loop.delay.mean or mean, stiffness / (loop.beta * stiff)]
+    scales = [
+        loop.cycle,
+        mean,
+        loop.delay.mean or mean,
+        stiffness / (loop.beta * stiff),
+    ]
     scales += [loop.damping / stiffness] if loop.damping else []
     scales += [math.sqrt(loop.mass / stiffness)] if loop.mass else []
     slow, fast = 0.2 / max(scales), 10.0 / min(scales)
-    w = np.concatenate(([0.0], np.geomspace(slow, fast, 24), 2.0 * math.pi / loop.cycle * np.arange(1, 9)))
-    real = np.concatenate((left * np.array([0.6, 0.15]), [0.0], np.geomspace(0.3 * slow, fast, 4)))
-    found = _newton(coarse, (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle, stiffness)
+    w = np.concatenate(
+        (
+            [0.0],
+            np.geomspace(slow, fast, 24),
+            2.0 * math.pi / loop.cycle * np.arange(1, 9),
+        )
+    )
+    real = np.concatenate(
+        (left * np.array([0.6, 0.15]), [0.0], np.geomspace(0.3 * slow, fast, 4))
+    )
+    found = _newton(
+        coarse, (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle, stiffness
+    )
     found = found[(found.real > left) & (found.imag >= -1e-12)]
     if not found.size:
         return None
@@ -241,7 +303,9 @@ def _newton(loop: Loop, p: Array, stiffness: float) -> Array:
     with np.errstate(all="ignore"):
         for _ in range(_ROUNDS):
             h = 1e-6 * np.abs(p) + 1e-12
-            f, beyond = loop.balance(np.concatenate((p, p + h)), stiffness).reshape(2, -1)
+            f, beyond = loop.balance(np.concatenate((p, p + h)), stiffness).reshape(
+                2, -1
+            )
             step = f * h / (beyond - f)
             size, most = np.abs(step), 0.5 * (np.abs(p) + 0.1 / loop.cycle)
             after = p - step * np.minimum(1.0, most / np.maximum(size, 1e-300))

@@ -1,9 +1,11 @@
-"""Closed forms and limits of the published master equation, printed and corrected, side by side.
+"""Closed forms and limits of the published master equation, printed and corrected, side
+by side.
 
-All for the annealed ensemble with n = 1, soft barriers and uniform stiffness (Braun and Peyrard, 2011, nt01-nt16, and
-star3-star4 for aging contacts); no one of them applies to literal (quenched) contacts at T > 0. Where the printed
-formula is in error, `printed=True` gives it as it stands in the paper and the default the correction (derived), so that
-readers can compare. `u = x/x_*`.
+All for the annealed ensemble with n = 1, soft barriers and uniform stiffness (Braun and
+Peyrard, 2011, nt01-nt16, and star3-star4 for aging contacts); no one of them applies to
+literal (quenched) contacts at T > 0. Where the printed formula is in error,
+`printed=True` gives it as it stands in the paper and the default the correction
+(derived), so that readers can compare. `u = x/x_*`.
 """
 
 import math
@@ -21,7 +23,8 @@ C_0 = 4.0 / (3.0 * math.sqrt(math.pi))  # nt05
 
 @dataclass(frozen=True)
 class Published:
-    """nt01-nt16, in the user's units; functions take stretches x (length) and velocities v of any shape.
+    """nt01-nt16, in the user's units; functions take stretches x (length) and
+    velocities v of any shape.
 
     Parameters
     ----------
@@ -74,7 +77,9 @@ class Published:
     def dU(self, x: Any, v: float) -> Array:
         """int_0^x H (nt09)."""
         u = np.asarray(x) / self.x_star
-        return np.asarray(self.S_0(v) * (special.erf(u) - self.S_1 * u * np.exp(-(u**2))))
+        return np.asarray(
+            self.S_0(v) * (special.erf(u) - self.S_1 * u * np.exp(-(u**2)))
+        )
 
     def E_P(self, x: Any, v: float) -> Array:
         """Survival to stretch x, J_c exp(-dU) (above nt13)."""
@@ -103,7 +108,13 @@ class Published:
     @property
     def v_star(self) -> float:
         """Crossover velocity, S_0 = 1 (nt12)."""
-        return self.attempt_frequency * self.x_star / C_0 * (1 + self.b / 3) / (1 + self.b) ** 2
+        return (
+            self.attempt_frequency
+            * self.x_star
+            / C_0
+            * (1 + self.b / 3)
+            / (1 + self.b) ** 2
+        )
 
     @property
     def eta(self) -> float:
@@ -125,12 +136,19 @@ class Published:
     def high_velocity(self, v: Any, *, printed: bool = False, order: int = 2) -> Array:
         """f_k for v >> v_*, to first or second order in S_2 (nt16).
 
-        The paper puts dU ~ S_2 u, which fails at u ~ 1: its C_1 = 5 sqrt(pi)/8 - C_0 and C_2 = 16/(9 pi) - 1/3 hold for
-        no b. Corrected (derived): C_1, C_2 from the moments of dU itself.
+        The paper puts dU ~ S_2 u, which fails at u ~ 1: its C_1 = 5 sqrt(pi)/8 - C_0
+        and C_2 = 16/(9 pi) - 1/3 hold for no b. Corrected (derived): C_1, C_2 from the
+        moments of dU itself.
         """
         S_2 = self.attempt_frequency * self.x_star / (np.asarray(v) * (1 + self.b) ** 2)
-        C_1, C_2 = (0.625 * math.sqrt(math.pi) - C_0, 16 / (9 * math.pi) - 1 / 3) if printed else self._expansion()
-        return np.asarray(self.f_k0 * (1 - C_1 * S_2 + (C_2 * S_2**2 if order > 1 else 0.0)))
+        C_1, C_2 = (
+            (0.625 * math.sqrt(math.pi) - C_0, 16 / (9 * math.pi) - 1 / 3)
+            if printed
+            else self._expansion()
+        )
+        return np.asarray(
+            self.f_k0 * (1 - C_1 * S_2 + (C_2 * S_2**2 if order > 1 else 0.0))
+        )
 
     def _expansion(self) -> tuple[float, float]:
         """C_1 and C_2 of nt16 with dU in full: moments of J_c dU^k/S_2^k over u."""
@@ -147,7 +165,8 @@ class Published:
 
 @dataclass(frozen=True)
 class PublishedAging:
-    """Aging contacts at high velocity, to first order in 1/v (star3-star4), that is for S_2, |S_3| << 1; u_i = x/x_*i.
+    """Aging contacts at high velocity, to first order in 1/v (star3-star4), that is for
+    S_2, |S_3| << 1; u_i = x/x_*i.
 
     Newborn thresholds follow nt01 with x_*i and age towards nt01 with x_*f.
 
@@ -192,18 +211,38 @@ class PublishedAging:
 
     def S_2(self, v: Any) -> Array:
         """Initial slope of dU in u_i (nt14 of newborn contacts); 0 at kT = 0."""
-        return np.asarray(self.attempt_frequency * self.x_star_initial / (np.asarray(v) * (1 + self.b) ** 2))
+        return np.asarray(
+            self.attempt_frequency
+            * self.x_star_initial
+            / (np.asarray(v) * (1 + self.b) ** 2)
+        )
 
     def S_3(self, v: Any) -> Array:
-        """4 D_v C/x_if^2, D_v = D/v (star4c). C is C[P] of newborn contacts at T = 0, x_*i/C_0: whatever C gains from
-        aging or loses to temperature is of first order in 1/v, and changes S_3 in the second only."""
-        return np.asarray(4 * self.rate / np.asarray(v) * self.x_star_initial / C_0 * self.inverse_x_if_squared)
+        """4 D_v C/x_if^2, D_v = D/v (star4c). C is C[P] of newborn contacts at T = 0,
+        x_*i/C_0: whatever C gains from aging or loses to temperature is of first order
+        in 1/v, and changes S_3 in the second only."""
+        return np.asarray(
+            4
+            * self.rate
+            / np.asarray(v)
+            * self.x_star_initial
+            / C_0
+            * self.inverse_x_if_squared
+        )
 
     def P_change(self, x: Any, v: float, *, printed: bool = False) -> Array:
-        """P_c - P_ci (star3a). The paper has u_i in place of u_i^3, which does not integrate to 0."""
+        """P_c - P_ci (star3a). The paper has u_i in place of u_i^3, which does not
+        integrate to 0."""
         u = np.asarray(x) / self.x_star_initial
         power = u if printed else u**3
-        return np.asarray(-4 * self.S_3(v) / self.x_star_initial * power * np.exp(-(u**2)) * (1 - u**2 / 2))
+        return np.asarray(
+            -4
+            * self.S_3(v)
+            / self.x_star_initial
+            * power
+            * np.exp(-(u**2))
+            * (1 - u**2 / 2)
+        )
 
     def J_change(self, x: Any, v: float) -> Array:
         """J_c - J_ci (star3b, correct as printed)."""
@@ -213,18 +252,23 @@ class PublishedAging:
     def C(self, v: Any, *, printed: bool = False) -> Array:
         """Mean stretch at breaking x_*i (1/C_0 - a S_2 + C_12 S_3) (star4a).
 
-        Printed: a = 1, from dU ~ S_2 u, and C_12 = 1.324, from the slip in star3a. Corrected (derived):
-        a = int J_ci dU/S_2 du = 9 pi/32 + (3 pi/32 - 1/8) b and C_12 = int u^4 exp(-u^2) du = 3 sqrt(pi)/8.
+        Printed: a = 1, from dU ~ S_2 u, and C_12 = 1.324, from the slip in star3a.
+        Corrected (derived): a = int J_ci dU/S_2 du = 9 pi/32 + (3 pi/32 - 1/8) b and
+        C_12 = int u^4 exp(-u^2) du = 3 sqrt(pi)/8.
         """
         C_12 = 1.324 if printed else 3 * math.sqrt(math.pi) / 8
         slope = (1.0, 0.0) if printed else (9 * math.pi / 32, 3 * math.pi / 32 - 1 / 8)
-        return np.asarray(self.x_star_initial * (1 / C_0 - self._thermal(v, *slope) + C_12 * self.S_3(v)))
+        return np.asarray(
+            self.x_star_initial
+            * (1 / C_0 - self._thermal(v, *slope) + C_12 * self.S_3(v))
+        )
 
     def f_k(self, v: Any, *, printed: bool = False) -> Array:
         """Kinetic friction (x_*i^2/C)(1 - c S_2 + C~_12 S_3), a length (star4b).
 
-        Printed: c = C_0 + C_1 = 5 sqrt(pi)/8 and C~_12 = 1.789, for the same reasons as in `C`. Corrected (derived):
-        c = int u J_ci dU/S_2 du = sqrt(pi/2) (47 + 11 b)/64 and C~_12 = int u^5 exp(-u^2) du = 1.
+        Printed: c = C_0 + C_1 = 5 sqrt(pi)/8 and C~_12 = 1.789, for the same reasons as
+        in `C`. Corrected (derived): c = int u J_ci dU/S_2 du = sqrt(pi/2) (47 + 11
+        b)/64 and C~_12 = int u^5 exp(-u^2) du = 1.
         """
         C_12 = 1.789 if printed else 1.0
         root = math.sqrt(math.pi / 2) / 64
@@ -234,11 +278,16 @@ class PublishedAging:
 
     def _thermal(self, v: Any, constant: float, slope: float) -> Array:
         """(constant + slope b) S_2; 0 at kT = 0, where b is infinite."""
-        return np.asarray((constant + slope * self.b) * self.S_2(v) if self.kT > 0 else 0.0 * np.asarray(v))
+        return np.asarray(
+            (constant + slope * self.b) * self.S_2(v)
+            if self.kT > 0
+            else 0.0 * np.asarray(v)
+        )
 
 
 def beta(v: Any, v_eta: float, v_d: float) -> Array:
-    """Factor by which viscous detached contacts raise the friction of the delayed ensemble (section V).
+    """Factor by which viscous detached contacts raise the friction of the delayed
+    ensemble (section V).
 
     Parameters
     ----------
@@ -263,7 +312,8 @@ def minimum_velocity(v_eta: float, v_d: float, *, printed: bool = False) -> floa
     v_eta, v_d : float
         As in `beta`.
     printed : bool
-        Whether to give the limit for v_eta >> v_d that the paper prints, sqrt(v_eta v_d).
+        Whether to give the limit for v_eta >> v_d that the paper prints, sqrt(v_eta
+        v_d).
 
     Returns
     -------

@@ -1,23 +1,29 @@
-"""Transient of aging annealed contacts from a fresh start: the time-dependent closure of star1 (derived).
+"""Transient of aging annealed contacts from a fresh start: the time-dependent closure
+of star1 (derived).
 
-Pinned contacts share one law of thresholds P_c(xi; X) and one density of stretches Q(x; X). Thresholds age by the
-Smoluchowski operator L (Braun and Peyrard, 2011, L, Bx), D_v = D/v, and whenever contacts break, newborn ones replace
-a share of the pool, Gamma_c being breaks per pinned contact and unit displacement:
+Pinned contacts share one law of thresholds P_c(xi; X) and one density of stretches Q(x;
+X). Thresholds age by the Smoluchowski operator L (Braun and Peyrard, 2011, L, Bx), D_v
+= D/v, and whenever contacts break, newborn ones replace a share of the pool, Gamma_c
+being breaks per pinned contact and unit displacement:
 
     dP_c/dX = D_v L P_c + Gamma_c(X) (P_ci - P_c),                         P_c(.; 0) = P_ci,
     dQ/dX + dQ/dx = -P_T[P_c] Q,  P_T = P_c/J_c + (omega/v) h[P_c],        Q(0; X) = Gamma(X)        (Q5a, Q5aG)
 
-with friction = int x Q dx (Q6). Its stationary state is star1; D = 0 gives the transient of contacts that do not age.
+with friction = int x Q dx (Q6). Its stationary state is star1; D = 0 gives the
+transient of contacts that do not age.
 
-The pair that the paper prints, Q5a with dP_c/dX = D_v L P_c - P_T Q + P_ci Gamma (Q15), is not implemented, as it is no
-theory of transients: a contact that breaks at stretch x is removed as if its threshold were x. At T > 0, where it is
-not, P_T E_PT != P_c and the stationary state is not star1; at T = 0 some contacts of a fresh start outrun every
+The pair that the paper prints, Q5a with dP_c/dX = D_v L P_c - P_T Q + P_ci Gamma (Q15),
+is not implemented, as it is no theory of transients: a contact that breaks at stretch x
+is removed as if its threshold were x. At T > 0, where it is not, P_T E_PT != P_c and
+the stationary state is not star1; at T = 0 some contacts of a fresh start outrun every
 threshold, and the force grows without end.
 
-L maps a gamma law onto gamma laws, so that after aging over a displacement y the unbroken law P_ci has the scale
-x_*(y)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4 D y/(v x_*f^2)) (derived), and P_c is a mixture of ages, whose weights are
-exp(-int_0^X Gamma_c) at age X and Gamma_c(Y) exp(-int_Y^X Gamma_c) at age X - Y. All integrals over it are linear in
-the laws, which depend smoothly on ln x_*: a few dozen of them, at Chebyshev nodes, represent every age.
+L maps a gamma law onto gamma laws, so that after aging over a displacement y the
+unbroken law P_ci has the scale x_*(y)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4 D y/(v
+x_*f^2)) (derived), and P_c is a mixture of ages, whose weights are exp(-int_0^X
+Gamma_c) at age X and Gamma_c(Y) exp(-int_Y^X Gamma_c) at age X - Y. All integrals over
+it are linear in the laws, which depend smoothly on ln x_*: a few dozen of them, at
+Chebyshev nodes, represent every age.
 """
 
 import dataclasses
@@ -52,7 +58,8 @@ _CELL = 0.015
 _AGING = 0.1
 # Longest mean lives after which a fresh start is forgotten.
 _SETTLED = 30.0
-# Numbers of laws that are tried, until interpolation between them misses less than `_INTERPOLATION`.
+# Numbers of laws that are tried, until interpolation between them misses less than
+# `_INTERPOLATION`.
 _LAWS = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
 _INTERPOLATION = 1e-11
 # Relative error of the pooled rate and its spline.
@@ -68,7 +75,8 @@ _SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 
 @dataclass(frozen=True, repr=False)
 class Closure(Result):
-    """A transient from a fresh start, arrays of shape (points,). Every contact is pinned at all times.
+    """A transient from a fresh start, arrays of shape (points,). Every contact is
+    pinned at all times.
 
     Attributes
     ----------
@@ -77,12 +85,15 @@ class Closure(Result):
     force, force_error : ndarray
         <F>/(N k) and its error estimate (length).
     breaks, breaks_error : ndarray
-        Gamma, breaks per contact and unit displacement, and its error estimate (1/length).
+        Gamma, breaks per contact and unit displacement, and its error estimate
+        (1/length).
     mean_threshold, mean_threshold_error : ndarray
         <xi> of the pool of pinned contacts, and its error estimate (length).
     """
 
-    drawn: ClassVar[Drawn] = Drawn("X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)")
+    drawn: ClassVar[Drawn] = Drawn(
+        "X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)"
+    )
     X: Array
     force: Array
     breaks: Array
@@ -93,11 +104,11 @@ class Closure(Result):
 
 
 def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
-    """Transient of annealed contacts of uniform stiffness without delay, which start fresh: unstretched, with newborn
-    thresholds (derived).
+    """Transient of annealed contacts of uniform stiffness without delay, which start
+    fresh: unstretched, with newborn thresholds (derived).
 
-    Errors are those of the finer of two grids, of at most some 4000 cells, while the values are extrapolated from
-    both; after 30 mean lives the values are held.
+    Errors are those of the finer of two grids, of at most some 4000 cells, while the
+    values are extrapolated from both; after 30 mean lives the values are held.
 
     Parameters
     ----------
@@ -118,70 +129,120 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     require_drive(drive)
     law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale
     if not isinstance(law, Gamma) or ensemble.disorder != "annealed":
-        raise InputError('disorder, thresholds.law: the closure needs "annealed" contacts of law "gamma"')
+        raise InputError(
+            'disorder, thresholds.law: the closure needs "annealed" contacts of law "gamma"'
+        )
     if ensemble.newborn.active:
-        raise InputError(f'newborn.law = "{ensemble.newborn.law}": the closure is that of contacts born unstretched')
-    if ensemble.stiffness_law != "uniform" or ensemble.delay.time > 0 or drive.start != "fresh":
-        raise InputError('the closure needs contacts.stiffness_law = "uniform", no delay, and drive.start = "fresh"')
+        raise InputError(
+            f'newborn.law = "{ensemble.newborn.law}": the closure is that of contacts born unstretched'
+        )
+    if (
+        ensemble.stiffness_law != "uniform"
+        or ensemble.delay.time > 0
+        or drive.start != "fresh"
+    ):
+        raise InputError(
+            'the closure needs contacts.stiffness_law = "uniform", no delay, and drive.start = "fresh"'
+        )
     require_integer("points", points, 2, 10**6)
     reach = drive.over(ensemble) / unit
     require_number("distance / x_star", reach, least=1e-6, most=1e6)
     # the scale of the unbroken law changes as thresholds that flow do
-    flow = Flow((aging.x_star_final / unit) ** 2 if aging.active else 1.0, aging.alpha(unit, drive.velocity))
-    pool = _Pool(law.n, flow, reach, reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity).barrier)
+    flow = Flow(
+        (aging.x_star_final / unit) ** 2 if aging.active else 1.0,
+        aging.alpha(unit, drive.velocity),
+    )
+    pool = _Pool(
+        law.n,
+        flow,
+        reach,
+        reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity).barrier,
+    )
 
     shortest, longest = pool.lives()
     end = min(reach, _SETTLED * longest)
-    wanted = end * max(1.0 / (_CELL * shortest), flow.alpha / _AGING if flow.alpha < math.inf else 0.0)
+    wanted = end * max(
+        1.0 / (_CELL * shortest), flow.alpha / _AGING if flow.alpha < math.inf else 0.0
+    )
     cells = int(min(max(wanted, _LEAST_CELLS), _MOST_CELLS))
     solved = [_march(pool, end / fine, fine) for fine in (cells, 2 * cells)]
-    # both schemes are of second order; a grid too coarse to show it has the error of its finer member
+    # both schemes are of second order; a grid too coarse to show it has the error of
+    # its finer member
     share = 1 / 3 if wanted < 2 * cells else 1.0
     X, nodes = np.linspace(0.0, reach, points), np.linspace(0.0, end, cells + 1)
     found = []
     for coarse, better in zip(*solved, strict=True):
         best, change = (4 * better[::2] - coarse) / 3, np.abs(better[::2] - coarse)
         # the difference may vanish by chance where the error does not
-        error = share * ndimage.maximum_filter1d(change, cells // 20) + _FLOOR * np.abs(best).max()
-        held = np.ptp(best[-cells // 10 :]) * (end < X)  # what has settled stays as it is
-        found.append(np.array([CubicSpline(nodes, best)(np.minimum(X, end)), np.interp(X, nodes, error) + held]))
+        error = (
+            share * ndimage.maximum_filter1d(change, cells // 20)
+            + _FLOOR * np.abs(best).max()
+        )
+        held = np.ptp(best[-cells // 10 :]) * (
+            end < X
+        )  # what has settled stays as it is
+        found.append(
+            np.array(
+                [
+                    CubicSpline(nodes, best)(np.minimum(X, end)),
+                    np.interp(X, nodes, error) + held,
+                ]
+            )
+        )
     force, breaks, threshold = found[0] * unit, found[1] / unit, found[2] * unit
-    return Closure(X * unit, force[0], breaks[0], threshold[0], force[1], breaks[1], threshold[1])
+    return Closure(
+        X * unit, force[0], breaks[0], threshold[0], force[1], breaks[1], threshold[1]
+    )
 
 
 class _Tables(NamedTuple):
-    """J_c, P_c and h of each law of a pool, shape (3, x, laws), and P_c/J_c of its widest law, shape (x,)."""
+    """J_c, P_c and h of each law of a pool, shape (3, x, laws), and P_c/J_c of its
+    widest law, shape (x,)."""
 
     laws: Array
     least: Array
 
 
 class _Pool:
-    """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages share in them."""
+    """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages
+    share in them."""
 
     def __init__(self, n: float, aging: Flow, reach: float, barrier: Barrier) -> None:
         self.n, self.aging, self.barrier = n, aging, barrier
         self._low, self._high = np.sort(self._log_square(np.array([0.0, reach])))
         for laws in _LAWS:
             self._t = np.cos(math.pi * (np.arange(laws) + 0.5) / laws)
-            self.x_star = np.exp(0.25 * (self._low + self._high + (self._high - self._low) * self._t))
-            if self._high == self._low or (laws > 1 and self._missed() < _INTERPOLATION):
+            self.x_star = np.exp(
+                0.25 * (self._low + self._high + (self._high - self._low) * self._t)
+            )
+            if self._high == self._low or (
+                laws > 1 and self._missed() < _INTERPOLATION
+            ):
                 break
         else:
             raise InputError(
                 f"x_star_final = {aging.final:g} x_star_initial: too far from it for thresholds of n = {n:g}"
             )
-        self._rates = [self._rate(Gamma(n, scale)) for scale in self.x_star] if barrier.thermal else []
+        self._rates = (
+            [self._rate(Gamma(n, scale)) for scale in self.x_star]
+            if barrier.thermal
+            else []
+        )
         # beyond, nothing survives
         self.top = float(Gamma(n, math.exp(0.5 * self._high)).inverse_survival(45.0))
 
     def _log_square(self, age: Array) -> Array:
         """ln x_*^2 after aging over a displacement."""
-        spent = self.aging.alpha * age if math.isfinite(self.aging.alpha) else np.full_like(age, math.inf)
+        spent = (
+            self.aging.alpha * age
+            if math.isfinite(self.aging.alpha)
+            else np.full_like(age, math.inf)
+        )
         return np.asarray(np.log(scale2(self.aging.final2, spent)))
 
     def shares(self, age: Array) -> Array:
-        """Weights, shape (..., laws), by which the laws represent the unbroken law at any age."""
+        """Weights, shape (..., laws), by which the laws represent the unbroken law at
+        any age."""
         return self._shares(self._log_square(age))
 
     def _shares(self, log_square: Array) -> Array:
@@ -199,11 +260,15 @@ class _Pool:
         probe = np.linspace(self._low, self._high, 3 * self._t.size + 1)
         scales = np.exp(0.5 * probe)
         x = np.outer(
-            scales[:: max(1, scales.size // 12)], Gamma(self.n).inverse_survival(np.geomspace(1e-3, 10, 7))
+            scales[:: max(1, scales.size // 12)],
+            Gamma(self.n).inverse_survival(np.geomspace(1e-3, 10, 7)),
         ).ravel()
         worst = 0.0
         for name, power in (("sf", 0), ("pdf", 1)):
-            at = [np.array([getattr(Gamma(self.n, s), name)(x) * x**power for s in of]) for of in (self.x_star, scales)]
+            at = [
+                np.array([getattr(Gamma(self.n, s), name)(x) * x**power for s in of])
+                for of in (self.x_star, scales)
+            ]
             worst = max(worst, float(np.abs(self._shares(probe) @ at[0] - at[1]).max()))
         return worst
 
@@ -212,7 +277,9 @@ class _Pool:
         x = np.append(0.0, np.geomspace(1e-12 * self.top, self.top, 2000))
         J, _, h = self.tables(x).laws
         hazard = integrate.cumulative_trapezoid(h, x, axis=0, initial=0.0)
-        lives = integrate.trapezoid(J * np.exp(-math.exp(self.barrier.log_w) * hazard), x, axis=0)
+        lives = integrate.trapezoid(
+            J * np.exp(-math.exp(self.barrier.log_w) * hazard), x, axis=0
+        )
         return float(lives.min()), float(lives.max())
 
     def tables(self, x: Array) -> _Tables:
@@ -220,32 +287,50 @@ class _Pool:
         laws = [Gamma(self.n, s) for s in self.x_star]
         widest = Gamma(self.n, math.exp(0.5 * self._high))
         rates = [rate(x) for rate in self._rates] or [np.zeros(x.size)] * len(laws)
-        found = np.stack(([law.sf(x) for law in laws], [law.pdf(x) for law in laws], rates)).swapaxes(1, 2)
+        found = np.stack(
+            ([law.sf(x) for law in laws], [law.pdf(x) for law in laws], rates)
+        ).swapaxes(1, 2)
         # subnormal numbers would take most of the time
-        return _Tables(np.where(found > 1e-250, found, 0.0), widest.pdf(x) / widest.sf(x))
+        return _Tables(
+            np.where(found > 1e-250, found, 0.0), widest.pdf(x) / widest.sf(x)
+        )
 
     def _rate(self, law: Gamma) -> Callable[[Array], Array]:
         """Pooled rate h of one law (temper11, temper12) as a spline in logarithms."""
         low, high = 1e-6, float(law.inverse_survival(60.0)) / law.scale
         log_y = np.linspace(math.log(low), math.log(high), 600)
-        h = pooled_rate(law, "uniform", type(self.barrier), self.barrier.b * law.scale**2, np.exp(log_y))
+        h = pooled_rate(
+            law,
+            "uniform",
+            type(self.barrier),
+            self.barrier.b * law.scale**2,
+            np.exp(log_y),
+        )
         spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))
 
         def rate(x: Array) -> Array:
             y = x / law.scale
-            return np.where(y < high, np.exp(spline(np.log(np.clip(y, low, high)))), 0.0)
+            return np.where(
+                y < high, np.exp(spline(np.log(np.clip(y, low, high)))), 0.0
+            )
 
         return rate
 
     def breaking(self, mixture: Array, least: Array) -> Array:
-        """P_T at ascending stretches, at each of which a mixture has J_c, P_c and h, shape (3, x)."""
+        """P_T at ascending stretches, at each of which a mixture has J_c, P_c and h,
+        shape (3, x)."""
         J, P, h = mixture
-        mechanical = np.where(J > _LEAST_J, np.maximum(P / np.maximum(J, _LEAST_J), least), least)
-        return np.asarray(mechanical + math.exp(self.barrier.log_w) * np.maximum(h, 0.0))
+        mechanical = np.where(
+            J > _LEAST_J, np.maximum(P / np.maximum(J, _LEAST_J), least), least
+        )
+        return np.asarray(
+            mechanical + math.exp(self.barrier.log_w) * np.maximum(h, 0.0)
+        )
 
 
 class _Means(NamedTuple):
-    """At the edges of the cells: force, breaks per unit displacement and mean threshold."""
+    """At the edges of the cells: force, breaks per unit displacement and mean
+    threshold."""
 
     force: Array
     breaks: Array
@@ -253,21 +338,27 @@ class _Means(NamedTuple):
 
 
 def _aged(pool: _Pool, h: float, cells: int) -> Array:
-    """Shares of contacts whose ages are spread evenly over each cell, shape (cells, laws)."""
+    """Shares of contacts whose ages are spread evenly over each cell, shape (cells,
+    laws)."""
     edges = h * np.arange(cells)
     aged = np.einsum("q,cql->cl", _WEIGHTS, pool.shares(edges[:, None] + h * _SHARE))
-    parts = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))  # the youngest may age within a fraction of it
+    parts = h * 2.0 ** np.append(
+        -np.inf, np.arange(-20.0, 1.0)
+    )  # the youngest may age within a fraction of it
     inside = pool.shares(parts[:-1, None] + np.diff(parts)[:, None] * _SHARE)
     aged[0] = np.einsum("p,q,pql->l", np.diff(parts) / h, _WEIGHTS, inside)
     return np.asarray(aged)
 
 
 def _march(pool: _Pool, h: float, cells: int) -> _Means:
-    """The closure on a uniform grid of stretches, displacements and ages, second order in the cell h.
+    """The closure on a uniform grid of stretches, displacements and ages, second order
+    in the cell h.
 
-    ln E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that of the fresh ones. Births are
-    spread evenly over each cell; E is taken as exponential within one, which is exact however short lives are, if it is
-    the young that break. Births of the last cell follow from the count of contacts, which is conserved.
+    ln E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that
+    of the fresh ones. Births are spread evenly over each cell; E is taken as
+    exponential within one, which is exact however short lives are, if it is the young
+    that break. Births of the last cell follow from the count of contacts, which is
+    conserved.
     """
     x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
     table, edges = pool.tables(x), h * np.arange(cells + 1)
@@ -278,15 +369,26 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
     force, births, threshold = np.zeros(cells + 1), np.zeros(cells), np.zeros(cells + 1)
     threshold[0] = scales @ fresh[0]
     unbroken, weight, first = 1.0, np.zeros(cells), 0
-    log_E, P_T = np.zeros(1), pool.breaking(table.laws[:, :1] @ fresh[0], table.least[:1])
+    log_E, P_T = (
+        np.zeros(1),
+        pool.breaking(table.laws[:, :1] @ fresh[0], table.least[:1]),
+    )
     broken = 0.0  # Gamma_c h of the last cell
     for i in range(1, cells + 1):
         top = min(i, x.size - 1)
         # the pool after aging, before the breaks of this cell
-        share = unbroken * fresh[i] + weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
-        old, new, least = table.laws[:, : top + 1] @ share, young[:, : top + 1], table.least[: top + 1]
+        share = (
+            unbroken * fresh[i] + weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
+        )
+        old, new, least = (
+            table.laws[:, : top + 1] @ share,
+            young[:, : top + 1],
+            table.least[: top + 1],
+        )
         earlier = births[i - top : i - 1][::-1]
-        for _ in range(2 if i > 1 else 4):  # the pool at the end of the cell needs its breaks
+        for _ in range(
+            2 if i > 1 else 4
+        ):  # the pool at the end of the cell needs its breaks
             stay = math.exp(-broken)
             now = pool.breaking(stay * old + (1.0 - stay) * new, least)
             log_next = np.append(0.0, log_E[:top] - 0.5 * h * (P_T[:top] + now[1:]))
@@ -309,7 +411,8 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
 
 
 def _in_cells(log_E: Array) -> tuple[Array, Array]:
-    """int E dt and int t E dt over each cell, 0 < t < 1, of E that is exponential between its values at the edges."""
+    """int E dt and int t E dt over each cell, 0 < t < 1, of E that is exponential
+    between its values at the edges."""
     z = log_E[:-1] - log_E[1:]
     small = np.abs(z) < 1e-3
     safe = np.where(small, 1.0, z)

@@ -1,7 +1,9 @@
-"""Contacts born at one time after another along a drive in segments: the kernel of `master.programme` for contacts that
-heat does not break, or all at the same rate (annealed); `master.fronts` has the others.
+"""Contacts born at one time after another along a drive in segments: the kernel of
+`master.programme` for contacts that heat does not break, or all at the same rate
+(annealed); `master.fronts` has the others.
 
-A cohort is the births of a step, spread evenly over it in time and displacement. What it has undergone is the greatest
+A cohort is the births of a step, spread evenly over it in time and displacement. What
+it has undergone is the greatest
 |x|/g so far, of which the law of thresholds says how many it has broken mechanically, and a thermal survival.
 """
 
@@ -20,8 +22,9 @@ NEGLIGIBLE_SHARE = 1e-15
 
 
 class Pool(NamedTuple):
-    """At thresholds y, shape (knots,): E[(k_i/k)^p; xi > y] and its integral from 0, p = 0, 1, 2, shape (3, knots); and
-    ln of the rate that all contacts share at stretch y."""
+    """At thresholds y, shape (knots,): E[(k_i/k)^p; xi > y] and its integral from 0, p
+    = 0, 1, 2, shape (3, knots); and ln of the rate that all contacts share at stretch
+    y."""
 
     y: Array
     above: Array
@@ -30,7 +33,8 @@ class Pool(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """The factor by which thresholds have grown, at ages in equal ratios from `first` on; `newborn` at age 0."""
+    """The factor by which thresholds have grown, at ages in equal ratios from `first`
+    on; `newborn` at age 0."""
 
     first: float
     per_ratio: float
@@ -47,14 +51,16 @@ class Contacts(NamedTuple):
     delay: Waits
 
 
-# What becomes of a cohort at the end of a step: it goes on, is dropped, or is joined to the one before.
+# What becomes of a cohort at the end of a step: it goes on, is dropped, or is joined to
+# the one before.
 KEPT = 0
 DROPPED = 1
 JOINED = 2
 
 
 class Choices(NamedTuple):
-    """Decisions of a solve, so that another one may repeat them, which makes it a smooth function of parameters.
+    """Decisions of a solve, so that another one may repeat them, which makes it a
+    smooth function of parameters.
 
     Attributes
     ----------
@@ -69,7 +75,8 @@ class Choices(NamedTuple):
     halvings : ndarray, shape (edges,)
         How often the longest displacement was halved then.
     given : bool
-        Whether these choices are to be repeated. Otherwise they are noted, if there is room.
+        Whether these choices are to be repeated. Otherwise they are noted, if there is
+        room.
     """
 
     first: Array
@@ -96,9 +103,10 @@ NO_CHOICES = unmade_choices(0, 0)
 
 
 class Path(NamedTuple):
-    """Times and displacements of the edges of steps, arrays (edges,); how wide in X, and in time per age, cohorts may
-    become; how many were born before, at a `velocity`, or none of a fresh start; what is decided on the way; and a
-    flag (1,) that ends the march early once it is set."""
+    """Times and displacements of the edges of steps, arrays (edges,); how wide in X,
+    and in time per age, cohorts may become; how many were born before, at a `velocity`,
+    or none of a fresh start; what is decided on the way; and a flag (1,) that ends the
+    march early once it is set."""
 
     t: Array
     X: Array
@@ -111,8 +119,8 @@ class Path(NamedTuple):
 
 
 class History(NamedTuple):
-    """Means over all contacts: elastic force, pinned share, mean square of the elastic force, and breaks so far, per
-    contact, at the edges of steps, arrays (edges,)."""
+    """Means over all contacts: elastic force, pinned share, mean square of the elastic
+    force, and breaks so far, per contact, at the edges of steps, arrays (edges,)."""
 
     force: Array
     pinned: Array
@@ -129,22 +137,28 @@ class Step(NamedTuple):
     X1: float
 
 
-# ----------------------------------------------------------------------------------------------------------- cohorts
+# -----------------------------------------------------------------------------------------------------------
+# cohorts
 
 # A row of a structured array, whose fields are attributes in kernels.
 Row = Any
 
-# A cohort. Its births are those of a step, of which `first` and `last` mean the first and the last one, and `mean` the
-# mean over contacts that are pinned. `weakest` is the greatest |x|/g so far, below which no threshold at birth is left;
-# `unbroken` are births less those that heat broke, whatever their threshold; `pinned` is the share of all contacts that
-# is pinned and of this cohort, and `stiffness` and `stiffness2` are E[k_i/k; pinned] and E[(k_i/k)^2; pinned].
+# A cohort. Its births are those of a step, of which `first` and `last` mean the first
+# and the last one, and `mean` the mean over contacts that are pinned. `weakest` is the
+# greatest |x|/g so far, below which no threshold at birth is left; `unbroken` are
+# births less those that heat broke, whatever their threshold; `pinned` is the share of
+# all contacts that is pinned and of this cohort, and `stiffness` and `stiffness2` are
+# E[k_i/k; pinned] and E[(k_i/k)^2; pinned].
 _BIRTHS = "X_first X_last X_mean t_first t_last t_mean"
 _LEFT = "weakest_first weakest_last unbroken pinned stiffness stiffness2"
-COHORT = np.dtype([(field, np.float64) for field in f"{_BIRTHS} {_LEFT}".split()], align=True)
+COHORT = np.dtype(
+    [(field, np.float64) for field in f"{_BIRTHS} {_LEFT}".split()], align=True
+)
 
 
 class Population(NamedTuple):
-    """All cohorts, an array (rows,) of COHORT, and the rows in use, from the oldest cohort on, and then the others."""
+    """All cohorts, an array (rows,) of COHORT, and the rows in use, from the oldest
+    cohort on, and then the others."""
 
     cohorts: Array
     order: Array
@@ -156,8 +170,13 @@ def grown_by(growth: Growth, age: float) -> float:
     if growth.values.size == 0:
         return 1.0
     if age <= growth.first:
-        return growth.newborn + (growth.values[0] - growth.newborn) * max(age, 0.0) / growth.first
-    steps = min(math.log(age / growth.first) * growth.per_ratio, growth.values.size - 1.000001)
+        return (
+            growth.newborn
+            + (growth.values[0] - growth.newborn) * max(age, 0.0) / growth.first
+        )
+    steps = min(
+        math.log(age / growth.first) * growth.per_ratio, growth.values.size - 1.000001
+    )
     i = int(steps)
     return growth.values[i] + (steps - i) * (growth.values[i + 1] - growth.values[i])
 
@@ -170,7 +189,9 @@ def _pooled(pool: Pool, power: int, low: float, high: float) -> float:
         above, top = 0.0, pool.total[power, pool.y.size - 1]
     else:
         u = high - pool.y[i]
-        slope = (pool.above[power, i + 1] - pool.above[power, i]) / (pool.y[i + 1] - pool.y[i])
+        slope = (pool.above[power, i + 1] - pool.above[power, i]) / (
+            pool.y[i + 1] - pool.y[i]
+        )
         above = pool.above[power, i] + slope * u
         top = pool.total[power, i] + u * (pool.above[power, i] + 0.5 * slope * u)
     if high - low <= 1e-9 * high:
@@ -179,8 +200,12 @@ def _pooled(pool: Pool, power: int, low: float, high: float) -> float:
     if i >= pool.y.size - 1:
         return 0.0
     u = low - pool.y[i]
-    slope = (pool.above[power, i + 1] - pool.above[power, i]) / (pool.y[i + 1] - pool.y[i])
-    return (top - pool.total[power, i] - u * (pool.above[power, i] + 0.5 * slope * u)) / (high - low)
+    slope = (pool.above[power, i + 1] - pool.above[power, i]) / (
+        pool.y[i + 1] - pool.y[i]
+    )
+    return (
+        top - pool.total[power, i] - u * (pool.above[power, i] + 0.5 * slope * u)
+    ) / (high - low)
 
 
 @routine(inline=True)
@@ -201,7 +226,10 @@ def _log_pooled_rate(pool: Pool, x: float) -> float:
 @routine
 def _hazard(contacts: Contacts, dt: float, x0: float, x1: float) -> float:
     """Integrated hazard in a step between two stretches."""
-    low, high = -_log_pooled_rate(contacts.pool, x0), -_log_pooled_rate(contacts.pool, x1)
+    low, high = (
+        -_log_pooled_rate(contacts.pool, x0),
+        -_log_pooled_rate(contacts.pool, x1),
+    )
     return dt * mean_exponential(low, high) if min(low, high) < 700.0 else 0.0
 
 
@@ -226,16 +254,20 @@ def _strained(growth: Growth, weakest: float, x: float, age: float) -> float:
 def _advance(contacts: Contacts, cohort: Row, step: Step) -> None:
     """Carry a cohort over a step."""
     first, last = cohort.weakest_first, cohort.weakest_last
-    cohort.weakest_first = _strained(contacts.growth, first, step.X1 - cohort.X_first, step.t1 - cohort.t_first)
-    cohort.weakest_last = _strained(contacts.growth, last, step.X1 - cohort.X_last, step.t1 - cohort.t_last)
+    cohort.weakest_first = _strained(
+        contacts.growth, first, step.X1 - cohort.X_first, step.t1 - cohort.t_first
+    )
+    cohort.weakest_last = _strained(
+        contacts.growth, last, step.X1 - cohort.X_last, step.t1 - cohort.t_last
+    )
     before, after = abs(step.X0 - cohort.X_mean), abs(step.X1 - cohort.X_mean)
     cohort.unbroken *= exp(-_hazard(contacts, step.t1 - step.t0, before, after))
     _weigh(contacts, cohort, step.t1 - cohort.t_mean)
 
 
 class Ages(NamedTuple):
-    """Survivors, at the end of a step, of births spread evenly over it: their share, and their mean age and mean square
-    age in units of the step."""
+    """Survivors, at the end of a step, of births spread evenly over it: their share,
+    and their mean age and mean square age in units of the step."""
 
     share: float
     age: float
@@ -244,10 +276,15 @@ class Ages(NamedTuple):
 
 @routine(inline=True)
 def ages_of_survivors(hazard: float) -> Ages:
-    """Ages of those left where the integrated hazard grows evenly with age up to `hazard`."""
+    """Ages of those left where the integrated hazard grows evenly with age up to
+    `hazard`."""
     rest = 1.0 / (exp(hazard) - 1.0) if hazard > 0.02 else 0.0
     age = 1.0 / hazard - rest if hazard > 0.02 else 0.5 - hazard / 12.0
-    age2 = 2.0 / hazard**2 - (1.0 + 2.0 / hazard) * rest if hazard > 0.02 else 1.0 / 3.0 - hazard / 12.0
+    age2 = (
+        2.0 / hazard**2 - (1.0 + 2.0 / hazard) * rest
+        if hazard > 0.02
+        else 1.0 / 3.0 - hazard / 12.0
+    )
     return Ages(mean_exponential(0.0, hazard), age, age2)
 
 
@@ -266,7 +303,9 @@ def _bear(contacts: Contacts, cohort: Row, step: Step) -> None:
     left = ages_of_survivors(min(_hazard(contacts, dt, 0.0, x), 700.0))
     cohort.unbroken = left.share
     _weigh(contacts, cohort, 0.5 * dt)
-    cohort.stiffness *= 2.0 * left.age  # as if all were at the middle, and spread evenly
+    cohort.stiffness *= (
+        2.0 * left.age
+    )  # as if all were at the middle, and spread evenly
     cohort.stiffness2 *= 3.0 * left.age2
 
 
@@ -283,17 +322,29 @@ def noted(choices: Choices, m: int, i: int, fate: int) -> None:
 @routine(inline=True)
 def densities_alike(first: float, second: float) -> bool:
     """Whether two numbers have the same sign, and differ by a factor 2 at most."""
-    return not (first * second < 0.0 or abs(first) > 2.0 * abs(second) or abs(second) > 2.0 * abs(first))
+    return not (
+        first * second < 0.0
+        or abs(first) > 2.0 * abs(second)
+        or abs(second) > 2.0 * abs(first)
+    )
 
 
 @routine
 def _alike(contacts: Contacts, path: Path, older: Row, newer: Row, now: float) -> bool:
-    """Whether two cohorts may be joined: of the same direction and about as dense in X, and together not too wide in X,
-    as thresholds have grown, in |x|/g and in time per age."""
-    widest = max(older.weakest_first, newer.weakest_last) - min(older.weakest_first, newer.weakest_last)
-    if newer.t_last - older.t_first > path.share * (now - newer.t_last) or widest > path.width:
+    """Whether two cohorts may be joined: of the same direction and about as dense in X,
+    and together not too wide in X, as thresholds have grown, in |x|/g and in time per
+    age."""
+    widest = max(older.weakest_first, newer.weakest_last) - min(
+        older.weakest_first, newer.weakest_last
+    )
+    if (
+        newer.t_last - older.t_first > path.share * (now - newer.t_last)
+        or widest > path.width
+    ):
         return False
-    if abs(newer.X_last - older.X_first) > path.width * grown_by(contacts.growth, now - newer.t_last):
+    if abs(newer.X_last - older.X_first) > path.width * grown_by(
+        contacts.growth, now - newer.t_last
+    ):
         return False
     first = (older.X_last - older.X_first) * newer.pinned
     return densities_alike(first, (newer.X_last - newer.X_first) * older.pinned)
@@ -320,13 +371,17 @@ def _broken_by(path: Path, breaks: Array, last: int, t: float, rate: float) -> f
     if t <= 0.0:
         return rate * t
     i = min(search(path.t, t, True), last) - 1
-    return breaks[i] + (breaks[i + 1] - breaks[i]) * (t - path.t[i]) / (path.t[i + 1] - path.t[i])
+    return breaks[i] + (breaks[i + 1] - breaks[i]) * (t - path.t[i]) / (
+        path.t[i + 1] - path.t[i]
+    )
 
 
 @routine(inline=True)
-def _due_births(delay: Waits, path: Path, history: History, m: int, rate: float) -> tuple[float, float]:
-    """Births of step m: those of contacts that are detached already, and the breaks per unit time in the step times
-    which those that break in it."""
+def _due_births(
+    delay: Waits, path: Path, history: History, m: int, rate: float
+) -> tuple[float, float]:
+    """Births of step m: those of contacts that are detached already, and the breaks per
+    unit time in the step times which those that break in it."""
     tau, t0, t1 = delay.mean, path.t[m - 1], path.t[m]
     dt, detached = t1 - t0, 1.0 - history.pinned[m - 1]
     if tau == 0.0:
@@ -334,13 +389,23 @@ def _due_births(delay: Waits, path: Path, history: History, m: int, rate: float)
     if delay.random > 0.0:
         return -detached * math.expm1(-dt / tau), dt + tau * math.expm1(-dt / tau)
     until = _broken_by(path, history.breaks, m - 1, min(t1 - tau, t0), rate)
-    return until - _broken_by(path, history.breaks, m - 1, t0 - tau, rate), max(dt - tau, 0.0)
+    return until - _broken_by(path, history.breaks, m - 1, t0 - tau, rate), max(
+        dt - tau, 0.0
+    )
 
 
 @routine(inline=True)
-def births_in(delay: Waits, path: Path, history: History, m: int, rate: float, pinned: float, newborn: float) -> float:
-    """Note the breaks of step m and return its births: `pinned` is left of those that were pinned before, and the share
-    `newborn` of the births."""
+def births_in(
+    delay: Waits,
+    path: Path,
+    history: History,
+    m: int,
+    rate: float,
+    pinned: float,
+    newborn: float,
+) -> float:
+    """Note the breaks of step m and return its births: `pinned` is left of those that
+    were pinned before, and the share `newborn` of the births."""
     dt = path.t[m] - path.t[m - 1]
     due, later = _due_births(delay, path, history, m, rate)
     broken = 1.0 - newborn
@@ -367,7 +432,8 @@ def numbered(rows: int) -> Array:
     return order
 
 
-# what kernels ask of contacts of any kind, which are the first argument, or of their population
+# what kernels ask of contacts of any kind, which are the first argument, or of their
+# population
 
 
 @by_law(makes_arrays=True)
@@ -388,8 +454,9 @@ def with_room(population: Any, rows: int) -> Any:
 
 @by_law(makes_arrays=True)
 def begin(contacts: Any, path: Path, population: Any) -> tuple[int, float]:
-    """Fill a population with what there is at first: contacts all born now, or a steady state, that is one life in
-    steps, each of which is there at the same time; returns how many cohorts, and births per unit time before."""
+    """Fill a population with what there is at first: contacts all born now, or a steady
+    state, that is one life in steps, each of which is there at the same time; returns
+    how many cohorts, and births per unit time before."""
     if path.cohorts == 0:
         population.cohorts[0].unbroken = 1.0
         _weigh(contacts, population.cohorts[0], 0.0)
@@ -420,9 +487,18 @@ def begin(contacts: Any, path: Path, population: Any) -> tuple[int, float]:
 
 
 @by_law(makes_arrays=True)
-def advance_all(contacts: Any, path: Path, population: Any, history: History, m: int, count: int, rate: float) -> int:
-    """Carry all cohorts, `count` of them, over step m, and add its births, where `rate` is births per unit time before
-    the path began; returns how many cohorts there are now."""
+def advance_all(
+    contacts: Any,
+    path: Path,
+    population: Any,
+    history: History,
+    m: int,
+    count: int,
+    rate: float,
+) -> int:
+    """Carry all cohorts, `count` of them, over step m, and add its births, where `rate`
+    is births per unit time before the path began; returns how many cohorts there are
+    now."""
     step, pinned = Step(path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), 0.0
     for i in range(count):
         cohort = population.cohorts[population.order[i]]
@@ -432,9 +508,14 @@ def advance_all(contacts: Any, path: Path, population: Any, history: History, m:
     _bear(contacts, new, step)
     _scale(new, births_in(contacts.delay, path, history, m, rate, pinned, new.pinned))
     kept = 0
-    for i in range(count + 1):  # drop cohorts that are gone, and join those that hardly differ
+    for i in range(
+        count + 1
+    ):  # drop cohorts that are gone, and join those that hardly differ
         j, fate = population.order[i], KEPT
-        cohort, before = population.cohorts[j], population.cohorts[population.order[max(kept - 1, 0)]]
+        cohort, before = (
+            population.cohorts[j],
+            population.cohorts[population.order[max(kept - 1, 0)]],
+        )
         if path.choices.given:
             fate = path.choices.fates[path.choices.first[m] + i]
         elif cohort.pinned < NEGLIGIBLE_SHARE:
@@ -452,8 +533,8 @@ def advance_all(contacts: Any, path: Path, population: Any, history: History, m:
 
 @by_law(makes_arrays=True)
 def observe(population: Any, count: int, X: float, history: History, m: int) -> float:
-    """Add up the force, the pinned share and the mean square of a population at edge m; returns the stiffness of all
-    pinned contacts."""
+    """Add up the force, the pinned share and the mean square of a population at edge m;
+    returns the stiffness of all pinned contacts."""
     stiffness = 0.0
     for i in range(count):
         cohort = population.cohorts[population.order[i]]

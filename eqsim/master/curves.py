@@ -1,7 +1,9 @@
-"""The inside of the stationary state, for any law of thresholds: densities of stretches and breaking rates.
+"""The inside of the stationary state, for any law of thresholds: densities of stretches
+and breaking rates.
 
-P, U, H, dU and E_P are those of the published master equation (Braun and Peyrard, 2011), which describes annealed
-contacts; `eqsim.master.closed_forms.Published` has their closed forms for n = 1, soft barriers and uniform stiffness.
+P, U, H, dU and E_P are those of the published master equation (Braun and Peyrard,
+2011), which describes annealed contacts; `eqsim.master.closed_forms.Published` has
+their closed forms for n = 1, soft barriers and uniform stiffness.
 """
 
 import functools
@@ -31,8 +33,9 @@ _LEAST = 1e-100  # stretch; at 0 barriers are divided by
 class StationaryState:
     """The stationary state of contacts that do not age, in the user's units.
 
-    Functions take stretches x >= 0 (length) of any shape, which the result has too; they are those of pinned contacts,
-    so that a delay plays no part. P to dU are good to 1e-8 relative, densities to 1e-8 of Q(0) and as good as `C`.
+    Functions take stretches x >= 0 (length) of any shape, which the result has too;
+    they are those of pinned contacts, so that a delay plays no part. P to dU are good
+    to 1e-8 relative, densities to 1e-8 of Q(0) and as good as `C`.
 
     Parameters
     ----------
@@ -43,8 +46,9 @@ class StationaryState:
     Raises
     ------
     InputError
-        By functions: for contacts that age, for stretches that are negative or not finite, and where a function does
-        not exist: the published ones for quenched contacts at kT > 0, and any that needs P_c for a discrete law.
+        By functions: for contacts that age, for stretches that are negative or not
+        finite, and where a function does not exist: the published ones for quenched
+        contacts at kT > 0, and any that needs P_c for a discrete law.
     """
 
     ensemble: Ensemble
@@ -54,10 +58,14 @@ class StationaryState:
     def _reduced(self) -> Reduced:
         require_drive(self.drive)
         if self.ensemble.aging.active:
-            raise InputError("aging: the densities are those of contacts that do not age")
+            raise InputError(
+                "aging: the densities are those of contacts that do not age"
+            )
         if self.ensemble.newborn.active:
             law = self.ensemble.newborn.law
-            raise InputError(f'newborn.law = "{law}": the densities are those of contacts born unstretched')
+            raise InputError(
+                f'newborn.law = "{law}": the densities are those of contacts born unstretched'
+            )
         return reduced(self.ensemble, self.drive.velocity)
 
     @functools.cached_property
@@ -66,29 +74,37 @@ class StationaryState:
         return known(reference(self.ensemble, self.drive).break_stretch)
 
     def density(self, x: Any) -> Array:
-        """Q(x), density of the stretches of pinned contacts, 1/length: P(x_b > x)/C, which is E_P/C for annealed
-        contacts (Q11a) and E[S(x|xi); xi > x]/C for quenched ones (derived)."""
+        """Q(x), density of the stretches of pinned contacts, 1/length: P(x_b > x)/C,
+        which is E_P/C for annealed contacts (Q11a) and E[S(x|xi); xi > x]/C for
+        quenched ones (derived)."""
         s, u = self._reduced, self._lengths("x", x)
         if s.annealed and not s.law.steps.size:
             return self.E_P(x) / self.C
         survivors = annealed.survivors if s.annealed else quenched.survivors_at
         ascending, back = np.unique(np.maximum(u, _LEAST), return_inverse=True)
-        return np.asarray(_in_parts(lambda x: survivors(s, x)[0], ascending)[back].reshape(u.shape) / self.C)
+        return np.asarray(
+            _in_parts(lambda x: survivors(s, x)[0], ascending)[back].reshape(u.shape)
+            / self.C
+        )
 
     def joint_density(self, x: Any, xi: Any) -> Array:
-        """Density of pinned contacts in stretch x and own threshold xi > 0, 1/length^2: P_c(xi) S(x|xi)/C on x < xi
-        and 0 beyond (derived), where annealed contacts have S = exp(-dU(x)). x and xi are broadcast."""
+        """Density of pinned contacts in stretch x and own threshold xi > 0, 1/length^2:
+        P_c(xi) S(x|xi)/C on x < xi and 0 beyond (derived), where annealed contacts have
+        S = exp(-dU(x)). x and xi are broadcast."""
         s, u, threshold = self._smooth(), self._lengths("x", x), self._lengths("xi", xi)
         if not np.all(threshold > 0):
             raise InputError("xi: every threshold must be > 0")
         if s.annealed:
             survive = np.where(u < threshold, np.exp(-self.dU(x)), 0.0)
         else:
-            survive = quenched.survival(s.barrier, u, threshold, quenched.kappa_of(s, threshold))
+            survive = quenched.survival(
+                s.barrier, u, threshold, quenched.kappa_of(s, threshold)
+            )
         return np.asarray(s.law.pdf(threshold * s.law.scale) * survive / self.C)
 
     def P(self, x: Any) -> Array:
-        """Mechanical breaking per unit displacement, P_c/J_c, 1/length (PcP); infinite where no threshold is left."""
+        """Mechanical breaking per unit displacement, P_c/J_c, 1/length (PcP); infinite
+        where no threshold is left."""
         s = self._published()
         x = self._lengths("x", x) * s.law.scale
         J_c = s.law.sf(x)
@@ -100,12 +116,17 @@ class StationaryState:
         x = self._lengths("x", x) * s.law.scale
         broken = s.law.cdf(x)
         with np.errstate(divide="ignore"):  # no threshold left
-            return np.where(broken < 0.5, -np.log1p(-np.minimum(broken, 0.5)), -np.log(s.law.sf(x)))
+            return np.where(
+                broken < 0.5, -np.log1p(-np.minimum(broken, 0.5)), -np.log(s.law.sf(x))
+            )
 
     def H(self, x: Any) -> Array:
-        """Thermal breaking per unit displacement, (omega/v) h, 1/length (temper11, temper12)."""
+        """Thermal breaking per unit displacement, (omega/v) h, 1/length (temper11,
+        temper12)."""
         s = self._published()
-        return np.asarray(self._rate(self._lengths("x", x)) * np.exp(s.barrier.log_w) / s.law.scale)
+        return np.asarray(
+            self._rate(self._lengths("x", x)) * np.exp(s.barrier.log_w) / s.law.scale
+        )
 
     def dU(self, x: Any) -> Array:
         """Delta U(x) = int_0^x H (nt09 for any law)."""
@@ -115,7 +136,9 @@ class StationaryState:
         node = np.searchsorted(pool.x, u, side="right")
         low, G = np.append(0.0, pool.x)[node], np.append(0.0, pool.G)[node]
         half = 0.5 * (u - low)[..., None]  # from the node below
-        G = G + (half * _WEIGHTS * self._rate(low[..., None] + half * (1.0 + _NODES))).sum(axis=-1)
+        G = G + (
+            half * _WEIGHTS * self._rate(low[..., None] + half * (1.0 + _NODES))
+        ).sum(axis=-1)
         return np.asarray(np.exp(s.barrier.log_w) * G)
 
     def E_P(self, x: Any) -> Array:
@@ -132,13 +155,17 @@ class StationaryState:
     def _smooth(self) -> Reduced:
         """The numbers of contacts whose law has a density."""
         if self._reduced.law.steps.size:
-            raise InputError(f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a density")
+            raise InputError(
+                f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a density"
+            )
         return self._reduced
 
     def _published(self) -> Reduced:
         """The numbers of contacts that the published functions describe."""
         if self.ensemble.disorder == "quenched" and self._reduced.barrier.thermal:
-            raise InputError('disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)')
+            raise InputError(
+                'disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)'
+            )
         return self._smooth()
 
     def _rate(self, u: Array) -> Array:
@@ -147,9 +174,14 @@ class StationaryState:
         if not s.barrier.thermal:
             return np.zeros_like(u)
         law = type(s.barrier)
-        h = _in_parts(lambda y: pooled_rate(s.law, s.stiffness, law, s.barrier.b, y), np.maximum(u, _LEAST))
+        h = _in_parts(
+            lambda y: pooled_rate(s.law, s.stiffness, law, s.barrier.b, y),
+            np.maximum(u, _LEAST),
+        )
         return h.reshape(u.shape)
 
 
 def _in_parts(function: Callable[[Array], Array], x: Array) -> Array:
-    return np.concatenate([function(part) for part in np.array_split(x.ravel(), x.size // _AT_ONCE + 1)])
+    return np.concatenate(
+        [function(part) for part in np.array_split(x.ravel(), x.size // _AT_ONCE + 1)]
+    )

@@ -1,24 +1,29 @@
-"""Quenched contacts whose thresholds fluctuate and age: the joint kinetic equation (derived from the
-aging operator L of Braun and Peyrard, 2011, eq. `L`).
+"""Quenched contacts whose thresholds fluctuate and age: the joint kinetic equation
+(derived from the aging operator L of Braun and Peyrard, 2011, eq. `L`).
 
-A pinned contact of stretch x has a threshold xi; their joint density q(xi, x) obeys, lengths in units of the newborn
-scale x_*i, with rho = x_*f/x_*i, D_v = D/(v x_*i) and r the thermal rate of `laws.barrier`,
+A pinned contact of stretch x has a threshold xi; their joint density q(xi, x) obeys,
+lengths in units of the newborn scale x_*i, with rho = x_*f/x_*i, D_v = D/(v x_*i) and r
+the thermal rate of `laws.barrier`,
 
     dq/dx = D_v d/dxi [dq/dxi - ((2n+1)/xi - 2 xi/rho^2) q] - (omega x_*i/v) r(x, xi) q    on xi > x,    q(x, x) = 0
 
-from q(xi, 0) = P_ci(xi). Without breaking q would stay in the family of P_ci, with scale s(x), where
-s^2 = rho^2 - (rho^2 - 1) exp(-4 D_v x/rho^2). Divide by that law: u = q/P(xi; s) is the share of contacts now at xi
-that is still pinned, and in the coordinate eta = xi/s aging drops out of its equation,
+from q(xi, 0) = P_ci(xi). Without breaking q would stay in the family of P_ci, with
+scale s(x), where s^2 = rho^2 - (rho^2 - 1) exp(-4 D_v x/rho^2). Divide by that law: u =
+q/P(xi; s) is the share of contacts now at xi that is still pinned, and in the
+coordinate eta = xi/s aging drops out of its equation,
 
     du/dx = (D_v/s^2) [d2u/deta2 + ((2n+1)/eta - 2 eta) du/deta] - (omega x_*i/v) r(x, s eta) u,    u = 1 at x = 0,
 
-but for the boundary eta = x/s, which only moves up. u is smooth also where the density is negligible.
+but for the boundary eta = x/s, which only moves up. u is smooth also where the density
+is negligible.
 
-Method: central differences of second order on nodes that ride on the boundary (y = eta - x/s = const) and crowd
-towards it, on three grids, and extrapolation; in x an L-stable Runge-Kutta method of fourth order, whose steps are
-chosen on the coarsest grid, used on all, and halved there once. The error is the last correction of the extrapolation
-plus a third of what halving the steps changes; true errors are some ten times smaller. It is usually below 1e-6 after
-half a second; the steep front of very many attempts (log_w = 50) takes seconds.
+Method: central differences of second order on nodes that ride on the boundary (y = eta
+- x/s = const) and crowd towards it, on three grids, and extrapolation; in x an L-stable
+Runge-Kutta method of fourth order, whose steps are chosen on the coarsest grid, used on
+all, and halved there once. The error is the last correction of the extrapolation plus a
+third of what halving the steps changes; true errors are some ten times smaller. It is
+usually below 1e-6 after half a second; the steep front of very many attempts (log_w =
+50) takes seconds.
 """
 
 import functools
@@ -40,18 +45,31 @@ from eqsim.numerics.tables import Array
 
 METHOD = "Fokker-Planck equation"
 
-# ESDIRK4(3)6L[2]SA of Kennedy and Carpenter (2003): the implicit part of ARK4(3)6L[2]SA; last row = weights
+# ESDIRK4(3)6L[2]SA of Kennedy and Carpenter (2003): the implicit part of
+# ARK4(3)6L[2]SA; last row = weights
 _C = np.array([0.0, 1 / 2, 83 / 250, 31 / 50, 17 / 20, 1.0])
 _A = np.zeros((6, 6))
 _A[1, :1] = 1 / 4
 _A[2, :2] = 8611 / 62500, -1743 / 31250
 _A[3, :3] = 5012029 / 34652500, -654441 / 2922500, 174375 / 388108
-_A[4, :4] = 15267082809 / 155376265600, -71443401 / 120774400, 730878875 / 902184768, 2285395 / 8070912
+_A[4, :4] = (
+    15267082809 / 155376265600,
+    -71443401 / 120774400,
+    730878875 / 902184768,
+    2285395 / 8070912,
+)
 _A[5, :5] = 82889 / 524892, 0.0, 15625 / 83664, 69875 / 102672, -2260 / 8211
 _GAMMA = 1 / 4
 _B = np.append(_A[5, :5], _GAMMA)
 _B_ERROR = _B - (
-    [4586570599 / 29645900160, 0.0, 178811875 / 945068544, 814220225 / 1159782912, -3700637 / 11593932, 61727 / 225920]
+    [
+        4586570599 / 29645900160,
+        0.0,
+        178811875 / 945068544,
+        814220225 / 1159782912,
+        -3700637 / 11593932,
+        61727 / 225920,
+    ]
 )
 
 # dz of the finest grid.
@@ -69,7 +87,8 @@ _LEAST_GAP = 1e-14
 _LEAST_MOBILITY = 1e-12
 # Error of S and of a tenth of u per step.
 _TOLERANCE = 1e-6
-# The largest fall of S in a step, and the longest step over the longest life, as values are to be interpolated.
+# The largest fall of S in a step, and the longest step over the longest life, as values
+# are to be interpolated.
 _FALL = 0.04
 _STRIDE = 0.01
 # Share of what is left in stretch and work, where a life ends.
@@ -86,8 +105,8 @@ class Survival(NamedTuple):
     x : ndarray, shape (points,)
         Ascending stretches from 0 to where nothing that matters survives.
     values, errors : ndarray, shape (3, points)
-        S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x], kappa that of the current threshold, and absolute
-        errors.
+        S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x], kappa that of the
+        current threshold, and absolute errors.
     stretch, work, stretch_error, work_error : float
         int S dx, int x E[kappa; x_b > x] dx, and absolute errors of both.
     """
@@ -111,71 +130,108 @@ def survivors(contacts: Reduced, x: Array) -> Array:
     """The `values` of `Survival` at x > 0, shape (3, n)."""
     found = survival(contacts)
     values = CubicSpline(np.log(found.x[1:]), found.values[:, 1:], axis=1)
-    return np.where(x > found.x[-1], 0.0, values(np.log(np.clip(x, found.x[1], found.x[-1]))))
+    return np.where(
+        x > found.x[-1], 0.0, values(np.log(np.clip(x, found.x[1], found.x[-1])))
+    )
 
 
 def survival(contacts: Reduced) -> Survival:
-    """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for the unbroken law), remembered:
-    the solution takes a second. A mobility D_v below 1e-12 counts as 1e-12."""
+    """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for
+    the unbroken law), remembered: the solution takes a second. A mobility D_v below
+    1e-12 counts as 1e-12."""
     if not isinstance(contacts.aging, Langevin):
         raise TypeError(f"these thresholds do not fluctuate: {contacts.aging}")
     return _survival(contacts.aging, contacts.stiffness, contacts.barrier)
 
 
-# A solution takes 0.6 s or more, and a transient asks for it four times; 16 of them are a few MB.
+# A solution takes 0.6 s or more, and a transient asks for it four times; 16 of them are
+# a few MB.
 @functools.lru_cache(maxsize=16)
 def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Survival:
     life = _Life(aging, stiffness, barrier)
     coarse, middle, fine = (_Grid(life, cells * _CELL) for cells in _RATIOS)
     first = _march(life, coarse)
-    halved = _march(life, coarse, np.sort(np.append(first.x, 0.5 * (first.x[1:] + first.x[:-1]))))
+    halved = _march(
+        life, coarse, np.sort(np.append(first.x, 0.5 * (first.x[1:] + first.x[:-1])))
+    )
     second, third = _march(life, middle, first.x), _march(life, fine, first.x)
-    values, errors = _extrapolated(first.values, second.values, third.values, halved.values[:, ::2] - first.values)
-    # along x a front that passes the nodes makes the error swing through 0; its neighbours know how far
+    values, errors = _extrapolated(
+        first.values, second.values, third.values, halved.values[:, ::2] - first.values
+    )
+    # along x a front that passes the nodes makes the error swing through 0; its
+    # neighbours know how far
     size = np.maximum(np.abs(values), 1e-300)
     errors = ndimage.maximum_filter1d(errors / size, 15, axis=1) * size
     halving = halved.totals[:, ::2] - first.totals
-    totals, total_errors = _extrapolated(first.totals, second.totals, third.totals, halving)
+    totals, total_errors = _extrapolated(
+        first.totals, second.totals, third.totals, halving
+    )
     # the worst on the way to the end, where errors may cancel by chance
-    return Survival(first.x, values, errors, *totals[:, -1].tolist(), *total_errors.max(axis=1).tolist())
+    return Survival(
+        first.x,
+        values,
+        errors,
+        *totals[:, -1].tolist(),
+        *total_errors.max(axis=1).tolist(),
+    )
 
 
-def _extrapolated(first: Array, second: Array, third: Array, halving: Array) -> tuple[Array, Array]:
-    """The value and its error from three grids, whose errors go with the second and fourth power of dz, and from what
-    halving the steps changes."""
+def _extrapolated(
+    first: Array, second: Array, third: Array, halving: Array
+) -> tuple[Array, Array]:
+    """The value and its error from three grids, whose errors go with the second and
+    fourth power of dz, and from what halving the steps changes."""
     h = np.array(_RATIOS) ** 2
     early = second + (second - first) * h[1] / (h[0] - h[1])
     late = third + (third - second) * h[2] / (h[1] - h[2])
     last = (late - early) * h[2] / (h[0] - h[2])
-    # steps are of fourth order, so that a fifteenth of `halving` is left; a hundredth of the bare change guards
-    # against a last correction that is small by chance
-    error = np.abs(last) + 0.01 * np.abs(third - second) + np.abs(halving) / 3.0 + 1e-9 * np.abs(late)
+    # steps are of fourth order, so that a fifteenth of `halving` is left; a hundredth
+    # of the bare change guards against a last correction that is small by chance
+    error = (
+        np.abs(last)
+        + 0.01 * np.abs(third - second)
+        + np.abs(halving) / 3.0
+        + 1e-9 * np.abs(late)
+    )
     return late + last + halving, error
 
 
 class _Life:
     """The coefficients of the equation of u, and where it ends."""
 
-    def __init__(self, aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> None:
-        self.n, self.final2, self.stiffness, self.barrier = aging.shape, aging.final2, stiffness, barrier
+    def __init__(
+        self, aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier
+    ) -> None:
+        self.n, self.final2, self.stiffness, self.barrier = (
+            aging.shape,
+            aging.final2,
+            stiffness,
+            barrier,
+        )
         self.mobility = max(0.25 * aging.alpha * aging.final2, _LEAST_MOBILITY)
         law = Gamma(self.n)
         self.rms = law.rms
         self.log_norm = math.log(2.0) - special.gammaln(self.n + 1.0)
-        # where lives are short by exp(-log_w), contacts as rare as that still count in the mean
+        # where lives are short by exp(-log_w), contacts as rare as that still count in
+        # the mean
         self.top = float(law.inverse_survival(45.0 + max(barrier.log_w, 0.0)))
         most = 2 * self.top * max(1.0, aging.final)
-        self.end = float(optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, most))
+        self.end = float(
+            optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, most)
+        )
 
     def scale(self, x: float) -> float:
         """s(x), the scale of the unbroken law."""
         return math.sqrt(scale2(self.final2, 4.0 * self.mobility * x / self.final2))
 
     def matrix(self, x: float, grid: "_Grid") -> Array:
-        """du/dx = A u: lower, main and upper diagonal of A, those of node j in column j, shape (3, N)."""
+        """du/dx = A u: lower, main and upper diagonal of A, those of node j in column
+        j, shape (3, N)."""
         s = self.scale(x)
         eta = x / s + grid.y
-        boundary = 1.0 / s - 2.0 * self.mobility * x / s * (1.0 / s**2 - 1.0 / self.final2)  # d(x/s)/dx
+        boundary = 1.0 / s - 2.0 * self.mobility * x / s * (
+            1.0 / s**2 - 1.0 / self.final2
+        )  # d(x/s)/dx
         spread = self.mobility / s**2
         drift = (boundary + spread * ((2 * self.n + 1) / eta - 2.0 * eta)) * grid.first
         a: Array = spread * grid.second
@@ -184,7 +240,10 @@ class _Life:
         if self.barrier.thermal:
             xi = x + s * grid.y
             with np.errstate(divide="ignore"):  # xi = x to rounding
-                a[1] -= np.exp(self.barrier.log_w + self.barrier.log_rate(x, xi, self.barrier.b * self.kappa(xi)))
+                a[1] -= np.exp(
+                    self.barrier.log_w
+                    + self.barrier.log_rate(x, xi, self.barrier.b * self.kappa(xi))
+                )
         return a
 
     def kappa(self, xi: Array) -> Array:
@@ -195,7 +254,11 @@ class _Life:
         """S, E[kappa; pinned] and E[kappa^2; pinned] at stretch x."""
         s = self.scale(x)
         eta = x / s + grid.y
-        share = np.exp(self.log_norm + (2 * self.n + 1) * np.log(eta) - eta**2) * grid.width * u
+        share = (
+            np.exp(self.log_norm + (2 * self.n + 1) * np.log(eta) - eta**2)
+            * grid.width
+            * u
+        )
         kappa = self.kappa(s * eta)
         return np.array([share.sum(), np.dot(share, kappa), np.dot(share, kappa**2)])
 
@@ -203,39 +266,58 @@ class _Life:
 class _Grid:
     """Nodes y_j = y(j dz), j = 1 .. N, of a smooth map; u = 0 at y_0 = 0, the boundary.
 
-    dz/dy = 1/(y + least) + 1/_WIDE: even near the boundary, then as ln y, then even again; where the thermal front may
-    be the first term is raised by the number of e-folds of the rate that the front must tell apart.
+    dz/dy = 1/(y + least) + 1/_WIDE: even near the boundary, then as ln y, then even
+    again; where the thermal front may be the first term is raised by the number of
+    e-folds of the rate that the front must tell apart.
     """
 
     def __init__(self, life: _Life, dz: float) -> None:
         low, high = sorted((1.0, life.scale(life.end)))
-        # contacts drift into the boundary within D_v; where they diffuse to it, lives are as short as 1/D_v
+        # contacts drift into the boundary within D_v; where they diffuse to it, lives
+        # are as short as 1/D_v
         self.least = 1e-3 * min(life.mobility / high, low, low**2 / life.mobility)
         self.front, self.crowd = (0.0, 0.0), 0.0
         if life.barrier.thermal:
-            self.front, self.crowd = _front(life, low, high), _CROWD * min(max(life.barrier.log_w, 0.0), 60.0)
+            self.front, self.crowd = (
+                _front(life, low, high),
+                _CROWD * min(max(life.barrier.log_w, 0.0), 60.0),
+            )
             self.least = min(self.least, 0.1 * math.exp(self.front[0]))
         self.least = max(self.least, _LEAST_GAP)
         count = math.ceil(float(self._z(np.array([life.top]))[0]) / dz)
-        y, slope = self._invert(0.5 * dz * np.arange(1, 2 * count + 2))  # at y_1/2, y_1, y_3/2 ...
+        y, slope = self._invert(
+            0.5 * dz * np.arange(1, 2 * count + 2)
+        )  # at y_1/2, y_1, y_3/2 ...
         cell = slope * dz  # dy/dj
         self.y, self.width = y[1::2], cell[1::2].copy()
         self.first = 0.5 / self.width  # of the differences u_j+1 - u_j-1
         left, right = 1.0 / (cell[:-1:2] * self.width), 1.0 / (cell[2::2] * self.width)
-        left[-1], right[-1], self.first[-1] = left[-1] + right[-1], 0.0, 0.0  # du/dy = 0 at the far end
+        left[-1], right[-1], self.first[-1] = (
+            left[-1] + right[-1],
+            0.0,
+            0.0,
+        )  # du/dy = 0 at the far end
         self.second = np.array([left, -left - right, right])
         self.width[-1] *= 0.5
 
     def _z(self, y: Array) -> Array:
         t = np.log(np.append(0.0, y) + self.least)
-        near, far = (_BLEND * np.logaddexp(0.0, (t - edge) / _BLEND) for edge in self.front)
-        return np.asarray((t + self.crowd * (near - far))[1:] - (t + self.crowd * (near - far))[0] + y / _WIDE)
+        near, far = (
+            _BLEND * np.logaddexp(0.0, (t - edge) / _BLEND) for edge in self.front
+        )
+        return np.asarray(
+            (t + self.crowd * (near - far))[1:]
+            - (t + self.crowd * (near - far))[0]
+            + y / _WIDE
+        )
 
     def _slope(self, y: Array) -> Array:
         """dz/dy."""
         t = np.log(y + self.least)
         near, far = (special.expit((t - edge) / _BLEND) for edge in self.front)
-        return np.asarray((1.0 + self.crowd * (near - far)) / (y + self.least) + 1.0 / _WIDE)
+        return np.asarray(
+            (1.0 + self.crowd * (near - far)) / (y + self.least) + 1.0 / _WIDE
+        )
 
     def _invert(self, z: Array) -> tuple[Array, Array]:
         """y and dy/dz, by Newton's method in t = ln(1 + y/least)."""
@@ -249,20 +331,25 @@ class _Grid:
 
 
 def _front(life: _Life, low: float, high: float) -> tuple[float, float]:
-    """ln y of the nearest and the farthest gap at which thermal breaking may end: the rate falls within `layer` at
-    large stretch, and at no stretch with the barrier itself."""
+    """ln y of the nearest and the farthest gap at which thermal breaking may end: the
+    rate falls within `layer` at large stretch, and at no stretch with the barrier
+    itself."""
     x, b, log_w = life.top * high, life.barrier.b, life.barrier.log_w
     layer = x * min(life.barrier.layer(x, b * float(life.kappa(np.array(x)))), 1.0)
     attempts = max(log_w, 1.0)
     near = 0.5 * layer * max(log_w + math.log(layer), 1.0)
-    far = 1.4 * ((attempts * life.rms / b) ** (1 / 3) if life.stiffness == "sqrt" else math.sqrt(attempts / b))
+    far = 1.4 * (
+        (attempts * life.rms / b) ** (1 / 3)
+        if life.stiffness == "sqrt"
+        else math.sqrt(attempts / b)
+    )
     near = min(near / high, life.top)
     return math.log(near), math.log(min(max(far / low, near), life.top))
 
 
 class _March(NamedTuple):
-    """`x` (steps + 1,), `values` of `survivors` there (3, steps + 1), `totals` = stretch and work up to
-    there (2, steps + 1)."""
+    """`x` (steps + 1,), `values` of `survivors` there (3, steps + 1), `totals` =
+    stretch and work up to there (2, steps + 1)."""
 
     x: Array
     values: Array
@@ -270,7 +357,8 @@ class _March(NamedTuple):
 
 
 def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
-    """u from x = 0 on: by steps that end at `stops`, or of controlled error until nothing that matters is left."""
+    """u from x = 0 on: by steps that end at `stops`, or of controlled error until
+    nothing that matters is left."""
     u, matrix = np.ones(grid.y.size), life.matrix(0.0, grid)
     matrix[0, 0] = 0.0  # it belongs to the boundary, where u = 0
     state = _State(u, matrix.sum(axis=0), life.survivors(0.0, grid, u))
@@ -281,7 +369,8 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
         h = min(h, life.end - x) if stops is None else stops[len(path)] - x
         step = _step(life, grid, x, h, state)
         if stops is None:
-            # u never grows, neither in the mean nor anywhere, so that errors at most add up
+            # u never grows, neither in the mean nor anywhere, so that errors at most
+            # add up
             error = np.abs(step.u_error)
             sizes = (
                 life.survivors(x + h, grid, error) / step.end.survivors,
@@ -289,7 +378,8 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
                 [0.1 * error.max() / step.end.u.max()],
             )
             size = np.append(
-                np.concatenate(sizes) / _TOLERANCE, ((state.survivors[0] - step.end.survivors[0]) / _FALL) ** 4
+                np.concatenate(sizes) / _TOLERANCE,
+                ((state.survivors[0] - step.end.survivors[0]) / _FALL) ** 4,
             )
             worst = max(float(np.where(size >= 0.0, size, np.inf).max()), 1e-9)
             following = h * min(5.0, max(0.1, 0.9 * worst**-0.25))
@@ -304,9 +394,15 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
         values.append(state.survivors)
         totals.append(totals[-1] + step.gain)
         left = state.survivors[:2] * (life.end - after, life.end**2)
-        if (np.all(left < _NEGLIGIBLE * totals[-1]) or after >= life.end) if stops is None else len(path) == stops.size:
+        if (
+            (np.all(left < _NEGLIGIBLE * totals[-1]) or after >= life.end)
+            if stops is None
+            else len(path) == stops.size
+        ):
             return _March(np.array(path), np.array(values).T, np.array(totals).T)
-    raise ArithmeticError(f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}")
+    raise ArithmeticError(
+        f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}"
+    )
 
 
 class _State(NamedTuple):
@@ -318,7 +414,8 @@ class _State(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """The state after a step, stretch and work gained in it, and the estimated errors of u and of these."""
+    """The state after a step, stretch and work gained in it, and the estimated errors
+    of u and of these."""
 
     end: _State
     gain: Array

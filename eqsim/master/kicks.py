@@ -1,9 +1,11 @@
 """How steady sliding through a spring answers to a small kick, in mean field (derived).
 
-The slider starts in the stationary state, its spring stretched by a kick more than what balances friction, and again by
-as much less. Half the difference of the two displacements is free of what is even in the kick: of second-order terms,
-and of what the solver misses of the balance. It is a sum of damped oscillations about the displaced balance, whose
-rates a matrix pencil finds: shifted by one sample, they span the same space.
+The slider starts in the stationary state, its spring stretched by a kick more than what
+balances friction, and again by as much less. Half the difference of the two
+displacements is free of what is even in the kick: of second-order terms, and of what
+the solver misses of the balance. It is a sum of damped oscillations about the displaced
+balance, whose rates a matrix pencil finds: shifted by one sample, they span the same
+space.
 """
 
 import math
@@ -46,27 +48,35 @@ Progress = Callable[[int, float], None]
 
 
 class Mode(NamedTuple):
-    """A perturbation: rate of growth (1/time, negative: of decay), and period (time), without a value if it does not
-    oscillate; neither has one if all decay within a cycle. Not `reliable` if seen for less than half a cycle."""
+    """A perturbation: rate of growth (1/time, negative: of decay), and period (time),
+    without a value if it does not oscillate; neither has one if all decay within a
+    cycle. Not `reliable` if seen for less than half a cycle."""
 
     growth: Estimate
     period: Estimate
 
 
 class _Answer(NamedTuple):
-    """The part of X - V t - kick that is odd in the kick, at intervals dt, and that by longer steps of the solver."""
+    """The part of X - V t - kick that is odd in the kick, at intervals dt, and that by
+    longer steps of the solver."""
 
     u: Array
     coarser: Array
     dt: float
 
 
-def mode_of(ensemble: Ensemble, velocity: float, stage: Stage, progress: Progress = lambda *_: None) -> Mode:
+def mode_of(
+    ensemble: Ensemble,
+    velocity: float,
+    stage: Stage,
+    progress: Progress = lambda *_: None,
+) -> Mode:
     """The slowest oscillation after a kick.
 
-    Errors are by how much it differs for a kick twice as large, in another window, with half as many oscillations more,
-    and with steps of the solver twice as long. `progress(done, total)` counts kicks, of which there may be fewer.
-    Raises InputError where there is no mean field.
+    Errors are by how much it differs for a kick twice as large, in another window, with
+    half as many oscillations more, and with steps of the solver twice as long.
+    `progress(done, total)` counts kicks, of which there may be fewer. Raises InputError
+    where there is no mean field.
     """
     most = _TRIES + 2
     progress(0, most)
@@ -88,7 +98,10 @@ def mode_of(ensemble: Ensemble, velocity: float, stage: Stage, progress: Progres
     if float(np.abs(answer.u[round(longest / answer.dt) :]).max()) < _GONE * kick:
         return Mode(Estimate(None, None, 0), Estimate(None, None, 0))
     last = _end(answer, typical)
-    start = next((part for part in _STARTS if last * answer.dt >= (part + 1.0) * longest), _STARTS[-1])
+    start = next(
+        (part for part in _STARTS if last * answer.dt >= (part + 1.0) * longest),
+        _STARTS[-1],
+    )
     first = min(round(start * longest / answer.dt), max(last - 16, 0))
     found = _rate(answer, first, last, 4)
     progress(most - 1, most)
@@ -99,7 +112,10 @@ def mode_of(ensemble: Ensemble, velocity: float, stage: Stage, progress: Progres
         _rate(answer, first, first + (3 * (last - first)) // 4, 4),
         _rate(answer._replace(u=answer.coarser), first, last, 4),
     ]
-    missed = [abs(complex(other.real, abs(other.imag)) - complex(found.real, abs(found.imag))) for other in others]
+    missed = [
+        abs(complex(other.real, abs(other.imag)) - complex(found.real, abs(found.imag)))
+        for other in others
+    ]
     error, frequency = max(missed), abs(found.imag)
     sure = (last - first) * answer.dt >= 0.5 * longest and error < abs(found)
     growth = Estimate(found.real, error, 0, None, sure)
@@ -109,16 +125,27 @@ def mode_of(ensemble: Ensemble, velocity: float, stage: Stage, progress: Progres
     return Mode(growth, Estimate(period, period * error / frequency, 0, None, sure))
 
 
-def _answer(ensemble: Ensemble, velocity: float, stage: Stage, kick: float, time: float) -> _Answer:
-    balance = known(reference(ensemble, Drive(velocity)).friction) + stage.damping * velocity
+def _answer(
+    ensemble: Ensemble, velocity: float, stage: Stage, kick: float, time: float
+) -> _Answer:
+    balance = (
+        known(reference(ensemble, Drive(velocity)).friction) + stage.damping * velocity
+    )
     found = []
     for sign in (1.0, -1.0):
         preload = balance / stage.stiffness + sign * kick
-        pulled = Stage(stage.stiffness, stage.damping, stage.mass, preload, stage.tolerance)
-        programme = Programme((Segment(velocity, time=time),), "stationary", velocity, pulled)
+        pulled = Stage(
+            stage.stiffness, stage.damping, stage.mass, preload, stage.tolerance
+        )
+        programme = Programme(
+            (Segment(velocity, time=time),), "stationary", velocity, pulled
+        )
         found.append(pulled_of(ensemble, programme, programme.grid(_POINTS)))
     more, less = found
-    u, coarser = 0.5 * (more.X - less.X) - kick, 0.5 * (more.coarser_X - less.coarser_X) - kick
+    u, coarser = (
+        0.5 * (more.X - less.X) - kick,
+        0.5 * (more.coarser_X - less.coarser_X) - kick,
+    )
     return _Answer(u, coarser, time / (_POINTS - 1))
 
 
@@ -139,22 +166,38 @@ def _rate(answer: _Answer, first: int, last: int, order: int) -> complex:
     z = linalg.eigvals(linalg.lstsq(basis[:-1], basis[1:])[0])
     z = z[np.abs(z) > 1e-12]
     powers = z ** np.arange(u.size)[:, None]
-    size = np.abs(linalg.lstsq(powers, u.astype(complex))[0]) * np.sqrt((np.abs(powers) ** 2).mean(axis=0))
+    size = np.abs(linalg.lstsq(powers, u.astype(complex))[0]) * np.sqrt(
+        (np.abs(powers) ** 2).mean(axis=0)
+    )
     return complex(np.log(z[np.argmax(size)]) / answer.dt)
 
 
 def border_by_kicks(
-    ensemble: Ensemble, velocity: float, stage: Stage, progress: Progress = lambda *_: None
+    ensemble: Ensemble,
+    velocity: float,
+    stage: Stage,
+    progress: Progress = lambda *_: None,
 ) -> Estimate:
-    """The stiffness at which a kick neither grows nor decays, by the root of its rate; 0 if it decays at 1/64 of the
-    stage's stiffness, too, with that as the error; without a value if it grows up to 64 times it."""
+    """The stiffness at which a kick neither grows nor decays, by the root of its rate;
+    0 if it decays at 1/64 of the stage's stiffness, too, with that as the error;
+    without a value if it grows up to 64 times it."""
     errors: dict[float, tuple[float, float]] = {}
 
     def growth(octave: float) -> float:
         if octave not in errors:
-            softer = Stage(stage.stiffness * 2.0**octave, stage.damping, stage.mass, None, stage.tolerance)
+            softer = Stage(
+                stage.stiffness * 2.0**octave,
+                stage.damping,
+                stage.mass,
+                None,
+                stage.tolerance,
+            )
             mode = mode_of(ensemble, velocity, softer)
-            rate = mode.growth.value if mode.growth.value is not None else -velocity / ensemble.thresholds.mean
+            rate = (
+                mode.growth.value
+                if mode.growth.value is not None
+                else -velocity / ensemble.thresholds.mean
+            )
             errors[octave] = rate, mode.growth.stderr or 0.0
             progress(len(errors), 2.0 * _OCTAVES)
         return errors[octave][0]
@@ -165,11 +208,19 @@ def border_by_kicks(
         end += direction
         if abs(end) >= _OCTAVES:
             least = stage.stiffness * 2.0**end
-            return Estimate(None, None, 0, None, False) if direction > 0 else Estimate(0.0, least, 0)
+            return (
+                Estimate(None, None, 0, None, False)
+                if direction > 0
+                else Estimate(0.0, least, 0)
+            )
     low, high = sorted((end, end + direction))
     root = float(optimize.brentq(growth, low, high, xtol=_CLOSE, rtol=_CLOSE))
     near = sorted(errors, key=lambda octave: abs(octave - root))[:2]
     slope = abs((errors[near[0]][0] - errors[near[1]][0]) / (near[0] - near[1]))
-    error = (max(errors[octave][1] for octave in near) / slope + _CLOSE) * math.log(2.0) if slope else math.inf
+    error = (
+        (max(errors[octave][1] for octave in near) / slope + _CLOSE) * math.log(2.0)
+        if slope
+        else math.inf
+    )
     value = stage.stiffness * 2.0**root
     return Estimate(value, value * error, 0)

@@ -1,19 +1,24 @@
-"""The exact means of a drive in segments, by the renewal equation in two times (derived).
+"""The exact means of a drive in segments, by the renewal equation in two times
+(derived).
 
-Of the contacts born at time s a share S(t|s) is still pinned at t, with the mean force m(t|s) = (X(t) - X(s)) E[k_i/k;
-pinned]. Births B and breaks Gamma per contact and unit time obey
+Of the contacts born at time s a share S(t|s) is still pinned at t, with the mean force
+m(t|s) = (X(t) - X(s)) E[k_i/k; pinned]. Births B and breaks Gamma per contact and unit
+time obey
 
     pinned(t) = S_0(t) + int_0^t B(s) S(t|s) ds,      friction = m_0(t) + int_0^t B(s) m(t|s) ds + (eta v/k)(1 - pinned)
     without delay pinned = 1;      fixed delay: B(t) = Gamma(t - tau);      exponential delay: B = (1 - pinned)/tau
 
-A contact of threshold xi at birth, whose threshold has grown to xi g(age), breaks mechanically where |x| = xi g, so
-that the law of thresholds itself says how many have, given the greatest |x|/g so far; and thermally at the rate of
-`laws.barrier` for |x| and its threshold, which is integrated over a step as if the barrier were linear in time. Births
-are spread evenly over steps, and thresholds divided into strata (`master.cohorts`). Where heat breaks no contact, and
-of annealed contacts, all that were born together share one hazard and the law of thresholds does the rest.
+A contact of threshold xi at birth, whose threshold has grown to xi g(age), breaks
+mechanically where |x| = xi g, so that the law of thresholds itself says how many have,
+given the greatest |x|/g so far; and thermally at the rate of `laws.barrier` for |x| and
+its threshold, which is integrated over a step as if the barrier were linear in time.
+Births are spread evenly over steps, and thresholds divided into strata
+(`master.cohorts`). Where heat breaks no contact, and of annealed contacts, all that
+were born together share one hazard and the law of thresholds does the rest.
 
-Lengths are in units of the law's scale, and time in units of the whole programme. Three grids, each with twice the
-steps and strata of the one before, give the result, extrapolated as of second order, and its error.
+Lengths are in units of the law's scale, and time in units of the whole programme. Three
+grids, each with twice the steps and strata of the one before, give the result,
+extrapolated as of second order, and its error.
 """
 
 import math
@@ -29,7 +34,16 @@ from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
 from eqsim.master.annealed import hazard_rate
-from eqsim.master.cohorts import NO_CHOICES, Choices, Contacts, Growth, History, Path, Pool, march
+from eqsim.master.cohorts import (
+    NO_CHOICES,
+    Choices,
+    Contacts,
+    Growth,
+    History,
+    Path,
+    Pool,
+    march,
+)
 from eqsim.master.fronts import Fronts, Strata, table_of_w
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.master.sharp import Corners, Sharp, levels_of, sharp_instants
@@ -39,7 +53,8 @@ from eqsim.model.reduced import Reduced, drag_of, legs, reduced
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import NEVER, ThreadPool
 
-# Displacement in a step of the coarsest grid, in units of the width of the law or of a threshold.
+# Displacement in a step of the coarsest grid, in units of the width of the law or of a
+# threshold.
 _PATH = 0.05
 # A step of the coarsest grid over the time since the velocity changed.
 _GROWTH = 0.15
@@ -57,7 +72,8 @@ _MOST_COHORTS = 5000
 _SIGMA = 8.2
 # By how much strata crowd in the middle, where they are 1.8 times narrower.
 _CROWD = 2.0
-# Time in which contacts that break or are born at an instant do so, over the longest step.
+# Time in which contacts that break or are born at an instant do so, over the longest
+# step.
 _INSTANT = 1e-7
 # The same over the whole time: more than rounding, and less than what could be seen.
 _LEAST_INSTANT = 1e-11
@@ -84,8 +100,9 @@ _RESOLVED = 2e-6
 
 
 def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
-    """Edges of cells of a law, shape (edges,), nodes in them, shape (edges - 1, nodes), and their shares of births.
-    Kinks of the law are edges, both ends of a gap too: the cell between them has no share."""
+    """Edges of cells of a law, shape (edges,), nodes in them, shape (edges - 1, nodes),
+    and their shares of births. Kinks of the law are edges, both ends of a gap too: the
+    cell between them has no share."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     even = _SIGMA / math.sinh(_CROWD) * np.sinh(np.linspace(-_CROWD, _CROWD, cells + 1))
 
@@ -95,7 +112,10 @@ def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
 
     kinks = law.kinks if law.kinks.size <= cells else NO_STEPS
     with np.errstate(divide="ignore"):
-        low, high = (special.ndtri(np.asarray(share(kinks), float)) for share in (law.cdf, law.sf))
+        low, high = (
+            special.ndtri(np.asarray(share(kinks), float))
+            for share in (law.cdf, law.sf)
+        )
     place = np.where(low < 0.0, low, -high)
     inside = np.abs(place) < _SIGMA
     z = np.append(even, place[inside])
@@ -109,11 +129,14 @@ def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
 
 
 def _strata(contacts: Reduced, strata: int) -> Strata:
-    """Strata of quenched contacts; of a discrete law its thresholds, or groups of them where there are many."""
+    """Strata of quenched contacts; of a discrete law its thresholds, or groups of them
+    where there are many."""
     powers, index = np.arange(3)[:, None], np.arange(strata)
     if contacts.law.steps.size:
         xi, share, stiff = different_steps(contacts)
-        first = np.unique(np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int))[:-1]
+        first = np.unique(
+            np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int)
+        )[:-1]
         parts = np.add.reduceat(share * stiff**powers, first, axis=1)
         nodes = np.add.reduceat(share * xi, first) / parts[0]
         low = high = index[: nodes.size]
@@ -123,7 +146,15 @@ def _strata(contacts: Reduced, strata: int) -> Strata:
         index = np.arange(share.shape[0])
         parts = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
         low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
-    return Strata(left, right, parts, parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy(), nodes, low, high)
+    return Strata(
+        left,
+        right,
+        parts,
+        parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy(),
+        nodes,
+        low,
+        high,
+    )
 
 
 def _pool(contacts: Reduced, cells: int) -> Pool:
@@ -133,28 +164,44 @@ def _pool(contacts: Reduced, cells: int) -> Pool:
         xi, share, stiff = different_steps(contacts)
         between = np.linspace(0.0, xi[-1], cells)
         y = np.sort(np.concatenate((between, xi, xi)))
-        y = y[~np.isin(y, xi) | (np.diff(y, prepend=-1.0) == 0) | (np.diff(y, append=math.inf) == 0)]
+        y = y[
+            ~np.isin(y, xi)
+            | (np.diff(y, prepend=-1.0) == 0)
+            | (np.diff(y, append=math.inf) == 0)
+        ]
         before = np.diff(y, append=math.inf) == 0  # just below a threshold
         index = np.searchsorted(xi, y, side="right") - before
-        above = np.append(np.cumsum((share * stiff**powers)[:, ::-1], axis=1)[:, ::-1], np.zeros((3, 1)), axis=1)[
-            :, index
-        ]
+        above = np.append(
+            np.cumsum((share * stiff**powers)[:, ::-1], axis=1)[:, ::-1],
+            np.zeros((3, 1)),
+            axis=1,
+        )[:, index]
         rate = np.zeros(y.size)
-        for own, part, k in zip(xi, share, stiff, strict=True) if contacts.annealed else ():
+        for own, part, k in (
+            zip(xi, share, stiff, strict=True) if contacts.annealed else ()
+        ):
             i = np.searchsorted(y, own) + 1
             rate[:i] += part * np.exp(
-                contacts.barrier.log_w + contacts.barrier.log_rate(y[:i], own, contacts.barrier.b * k)
+                contacts.barrier.log_w
+                + contacts.barrier.log_rate(y[:i], own, contacts.barrier.b * k)
             )
     else:
         edge, inner, share = _cells(contacts.law, cells)
         y = np.append(0.0, edge)
         part = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
-        above = np.append(part[:, ::-1].cumsum(axis=1)[:, ::-1], np.zeros((3, 1)), axis=1)
+        above = np.append(
+            part[:, ::-1].cumsum(axis=1)[:, ::-1], np.zeros((3, 1)), axis=1
+        )
         above = np.concatenate((above[:, :1], above), axis=1)
         rate = hazard_rate(contacts, y) if contacts.annealed else np.zeros(y.size)
     total = np.cumsum(0.5 * (above[:, 1:] + above[:, :-1]) * np.diff(y), axis=1)
     with np.errstate(divide="ignore"):
-        return Pool(y, above, np.append(np.zeros((3, 1)), total, axis=1), np.maximum(np.log(rate), -1e4))
+        return Pool(
+            y,
+            above,
+            np.append(np.zeros((3, 1)), total, axis=1),
+            np.maximum(np.log(rate), -1e4),
+        )
 
 
 def _growth_of(contacts: Reduced, age: float) -> Growth:
@@ -162,14 +209,23 @@ def _growth_of(contacts: Reduced, age: float) -> Growth:
     if isinstance(contacts.aging, Unaged):
         return Growth(1.0, 1.0, 1.0, NO_STEPS, False)
     ages = np.geomspace(age * 10.0**-_DECADES, age, _AGES)
-    newborn, values = float(contacts.aging.growth_at(np.zeros(1))[0]), contacts.aging.growth_at(ages)
+    newborn, values = (
+        float(contacts.aging.growth_at(np.zeros(1))[0]),
+        contacts.aging.growth_at(ages),
+    )
     per_ratio = (_AGES - 1) / (_DECADES * math.log(10.0))
-    return Growth(float(ages[0]), per_ratio, newborn, values, bool(stiffness_varies(contacts.aging, contacts.springs)))
+    return Growth(
+        float(ages[0]),
+        per_ratio,
+        newborn,
+        values,
+        bool(stiffness_varies(contacts.aging, contacts.springs)),
+    )
 
 
 class Course(NamedTuple):
-    """A programme in units of the law's scale and of its whole time: ends of segments, velocities, and the velocity of
-    the stationary state before, 0 of a fresh start."""
+    """A programme in units of the law's scale and of its whole time: ends of segments,
+    velocities, and the velocity of the stationary state before, 0 of a fresh start."""
 
     ends: Array
     velocity: Array
@@ -182,47 +238,79 @@ class Course(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Times of edges of steps of the coarsest grid, array (edges,), and of those between which means are smooth."""
+    """Times of edges of steps of the coarsest grid, array (edges,), and of those
+    between which means are smooth."""
 
     t: Array
     smooth: Array
 
 
-def _edges(course: Course, width: float, quickest: float, tau: float, sharp: list[Sharp]) -> Edges:
-    """Steps that end at ends of segments, whole delays after these, and sharp instants; many contacts that are born or
-    break at one instant do so in a step of next to no time before it."""
+def _edges(
+    course: Course, width: float, quickest: float, tau: float, sharp: list[Sharp]
+) -> Edges:
+    """Steps that end at ends of segments, whole delays after these, and sharp instants;
+    many contacts that are born or break at one instant do so in a step of next to no
+    time before it."""
     fastest = np.abs(course.velocity).max()
-    instant = min(max(_INSTANT * width / fastest, _LEAST_INSTANT), _LONGEST_INSTANT) if fastest else _LEAST_INSTANT
+    instant = (
+        min(max(_INSTANT * width / fastest, _LEAST_INSTANT), _LONGEST_INSTANT)
+        if fastest
+        else _LEAST_INSTANT
+    )
     atoms = np.array([s.t for s in sharp if s.order < 0.0])
     smooth = np.concatenate((course.ends, [s.t for s in sharp], atoms - instant))
     steep = np.array([s.t for s in sharp if s.order == -0.5])
     marks: list[float] = []
     t, last, since, kinks = [0.0], course.before, 0.0, np.empty(0)
     for end, velocity in zip(course.ends, course.velocity, strict=True):
-        if abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last)) or t[-1] == 0.0:
+        if (
+            abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last))
+            or t[-1] == 0.0
+        ):
             since, after = 0.0, t[-1] + tau * np.arange(1, _KINKS + 1)
-            kinks = np.unique(np.round(np.append(kinks[kinks > t[-1]], after), 11))  # rounding makes no step
+            kinks = np.unique(
+                np.round(np.append(kinks[kinks > t[-1]], after), 11)
+            )  # rounding makes no step
         last = velocity
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
         begins = np.append(kinks, atoms)
         graded = np.add.outer(steep, longest * np.append(_GRADED, -_GRADED)).ravel()
-        inexact = np.append(graded, kinks)  # these are moved to what is sharp, never the other way
-        inexact = inexact[np.abs(inexact[:, None] - smooth).min(axis=1) > _LEAST_INSTANT]
+        inexact = np.append(
+            graded, kinks
+        )  # these are moved to what is sharp, never the other way
+        inexact = inexact[
+            np.abs(inexact[:, None] - smooth).min(axis=1) > _LEAST_INSTANT
+        ]
         inner = np.sort(np.append(inexact, smooth))
-        inner = inner[(inner > t[-1] + _LEAST_INSTANT / 2) & (inner < end - _LEAST_INSTANT / 2)]
+        inner = inner[
+            (inner > t[-1] + _LEAST_INSTANT / 2) & (inner < end - _LEAST_INSTANT / 2)
+        ]
         inner = inner[np.diff(inner, prepend=-1.0) > _LEAST_INSTANT / 2]
         for mark in np.append(inner, end):
             begin, elapsed = t[-1], [0.0]
-            since = 0.0 if begins.size and np.abs(begins - begin).min() < _LEAST_INSTANT / 2 else since
+            since = (
+                0.0
+                if begins.size and np.abs(begins - begin).min() < _LEAST_INSTANT / 2
+                else since
+            )
             while elapsed[-1] < (mark - begin) * (1.0 - 1e-9):
-                step = min(max(_FIRST * quickest, _GROWTH * (since + elapsed[-1])), longest)
+                step = min(
+                    max(_FIRST * quickest, _GROWTH * (since + elapsed[-1])), longest
+                )
                 elapsed.append(elapsed[-1] + step)
                 if len(t) + len(elapsed) > MOST_STEPS:
-                    raise InputError(f"programme: takes more than {MOST_STEPS} steps of the renewal equation")
+                    raise InputError(
+                        f"programme: takes more than {MOST_STEPS} steps of the renewal equation"
+                    )
             since += mark - begin
-            t += (begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])).tolist()
+            t += (
+                begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])
+            ).tolist()
             t[-1] = float(mark)
-            if min(np.abs(smooth - mark).min(), np.abs(kinks - mark).min(initial=1.0)) < _LEAST_INSTANT / 2:
+            if (
+                min(np.abs(smooth - mark).min(), np.abs(kinks - mark).min(initial=1.0))
+                < _LEAST_INSTANT / 2
+            ):
                 marks.append(t[-1])
     return Edges(np.array(t), np.array(marks))
 
@@ -230,7 +318,9 @@ def _edges(course: Course, width: float, quickest: float, tau: float, sharp: lis
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
     """Dimensionless contacts, and what happens to them. Raises InputError."""
     if ensemble.self_consistent:
-        raise InputError("aging: that of annealed contacts is defined at constant velocity only, not along a programme")
+        raise InputError(
+            "aging: that of annealed contacts is defined at constant velocity only, not along a programme"
+        )
     if ensemble.fluctuates:
         raise InputError('rule = "langevin": has no reference along a programme')
     if ensemble.newborn.active:
@@ -241,15 +331,22 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     unit = ensemble.thresholds.scale
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
-    before = programme.velocity if programme.start == "stationary" and programme.velocity else 0.0
+    before = (
+        programme.velocity
+        if programme.start == "stationary" and programme.velocity
+        else 0.0
+    )
     legs(ensemble, programme)  # refuses what is out of range
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
-    return reduced(ensemble, unit / time), Course(ends, velocity * (time / unit), before * (time / unit))
+    return reduced(ensemble, unit / time), Course(
+        ends, velocity * (time / unit), before * (time / unit)
+    )
 
 
 class Numerics(NamedTuple):
-    """How finely an ensemble is resolved: a typical threshold, the longest displacement in a step of the coarsest grid,
-    the longest life in a stationary state at velocity `before`, and how thresholds grow."""
+    """How finely an ensemble is resolved: a typical threshold, the longest displacement
+    in a step of the coarsest grid, the longest life in a stationary state at velocity
+    `before`, and how thresholds grow."""
 
     ensemble: Reduced
     typical: float
@@ -264,19 +361,35 @@ class Numerics(NamedTuple):
         if not ensemble.barrier.thermal or ensemble.annealed:
             return Contacts(_pool(ensemble, round(fine * _CELLS)), self.growth, delay)
         strata = _strata(ensemble, round(fine * _STRATA))
-        return Fronts(strata, self.growth, ensemble.barrier, ensemble.springs, delay, table_of_w())
+        return Fronts(
+            strata, self.growth, ensemble.barrier, ensemble.springs, delay, table_of_w()
+        )
 
-    def path(self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES) -> Path:
+    def path(
+        self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES
+    ) -> Path:
         """Through edges, arrays (edges,)."""
         cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
-        return Path(t, X, self.width / fine, _GROWTH / fine, cohorts, self.before, choices, NEVER)
+        return Path(
+            t,
+            X,
+            self.width / fine,
+            _GROWTH / fine,
+            cohorts,
+            self.before,
+            choices,
+            NEVER,
+        )
 
 
 def _typical(contacts: Reduced, reach: float) -> float:
-    """A threshold that sets steps after a fresh start if no contact is stretched by more than `reach`: thresholds
-    beyond, such as stand for contacts that never break, do not count, nor does their mean if most are far less."""
+    """A threshold that sets steps after a fresh start if no contact is stretched by
+    more than `reach`: thresholds beyond, such as stand for contacts that never break,
+    do not count, nor does their mean if most are far less."""
     law = contacts.law
-    typical = min(law.mean, 2.0 * float(law.inverse_survival(math.log(2.0)))) / law.scale
+    typical = (
+        min(law.mean, 2.0 * float(law.inverse_survival(math.log(2.0)))) / law.scale
+    )
     if typical <= reach:
         return typical
     share = float(law.cdf(reach * law.scale))
@@ -287,33 +400,62 @@ def _typical(contacts: Reduced, reach: float) -> float:
 
 
 def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
-    """How to resolve contacts that are stretched by no more than `reach`. Raises InputError for contacts whose lives
-    are too different for a stationary start."""
+    """How to resolve contacts that are stretched by no more than `reach`. Raises
+    InputError for contacts whose lives are too different for a stationary start."""
     low, high = (
-        np.asarray(contacts.law.inverse_survival(np.array([0.17, 1.8]))) / contacts.law.scale
+        np.asarray(contacts.law.inverse_survival(np.array([0.17, 1.8])))
+        / contacts.law.scale
     )  # two standard deviations
-    typical = contacts.law.mean / contacts.law.scale if course.before else _typical(contacts, reach)
-    width = _PATH * (min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical)
+    typical = (
+        contacts.law.mean / contacts.law.scale
+        if course.before
+        else _typical(contacts, reach)
+    )
+    width = _PATH * (
+        min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical
+    )
     strongest = life = float(contacts.law.inverse_survival(36.0)) / contacts.law.scale
-    for _ in range(50 if course.before else 0):  # towards the root of x = xi growth(x/v)
-        life = strongest * max(1.0, float(contacts.aging.growth_at(np.array([life / course.before]))[0]))
+    for _ in range(
+        50 if course.before else 0
+    ):  # towards the root of x = xi growth(x/v)
+        life = strongest * max(
+            1.0, float(contacts.aging.growth_at(np.array([life / course.before]))[0])
+        )
     if course.before and life > _MOST_COHORTS * width:
         raise InputError(
             "programme: contacts whose thresholds are thousands of times the width of their law still matter, and have "
             'no reference with start = "stationary"; start "fresh"'
         )
-    growth = _growth_of(contacts, 1.0 + (life / course.before if course.before else 0.0))
+    growth = _growth_of(
+        contacts, 1.0 + (life / course.before if course.before else 0.0)
+    )
     return Numerics(contacts, typical, width, life, course.before, growth)
 
 
-def solve(contacts: Reduced, course: Course) -> tuple[Array, list[tuple[Array, History]]]:
-    """Times of kinks; and of edges, with what `march` finds there, on three grids, each with twice the steps of the one
-    before."""
+def solve(
+    contacts: Reduced, course: Course
+) -> tuple[Array, list[tuple[Array, History]]]:
+    """Times of kinks; and of edges, with what `march` finds there, on three grids, each
+    with twice the steps of the one before."""
     reach = float(np.ptp(course.at(np.append(0.0, course.ends))))
-    numerics, ages = numerics_of(contacts, course, reach or math.inf), np.geomspace(1e-15, 1.0, 1000)
-    grown = np.abs(contacts.aging.growth_at(ages) / contacts.aging.growth_at(np.zeros(1)) - 1.0) > _GROWN
-    quickest = [1.0, contacts.delay.mean or 1.0, float(ages[np.argmax(grown)]) if grown.any() else 1.0]
-    quickest.append(math.exp(-contacts.barrier.log_w) if contacts.barrier.thermal else 1.0)
+    numerics, ages = (
+        numerics_of(contacts, course, reach or math.inf),
+        np.geomspace(1e-15, 1.0, 1000),
+    )
+    grown = (
+        np.abs(
+            contacts.aging.growth_at(ages) / contacts.aging.growth_at(np.zeros(1)) - 1.0
+        )
+        > _GROWN
+    )
+    quickest = [
+        1.0,
+        contacts.delay.mean or 1.0,
+        float(ages[np.argmax(grown)]) if grown.any() else 1.0,
+    ]
+    quickest.append(
+        math.exp(-contacts.barrier.log_w) if contacts.barrier.thermal else 1.0
+    )
     fixed = isinstance(contacts.delay, Fixed)
     sharp = sharp_instants(
         Corners(np.append(0.0, course.ends), course.at(np.append(0.0, course.ends))),
@@ -322,23 +464,34 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, list[tuple[Array, H
         contacts.delay.mean,
         not fixed,
         course.before == 0.0,
-        bool(contacts.barrier.thermal or contacts.delay.mean) or not isinstance(contacts.aging, Unaged),
+        bool(contacts.barrier.thermal or contacts.delay.mean)
+        or not isinstance(contacts.aging, Unaged),
     )
-    t, kinks = _edges(course, numerics.width, min(quickest), contacts.delay.mean if fixed else 0.0, sharp)
+    t, kinks = _edges(
+        course,
+        numerics.width,
+        min(quickest),
+        contacts.delay.mean if fixed else 0.0,
+        sharp,
+    )
 
     def on_grid(fine: int) -> tuple[Array, History]:
-        edges = np.interp(np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t)
+        edges = np.interp(
+            np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t
+        )
         path = numerics.path(edges, course.at(edges), fine)._replace(stop=threads.stop)
         return edges, march(numerics.contacts(fine), path)
 
-    with ThreadPool(2) as threads:  # the finest takes as long as twice the others, or more
+    with ThreadPool(
+        2
+    ) as threads:  # the finest takes as long as twice the others, or more
         finest, middle, coarse = threads.map(on_grid, (4, 2, 1))
     return kinks, [coarse, middle, finest]
 
 
 class Means(NamedTuple):
-    """Means at the instants of a programme's grid, and their errors, arrays (points,); lengths in the user's unit,
-    breaks per contact and unit time."""
+    """Means at the instants of a programme's grid, and their errors, arrays (points,);
+    lengths in the user's unit, breaks per contact and unit time."""
 
     force: Array
     pinned: Array
@@ -366,30 +519,48 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     Raises
     ------
     InputError
-        For what has no reference along a programme, and programmes that take too many steps.
+        For what has no reference along a programme, and programmes that take too many
+        steps.
     """
     contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, grid.t[-1]
     kinks, solved = solve(contacts, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
     smooth = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
-    best, errors = _extrapolated(edges, [np.array(found[:3]) for _, found in solved], smooth)
-    best[2] -= best[0] ** 2  # a variance, which between edges is nearer to a straight line
+    best, errors = _extrapolated(
+        edges, [np.array(found[:3]) for _, found in solved], smooth
+    )
+    best[2] -= (
+        best[0] ** 2
+    )  # a variance, which between edges is nearer to a straight line
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
     for kink in kinks:  # smooth up to the next
-        last, there = np.searchsorted(edges, kink), np.searchsorted(at, kink * (1.0 + 1e-12), side="right")
+        last, there = (
+            np.searchsorted(edges, kink),
+            np.searchsorted(at, kink * (1.0 + 1e-12), side="right"),
+        )
         if there > here:
-            piece, inside = slice(first, last + 1), np.clip(at[here:there], edges[first], edges[last])
-            values[:, here:there] = Akima1DInterpolator(edges[piece], best[:, piece], axis=1)(inside)
+            piece, inside = (
+                slice(first, last + 1),
+                np.clip(at[here:there], edges[first], edges[last]),
+            )
+            values[:, here:there] = Akima1DInterpolator(
+                edges[piece], best[:, piece], axis=1
+            )(inside)
             errors[:, piece] += _between(edges[piece], best[:, piece])
             rate = np.diff(found.breaks[piece]) / np.diff(edges[piece])
-            breaks[here:there] = np.interp(inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate)
+            breaks[here:there] = np.interp(
+                inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate
+            )
         first, here = last, there
     missed = np.array([np.interp(at, edges, error) for error in errors])
     force, pinned, spread = values
     drag = np.array(
-        [math.copysign(drag_of(ensemble, abs(part.velocity)), part.velocity) for part in programme.segments]
+        [
+            math.copysign(drag_of(ensemble, abs(part.velocity)), part.velocity)
+            for part in programme.segments
+        ]
     )
     drag = drag[grid.segment]
     total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1]
@@ -400,30 +571,42 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
 
 
 def _between(t: Array, values: Array) -> Array:
-    """A bound on what interpolation between times misses, at these, shape (means, times): what one between every other
-    of them misses at the rest, nearby too."""
+    """A bound on what interpolation between times misses, at these, shape (means,
+    times): what one between every other of them misses at the rest, nearby too."""
     rough = Akima1DInterpolator(t[::2], values[:, ::2], axis=1)(t)
     return np.asarray(ndimage.maximum_filter1d(np.abs(rough - values), 5, axis=1))
 
 
-def _extrapolated(edges: Array, grids: list[Array], jumps: Array | None) -> tuple[Array, Array]:
-    """The values of no step at all at the edges of the finest of three grids, and their errors, shape (means, edges).
-    A discrete law `jumps`, at most at these edges.
+def _extrapolated(
+    edges: Array, grids: list[Array], jumps: Array | None
+) -> tuple[Array, Array]:
+    """The values of no step at all at the edges of the finest of three grids, and their
+    errors, shape (means, edges). A discrete law `jumps`, at most at these edges.
 
-    The error is twice by how much an extrapolation from the two coarser grids is different, nearby too, as it may
-    vanish by chance: were the scheme of first order, the finer one would miss half as much (derived).
+    The error is twice by how much an extrapolation from the two coarser grids is
+    different, nearby too, as it may vanish by chance: were the scheme of first order,
+    the finer one would miss half as much (derived).
     """
     rough, coarse, fine = grids
     once, twice = (4 * coarse[:, ::2] - rough) / 3, (4 * fine[:, ::2] - coarse) / 3
     index = np.arange(fine.shape[1])
-    missed = 2.0 * ndimage.maximum_filter1d(np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1)
+    missed = 2.0 * ndimage.maximum_filter1d(
+        np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1
+    )
     missed = np.maximum(missed, _CARRIED * missed.max(axis=1, keepdims=True))
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
     share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
     for j in range(fine.shape[0]):
-        best[j] = fine[j] + np.interp(index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2])
-        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j]) + _RESOLVED * np.abs(best[j]).max()
-        if jumps is not None:  # equal thresholds that break together within a step, other than at known instants
+        best[j] = fine[j] + np.interp(
+            index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2]
+        )
+        errors[j] = (
+            np.interp(index / 4, index[: rough.shape[1]], missed[j])
+            + _RESOLVED * np.abs(best[j]).max()
+        )
+        if (
+            jumps is not None
+        ):  # equal thresholds that break together within a step, other than at known instants
             straight = best[j, :-2] + (best[j, 2:] - best[j, :-2]) * share
             bent = np.pad(2.0 * np.abs(best[j, 1:-1] - straight), 1)
             bent[jumps] = 0.0

@@ -1,8 +1,9 @@
 """Instants along a drive at which many contacts are born, or begin to break, at once.
 
-A singularity of the births at an instant s and one of the density of thresholds at xi make one of the breaks when
-contacts born at s are stretched by xi, and with it one of the births (derived). Its order tells how sharp it is: -1 is
-an atom, -1/2 an integrable infinity, 0 a jump, 1 a kink. Of orders a and b comes one of order a + b + 1. A grid of
+A singularity of the births at an instant s and one of the density of thresholds at xi
+make one of the breaks when contacts born at s are stretched by xi, and with it one of
+the births (derived). Its order tells how sharp it is: -1 is an atom, -1/2 an integrable
+infinity, 0 a jump, 1 a kink. Of orders a and b comes one of order a + b + 1. A grid of
 steps that end at these instants is of second order although the density is not smooth.
 """
 
@@ -27,7 +28,8 @@ STEEP = 3.0
 
 
 class Levels(NamedTuple):
-    """Singularities of a law of thresholds: places in units of its scale, orders, shares of contacts, arrays (n,)."""
+    """Singularities of a law of thresholds: places in units of its scale, orders,
+    shares of contacts, arrays (n,)."""
 
     xi: Array
     order: Array
@@ -35,14 +37,16 @@ class Levels(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """Where the slider is: times and displacements of ends of segments, from 0 on, arrays (corners,)."""
+    """Where the slider is: times and displacements of ends of segments, from 0 on,
+    arrays (corners,)."""
 
     t: Array
     X: Array
 
 
 class Sharp(NamedTuple):
-    """An instant, the order of what is born then and its share of the contacts; ordered by importance."""
+    """An instant, the order of what is born then and its share of the contacts; ordered
+    by importance."""
 
     order: float
     lightness: float
@@ -50,24 +54,36 @@ class Sharp(NamedTuple):
 
 
 def levels_of(law: ThresholdLaw) -> Levels:
-    """`Levels` of a law; the share that a kink or jump counts as is that of a tenth of the law."""
+    """`Levels` of a law; the share that a kink or jump counts as is that of a tenth of
+    the law."""
     xi = law.kinks
     if law.steps.size:
         _, counts = np.unique(law.steps, return_counts=True)
         return Levels(xi / law.scale, np.full(xi.size, -1.0), counts / counts.sum())
     with np.errstate(all="ignore"):
-        near, far = (np.fmax(law.pdf(xi * (1.0 - gap)), law.pdf(xi * (1.0 + gap))) for gap in (NEAR, FAR))
-    return Levels(xi / law.scale, np.where(near > STEEP * far, -0.5, 0.0), np.full(xi.size, 0.1))
+        near, far = (
+            np.fmax(law.pdf(xi * (1.0 - gap)), law.pdf(xi * (1.0 + gap)))
+            for gap in (NEAR, FAR)
+        )
+    return Levels(
+        xi / law.scale, np.where(near > STEEP * far, -0.5, 0.0), np.full(xi.size, 0.1)
+    )
 
 
-def passages(corners: Corners, t: float, xi: Array, growth: Callable[[Array], Array] | None) -> Array:
-    """When contacts born at an instant are first stretched by thresholds, ascending, that are xi at birth and grow by
-    `growth` with age; infinite if never."""
+def passages(
+    corners: Corners, t: float, xi: Array, growth: Callable[[Array], Array] | None
+) -> Array:
+    """When contacts born at an instant are first stretched by thresholds, ascending,
+    that are xi at birth and grow by `growth` with age; infinite if never."""
     after = corners.t > t
     times = np.append(t, corners.t[after])
     if growth is not None:
         times = np.append(
-            (times[:-1, None] + np.diff(times)[:, None] * np.arange(SAMPLES) / SAMPLES).ravel(), times[-1]
+            (
+                times[:-1, None]
+                + np.diff(times)[:, None] * np.arange(SAMPLES) / SAMPLES
+            ).ravel(),
+            times[-1],
         )
     here = np.interp(t, corners.t, corners.X)
 
@@ -80,7 +96,9 @@ def passages(corners: Corners, t: float, xi: Array, growth: Callable[[Array], Ar
     there = (last < times.size) & (last > 0)
     found = np.full(xi.size, math.inf)
     low, high, level = times[last[there] - 1], times[last[there]], xi[there]
-    if growth is None:  # on straight pieces |x| grows up to the level at their ends only
+    if (
+        growth is None
+    ):  # on straight pieces |x| grows up to the level at their ends only
         X0, X1 = (np.interp(end, corners.t, corners.X) for end in (low, high))
         share = (here + np.copysign(level, X1 - here) - X0) / (X1 - X0)
         found[there] = low + (high - low) * np.clip(share, 0.0, 1.0)
@@ -115,7 +133,8 @@ def _turns(corners: Corners) -> list[int]:
 
 
 def _resumed(corners: Corners, t: float) -> list[float]:
-    """When contacts born at an instant, which have been less stretched since, are stretched more than ever."""
+    """When contacts born at an instant, which have been less stretched since, are
+    stretched more than ever."""
     after = np.flatnonzero(corners.t > t)
     here = np.interp(t, corners.t, corners.X)
     x = np.append(0.0, np.abs(corners.X[after] - here))
@@ -125,7 +144,12 @@ def _resumed(corners: Corners, t: float) -> list[float]:
         level = math.copysign(greatest[j], corners.X[after[j]] - here)
         X0 = corners.X[after[j - 1]]
         share = (here + level - X0) / (corners.X[after[j]] - X0)
-        found.append(float(corners.t[after[j - 1]] + share * (corners.t[after[j]] - corners.t[after[j - 1]])))
+        found.append(
+            float(
+                corners.t[after[j - 1]]
+                + share * (corners.t[after[j]] - corners.t[after[j - 1]])
+            )
+        )
     return found
 
 
@@ -179,12 +203,22 @@ def sharp_instants(
                 heapq.heappush(heap, Sharp(0.0, birth.lightness, t))
         xi = levels.xi[ascending]
         for i, t in zip(ascending, passages(corners, birth.t, xi, growth), strict=True):
-            order, lightness = birth.order + levels.order[i] + 1.0, birth.lightness * levels.share[i]
+            order, lightness = (
+                birth.order + levels.order[i] + 1.0,
+                birth.lightness * levels.share[i],
+            )
             if order > SMOOTH or not t < end or (order < 0.0 and -lightness < LIGHTEST):
                 continue
             broken = Sharp(float(order), float(lightness), float(t))
             if delay and not spread:
                 found.append(broken)
-            later = broken._replace(order=broken.order + 1.0) if delay and spread else broken
-            heapq.heappush(heap, later if spread or not delay else later._replace(t=broken.t + delay))
+            later = (
+                broken._replace(order=broken.order + 1.0)
+                if delay and spread
+                else broken
+            )
+            heapq.heappush(
+                heap,
+                later if spread or not delay else later._replace(t=broken.t + delay),
+            )
     return [instant for instant in found if instant.t > 0.0]

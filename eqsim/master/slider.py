@@ -1,14 +1,18 @@
-"""Mean field of a slider that a stage pulls: the expectation of infinitely many contacts along the X(t) they allow.
+"""Mean field of a slider that a stage pulls: the expectation of infinitely many
+contacts along the X(t) they allow.
 
-The force of all contacts is what the renewal equation in two times says of X so far (`master.programme`), and X obeys
+The force of all contacts is what the renewal equation in two times says of X so far
+(`master.programme`), and X obeys
 
     m X'' + eta_s X' = kappa_s (Y - X) - F - eta_l X' (1 - pinned),
 
-all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of all pinned contacts and rho
-(without heat, per dX) or r (with heat, per dt) what breaks and births added in the last step; without a mass X has a
-closed form then, with one forces are balanced in the middle of the step. Steps are so short that dX and what this
-estimate misses, of F and of the pinned fraction, are small; two accuracies, the second with steps about half as long,
-give the result and its error, and a third one where that takes few steps.
+all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of
+all pinned contacts and rho (without heat, per dX) or r (with heat, per dt) what breaks
+and births added in the last step; without a mass X has a closed form then, with one
+forces are balanced in the middle of the step. Steps are so short that dX and what this
+estimate misses, of F and of the pinned fraction, are small; two accuracies, the second
+with steps about half as long, give the result and its error, and a third one where that
+takes few steps.
 """
 
 import math
@@ -38,11 +42,13 @@ from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
-# Steps of the second accuracy, those of a few slips, up to which a third one is solved for.
+# Steps of the second accuracy, those of a few slips, up to which a third one is solved
+# for.
 _FEW_STEPS = 6000
 # The same of discrete laws, every threshold of which begins cohorts of its own.
 _FEW_OF_TABLES = 1000
-# By how much F may be missed in a step of the coarsest accuracy, in units of a typical threshold.
+# By how much F may be missed in a step of the coarsest accuracy, in units of a typical
+# threshold.
 _MISSED = 1e-4
 # Share of it by which r may be missed.
 _UNBALANCED = 0.05
@@ -50,7 +56,8 @@ _UNBALANCED = 0.05
 _TRIES = 8
 # Share of the longest step without heat, in which all contacts may break at once.
 _LANDED = 1e-4
-# Share of the longest step, in which equal thresholds may break that change F by as much as may be missed.
+# Share of the longest step, in which equal thresholds may break that change F by as
+# much as may be missed.
 _SHARE = 0.1
 # What a straight X(t) misses in the middle of a step, over what r changes in it.
 _BENT = 0.125
@@ -81,7 +88,8 @@ class Spring(NamedTuple):
     stiffness, damping, drag, mass : float
         Numbers of the equation; `drag` is the damping per detached share.
     in_balance : bool
-        Whether the spring balances all other forces at first. Else it has the `stretch`.
+        Whether the spring balances all other forces at first. Else it has the
+        `stretch`.
     stretch, velocity : float
         Of the spring and of the slider at first.
     heat : bool
@@ -102,8 +110,8 @@ class Spring(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Forces on the slider: stretch of the spring, velocities of slider and stage, F, A, pinned, and what breaks do per
-    displacement."""
+    """Forces on the slider: stretch of the spring, velocities of slider and stage, F,
+    A, pinned, and what breaks do per displacement."""
 
     stretch: float
     V: float
@@ -115,9 +123,10 @@ class Balance(NamedTuple):
 
 
 class Slide(NamedTuple):
-    """Result at the edges of steps, arrays (edges,): what contacts do, the displacement of the stage
-    and the velocity of the slider; how many edges there are; and whether they reach the last mark. They do not where
-    there are too many, or where given choices do not fit."""
+    """Result at the edges of steps, arrays (edges,): what contacts do, the displacement
+    of the stage and the velocity of the slider; how many edges there are; and whether
+    they reach the last mark. They do not where there are too many, or where given
+    choices do not fit."""
 
     history: History
     stage: Array
@@ -127,8 +136,11 @@ class Slide(NamedTuple):
 
 
 @routine(inline=True)
-def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: float) -> float:
-    """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from X = 0."""
+def _relaxed(
+    net: float, gain: float, stiffness: float, damping: float, dt: float
+) -> float:
+    """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from
+    X = 0."""
     if damping == 0.0:
         return (net + gain * dt) / stiffness if stiffness > 0.0 else math.inf
     w = -stiffness * dt / damping
@@ -141,9 +153,12 @@ def _relaxed(net: float, gain: float, stiffness: float, damping: float, dt: floa
 
 @routine(inline=True)
 def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, float]:
-    """Displacement in a step, infinite where nothing holds the slider, and the velocity then, where breaks and births
-    change F by r per time."""
-    stiffness, damping = spring.stiffness + b.stiffness + b.rho, spring.damping + spring.drag * (1.0 - b.pinned)
+    """Displacement in a step, infinite where nothing holds the slider, and the velocity
+    then, where breaks and births change F by r per time."""
+    stiffness, damping = (
+        spring.stiffness + b.stiffness + b.rho,
+        spring.damping + spring.drag * (1.0 - b.pinned),
+    )
     net, gain = spring.stiffness * b.stretch - b.force, spring.stiffness * b.speed - r
     if spring.mass == 0.0:
         dX = _relaxed(net, gain, stiffness, damping, dt)
@@ -156,11 +171,21 @@ def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, f
 
 
 @kernel
-def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array, tolerance: float) -> Slide:
-    """Fill `path` from its first edge on. Steps end at `marks` (marks,), up to each of which the stage moves at
-    `speeds`, and miss F by `tolerance` about; with given choices they are those of `path.t`."""
+def pull(
+    contacts: Any,
+    path: Path,
+    spring: Spring,
+    marks: Array,
+    speeds: Array,
+    tolerance: float,
+) -> Slide:
+    """Fill `path` from its first edge on. Steps end at `marks` (marks,), up to each of
+    which the stage moves at `speeds`, and miss F by `tolerance` about; with given
+    choices they are those of `path.t`."""
     t, X, choices, given = path.t, path.X, path.choices, path.choices.given
-    rows = np.zeros((6, t.size))  # as arrays of their own they take ten times as long, longer than a short solve
+    rows = np.zeros(
+        (6, t.size)
+    )  # as arrays of their own they take ten times as long, longer than a short solve
     history, Y, velocity = History(rows[0], rows[1], rows[2], rows[3]), rows[4], rows[5]
     population = empty(contacts, 256 + path.cohorts)
     count, rate = begin(contacts, path, population)
@@ -169,7 +194,15 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
     if spring.in_balance:
         damping = spring.damping + spring.drag * (1.0 - history.pinned[0])
         Y[0] = (history.force[0] + damping * spring.velocity) / spring.stiffness
-    longest, rho, r, q, a, m, k = _FIRST * marks[marks.size - 1], 0.0, 0.0, 0.0, 0.0, 1, 0
+    longest, rho, r, q, a, m, k = (
+        _FIRST * marks[marks.size - 1],
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1,
+        0,
+    )
     halvings = 0  # of the longest displacement in no time
     usual = 0.0  # step before many contacts broke at once, to go on with
     shortest = max(_SHORTEST * path.width, _RESOLVED * marks[marks.size - 1])
@@ -184,8 +217,18 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
             pinned=history.pinned[m - 1],
             rho=rho,
         )
-        last, guess, tries, guess_before, missed_before = 1.2 * longest >= left, r, 0, 0.0, 0.0
-        halvings = choices.halvings[m] if given and choices.instant[m] else max(halvings - 2, 0)
+        last, guess, tries, guess_before, missed_before = (
+            1.2 * longest >= left,
+            r,
+            0,
+            0.0,
+            0.0,
+        )
+        halvings = (
+            choices.halvings[m]
+            if given and choices.instant[m]
+            else max(halvings - 2, 0)
+        )
         dt = left if last else longest
         if given:
             dt, last = t[m] - t[m - 1], t[m] == marks[k]
@@ -199,11 +242,22 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
             elif instant and dt > shortest:
                 dt, last, guess, tries = 0.5 * dt, False, r, 0
                 continue
-            if instant:  # nothing holds the slider: a piece that takes no time, towards balance
-                net, held = spring.stiffness * b.stretch - b.force, spring.stiffness + b.stiffness + rho
+            if (
+                instant
+            ):  # nothing holds the slider: a piece that takes no time, towards balance
+                net, held = (
+                    spring.stiffness * b.stretch - b.force,
+                    spring.stiffness + b.stiffness + rho,
+                )
                 size = path.width * 0.5**halvings
                 if held > 0.0:
-                    size = min(size, max(abs(net) / held, (1e-2 if spring.heat else 1e-6) * path.width))
+                    size = min(
+                        size,
+                        max(
+                            abs(net) / held,
+                            (1e-2 if spring.heat else 1e-6) * path.width,
+                        ),
+                    )
                 dX, V = math.copysign(size, net), 0.0
                 if not given:
                     dt = max(_INSTANT * size, 1e-15 * marks[marks.size - 1])
@@ -212,33 +266,53 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
             X[m] = X[m - 1] + dX
             Y[m], velocity[m] = Y[m - 1] + speeds[k] * (t[m] - t[m - 1]), V
             after, full = population, count == population.order.size
-            if not given or spring.heat or full:  # a copy, as the step may be tried again
-                after = with_room(population, 2 * count if full else population.order.size)
+            if (
+                not given or spring.heat or full
+            ):  # a copy, as the step may be tried again
+                after = with_room(
+                    population, 2 * count if full else population.order.size
+                )
             history.force[m], history.pinned[m], history.square[m] = 0.0, 0.0, 0.0
             kept = advance_all(contacts, path, after, history, m, count, rate)
             stiffness = observe(after, kept, X[m], history, m)
             change = history.force[m] - b.force - b.stiffness * dX
-            off = max(abs(change - rho * dX - r * dt), abs(history.pinned[m] - b.pinned - q * dt))
+            off = max(
+                abs(change - rho * dX - r * dt),
+                abs(history.pinned[m] - b.pinned - q * dt),
+            )
             if spring.heat:
                 off *= _BENT
-            missed = change / dt - guess  # r obeys an equation, as the slider moves by what it says
+            missed = (
+                change / dt - guess
+            )  # r obeys an equation, as the slider moves by what it says
             sudden = not (spring.heat or given) and off > 4.0 * tolerance
-            least = max(_LANDED, _SHARE * tolerance / off) if sudden and spring.discrete else _LANDED
+            least = (
+                max(_LANDED, _SHARE * tolerance / off)
+                if sudden and spring.discrete
+                else _LANDED
+            )
             if sudden and abs(dX) > least * path.width:
-                # many contacts break at once, or begin to: when and where has to be known, the better the more
+                # many contacts break at once, or begin to: when and where has to be
+                # known, the better the more
                 usual = max(usual, dt)
                 halvings = math.ceil(math.log2(2.0 * path.width / abs(dX)))
                 at_once = instant or dt <= shortest
                 dt, last, guess, tries = 0.5 * dt, False, r, _TRIES if at_once else 0
                 continue
-            if not spring.heat or instant or (given and (tries == choices.trials[m] or missed == missed_before)):
+            if (
+                not spring.heat
+                or instant
+                or (given and (tries == choices.trials[m] or missed == missed_before))
+            ):
                 break
             if not given and abs(missed) * dt < _UNBALANCED * tolerance:
                 if off < 4.0 * tolerance:
                     break
                 tries = _TRIES
                 continue
-            slope = (missed - missed_before) / (guess - guess_before) if tries > 0 else -1.0
+            slope = (
+                (missed - missed_before) / (guess - guess_before) if tries > 0 else -1.0
+            )
             guess_before, missed_before = guess, missed
             guess, tries = guess - missed / slope, tries + 1
         if given and off > _WORSE * tolerance and not instant:
@@ -253,7 +327,11 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
             bent = 4.0 * dt * abs(V - b.V - a * dt) * (spring.stiffness + stiffness)
             off, a = max(off, bent), (V - b.V) / dt
         if not instant:
-            grown = dt * min(max(0.9 * math.sqrt(tolerance / off), 0.3), 1.5) if off > 0.0 else 1.5 * dt
+            grown = (
+                dt * min(max(0.9 * math.sqrt(tolerance / off), 0.3), 1.5)
+                if off > 0.0
+                else 1.5 * dt
+            )
             longest = max(grown, longest) if last and off < tolerance else grown
             if sudden and spring.discrete:  # they have broken
                 longest, usual = max(longest, usual), 0.0
@@ -261,7 +339,9 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
             rho, r = 0.0, 0.0 if instant else change / dt
         else:
             softer = change / dX if dX != 0.0 else 0.0
-            if off < 4.0 * tolerance or abs(softer) < abs(rho):  # else an atom breaks, which tells nothing
+            if off < 4.0 * tolerance or abs(softer) < abs(
+                rho
+            ):  # else an atom breaks, which tells nothing
                 rho = softer
         k += last
         m += 1
@@ -269,8 +349,9 @@ def pull(contacts: Any, path: Path, spring: Spring, marks: Array, speeds: Array,
 
 
 class Pulled(NamedTuple):
-    """Means at the instants of a programme's grid, and where slider and stage are, with errors, arrays (points,);
-    lengths in the user's unit. `coarser_X` is of steps about twice as long."""
+    """Means at the instants of a programme's grid, and where slider and stage are, with
+    errors, arrays (points,); lengths in the user's unit. `coarser_X` is of steps about
+    twice as long."""
 
     means: Means
     X: Array
@@ -307,7 +388,9 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     error = missed.force + np.abs(drag) * missed.pinned + spring.drag * missed.velocity
     variance = np.maximum(found.square - found.force**2, 0.0)
     variance += drag * detached * (drag * found.pinned - 2.0 * found.force)
-    variance_error = missed.square + drag**2 * missed.pinned + 2.0 * np.abs(total) * error
+    variance_error = (
+        missed.square + drag**2 * missed.pinned + 2.0 * np.abs(total) * error
+    )
     means = Means(
         force=total * unit,
         pinned=found.pinned,
@@ -317,12 +400,14 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
         variance=variance * unit**2,
         variance_error=variance_error * unit**2,
     )
-    return Pulled(means, found.X * unit, found.stage * unit, missed.X * unit, coarse.X * unit)
+    return Pulled(
+        means, found.X * unit, found.stage * unit, missed.X * unit, coarse.X * unit
+    )
 
 
 class Steps(NamedTuple):
-    """The steps that a solve took, and what it decided in them: another that takes the same is a smooth function of
-    parameters."""
+    """The steps that a solve took, and what it decided in them: another that takes the
+    same is a smooth function of parameters."""
 
     t: Array
     choices: Choices
@@ -332,9 +417,10 @@ def force_of(
     ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int = MOST_STEPS,
     steps: Steps | None = None,
 ) -> Array:  # fmt: skip
-    """The force at the instants of a grid by one solve, in the user's unit, shape (points,): that with fine = 1 takes a
-    tenth of the time of `pulled_of`, and misses about four times as much as that with fine = 2. With `steps`, those of
-    `steps_of` for other parameters, it has these where they serve.
+    """The force at the instants of a grid by one solve, in the user's unit, shape
+    (points,): that with fine = 1 takes a tenth of the time of `pulled_of`, and misses
+    about four times as much as that with fine = 2. With `steps`, those of `steps_of`
+    for other parameters, it has these where they serve.
 
     Raises
     ------
@@ -355,14 +441,18 @@ def force_of(
     return np.asarray((found.force + drag * (1.0 - found.pinned)) * unit)
 
 
-def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int) -> Steps:
+def steps_of(
+    ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int
+) -> Steps:
     """The steps of `force_of`, which raises the same errors."""
     choices = unmade_choices(most_steps, most_steps * _FATES)
     noted = Steps(np.full(most_steps, math.inf), choices)
     _, edges = _solved(_task(ensemble, programme, grid), fine, most_steps, noted)
     first = choices.first[: edges + 1].copy()
     if first[-1] > choices.fates.size:
-        raise TooManySteps(f"drive.stage: {first[-1]} cohorts in {edges} steps of the mean field")
+        raise TooManySteps(
+            f"drive.stage: {first[-1]} cohorts in {edges} steps of the mean field"
+        )
     made = Choices(
         first,
         fates=choices.fates[: first[-1]].copy(),
@@ -375,7 +465,8 @@ def steps_of(ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, 
 
 
 class _Task(NamedTuple):
-    """Task that is solved at any accuracy: marks, speeds up to them, and the marks asked for."""
+    """Task that is solved at any accuracy: marks, speeds up to them, and the marks
+    asked for."""
 
     numerics: Numerics
     spring: Spring
@@ -404,26 +495,36 @@ def _task(ensemble: Ensemble, programme: Programme, grid: Grid) -> _Task:
     )
     path = float(np.ptp(course.at(np.append(0.0, course.ends))))
     reach = 2.0 * (path + abs(spring.stretch))  # a mass may overshoot
-    return _Task(numerics_of(contacts, course, reach or math.inf), spring, marks, speeds, at)
+    return _Task(
+        numerics_of(contacts, course, reach or math.inf), spring, marks, speeds, at
+    )
 
 
 def _marks(t: Array, ends: Array, velocity: Array) -> tuple[Array, Array, Array]:
-    """Times that steps end at, the speed of the stage up to each, and where of these the instants `t` are."""
+    """Times that steps end at, the speed of the stage up to each, and where of these
+    the instants `t` are."""
     marks = np.unique(np.concatenate((t, ends)))
     marks = marks[np.append(np.diff(marks) > 1e-12, True)]
     marks = marks[marks > 0.0]
     segment = np.minimum(np.searchsorted(ends, marks * (1.0 - 1e-12)), ends.size - 1)
-    return marks, velocity[segment], np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12))
+    return (
+        marks,
+        velocity[segment],
+        np.searchsorted(np.append(0.0, marks), t * (1.0 - 1e-12)),
+    )
 
 
 def _every_other(task: _Task) -> tuple[_Task, Array]:
-    """A task without every other instant, and which are left. Steps end at instants, so that solves of different
-    accuracy, if they all had the same instants, might take the same steps and not differ, whatever they miss."""
+    """A task without every other instant, and which are left. Steps end at instants, so
+    that solves of different accuracy, if they all had the same instants, might take the
+    same steps and not differ, whatever they miss."""
     kept = np.unique(np.append(np.arange(0, task.at.size, 2), task.at.size - 1))
     wanted = np.append(True, np.append(np.diff(task.speeds) != 0.0, True))
     wanted[task.at[kept]] = True
     at = (np.cumsum(wanted) - 1)[task.at[kept]]
-    return task._replace(marks=task.marks[wanted[1:]], speeds=task.speeds[wanted[1:]], at=at), kept
+    return task._replace(
+        marks=task.marks[wanted[1:]], speeds=task.speeds[wanted[1:]], at=at
+    ), kept
 
 
 def _with_middles(task: _Task) -> _Task:
@@ -434,8 +535,8 @@ def _with_middles(task: _Task) -> _Task:
 
 
 class _Seen(NamedTuple):
-    """A solve, or its errors, at the marks `at`, arrays (points,): what `History` has, the displacement of the stage,
-    the velocity of the slider, and X."""
+    """A solve, or its errors, at the marks `at`, arrays (points,): what `History` has,
+    the displacement of the stage, the velocity of the slider, and X."""
 
     force: Array
     pinned: Array
@@ -446,22 +547,32 @@ class _Seen(NamedTuple):
     X: Array
 
 
-def _solved(task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps | None = None) -> tuple[_Seen, int]:
-    """Solve, and count the edges of steps, too. Raises TooManySteps, also if given steps do not serve."""
+def _solved(
+    task: _Task, fine: float, most_steps: int = MOST_STEPS, steps: Steps | None = None
+) -> tuple[_Seen, int]:
+    """Solve, and count the edges of steps, too. Raises TooManySteps, also if given
+    steps do not serve."""
     numerics, t = task.numerics, np.full(most_steps, math.inf)
     choices = NO_CHOICES
     if steps is not None:
         t, choices = steps
-    contacts, path = numerics.contacts(fine), numerics.path(t, np.zeros(t.size), fine, choices)
+    contacts, path = (
+        numerics.contacts(fine),
+        numerics.path(t, np.zeros(t.size), fine, choices),
+    )
     if choices.given and path.cohorts:
         path = path._replace(cohorts=int(choices.first[2] - choices.first[1]) - 1)
     path.t[0] = 0.0
     tolerance = _MISSED * numerics.typical / fine**2
     with ThreadPool(1) as thread:
         path = path._replace(stop=thread.stop)
-        slide = thread.submit(pull, contacts, path, task.spring, task.marks, task.speeds, tolerance).result()
+        slide = thread.submit(
+            pull, contacts, path, task.spring, task.marks, task.speeds, tolerance
+        ).result()
     if not slide.complete:
-        raise TooManySteps(f"drive.stage: takes more than {most_steps} steps of the mean field")
+        raise TooManySteps(
+            f"drive.stage: takes more than {most_steps} steps of the mean field"
+        )
     index = np.searchsorted(path.t[: slide.edges], np.append(0.0, task.marks))[task.at]
     found = (*slide.history, slide.stage, slide.velocity, path.X)
     return _Seen(*(values[index] for values in found)), slide.edges

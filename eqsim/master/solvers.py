@@ -18,7 +18,8 @@ class Solver(Protocol):
         """Moments of lives."""
 
     def survivors(self, contacts: Reduced, x: Array) -> Array:
-        """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x > 0, shape (3, n)."""
+        """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x
+        > 0, shape (3, n)."""
 
 
 _SOLVERS: dict[type, Solver] = {  # of quenched contacts

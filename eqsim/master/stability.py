@@ -1,10 +1,12 @@
 """Whether a slider that a spring pulls slides steadily, or sticks and slips (derived).
 
-Two borders in kappa_s, the stiffness of the spring over that of all contacts. On the way from a fresh start friction
-overshoots, as contacts that began together break together, and falls with X: a spring softer than the steepest fall
-cannot follow, and the slider slips. In the steady state a small perturbation grows or decays: without heat, aging and
-delay neither, as friction is then the same whatever X(t) does; with a delay by the characteristic equation
-(`master.characteristic`); else as a kick does in mean field (`master.kicks`).
+Two borders in kappa_s, the stiffness of the spring over that of all contacts. On the
+way from a fresh start friction overshoots, as contacts that began together break
+together, and falls with X: a spring softer than the steepest fall cannot follow, and
+the slider slips. In the steady state a small perturbation grows or decays: without
+heat, aging and delay neither, as friction is then the same whatever X(t) does; with a
+delay by the characteristic equation (`master.characteristic`); else as a kick does in
+mean field (`master.kicks`).
 """
 
 import math
@@ -32,22 +34,26 @@ from eqsim.results import Result
 
 NEUTRAL = "no perturbation grows or decays: without heat, aging and delay friction is the same at any X(t)"
 
-# Length of the fresh transient in mean lives; cells of its coarsest grid in the middle half of the ends of lives.
+# Length of the fresh transient in mean lives; cells of its coarsest grid in the middle
+# half of the ends of lives.
 _LIVES = 8.0
 _PER_WIDTH = 40.0
 # Fewest and most cells.
 _LEAST = 1000
 _MOST = 40_000
-# Points in the smallest slip of discrete thresholds, and chords from it to twice its length.
+# Points in the smallest slip of discrete thresholds, and chords from it to twice its
+# length.
 _PER_SLIP = 100.0
 _CHORDS = 60
-# Points between three candidates for an extremum: it is then missed by 1e-5 of what these differ by.
+# Points between three candidates for an extremum: it is then missed by 1e-5 of what
+# these differ by.
 _NEAR = 401
 # Cells of the coarser grid around an extremum within which two grids are compared.
 _AROUND = 4.0
 # Error of the place of a steepest fall, in cells, where slopes are all but even.
 _FLAT = 0.1
-# Panels of a life narrower than this in ln x surround an infinite density of thresholds.
+# Panels of a life narrower than this in ln x surround an infinite density of
+# thresholds.
 _SINGULAR = 1e-6
 # Errors by which a rate, or a stiffness, must differ from a border.
 _CERTAIN = 2.0
@@ -60,17 +66,19 @@ class FreshSlip(Result):
     Attributes
     ----------
     critical_stiffness : Estimate
-        Largest -dF/dX of the fresh transient at constant velocity: behind a spring with a smaller kappa_s the slider
-        jumps. Exact where F depends on X only (T = 0, no delay, no aging) and the slider has neither damping nor mass.
-        `stderr` is the error of the solver. 0 where friction never falls, infinite where the density of thresholds is.
-        Of discrete thresholds each step is a jump at any stiffness: `slip_stiffness`.
+        Largest -dF/dX of the fresh transient at constant velocity: behind a spring with
+        a smaller kappa_s the slider jumps. Exact where F depends on X only (T = 0, no
+        delay, no aging) and the slider has neither damping nor mass. `stderr` is the
+        error of the solver. 0 where friction never falls, infinite where the density of
+        thresholds is. Of discrete thresholds each step is a jump at any stiffness:
+        `slip_stiffness`.
     X : Estimate
         Where that is (length); without a value where it is 0.
     peak_ratio : Estimate
         Largest force on the way over steady friction.
     slip_stiffness : Estimate
-        Largest (F(X) - F(X + l))/l with l at least `model.slip.least_slip`: behind a spring with a smaller kappa_s the
-        slider jumps as far as a slip.
+        Largest (F(X) - F(X + l))/l with l at least `model.slip.least_slip`: behind a
+        spring with a smaller kappa_s the slider jumps as far as a slip.
     """
 
     critical_stiffness: Estimate
@@ -89,11 +97,13 @@ class Stability(Result):
         Of the stage (length/time), and kappa_s.
     fresh : FreshSlip
     critical_stiffness : Estimate
-        Below it steady sliding is unstable; without a value if it was not asked for or not found.
+        Below it steady sliding is unstable; without a value if it was not asked for or
+        not found.
     growth, period : Estimate
-        Of the slowest perturbation of steady sliding at this kappa_s: its rate (1/time; negative: it decays) and period
-        (time), the latter without a value if it does not oscillate, both if all decay within a fraction of a cycle, or
-        not exponentially (heavy-tailed thresholds). `stderr` is the error of the solver.
+        Of the slowest perturbation of steady sliding at this kappa_s: its rate (1/time;
+        negative: it decays) and period (time), the latter without a value if it does
+        not oscillate, both if all decay within a fraction of a cycle, or not
+        exponentially (heavy-tailed thresholds). `stderr` is the error of the solver.
     method : str
         What was solved.
     """
@@ -107,26 +117,33 @@ class Stability(Result):
     method: str
 
     def estimates(self, *, brief: bool = False) -> dict[str, Estimate]:
-        """Its numbers by name, those of the fresh start as fresh_critical_stiffness, ..."""
-        fresh = {f"fresh_{name}": estimate for name, estimate in self.fresh.estimates().items()}
+        """Its numbers by name, those of the fresh start as fresh_critical_stiffness,
+        ..."""
+        fresh = {
+            f"fresh_{name}": estimate
+            for name, estimate in self.fresh.estimates().items()
+        }
         names = ("critical_stiffness", "growth", "period")
         return {**{name: getattr(self, name) for name in names}, **fresh}
 
     @property
     def fresh_slips(self) -> bool:
-        """True if the slider slips on the way from a fresh start, as `model.slip` defines it."""
+        """True if the slider slips on the way from a fresh start, as `model.slip`
+        defines it."""
         return self.stiffness < known(self.fresh.slip_stiffness)
 
     @property
     def fresh_verdict(self) -> str:
-        """The way from a fresh start: "slips", "jumps" by less than a slip, "slides", or "undecided" where errors of
-        the borders do not tell."""
+        """The way from a fresh start: "slips", "jumps" by less than a slip, "slides",
+        or "undecided" where errors of the borders do not tell."""
         if _beyond(self.stiffness, self.fresh.slip_stiffness) is None:
             return "undecided"
         if self.fresh_slips:
             return "slips"
         border = self.fresh.critical_stiffness
-        if self.fresh.slip_stiffness == border:  # of discrete thresholds, which make steps of any size
+        if (
+            self.fresh.slip_stiffness == border
+        ):  # of discrete thresholds, which make steps of any size
             return "slides"
         if _beyond(self.stiffness, border) is None:
             return "undecided"
@@ -134,19 +151,27 @@ class Stability(Result):
 
     @property
     def verdict(self) -> str:
-        """Verdict on steady sliding: "stable", "unstable", "neutral", or "undecided" where the error is too large."""
+        """Verdict on steady sliding: "stable", "unstable", "neutral", or "undecided"
+        where the error is too large."""
         if self.method == NEUTRAL:
             return "neutral"
         if self.growth.value is None:
             border = self.critical_stiffness.value
-            return "undecided" if border is not None and self.stiffness < border else "stable"
-        if not self.growth.reliable or abs(self.growth.value) <= _CERTAIN * (self.growth.stderr or 0.0):
+            return (
+                "undecided"
+                if border is not None and self.stiffness < border
+                else "stable"
+            )
+        if not self.growth.reliable or abs(self.growth.value) <= _CERTAIN * (
+            self.growth.stderr or 0.0
+        ):
             return "undecided"
         return "unstable" if self.growth.value > 0.0 else "stable"
 
 
 def _beyond(stiffness: float, border: Estimate) -> bool | None:
-    """Judge whether a stiffness is beyond a border; None where the error of that does not tell."""
+    """Judge whether a stiffness is beyond a border; None where the error of that does
+    not tell."""
     apart = stiffness - known(border)
     return None if abs(apart) <= _CERTAIN * (border.stderr or 0.0) else apart > 0.0
 
@@ -178,11 +203,16 @@ class Pulled(NamedTuple):
 
 
 def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> Pulled:
-    """Raises InputError unless a stage moves in one direction at constant velocity, and contacts have a mean field."""
+    """Raises InputError unless a stage moves in one direction at constant velocity, and
+    contacts have a mean field."""
     if not isinstance(drive, Programme) or drive.stage is None:
-        raise InputError("drive.stage: is required; without a spring the slider moves as it is told")
+        raise InputError(
+            "drive.stage: is required; without a spring the slider moves as it is told"
+        )
     if len(drive.segments) != 1 or not drive.segments[0].velocity > 0.0:
-        raise InputError("drive.programme: stability is that of a stage at one constant velocity > 0")
+        raise InputError(
+            "drive.programme: stability is that of a stage at one constant velocity > 0"
+        )
     pulled = Pulled(ensemble, drive.segments[0].velocity, drive.stage)
     course_of(ensemble, pulled.programme())
     return pulled
@@ -203,8 +233,9 @@ def stability(
     drive : Programme
         With a stage and one segment; where and how it starts does not matter.
     critical : bool, optional
-        Whether to look for the critical stiffness of steady sliding, too; by default where the characteristic equation
-        gives it. In mean field it takes up to some minutes.
+        Whether to look for the critical stiffness of steady sliding, too; by default
+        where the characteristic equation gives it. In mean field it takes up to some
+        minutes.
     progress : callable
         Called with (done, total) meanwhile, of kicks or of stiffnesses tried.
 
@@ -215,9 +246,10 @@ def stability(
     Raises
     ------
     InputError
-        Without a stage, for programmes of several segments and holds; for contacts without a mean field (annealed ones
-        that age, the rule "langevin"); for identical contacts with a fixed delay, and delays of thousands of lives; and
-        for a slider whose damping is too small beside its mass.
+        Without a stage, for programmes of several segments and holds; for contacts
+        without a mean field (annealed ones that age, the rule "langevin"); for
+        identical contacts with a fixed delay, and delays of thousands of lives; and for
+        a slider whose damping is too small beside its mass.
     """
     pulled = pulled_by(ensemble, drive)
     mode = _mode(pulled, progress)  # may refuse
@@ -225,17 +257,25 @@ def stability(
     border = Estimate(None, None, 0)
     if critical or (critical is None and pulled.quick):
         border = critical_stiffness(pulled, progress)
-    return Stability(pulled.velocity, pulled.stage.stiffness, fresh, border, *mode, pulled.method)
+    return Stability(
+        pulled.velocity, pulled.stage.stiffness, fresh, border, *mode, pulled.method
+    )
 
 
-def critical_stiffness(pulled: Pulled, progress: Callable[[int, float], None] = lambda *_: None) -> Estimate:
-    """kappa_s below which steady sliding is unstable; 0 where it never is. Raises InputError."""
+def critical_stiffness(
+    pulled: Pulled, progress: Callable[[int, float], None] = lambda *_: None
+) -> Estimate:
+    """kappa_s below which steady sliding is unstable; 0 where it never is. Raises
+    InputError."""
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
     if pulled.method == kicks.METHOD:
         return kicks.border_by_kicks(*pulled, progress)
     fine, coarse, scan = _loops(pulled)
-    found, rough = characteristic.border_of(fine, scan), characteristic.border_of(coarse, scan)
+    found, rough = (
+        characteristic.border_of(fine, scan),
+        characteristic.border_of(coarse, scan),
+    )
     if math.isinf(found.stiffness):
         return Estimate(math.inf, 0.0, 0)
     return Estimate(found.stiffness, abs(found.stiffness - rough.stiffness) + 1e-12, 0)
@@ -262,8 +302,8 @@ def border(
     Returns
     -------
     dict of ndarray, shape (velocities,)
-        velocity, critical_stiffness and fresh_critical_stiffness, the last two also with _error; NaN where there is
-        none.
+        velocity, critical_stiffness and fresh_critical_stiffness, the last two also
+        with _error; NaN where there is none.
 
     Raises
     ------
@@ -275,10 +315,25 @@ def border(
         here = pulled._replace(velocity=float(velocity))
         found = critical_stiffness(here) if critical else Estimate(None, None, 0)
         fresh = fresh_slip(here.ensemble, here.velocity).critical_stiffness
-        rows.append([velocity, *(_number(part) for one in (found, fresh) for part in (one.value, one.stderr))])
+        rows.append(
+            [
+                velocity,
+                *(
+                    _number(part)
+                    for one in (found, fresh)
+                    for part in (one.value, one.stderr)
+                ),
+            ]
+        )
         progress(done + 1, len(velocities))
     names = "velocity", "critical_stiffness", "critical_stiffness_error"
-    return dict(zip((*names, *(f"fresh_{name}" for name in names[1:])), np.array(rows, float).T, strict=True))
+    return dict(
+        zip(
+            (*names, *(f"fresh_{name}" for name in names[1:])),
+            np.array(rows, float).T,
+            strict=True,
+        )
+    )
 
 
 def _number(value: float | None) -> float:
@@ -317,9 +372,10 @@ def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
 def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     """The steepest fall of the fresh transient (derived).
 
-    The renewal equation of `master.transient` on three grids, each with half the cells of the next, extrapolated as of
-    second order from the finer two; the difference from the coarser two is the error. What survives of the contacts
-    that started together is exact on both sides of every kink; the rest has a continuous slope between them.
+    The renewal equation of `master.transient` on three grids, each with half the cells
+    of the next, extrapolated as of second order from the finer two; the difference from
+    the coarser two is the error. What survives of the contacts that started together is
+    exact on both sides of every kink; the rest has a continuous slope between them.
 
     Parameters
     ----------
@@ -351,29 +407,69 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     highest, highest_X = _highest(fine)
     critical = Estimate(math.inf, 0.0, 0)
     if math.isfinite(fall):
-        beside = _apart(CubicSpline(rough.x, rough.later_slope), CubicSpline(fine.x, fine.later_slope), fall_X)
-        error_of_fall = max(abs(fall - other), beside) + unknown + profile.error * max(highest, fall)
+        beside = _apart(
+            CubicSpline(rough.x, rough.later_slope),
+            CubicSpline(fine.x, fine.later_slope),
+            fall_X,
+        )
+        error_of_fall = (
+            max(abs(fall - other), beside)
+            + unknown
+            + profile.error * max(highest, fall)
+        )
         critical = Estimate(max(fall, 0.0), error_of_fall, 0)
-    place = Estimate(fall_X * unit, (abs(fall_X - other_X) + _FLAT * fine.x[1]) * unit, 0)
+    place = Estimate(
+        fall_X * unit, (abs(fall_X - other_X) + _FLAT * fine.x[1]) * unit, 0
+    )
     ratio = max(highest, level) / level
-    beside = _apart(CubicSpline(rough.x, rough.later), CubicSpline(fine.x, fine.later), highest_X)
-    missed = max(abs(highest - _highest(rough)[0]), beside) / level + ratio * (profile.error + error / friction)
-    slip, _ = _chord([_Course(way.x, way.force) for way in (rough, fine)], least, profile.error * highest)
+    beside = _apart(
+        CubicSpline(rough.x, rough.later), CubicSpline(fine.x, fine.later), highest_X
+    )
+    missed = max(abs(highest - _highest(rough)[0]), beside) / level + ratio * (
+        profile.error + error / friction
+    )
+    slip, _ = _chord(
+        [_Course(way.x, way.force) for way in (rough, fine)],
+        least,
+        profile.error * highest,
+    )
     nowhere = Estimate(None, None, 0)
-    return FreshSlip(critical, place if fall > 0.0 else nowhere, Estimate(ratio, missed, 0), slip)
+    return FreshSlip(
+        critical, place if fall > 0.0 else nowhere, Estimate(ratio, missed, 0), slip
+    )
 
 
-def _of_steps(contacts: Reduced, distance: float, least: float, level: float, unit: float) -> FreshSlip:
-    """`fresh_slip` of contacts that break together; lengths in units of `unit`, which force and X are told in."""
-    x = distance * np.linspace(0.0, 1.0, 4 * int(min(max(0.25 * _PER_SLIP * distance / least, _LEAST), _MOST)) + 1)
+def _of_steps(
+    contacts: Reduced, distance: float, least: float, level: float, unit: float
+) -> FreshSlip:
+    """`fresh_slip` of contacts that break together; lengths in units of `unit`, which
+    force and X are told in."""
+    x = distance * np.linspace(
+        0.0,
+        1.0,
+        4 * int(min(max(0.25 * _PER_SLIP * distance / least, _LEAST), _MOST)) + 1,
+    )
     profile = profile_of(contacts, x)
-    courses = [_Course(x[::step], means_of(profile, x[::step], contacts).force) for step in (2, 1)]
+    courses = [
+        _Course(x[::step], means_of(profile, x[::step], contacts).force)
+        for step in (2, 1)
+    ]
     rough, highest = (float(course.force.max()) for course in courses)
     slip, X = _chord(courses, least, profile.error * highest)
     # between two points a force rises by no more than the contacts are stiff
-    missed = abs(highest - rough) + float(x[1] * np.abs(profile.at(x[1:2])[1]).max()) + profile.error * highest
-    place = Estimate(X * unit, 2.0 * float(x[1]) * unit, 0) if known(slip) > 0.0 else Estimate(None, None, 0)
-    return FreshSlip(slip, place, Estimate(max(highest, level) / level, missed / level, 0), slip)
+    missed = (
+        abs(highest - rough)
+        + float(x[1] * np.abs(profile.at(x[1:2])[1]).max())
+        + profile.error * highest
+    )
+    place = (
+        Estimate(X * unit, 2.0 * float(x[1]) * unit, 0)
+        if known(slip) > 0.0
+        else Estimate(None, None, 0)
+    )
+    return FreshSlip(
+        slip, place, Estimate(max(highest, level) / level, missed / level, 0), slip
+    )
 
 
 class _Course(NamedTuple):
@@ -383,11 +479,14 @@ class _Course(NamedTuple):
     force: Array
 
 
-def _chord(courses: list[_Course], least: float, missed: float) -> tuple[Estimate, float]:
-    """The steepest fall of a force over a displacement of `least` or more, and where it begins.
+def _chord(
+    courses: list[_Course], least: float, missed: float
+) -> tuple[Estimate, float]:
+    """The steepest fall of a force over a displacement of `least` or more, and where it
+    begins.
 
-    A chord of twice that length or more has a half that is as steep. Where a jump is between points its chord may be
-    longer or shorter by one of them.
+    A chord of twice that length or more has a half that is as steep. Where a jump is
+    between points its chord may be longer or shorter by one of them.
 
     Parameters
     ----------
@@ -400,13 +499,17 @@ def _chord(courses: list[_Course], least: float, missed: float) -> tuple[Estimat
     for x, F in courses:
         first = math.ceil(least / x[1] * (1.0 - 1e-9))
         last = min(2 * first, x.size - 1)
-        shifts = np.unique(np.append(first + 1, np.linspace(first, last, _CHORDS)).astype(int))
+        shifts = np.unique(
+            np.append(first + 1, np.linspace(first, last, _CHORDS)).astype(int)
+        )
         slopes = [(F[:-n] - F[n:]) / (n * x[1]) for n in shifts]
         steepest = np.array([float(slope.max()) for slope in slopes])
         longest = int(np.argmax(steepest))
         falls.append(steepest)
         # the first of equal ones, as contacts in step have
-        places.append(float(x[np.argmax(slopes[longest] >= (1.0 - 1e-6) * steepest[longest])]))
+        places.append(
+            float(x[np.argmax(slopes[longest] >= (1.0 - 1e-6) * steepest[longest])])
+        )
     best, rough = float(falls[-1].max()), float(falls[0].max())
     beside = abs(float(falls[-1][0] - falls[-1][1]))
     error = abs(best - rough) + 2.0 * beside + 2.0 * missed / least
@@ -414,8 +517,8 @@ def _chord(courses: list[_Course], least: float, missed: float) -> tuple[Estimat
 
 
 class _Way(NamedTuple):
-    """A fresh transient on a uniform grid of edges x, arrays (cells + 1,): the force, and the force that contacts born
-    on the way carry, with its slope."""
+    """A fresh transient on a uniform grid of edges x, arrays (cells + 1,): the force,
+    and the force that contacts born on the way carry, with its slope."""
 
     profile: SmoothLife
     x: Array
@@ -424,10 +527,16 @@ class _Way(NamedTuple):
     later_slope: Array
 
 
-def _on_three_grids(profile: SmoothLife, contacts: Reduced, distance: float) -> list[_Way]:
+def _on_three_grids(
+    profile: SmoothLife, contacts: Reduced, distance: float
+) -> list[_Way]:
     """Ever finer ones; cells resolve how sharply lives end."""
-    quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
-    cells = int(min(max(_PER_WIDTH * distance / max(slow - quick, 1e-300), _LEAST), _MOST))
+    quick, slow = (
+        float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25)
+    )
+    cells = int(
+        min(max(_PER_WIDTH * distance / max(slow - quick, 1e-300), _LEAST), _MOST)
+    )
     x = distance / (4 * cells) * np.arange(4 * cells + 1)
     return [_way(profile, x[::step], contacts) for step in (4, 2, 1)]
 
@@ -436,9 +545,16 @@ def _way(profile: SmoothLife, x: Array, contacts: Reduced) -> _Way:
     means = means_of(profile, x, contacts)
     births = means.breaks + np.diff(means.pinned) / x[1]
     first = from_birth(profile, contacts, x, 1)
-    carried = first - contacts.drag * _delayed(contacts) * np.append(1.0, profile.at(x[1:])[0])
-    at_edges = np.concatenate((births[:1], 0.5 * (births[1:] + births[:-1]), births[-1:]))
-    slope = np.append(0.0, convolved(births, np.diff(carried))[: x.size - 1]) + carried[0] * at_edges
+    carried = first - contacts.drag * _delayed(contacts) * np.append(
+        1.0, profile.at(x[1:])[0]
+    )
+    at_edges = np.concatenate(
+        (births[:1], 0.5 * (births[1:] + births[:-1]), births[-1:])
+    )
+    slope = (
+        np.append(0.0, convolved(births, np.diff(carried))[: x.size - 1])
+        + carried[0] * at_edges
+    )
     return _Way(profile, x, means.force, means.force - first, slope)
 
 
@@ -448,12 +564,15 @@ def _delayed(contacts: Reduced) -> float:
 
 def _between_grids(coarse: _Way, better: _Way) -> _Way:
     """At the edges of the coarser grid, extrapolated as of second order."""
-    columns = [(4.0 * b[::2] - a) / 3.0 for a, b in zip(coarse[2:], better[2:], strict=True)]
+    columns = [
+        (4.0 * b[::2] - a) / 3.0 for a, b in zip(coarse[2:], better[2:], strict=True)
+    ]
     return _Way(coarse.profile, coarse.x, *columns)
 
 
 def _steepest(way: _Way, contacts: Reduced) -> tuple[float, float, float]:
-    """Largest -dF/dx, infinite where a density of thresholds is, where it is, and what the life's panels may miss."""
+    """Largest -dF/dx, infinite where a density of thresholds is, where it is, and what
+    the life's panels may miss."""
     profile, x = way.profile, way.x
     later, drag = CubicSpline(x, way.later_slope), contacts.drag * _delayed(contacts)
 
@@ -491,11 +610,17 @@ def _highest(way: _Way) -> tuple[float, float]:
     near = np.linspace(at[max(i - 1, 0)], at[min(i + 1, at.size - 1)], _NEAR)
     closer = force(near)
     j = int(np.argmax(closer))
-    return (float(closer[j]), float(near[j])) if closer[j] > first[i] else (float(first[i]), float(at[i]))
+    return (
+        (float(closer[j]), float(near[j]))
+        if closer[j] > first[i]
+        else (float(first[i]), float(at[i]))
+    )
 
 
 def _apart(rough: CubicSpline, fine: CubicSpline, X: float) -> float:
-    """Find how far splines through the values on two grids differ around X: next to a kink by several times what the
-    finer one misses, though not everywhere."""
-    near = np.clip(X + _AROUND * rough.x[1] * np.linspace(-1.0, 1.0, 33), 0.0, rough.x[-1])
+    """Find how far splines through the values on two grids differ around X: next to a
+    kink by several times what the finer one misses, though not everywhere."""
+    near = np.clip(
+        X + _AROUND * rough.x[1] * np.linspace(-1.0, 1.0, 33), 0.0, rough.x[-1]
+    )
     return float(np.abs(fine(near) - rough(near)).max())

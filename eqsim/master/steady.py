@@ -1,4 +1,5 @@
-"""Steady averages of either ensemble from the master equation, as the engine reports them."""
+"""Steady averages of either ensemble from the master equation, as the engine reports
+them."""
 
 import functools
 import math
@@ -18,7 +19,8 @@ from eqsim.model.reduced import Reduced, bare, drag_of, reduced
 
 @dataclass(frozen=True, repr=False)
 class Reference(Averages):
-    """Exact steady averages; `stderr` of each estimate is the error estimate of the solver (absolute).
+    """Exact steady averages; `stderr` of each estimate is the error estimate of the
+    solver (absolute).
 
     Attributes
     ----------
@@ -35,8 +37,9 @@ class Reference(Averages):
 
 
 def settled(ensemble: Ensemble, velocity: float) -> Reduced:
-    """An ensemble at a velocity as the solvers need it; births of annealed contacts that age are the fixed point
-    C = int J_c exp(-Delta U) dx of star1. Raises InputError."""
+    """An ensemble at a velocity as the solvers need it; births of annealed contacts
+    that age are the fixed point C = int J_c exp(-Delta U) dx of star1. Raises
+    InputError."""
     if not ensemble.self_consistent:
         return reduced(ensemble, velocity)
     stretch = float(lives_of(bare(ensemble), (velocity,)).stretch[0])
@@ -44,14 +47,17 @@ def settled(ensemble: Ensemble, velocity: float) -> Reduced:
 
 
 def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Reference:
-    """The steady averages of an ensemble by quadrature (nt13, star1 and derived equations).
+    """The steady averages of an ensemble by quadrature (nt13, star1 and derived
+    equations).
 
-    Contacts travel from their birth at y to where they break; with the mean travel E[l] = 1/Gamma (Q5aG)
+    Contacts travel from their birth at y to where they break; with the mean travel E[l]
+    = 1/Gamma (Q5aG)
 
         pinned = E[l]/(E[l] + v<tau>),    friction = E[W]/(E[l] + v<tau>) + (eta v/k)(1 - pinned),    f_k = E[W]/E[l],
 
-    W = int_y^{x_b} kappa x dx, and with V = int_y^{x_b} kappa^2 x^2 dx the variance of the force of one contact over k
-    is E[V]/(E[l] + v<tau>) + (eta v/k)^2 (1 - pinned) - friction^2 (derived).
+    W = int_y^{x_b} kappa x dx, and with V = int_y^{x_b} kappa^2 x^2 dx the variance of
+    the force of one contact over k is E[V]/(E[l] + v<tau>) + (eta v/k)^2 (1 - pinned) -
+    friction^2 (derived).
 
     Parameters
     ----------
@@ -59,8 +65,9 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     drive : Drive
         Only its velocity counts.
     variance : bool
-        Whether to find the force variance of contacts born unstretched, too, which takes longer; it is known anyway of
-        those born stretched. Where it is infinite (`Ensemble.divergence`) its value is, and `reliable` is False.
+        Whether to find the force variance of contacts born unstretched, too, which
+        takes longer; it is known anyway of those born stretched. Where it is infinite
+        (`Ensemble.divergence`) its value is, and `reliable` is False.
 
     Returns
     -------
@@ -69,19 +76,31 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     Raises
     ------
     InputError
-        If a dimensionless number is out of range, and for annealed contacts of more than 1000 different thresholds.
+        If a dimensionless number is out of range, and for annealed contacts of more
+        than 1000 different thresholds.
     """
     require_drive(drive)
     v = drive.velocity
     if ensemble.self_consistent:
-        found, method = Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,))[:4])), annealed.METHOD
+        found, method = (
+            Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,))[:4])),
+            annealed.METHOD,
+        )
     else:
         s = settled(ensemble, v)
         found, method = _moments(bare(ensemble), v), _method(ensemble, s)
     divergence = ensemble.divergence if variance or found.square is not None else ""
-    if variance and found.square is None and not (divergence or ensemble.newborn.active):
+    if (
+        variance
+        and found.square is None
+        and not (divergence or ensemble.newborn.active)
+    ):
         found = _with_square(settled(ensemble, v), found)
-    unit, delay, drag = ensemble.thresholds.scale, delay_of(ensemble, v), drag_of(ensemble, v)
+    unit, delay, drag = (
+        ensemble.thresholds.scale,
+        delay_of(ensemble, v),
+        drag_of(ensemble, v),
+    )
     travel, work = found.stretch, found.work
     travel_error, work_error = found.stretch_error, found.work_error
     relative, cycle = travel_error / travel, travel + delay
@@ -96,7 +115,9 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
         spread = infinite()
     elif found.square is not None:
         square = found.square / cycle + drag**2 * (1.0 - pinned)
-        missed = (found.square_error + found.square * pinned * relative) / cycle + drag**2 * pinned_error
+        missed = (
+            found.square_error + found.square * pinned * relative
+        ) / cycle + drag**2 * pinned_error
         missed += 2.0 * abs(friction) * error
         spread = Estimate((square - friction**2) * unit**2, missed * unit**2, 0)
     return Reference(
@@ -111,7 +132,8 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     )
 
 
-# It takes up to 1 s, of contacts born stretched, and a fit or a sweep may change the delay or the viscosity alone.
+# It takes up to 1 s, of contacts born stretched, and a fit or a sweep may change the
+# delay or the viscosity alone.
 @functools.lru_cache(maxsize=64)
 def _moments(ensemble: Ensemble, velocity: float) -> Moments:
     """Moments of lives, whatever the delay, which only changes how often they begin."""
@@ -122,13 +144,15 @@ def _moments(ensemble: Ensemble, velocity: float) -> Moments:
 def _method(ensemble: Ensemble, contacts: Reduced) -> str:
     if contacts.newborn.active:
         return newborn.method(contacts)
-    published = ensemble.disorder == "annealed" and ensemble.aging.active  # also where heat breaks none
+    published = (
+        ensemble.disorder == "annealed" and ensemble.aging.active
+    )  # also where heat breaks none
     return annealed.METHOD if published else solver(contacts).METHOD
 
 
 def _with_square(contacts: Reduced, moments: Moments) -> Moments:
-    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx]: where lives are known in closed form from these,
-    else from the profile of a life."""
+    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx]: where lives are
+    known in closed form from these, else from the profile of a life."""
     if solver(contacts) is quenched:
         square, error = quenched.squares(contacts)
         return moments._replace(square=square, square_error=error)
@@ -136,7 +160,12 @@ def _with_square(contacts: Reduced, moments: Moments) -> Moments:
 
     profile = profile_of(contacts)
     square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
-    rest, missed = quenched.integrals_beyond(contacts, float(profile.x[-1]), float(profile.survive[-1]))
+    rest, missed = quenched.integrals_beyond(
+        contacts, float(profile.x[-1]), float(profile.survive[-1])
+    )
     square += float(rest[2, 2])
-    # of the end of a life the square knows more than the work does, by which the profile's error was judged: twice it
-    return moments._replace(square=square, square_error=2.0 * profile.error * square + float(missed[2, 2]))
+    # of the end of a life the square knows more than the work does, by which the
+    # profile's error was judged: twice it
+    return moments._replace(
+        square=square, square_error=2.0 * profile.error * square + float(missed[2, 2])
+    )

@@ -1,22 +1,27 @@
-"""Transients from a fresh start and stationary fluctuations, by the renewal equation (derived).
+"""Transients from a fresh start and stationary fluctuations, by the renewal equation
+(derived).
 
-All contacts start pinned, as newborn ones. With S(x) the probability that a life outlasts a travel x, and m(x) the mean
-force of a life there, E[(k_i/k)(y + x); l > x] of births at y, births B and breaks Gamma per contact and unit
-displacement obey
+All contacts start pinned, as newborn ones. With S(x) the probability that a life
+outlasts a travel x, and m(x) the mean force of a life there, E[(k_i/k)(y + x); l > x]
+of births at y, births B and breaks Gamma per contact and unit displacement obey
 
     Gamma = -dS/dX + B * (-dS/dx),     B = Gamma * (law of v delay)
     pinned = S + B * S,     friction = m + B * m + (eta v/k)(1 - pinned)
 
-with * the convolution over [0, X] (renewal form of Q5a, Q5aG and Q6 of Braun and Peyrard, 2011). Births are spread
-evenly over each cell of a uniform grid and every integral over S and m is exact, so that lives much shorter than a
-cell are no trouble; the scheme is of second order, of first where most lives are shorter than a cell. Two grids give
-the result, extrapolated as of second order, and their difference an error that covers either: with an error e of the
-coarser grid e/3 is left at first order, and the difference is e/2.
+with * the convolution over [0, X] (renewal form of Q5a, Q5aG and Q6 of Braun and
+Peyrard, 2011). Births are spread evenly over each cell of a uniform grid and every
+integral over S and m is exact, so that lives much shorter than a cell are no trouble;
+the scheme is of second order, of first where most lives are shorter than a cell. Two
+grids give the result, extrapolated as of second order, and their difference an error
+that covers either: with an error e of the coarser grid e/3 is left at first order, and
+the difference is e/2.
 
-But contacts that started together may stay in step for many cycles: identical ones always, and all whose lives are
-short beside a fixed delay. Harmonic k of their births keeps a share |phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)]
-(derived), of which births spread over cells h lose what has k h sqrt(m) > 1. The cells are made short enough for what
-is in step, and where they cannot be the share that may still be in step is part of the error.
+But contacts that started together may stay in step for many cycles: identical ones
+always, and all whose lives are short beside a fixed delay. Harmonic k of their births
+keeps a share |phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)] (derived), of which
+births spread over cells h lose what has k h sqrt(m) > 1. The cells are made short
+enough for what is in step, and where they cannot be the share that may still be in step
+is part of the error.
 """
 
 import math
@@ -73,17 +78,21 @@ class Transient(Result):
     pinned, pinned_error : ndarray
         Fraction of pinned contacts and its error estimate.
     breaks : ndarray
-        Gamma, breaks per contact and unit displacement (1/length); along a programme, which may hold, per unit time
-        (1/time), and in the mean over a step of the solver.
+        Gamma, breaks per contact and unit displacement (1/length); along a programme,
+        which may hold, per unit time (1/time), and in the mean over a step of the
+        solver.
     force_variance, force_variance_error : ndarray or None
-        Variance over contacts of the force of one over k (length^2), and its error estimate; None if not asked for,
-        where contacts stay in step for longer than the grids can tell, or where a stationary one is infinite.
+        Variance over contacts of the force of one over k (length^2), and its error
+        estimate; None if not asked for, where contacts stay in step for longer than the
+        grids can tell, or where a stationary one is infinite.
     stage, X_error : ndarray or None
-        Of a slider that a stage pulls, in mean field: displacement of the stage's end of the spring, and the error
-        estimate of X, which is found with it (length).
+        Of a slider that a stage pulls, in mean field: displacement of the stage's end
+        of the spring, and the error estimate of X, which is found with it (length).
     """
 
-    drawn: ClassVar[Drawn] = Drawn("X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)")
+    drawn: ClassVar[Drawn] = Drawn(
+        "X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)"
+    )
     X: Array
     force: Array
     pinned: Array
@@ -97,17 +106,26 @@ class Transient(Result):
     X_error: Array | None = None
 
 
-def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, *, variance: bool = False) -> Transient:
-    """The exact means of a run, by the renewal equation (derived; renewal form of Q5a, Q5aG and Q6), along a programme
-    by that in two times (`master.programme`), and of a slider that a stage pulls in mean field (`master.slider`).
+def transient(
+    ensemble: Ensemble,
+    drive: Drive | Programme,
+    points: int = 2001,
+    *,
+    variance: bool = False,
+) -> Transient:
+    """The exact means of a run, by the renewal equation (derived; renewal form of Q5a,
+    Q5aG and Q6), along a programme by that in two times (`master.programme`), and of a
+    slider that a stage pulls in mean field (`master.slider`).
 
     Parameters
     ----------
     ensemble : Ensemble
     drive : Drive or Programme
-        Of a Drive from a fresh start the transient, from a stationary one the steady values.
+        Of a Drive from a fresh start the transient, from a stationary one the steady
+        values.
     points : int
-        Number of equidistant displacements from 0 to the drive's distance; along a programme that of `Programme.grid`.
+        Number of equidistant displacements from 0 to the drive's distance; along a
+        programme that of `Programme.grid`.
     variance : bool
         Whether to solve for the variance of forces, too.
 
@@ -118,8 +136,9 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     Raises
     ------
     InputError
-        For arguments out of range; along a programme for annealed contacts that age, the rule "langevin", contacts born
-        stretched, and more steps than can be solved for.
+        For arguments out of range; along a programme for annealed contacts that age,
+        the rule "langevin", contacts born stretched, and more steps than can be solved
+        for.
     """
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
@@ -137,7 +156,10 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     strongest = np.maximum.accumulate(np.abs(from_birth(cells.profile, s, edges, 1)))
     delayed = s.delay.mean > 0
     means = []
-    for name, loudest in (("force", np.maximum(strongest, s.drag * delayed)), ("pinned", 1.0 * delayed)):
+    for name, loudest in (
+        ("force", np.maximum(strongest, s.drag * delayed)),
+        ("pinned", 1.0 * delayed),
+    ):
         coarse, better = (getattr(solution, name) for solution in solved)
         best, error = _with_error(coarse, better[::2], cells, loudest)
         if points > edges.size:
@@ -145,7 +167,9 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
         means += [np.interp(X, edges, best), np.interp(X, edges, error)]
     force, force_error, pinned, pinned_error = means
     pairs = solved[1].breaks  # of cells; a pair of fine ones is a coarse one
-    breaks = np.interp(X, cells.x[1::2], np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0))
+    breaks = np.interp(
+        X, cells.x[1::2], np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0)
+    )
     found = Transient(
         X=X * unit,
         force=force * unit,
@@ -157,30 +181,49 @@ def transient(ensemble: Ensemble, drive: Drive | Programme, points: int = 2001, 
     )
     if not variance or cells.in_step.any():
         return found
-    squares, error = (np.interp(X, edges, values) for values in _squares(cells, s, solved))
-    spread, missed = (squares - force**2) * unit**2, (error + 2 * force * force_error) * unit**2
+    squares, error = (
+        np.interp(X, edges, values) for values in _squares(cells, s, solved)
+    )
+    spread, missed = (
+        (squares - force**2) * unit**2,
+        (error + 2 * force * force_error) * unit**2,
+    )
     return replace(found, force_variance=spread, force_variance_error=missed)
 
 
-def _along(ensemble: Ensemble, drive: Programme, points: int, variance: bool) -> Transient:
+def _along(
+    ensemble: Ensemble, drive: Programme, points: int, variance: bool
+) -> Transient:
     """Along a programme."""
     grid = drive.grid(points)
     if drive.stage:
         pulled = slider.pulled_of(ensemble, drive, grid)
         means = pulled.means
-        found = Transient(pulled.X, *means[:5], grid.t, stage=pulled.stage, X_error=pulled.X_error)
+        found = Transient(
+            pulled.X, *means[:5], grid.t, stage=pulled.stage, X_error=pulled.X_error
+        )
     else:
         means = programme.means_of(ensemble, drive, grid)
         found = Transient(grid.X, *means[:5], grid.t)
     return (
-        replace(found, force_variance=means.variance, force_variance_error=means.variance_error) if variance else found
+        replace(
+            found,
+            force_variance=means.variance,
+            force_variance_error=means.variance_error,
+        )
+        if variance
+        else found
     )
 
 
 def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """A stationary start: nothing changes."""
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
-    force, pinned, travel = known(exact.friction), known(exact.pinned), known(exact.travel)
+    force, pinned, travel = (
+        known(exact.friction),
+        known(exact.pinned),
+        known(exact.travel),
+    )
     force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
     X = np.linspace(0.0, drive.over(ensemble), points)
     found = Transient(
@@ -195,13 +238,18 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
     spread = exact.force_variance
     if not variance or spread.value is None or spread.diverges:
         return found
-    return replace(found, force_variance=spread.value * level, force_variance_error=(spread.stderr or 0.0) * level)
+    return replace(
+        found,
+        force_variance=spread.value * level,
+        force_variance_error=(spread.stderr or 0.0) * level,
+    )
 
 
 class Cells(NamedTuple):
-    """A life and the edges `x` of the finer grid, every second one of which is of the coarser; what share of the
-    contacts may be in step (cells + 1,) at edges of the coarser grid in a way that neither grid can tell; and over how
-    many of these edges it may blur the jumps of a discrete law."""
+    """A life and the edges `x` of the finer grid, every second one of which is of the
+    coarser; what share of the contacts may be in step (cells + 1,) at edges of the
+    coarser grid in a way that neither grid can tell; and over how many of these edges
+    it may blur the jumps of a discrete law."""
 
     profile: Profile
     x: Array
@@ -214,7 +262,9 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     discrete = contacts.law.steps.size > 0
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
     # every threshold of a discrete law takes time in every cell
-    finest = _FINEST // (4 * np.unique(contacts.law.steps).size) if discrete else _FINEST
+    finest = (
+        _FINEST // (4 * np.unique(contacts.law.steps).size) if discrete else _FINEST
+    )
     smooth = None if discrete and not contacts.newborn.active else profile_of(contacts)
     while True:
         cells = int(least)
@@ -229,12 +279,19 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
 
 
 def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
-    """The share of contacts that may be in step at each edge `x` of a grid that blurs it, and `Cells.around`."""
+    """The share of contacts that may be in step at each edge `x` of a grid that blurs
+    it, and `Cells.around`."""
     h = x[1]
     broken = -np.diff(profile.survive, prepend=1.0)
-    quick, slow = (float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25))
+    quick, slow = (
+        float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25)
+    )
     cycle = contacts.delay.mean + slow
-    k = np.geomspace(2 * math.pi / cycle, max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50)
+    k = np.geomspace(
+        2 * math.pi / cycle,
+        max(100.0 / quick, 200.0 / cycle),
+        400 if profile.jumps else 50,
+    )
     many = broken > 1e-8
     broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
     phase = np.outer(k, profile.x[many] - 0.5 * width)
@@ -247,21 +304,27 @@ def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]
     at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
     share = together[np.minimum(at, k.size - 1)] ** m
     share[0] = 0.0
-    around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (contacts.delay.mean + quick)))) if profile.jumps else 0
+    around = (
+        2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (contacts.delay.mean + quick))))
+        if profile.jumps
+        else 0
+    )
     if profile.jumps and around * h < min(quick, contacts.delay.mean or quick):
         share[:] = 0.0  # what is in step is longer than the grid blurs it
     return share, 2 * around + 1
 
 
 def from_birth(profile: Profile, contacts: Reduced, x: Array, power: int) -> Array:
-    """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0 without births y."""
+    """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0
+    without births y."""
     found = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
     found[0] *= contacts.newborn.active
     return found
 
 
 class _Means(NamedTuple):
-    """Force and pinned at the edges of a uniform grid of cells, breaks in each cell per unit displacement."""
+    """Force and pinned at the edges of a uniform grid of cells, breaks in each cell per
+    unit displacement."""
 
     force: Array
     pinned: Array
@@ -271,12 +334,16 @@ class _Means(NamedTuple):
 def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     """Solve the renewal equation on a uniform grid of edges `x` from 0.
 
-    By generating functions: with w of the chance to be still detached, d = 1 - (1 - z) w of births after a break, and D
-    of survival, breaks (w + d D) is that of 1 - S, as every contact is either pinned or detached (derived). They are
-    taken on a circle |z| < 1 where hardly anything comes around.
+    By generating functions: with w of the chance to be still detached, d = 1 - (1 - z)
+    w of births after a break, and D of survival, breaks (w + d D) is that of 1 - S, as
+    every contact is either pinned or detached (derived). They are taken on a circle |z|
+    < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive, first = np.append(1.0, profile.at(x[1:])[0]), from_birth(profile, contacts, x, 1)
+    survive, first = (
+        np.append(1.0, profile.at(x[1:])[0]),
+        from_birth(profile, contacts, x, 1),
+    )
     size = fft.next_fast_len(_AROUND * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -286,9 +353,13 @@ def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     def back(product: Array) -> Array:
         return np.asarray(fft.irfft(product, size)[:cells] / damping)
 
-    alive, work = (transform(np.diff(profile.integral(x, power)[power]) / h) for power in (0, 1))
+    alive, work = (
+        transform(np.diff(profile.integral(x, power)[power]) / h) for power in (0, 1)
+    )
     waiting = transform(contacts.delay.waiting(h, cells))
-    z = _WRAPPED ** (1.0 / size) * np.exp(-2j * math.pi / size * np.arange(waiting.size))
+    z = _WRAPPED ** (1.0 / size) * np.exp(
+        -2j * math.pi / size * np.arange(waiting.size)
+    )
     reborn = 1.0 - (1.0 - z) * waiting
     breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
@@ -296,51 +367,71 @@ def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     return _Means(force + contacts.drag * detached, 1.0 - detached, back(breaks) / h)
 
 
-def _squares(cells: Cells, contacts: Reduced, solved: list[_Means]) -> tuple[Array, Array]:
-    """Mean square of the force of a contact at the edges of the coarser grid, and its error: as the mean force, with
-    E[(k_i/k)^2 (y + x)^2; l > x] in the place of m (derived)."""
+def _squares(
+    cells: Cells, contacts: Reduced, solved: list[_Means]
+) -> tuple[Array, Array]:
+    """Mean square of the force of a contact at the edges of the coarser grid, and its
+    error: as the mean force, with E[(k_i/k)^2 (y + x)^2; l > x] in the place of m
+    (derived)."""
     found, profile = [], cells.profile
     for step, means in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
         births = means.breaks + np.diff(means.pinned) / x[1]
         first = from_birth(profile, contacts, x, 2)
         later = convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
-        found.append((first + np.append(0.0, later) + contacts.drag**2 * (1.0 - means.pinned))[:: 3 - step])
+        found.append(
+            (first + np.append(0.0, later) + contacts.drag**2 * (1.0 - means.pinned))[
+                :: 3 - step
+            ]
+        )
     best, missed = _extrapolated(*found)
     error = missed + profile.error * np.abs(best)
     return best, error + _near(found[0]) if profile.jumps else error
 
 
 def _extrapolated(coarse: Array, better: Array) -> tuple[Array, Array]:
-    """The value of no cell width from those at the same edges of two grids, and what the coarser one missed, nearby
-    too: the difference may vanish by chance where the error does not."""
+    """The value of no cell width from those at the same edges of two grids, and what
+    the coarser one missed, nearby too: the difference may vanish by chance where the
+    error does not."""
     missed = ndimage.maximum_filter1d(np.abs(better - coarse), (coarse.size - 1) // 20)
     return (4 * better - coarse) / 3, missed
 
 
-def _with_error(coarse: Array, better: Array, cells: Cells, loudest: Array | float) -> tuple[Array, Array]:
-    """A mean that may be as great as `loudest` while all contacts are in step, and its error.
+def _with_error(
+    coarse: Array, better: Array, cells: Cells, loudest: Array | float
+) -> tuple[Array, Array]:
+    """A mean that may be as great as `loudest` while all contacts are in step, and its
+    error.
 
-    Errors of a life are passed on by its births, so that they scale with the largest mean so far.
+    Errors of a life are passed on by its births, so that they scale with the largest
+    mean so far.
     """
     best, missed = _extrapolated(coarse, better)
     error = missed + cells.profile.error * np.maximum.accumulate(np.abs(best))
     if cells.profile.jumps:
-        # jumps that cells blur, in twice as many steps of half the length, differ by 0.083 of their height
-        error += np.maximum(_near(coarse), 8 * ndimage.maximum_filter1d(np.abs(better - coarse), cells.around))
+        # jumps that cells blur, in twice as many steps of half the length, differ by
+        # 0.083 of their height
+        error += np.maximum(
+            _near(coarse),
+            8 * ndimage.maximum_filter1d(np.abs(better - coarse), cells.around),
+        )
     return best, error + np.maximum(np.ptp(best), loudest) * cells.in_step
 
 
 def _near(values: Array) -> Array:
-    """Bound how much a jump nearby changes `values`, where equal thresholds break together: the truth is somewhere
-    between both sides. Of the steady rise between jumps nothing counts, as it is known."""
+    """Bound how much a jump nearby changes `values`, where equal thresholds break
+    together: the truth is somewhere between both sides. Of the steady rise between
+    jumps nothing counts, as it is known."""
     jump = np.pad(np.abs(np.diff(values, 2)), 1, "edge")
     return np.asarray(ndimage.maximum_filter1d(jump, 5))
 
 
 def _between(values: Array) -> Array:
-    """A bound of what straight lines between equidistant values miss: their curvature eightfold."""
-    return np.asarray(ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3))
+    """A bound of what straight lines between equidistant values miss: their curvature
+    eightfold."""
+    return np.asarray(
+        ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3)
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -352,11 +443,13 @@ class Fluctuations(Result):
     lag : ndarray
         Displacement between two looks at the force (length).
     covariance, error : ndarray
-        N times the autocovariance of F/(N k) at these lags, that is the variance at lag 0, and its error estimate
-        (length^2).
+        N times the autocovariance of F/(N k) at these lags, that is the variance at lag
+        0, and its error estimate (length^2).
     """
 
-    drawn: ClassVar[Drawn] = Drawn("lag", "covariance", "error", "lag in displacement", "Cov(F, F')/(N k^2)")
+    drawn: ClassVar[Drawn] = Drawn(
+        "lag", "covariance", "error", "lag in displacement", "Cov(F, F')/(N k^2)"
+    )
     lag: Array
     covariance: Array
     error: Array
@@ -365,9 +458,10 @@ class Fluctuations(Result):
 def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctuations:
     """Stationary variance and autocovariance of F (derived).
 
-    A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or breaks after y and begins anew
-    with the transient of a contact that has just broken; one found detached begins with the rest of its delay. What
-    the stiffness was a while ago is not known where it follows an aging threshold: refused.
+    A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or
+    breaks after y and begins anew with the transient of a contact that has just broken;
+    one found detached begins with the rest of its delay. What the stiffness was a while
+    ago is not known where it follows an aging threshold: refused.
 
     Parameters
     ----------
@@ -384,19 +478,28 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     Raises
     ------
     InputError
-        For arguments out of range, for quenched contacts of the sqrt law whose stiffness follows aging thresholds, and
-        where the variance is infinite, as the autocovariance is then at any lag.
+        For arguments out of range, for quenched contacts of the sqrt law whose
+        stiffness follows aging thresholds, and where the variance is infinite, as the
+        autocovariance is then at any lag.
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
-    s, unit, distance = settled(ensemble, drive.velocity), ensemble.thresholds.scale, drive.over(ensemble)
+    s, unit, distance = (
+        settled(ensemble, drive.velocity),
+        ensemble.thresholds.scale,
+        drive.over(ensemble),
+    )
     if s.aging.stiffens and s.stiffness == "sqrt":
-        raise InputError('stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"')
+        raise InputError(
+            'stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"'
+        )
     if ensemble.divergence:
         raise InputError(f"fluctuations: {ensemble.divergence}")
     exact = reference(ensemble, drive, variance=True)
     if exact.force_variance.value is None:
-        raise InputError("fluctuations: the variance is not known of contacts born stretched whose law is this broad")
+        raise InputError(
+            "fluctuations: the variance is not known of contacts born stretched whose law is this broad"
+        )
     cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
@@ -406,10 +509,15 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         x = cells.x[::step]
         means = means_of(profile, x, s)
         # int_x^inf y^power (S, k1, k2) dy
-        totals = [profile.integral(_EVERYTHING, power) + beyond[power][:, None] for power in range(3)]
-        rest = [total - profile.integral(x, power) for power, total in enumerate(totals)]
-        # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy, whose decrease weighs breaks by
-        # the force they had at the beginning
+        totals = [
+            profile.integral(_EVERYTHING, power) + beyond[power][:, None]
+            for power in range(3)
+        ]
+        rest = [
+            total - profile.integral(x, power) for power, total in enumerate(totals)
+        ]
+        # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy,
+        # whose decrease weighs breaks by the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
         carried = rest[1][1] - x * rest[0][1]
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
@@ -420,18 +528,29 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     best, missed = _extrapolated(*solved)
     # kinks, which jumps of a discrete law make, are of lower order
     error = missed * (3 if profile.jumps else 1)
-    # of a variance little is left where contacts hardly differ, but errors of a profile are those of mean squares
-    error += (profile.error + cells.in_step) * (np.abs(best).max() + mean**2) + missed_beyond[2, 2] / cycle
-    error += abs(best[0] - known(exact.force_variance) / unit**2)  # by another quadrature, as far as there is one
+    # of a variance little is left where contacts hardly differ, but errors of a profile
+    # are those of mean squares
+    error += (profile.error + cells.in_step) * (
+        np.abs(best).max() + mean**2
+    ) + missed_beyond[2, 2] / cycle
+    error += abs(
+        best[0] - known(exact.force_variance) / unit**2
+    )  # by another quadrature, as far as there is one
     if points > best.size:
         error += _between(best)
     lag = np.linspace(0.0, distance, points)
-    return Fluctuations(lag, *(np.interp(lag / unit, cells.x[::2], part) * unit**2 for part in (best, error)))
+    return Fluctuations(
+        lag,
+        *(
+            np.interp(lag / unit, cells.x[::2], part) * unit**2
+            for part in (best, error)
+        ),
+    )
 
 
 def _beyond(profile: Profile, contacts: Reduced) -> tuple[Array, Array]:
-    """`integrals_beyond` the end of a profile; nothing of contacts born stretched, whose profile has the difference
-    from moments of whole lives in its error."""
+    """`integrals_beyond` the end of a profile; nothing of contacts born stretched,
+    whose profile has the difference from moments of whole lives in its error."""
     if contacts.newborn.active:
         return np.zeros((3, 3)), np.zeros((3, 3))
     return integrals_beyond(contacts, float(profile.x[-1]), float(profile.survive[-1]))
@@ -445,29 +564,42 @@ def convolved(a: Array, b: Array) -> Array:
 
 
 def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
-    """Integral of the mean force from a break on, and mean force of a contact found detached, from the mean force
-    `fresh` of one just pinned."""
+    """Integral of the mean force from a break on, and mean force of a contact found
+    detached, from the mean force `fresh` of one just pinned."""
     total = CubicSpline(x, fresh).antiderivative()
     if contacts.delay.mean == 0:
         return total(x), np.zeros_like(x)
-    return _REBORN[type(contacts.delay)](fresh, x, total, contacts.delay.mean, contacts.drag)
+    return _REBORN[type(contacts.delay)](
+        fresh, x, total, contacts.delay.mean, contacts.drag
+    )
 
 
-def _after_fixed(fresh: Array, x: Array, total: Any, delay: float, drag: float) -> tuple[Array, Array]:
+def _after_fixed(
+    fresh: Array, x: Array, total: Any, delay: float, drag: float
+) -> tuple[Array, Array]:
     """`_reborn` after delays of the same length; `total` is the integral of `fresh`."""
     late = total(np.maximum(x - delay, 0.0))
-    return drag * np.minimum(x, delay) + late, drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
+    return drag * np.minimum(x, delay) + late, drag * np.maximum(
+        1.0 - x / delay, 0.0
+    ) + (total(x) - late) / delay
 
 
-def _after_exponential(fresh: Array, x: Array, total: Any, delay: float, drag: float) -> tuple[Array, Array]:
+def _after_exponential(
+    fresh: Array, x: Array, total: Any, delay: float, drag: float
+) -> tuple[Array, Array]:
     """`_reborn` after exponential delays."""
     from scipy.signal import lfilter  # takes long to import
 
-    # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh linear in each cell
+    # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh
+    # linear in each cell
     ratio = x[1] / delay
     keep, first = math.exp(-ratio), -math.expm1(-ratio)
     slope = 1.0 - first / ratio
-    y = lfilter([1.0], [1.0, -keep], np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]))
+    y = lfilter(
+        [1.0],
+        [1.0, -keep],
+        np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]),
+    )
     fading = np.exp(-x / delay)
     return drag * delay * (1.0 - fading) + total(x) - delay * y, drag * fading + y
 

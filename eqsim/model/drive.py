@@ -34,9 +34,11 @@ class Drive:
     distance : float, optional
         How far (length); by default 200 mean newborn thresholds.
     start : str
-        "fresh": all contacts pinned and unstretched at X = 0. "stationary": the steady state.
+        "fresh": all contacts pinned and unstretched at X = 0. "stationary": the steady
+        state.
     elastic : Elastic, optional
-        The blocks that a plate pulls so far and so fast (`elastic_trajectory`); else the slider is rigid.
+        The blocks that a plate pulls so far and so fast (`elastic_trajectory`); else
+        the slider is rigid.
 
     Raises
     ------
@@ -52,7 +54,9 @@ class Drive:
     def __post_init__(self) -> None:
         if isinstance(self.velocity, (np.ndarray, list, tuple)):
             many = "eqsim.curve(ensemble, velocities) is exact at many, eqsim.sweep simulates them"
-            raise InputError(f"velocity = {shown(self.velocity)}: must be one number; {many}")
+            raise InputError(
+                f"velocity = {shown(self.velocity)}: must be one number; {many}"
+            )
         require_number("velocity", self.velocity, **POSITIVE)
         if self.distance is not None:
             require_number("distance", self.distance, **POSITIVE)
@@ -60,7 +64,9 @@ class Drive:
 
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
-        return 200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
+        return (
+            200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
+        )
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,8 @@ class Segment:
     time : float, optional
         How long (time).
     points : int, optional
-        At how many instants after its beginning the force is recorded, by default a fair share of all.
+        At how many instants after its beginning the force is recorded, by default a
+        fair share of all.
 
     Raises
     ------
@@ -98,7 +105,9 @@ class Segment:
         if self.distance is not None:
             require_number("distance", self.distance, **POSITIVE)
             if self.velocity == 0:
-                raise InputError("velocity = 0.0: must not be 0 with a distance; a hold has a time")
+                raise InputError(
+                    "velocity = 0.0: must not be 0 with a distance; a hold has a time"
+                )
         else:
             require_number("time", self.time or 0.0, **POSITIVE)
         if self.points is not None:
@@ -107,12 +116,20 @@ class Segment:
     @property
     def duration(self) -> float:
         """How long it takes (time)."""
-        return self.distance / abs(self.velocity) if self.distance is not None else self.time or 0.0
+        return (
+            self.distance / abs(self.velocity)
+            if self.distance is not None
+            else self.time or 0.0
+        )
 
     @property
     def path(self) -> float:
         """How far the slider moves, whatever the direction (length)."""
-        return self.distance if self.distance is not None else abs(self.velocity) * (self.time or 0.0)
+        return (
+            self.distance
+            if self.distance is not None
+            else abs(self.velocity) * (self.time or 0.0)
+        )
 
 
 @dataclass(frozen=True)
@@ -121,7 +138,8 @@ class Stage:
 
         m X'' + eta_s X' = kappa_s (Y - X) - F,
 
-    all per N k, with Y the position of the stage and of the spring's end, and F = <F>/(N k) (derived).
+    all per N k, with Y the position of the stage and of the spring's end, and F =
+    <F>/(N k) (derived).
 
     Parameters
     ----------
@@ -132,10 +150,11 @@ class Stage:
     mass : float
         m/(N k) (time squared).
     preload : float, optional
-        Stretch of the spring at t = 0 (length); by default none of a fresh start, and of a stationary one that which
-        balances friction.
+        Stretch of the spring at t = 0 (length); by default none of a fresh start, and
+        of a stationary one that which balances friction.
     tolerance : float
-        By how much the force may miss its course between two steps (in units of the mean threshold).
+        By how much the force may miss its course between two steps (in units of the
+        mean threshold).
 
     Raises
     ------
@@ -162,8 +181,9 @@ _FIRST_LOOK = 1e-5  # at a hold, of its time; then at equal ratios
 
 
 class Grid(NamedTuple):
-    """When the force is recorded: times, displacements, and the segment that each instant belongs to (it ends there, or
-    is under way), arrays (points,); the instant 0 belongs to segment 0."""
+    """When the force is recorded: times, displacements, and the segment that each
+    instant belongs to (it ends there, or is under way), arrays (points,); the instant 0
+    belongs to segment 0."""
 
     t: Array
     X: Array
@@ -179,11 +199,13 @@ class Programme:
     segments : sequence of Segment
         One after the other, from X = 0.
     start : str
-        "fresh": all contacts pinned and unstretched. "stationary": the steady state at `velocity`.
+        "fresh": all contacts pinned and unstretched. "stationary": the steady state at
+        `velocity`.
     velocity : float, optional
         Of that steady state (length/time), > 0.
     stage : Stage, optional
-        The programme is that of a stage that pulls the slider through a spring; else of the slider itself.
+        The programme is that of a stage that pulls the slider through a spring; else of
+        the slider itself.
 
     Raises
     ------
@@ -211,11 +233,13 @@ class Programme:
         elif self.start == "stationary":
             raise InputError('velocity: is required with start = "stationary"')
         with under("programme"):
-            require_number("time", sum(segment.duration for segment in self.segments), **POSITIVE)
+            require_number(
+                "time", sum(segment.duration for segment in self.segments), **POSITIVE
+            )
 
     def grid(self, points: int) -> Grid:
-        """About `points` instants: equidistant along a segment that moves, at equal ratios from the 1e-5th part of a
-        hold on."""
+        """About `points` instants: equidistant along a segment that moves, at equal
+        ratios from the 1e-5th part of a hold on."""
         share = max(1, (points - 1) // len(self.segments))
         t: list[Array] = [np.zeros(1)]
         X: list[Array] = [np.zeros(1)]
@@ -237,14 +261,25 @@ class Programme:
 
 
 def require_drive(drive: Drive | Programme) -> Drive:
-    """A constant drive; InputError for what is none, such as a bare velocity or a programme."""
+    """A constant drive; InputError for what is none, such as a bare velocity or a
+    programme."""
     if isinstance(drive, Programme):
-        what = "drive.stage: a slider that a spring pulls" if drive.stage else "drive.programme:"
-        raise InputError(f"{what} has no steady state; this needs a constant drive.velocity of the slider itself")
+        what = (
+            "drive.stage: a slider that a spring pulls"
+            if drive.stage
+            else "drive.programme:"
+        )
+        raise InputError(
+            f"{what} has no steady state; this needs a constant drive.velocity of the slider itself"
+        )
     if not isinstance(drive, Drive):
-        raise InputError(f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)")
+        raise InputError(
+            f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)"
+        )
     if drive.elastic is not None:
-        raise InputError("elastic: coupled blocks are simulated by `eqsim run` alone; this needs a rigid slider")
+        raise InputError(
+            "elastic: coupled blocks are simulated by `eqsim run` alone; this needs a rigid slider"
+        )
     return drive
 
 

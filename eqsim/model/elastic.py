@@ -1,11 +1,13 @@
-"""Blocks of contacts that feel each other through springs, quasi-statically at T = 0 (derived).
+"""Blocks of contacts that feel each other through springs, quasi-statically at T = 0
+(derived).
 
-Block j has n contacts, a spring K_d to a plate at D, and springs kappa_b to its neighbours:
+Block j has n contacts, a spring K_d to a plate at D, and springs kappa_b to its
+neighbours:
 
     K_d (D - X_j) - kappa_b (L X)_j = F_j(X_j),        (L X)_j = sum over neighbours i of X_j - X_i.
 
-Contacts break where X_j takes them; a break at block i whose contact loses the force k xi moves block j by G_ji k xi,
-G = ((K_d + n k) 1 + kappa_b L)^-1.
+Contacts break where X_j takes them; a break at block i whose contact loses the force k
+xi moves block j by G_ji k xi, G = ((K_d + n k) 1 + kappa_b L)^-1.
 """
 
 import math
@@ -14,7 +16,13 @@ from typing import Literal
 
 import numpy as np
 
-from eqsim.errors import InputError, require_choice, require_integer, require_number, shown
+from eqsim.errors import (
+    InputError,
+    require_choice,
+    require_integer,
+    require_number,
+    shown,
+)
 from eqsim.numerics.tables import Array
 
 Edges = Literal["open", "periodic"]
@@ -29,11 +37,14 @@ class Elastic:
     Parameters
     ----------
     blocks : int or (int, int)
-        B of a chain, or nx and ny of a sheet. The contacts of an ensemble are divided among them equally, n = N/B.
+        B of a chain, or nx and ny of a sheet. The contacts of an ensemble are divided
+        among them equally, n = N/B.
     coupling : float
-        kappa_b/(n k), the spring between two neighbours over the stiffness of the contacts of a block, >= 0.
+        kappa_b/(n k), the spring between two neighbours over the stiffness of the
+        contacts of a block, >= 0.
     drive_stiffness : float
-        K_d/(n k), the spring of each block to the plate, likewise; of all blocks together K/(N k) is the same number.
+        K_d/(n k), the spring of each block to the plate, likewise; of all blocks
+        together K/(N k) is the same number.
     edges : str
         "open" or "periodic".
 
@@ -51,13 +62,17 @@ class Elastic:
     def __post_init__(self) -> None:
         if isinstance(self.blocks, (tuple, list)):
             if len(self.blocks) != 2:
-                raise InputError(f"blocks = {shown(self.blocks)}: must be a number of blocks, or two, [nx, ny]")
+                raise InputError(
+                    f"blocks = {shown(self.blocks)}: must be a number of blocks, or two, [nx, ny]"
+                )
             object.__setattr__(self, "blocks", tuple(self.blocks))
         for number in self.shape:
             require_integer("blocks", number, 1, _MOST_BLOCKS)
         require_integer("blocks", self.count, 1, _MOST_BLOCKS)
         require_number("coupling", self.coupling, least=0.0, most=1e9)
-        require_number("drive_stiffness", self.drive_stiffness, least=1e-6, most=1e6)  # avalanches of 1e6 breaks
+        require_number(
+            "drive_stiffness", self.drive_stiffness, least=1e-6, most=1e6
+        )  # avalanches of 1e6 breaks
         require_choice("edges", self.edges, ("open", "periodic"))
 
     @property
@@ -72,9 +87,14 @@ class Elastic:
 
     @property
     def length(self) -> float:
-        """lambda, over which the displacement by a break decays, in blocks (of a sheet along its axes):
-        cosh(1/lambda) = 1 + (K_d + n k)/(2 kappa_b); 0 without coupling."""
-        return 1.0 / math.acosh(1.0 + (1.0 + self.drive_stiffness) / (2.0 * self.coupling)) if self.coupling else 0.0
+        """lambda, over which the displacement by a break decays, in blocks (of a sheet
+        along its axes): cosh(1/lambda) = 1 + (K_d + n k)/(2 kappa_b); 0 without
+        coupling."""
+        return (
+            1.0 / math.acosh(1.0 + (1.0 + self.drive_stiffness) / (2.0 * self.coupling))
+            if self.coupling
+            else 0.0
+        )
 
     @property
     def load(self) -> float:
@@ -89,16 +109,24 @@ class Elastic:
     def contacts_per_block(self, count: int) -> int:
         """n, of `count` contacts. Raises InputError unless they can be divided equally."""
         if count % self.count:
-            raise InputError(f"contacts.count = {count}: must be a multiple of the {self.count} blocks of [elastic]")
+            raise InputError(
+                f"contacts.count = {count}: must be a multiple of the {self.count} blocks of [elastic]"
+            )
         return count // self.count
 
     def response(self) -> Array:
-        """n k G between blocks at a distance of (dy, dx), shape (2 Ry + 1, 2 Rx + 1) with (0, 0) in the middle, on the
-        ring or torus that is the lattice if its edges are periodic and twice the lattice, with mirror images, if they
-        are open. What is below 1e-12 of the middle is cut off, and added to it: the sum over all blocks is exactly
-        1/(1 + K_d/(n k))."""
-        sizes = [1 if n == 1 else n if self.edges == "periodic" else 2 * n for n in reversed(self.shape)]
-        modes = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(size) / size) for size in sizes)
+        """n k G between blocks at a distance of (dy, dx), shape (2 Ry + 1, 2 Rx + 1)
+        with (0, 0) in the middle, on the ring or torus that is the lattice if its edges
+        are periodic and twice the lattice, with mirror images, if they are open. What
+        is below 1e-12 of the middle is cut off, and added to it: the sum over all
+        blocks is exactly 1/(1 + K_d/(n k))."""
+        sizes = [
+            1 if n == 1 else n if self.edges == "periodic" else 2 * n
+            for n in reversed(self.shape)
+        ]
+        modes = (
+            2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(size) / size) for size in sizes
+        )
         stiffness = 1.0 + self.drive_stiffness + self.coupling * np.add.outer(*modes)
         G = np.fft.ifft2(1.0 / stiffness).real
         reach = []
@@ -108,6 +136,11 @@ class Elastic:
         middle = np.ix_(*(np.arange(-r, r + 1) for r in reach))
         found = np.where(G[middle] >= _NEGLIGIBLE * G[0, 0], G[middle], 0.0)
         # on an even ring the farthest block is met once, from one side
-        once = [2 * np.arange(-r, r + 1) > -max(size, 2) for r, size in zip(reach, sizes, strict=True)]
-        found[reach[0], reach[1]] += self.load - np.sum(found * np.logical_and.outer(*once))
+        once = [
+            2 * np.arange(-r, r + 1) > -max(size, 2)
+            for r, size in zip(reach, sizes, strict=True)
+        ]
+        found[reach[0], reach[1]] += self.load - np.sum(
+            found * np.logical_and.outer(*once)
+        )
         return found

@@ -33,8 +33,9 @@ class Ensemble:
     Parameters
     ----------
     thresholds : ThresholdLaw
-        Law of newborn threshold stretches (length): `Gamma`, `Delta`, another by name (`Lognormal`, `Weibull`,
-        `Exponential`, `Normal`, `Uniform`, `Pareto`), `Table` or `Distribution`.
+        Law of newborn threshold stretches (length): `Gamma`, `Delta`, another by name
+        (`Lognormal`, `Weibull`, `Exponential`, `Normal`, `Uniform`, `Pareto`), `Table`
+        or `Distribution`.
     thermal : Thermal
         Temperature, attempt frequency and barrier.
     delay : Delay
@@ -48,8 +49,9 @@ class Ensemble:
     stiffness_law : str
         "sqrt" (k_i ~ sqrt(f_si)) or "uniform".
     disorder : str
-        "quenched": a contact keeps its threshold for life, or its threshold ages (the literal model). "annealed": every
-        thermal attempt draws a fresh threshold (the published master equation).
+        "quenched": a contact keeps its threshold for life, or its threshold ages (the
+        literal model). "annealed": every thermal attempt draws a fresh threshold (the
+        published master equation).
     eta : float
         Viscous coefficient of a detached contact, of force eta v.
     newborn : Newborn
@@ -74,10 +76,19 @@ class Ensemble:
 
     def __post_init__(self) -> None:
         if not hasattr(self.thresholds, "declared"):
-            raise InputError(f"thresholds = {shown(self.thresholds)}: must be a law of thresholds, such as Gamma(1.0)")
-        for name, kind in (("thermal", Thermal), ("delay", Delay), ("aging", Aging), ("newborn", Newborn)):
+            raise InputError(
+                f"thresholds = {shown(self.thresholds)}: must be a law of thresholds, such as Gamma(1.0)"
+            )
+        for name, kind in (
+            ("thermal", Thermal),
+            ("delay", Delay),
+            ("aging", Aging),
+            ("newborn", Newborn),
+        ):
             if not isinstance(getattr(self, name), kind):
-                raise InputError(f"{name} = {shown(getattr(self, name))}: must be {kind.__name__}(...)")
+                raise InputError(
+                    f"{name} = {shown(getattr(self, name))}: must be {kind.__name__}(...)"
+                )
         require_integer("count", self.count, 1, 10**12)
         require_number("stiffness", self.stiffness, **POSITIVE)
         require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
@@ -88,11 +99,16 @@ class Ensemble:
             self.newborn.check(self.thresholds, self.disorder, self.aging.active)
 
     def declared(self, velocity: float) -> tuple[Any, ...]:
-        """List what a life depends on, as it was declared, for the names of random streams: texts and dimensionless
-        numbers, which are products and ratios and so the same in other units and on other machines."""
+        """List what a life depends on, as it was declared, for the names of random
+        streams: texts and dimensionless numbers, which are products and ratios and so
+        the same in other units and on other machines."""
         thermal, delay, aging = self.thermal, self.delay, self.aging
         unit, *law = self.thresholds.declared
-        heat = thermal.barrier, thermal.kT / (self.stiffness * unit * unit), thermal.attempt_frequency * unit / velocity
+        heat = (
+            thermal.barrier,
+            thermal.kT / (self.stiffness * unit * unit),
+            thermal.attempt_frequency * unit / velocity,
+        )
         rule = "pooled" if self.disorder == "annealed" else aging.rule
         ages: tuple[Any, ...] = ()
         if aging.active and aging.cutoff_time is not None:  # "logarithmic"
@@ -102,25 +118,49 @@ class Ensemble:
         births: tuple[Any, ...] = ()
         if self.newborn.active:
             scale = 1.0 if self.newborn.of == "threshold" else unit
-            births = tuple(part if isinstance(part, str) else part / scale for part in self.newborn.declared)
-        return (self.disorder, self.stiffness_law, *law, *heat, delay.law, delay.time * velocity / unit, *ages, *births)
+            births = tuple(
+                part if isinstance(part, str) else part / scale
+                for part in self.newborn.declared
+            )
+        return (
+            self.disorder,
+            self.stiffness_law,
+            *law,
+            *heat,
+            delay.law,
+            delay.time * velocity / unit,
+            *ages,
+            *births,
+        )
 
     @property
     def self_consistent(self) -> bool:
-        """Whether births depend on the mean pinned time: annealed contacts that age at a finite rate."""
-        return self.disorder == "annealed" and self.aging.active and self.aging.rate < math.inf
+        """Whether births depend on the mean pinned time: annealed contacts that age at
+        a finite rate."""
+        return (
+            self.disorder == "annealed"
+            and self.aging.active
+            and self.aging.rate < math.inf
+        )
 
     @property
     def fluctuates(self) -> bool:
-        """Whether thresholds fluctuate while pinned: quenched contacts that age by `langevin`."""
-        return self.disorder == "quenched" and self.aging.active and RULES[self.aging.rule].fluctuates
+        """Whether thresholds fluctuate while pinned: quenched contacts that age by
+        `langevin`."""
+        return (
+            self.disorder == "quenched"
+            and self.aging.active
+            and RULES[self.aging.rule].fluctuates
+        )
 
     @property
     def divergence(self) -> str:
-        """Why the steady variance of forces is infinite, in a line; empty where it is finite.
+        """Why the steady variance of forces is infinite, in a line; empty where it is
+        finite.
 
-        At T = 0 a life contributes k_i^2 xi^3/3. Neither heat nor age shortens the strongest lives by more than a
-        factor: barriers outgrow temperature, pooled attempts are a finite number.
+        At T = 0 a life contributes k_i^2 xi^3/3. Neither heat nor age shortens the
+        strongest lives by more than a factor: barriers outgrow temperature, pooled
+        attempts are a finite number.
         """
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
@@ -131,18 +171,24 @@ class Ensemble:
 
     @property
     def b(self) -> float:
-        """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at kT = 0."""
+        """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at
+        kT = 0."""
         energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
-        return energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
+        return (
+            energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
+        )
 
     @property
     def crossover_velocity(self) -> float:
-        """v_* of the annealed ensemble, where Delta U(inf) = 1: nt12 (S_0 = 1) for n = 1, soft, uniform; the same
-        definition for every other law (derived), of newborn thresholds. 0 at kT = 0."""
+        """v_* of the annealed ensemble, where Delta U(inf) = 1: nt12 (S_0 = 1) for n =
+        1, soft, uniform; the same definition for every other law (derived), of newborn
+        thresholds. 0 at kT = 0."""
         thermal = self.thermal
         if math.isinf(self.b) or thermal.attempt_frequency == 0:
             return 0.0
         barrier: Any = BARRIERS[thermal.barrier]
         pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, self.b)
-        total = pool.G[-1] if pool.G.size else 0.0  # no attempt succeeds at very low temperature
+        total = (
+            pool.G[-1] if pool.G.size else 0.0
+        )  # no attempt succeeds at very low temperature
         return float(thermal.attempt_frequency * self.thresholds.scale * total)

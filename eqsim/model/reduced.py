@@ -1,8 +1,9 @@
-"""Where ensemble and drive become dimensionless numbers: the only place, for the engine and the reference alike. The
-formulas of b, v tau and alpha are those of `Ensemble.b`, `Delay.reduced` and `Aging.alpha`.
+"""Where ensemble and drive become dimensionless numbers: the only place, for the engine
+and the reference alike. The formulas of b, v tau and alpha are those of `Ensemble.b`,
+`Delay.reduced` and `Aging.alpha`.
 
-Lengths are in units of the threshold law's scale (x_* of a gamma law, else the mean threshold), time is displacement,
-stiffness is in units of k and energy in units of kT.
+Lengths are in units of the threshold law's scale (x_* of a gamma law, else the mean
+threshold), time is displacement, stiffness is in units of k and energy in units of kT.
 """
 
 import functools
@@ -31,7 +32,8 @@ _LEAST_B = 1e-100
 _DOUBTFUL_B = 1e15
 # Distance over threshold below which they probably were.
 _DOUBTFUL_DISTANCE = 1e-4
-# b above which a pooled hazard would be made of differences between neighbouring numbers.
+# b above which a pooled hazard would be made of differences between neighbouring
+# numbers.
 _LARGEST_POOLED_B = 1e15
 
 
@@ -41,15 +43,18 @@ class Reduced(NamedTuple):
     Attributes
     ----------
     law : ThresholdLaw
-        Thresholds at birth, in the user's unit; lengths elsewhere are in units of `law.scale`.
+        Thresholds at birth, in the user's unit; lengths elsewhere are in units of
+        `law.scale`.
     stiffness : str
         "sqrt" or "uniform".
     annealed : bool
         Whether attempts draw fresh thresholds, and it makes a difference.
     barrier : Barrier
-        With b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v); `Mechanical` where heat breaks no contact.
+        With b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v); `Mechanical` where
+        heat breaks no contact.
     aging : AgingLaw
-        Of quenched contacts, with the numbers of its rule (`laws.aging.base`, `laws.aging.logarithmic`).
+        Of quenched contacts, with the numbers of its rule (`laws.aging.base`,
+        `laws.aging.logarithmic`).
     delay : Fixed | Exponential
         With mean v<tau>/x_*.
     drag : float
@@ -57,7 +62,8 @@ class Reduced(NamedTuple):
     newborn : Newborn
         Stretches at birth, in the user's unit.
     one_sided : bool
-        Whether the threshold of a newborn contact has to be above y, not |y|: the published master equation.
+        Whether the threshold of a newborn contact has to be above y, not |y|: the
+        published master equation.
     """
 
     law: ThresholdLaw
@@ -78,7 +84,11 @@ class Reduced(NamedTuple):
     @property
     def springs(self) -> Springs:
         """k_i/k for kernels."""
-        return Springs(0.0, self.law.scale / self.law.rms) if self.stiffness == "sqrt" else Springs(1.0, 0.0)
+        return (
+            Springs(0.0, self.law.scale / self.law.rms)
+            if self.stiffness == "sqrt"
+            else Springs(1.0, 0.0)
+        )
 
 
 def bare(ensemble: Ensemble) -> Ensemble:
@@ -86,11 +96,14 @@ def bare(ensemble: Ensemble) -> Ensemble:
     return replace(ensemble, delay=Delay(), eta=0.0, count=1)
 
 
-# The law of annealed contacts that age takes 50 ms, and engine and reference ask for it several times.
+# The law of annealed contacts that age takes 50 ms, and engine and reference ask for it
+# several times.
 @functools.lru_cache(maxsize=64)
-def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> Reduced:
-    """The dimensionless numbers of an ensemble at `velocity`; births of annealed contacts that age at a finite rate
-    need their `mean_stretch` C at breaking (length).
+def reduced(
+    ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
+) -> Reduced:
+    """The dimensionless numbers of an ensemble at `velocity`; births of annealed
+    contacts that age at a finite rate need their `mean_stretch` C at breaking (length).
 
     Raises
     ------
@@ -107,9 +120,13 @@ def reduced(ensemble: Ensemble, velocity: float, mean_stretch: float | None = No
         law=law,
         stiffness=ensemble.stiffness_law,
         # identical contacts cannot tell a fresh threshold from their own
-        annealed=ensemble.disorder == "annealed" and law.steps.size != 1 and barrier.thermal,
+        annealed=ensemble.disorder == "annealed"
+        and law.steps.size != 1
+        and barrier.thermal,
         barrier=barrier,
-        aging=aging.law(law, velocity) if newborn else Unaged(),  # births that have aged age no more
+        aging=aging.law(law, velocity)
+        if newborn
+        else Unaged(),  # births that have aged age no more
         delay=delay,
         drag=drag_of(ensemble, velocity),
         newborn=ensemble.newborn,
@@ -125,9 +142,11 @@ class Leg(NamedTuple):
     sign : int
         Of the velocity; 0 in a hold.
     pace : float
-        The velocity at which its time counts as displacement: |v|, in a hold that of a segment that moves.
+        The velocity at which its time counts as displacement: |v|, in a hold that of a
+        segment that moves.
     length : float
-        Its time at that pace, in units of the threshold law's scale: how far the slider moves unless it is a hold.
+        Its time at that pace, in units of the threshold law's scale: how far the slider
+        moves unless it is a hold.
     """
 
     sign: int
@@ -146,12 +165,15 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
         length = (segment.path or pace * segment.duration) / unit
         with under(f"programme.{index}"):
             require_number("distance / threshold", length, least=1e-100, most=1e100)
-        found.append(Leg(int(segment.velocity > 0) - int(segment.velocity < 0), pace, length))
+        found.append(
+            Leg(int(segment.velocity > 0) - int(segment.velocity < 0), pace, length)
+        )
     return found
 
 
 class Pull(NamedTuple):
-    """A stage, its spring and the slider in dimensionless numbers: time is displacement at `pace` (length/time).
+    """A stage, its spring and the slider in dimensionless numbers: time is displacement
+    at `pace` (length/time).
 
     Attributes
     ----------
@@ -174,7 +196,8 @@ class Pull(NamedTuple):
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
-    """The stage of a programme. Raises InputError if it has none, or a number is out of range."""
+    """The stage of a programme. Raises InputError if it has none, or a number is out of
+    range."""
     stage, unit = programme.stage, ensemble.thresholds.scale
     if stage is None:
         raise InputError("drive.stage: is required")
@@ -191,9 +214,12 @@ def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
     return Pull(pace, stage.stiffness, damping, mass, tuple(ends), speeds)
 
 
-def births(ensemble: Ensemble, velocity: float, mean_stretch: float | None = None) -> ThresholdLaw:
-    """Law of thresholds at birth: newborn ones, final ones if they age at once, or those of star1 for annealed contacts
-    of mean stretch C at breaking (length). Raises InputError."""
+def births(
+    ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
+) -> ThresholdLaw:
+    """Law of thresholds at birth: newborn ones, final ones if they age at once, or
+    those of star1 for annealed contacts of mean stretch C at breaking (length). Raises
+    InputError."""
     law, aging = ensemble.thresholds, ensemble.aging
     if not aging.active or not isinstance(law, Gamma):
         return law
@@ -202,21 +228,25 @@ def births(ensemble: Ensemble, velocity: float, mean_stretch: float | None = Non
     if ensemble.disorder == "quenched":
         return law
     if mean_stretch is None:
-        raise ValueError("annealed contacts that age need their mean stretch at breaking")
+        raise ValueError(
+            "annealed contacts that age need their mean stretch at breaking"
+        )
     decay = aging.alpha(law.x_star, velocity) * mean_stretch / law.x_star
     return PooledThresholds(law, aging.x_star_final, decay)
 
 
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
-    """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond 1e100."""
+    """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond
+    1e100."""
     drag = ensemble.eta / ensemble.stiffness * velocity / ensemble.thresholds.scale
     require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
     return drag
 
 
 def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
-    """The barrier, or none where heat breaks contacts too rarely to change any average by 1e-10. Raises InputError for
-    annealed contacts if it does and b is beyond 1e15."""
+    """The barrier, or none where heat breaks contacts too rarely to change any average
+    by 1e-10. Raises InputError for annealed contacts if it does and b is beyond 1e15.
+    """
     thermal, b = ensemble.thermal, ensemble.b
     law = BARRIERS[thermal.barrier]
     if thermal.attempt_frequency == 0 or math.isinf(b):
@@ -225,11 +255,17 @@ def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
         if b >= law.flat_out:
             return Mechanical()
     elif b > _LARGEST_POOLED_B:
-        if thermal.attempt_frequency / velocity * unit < 1e-11 * b:  # a life's hazard is below attempts/b
+        if (
+            thermal.attempt_frequency / velocity * unit < 1e-11 * b
+        ):  # a life's hazard is below attempts/b
             return Mechanical()
-        raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: must be <= {_LARGEST_POOLED_B:g} for annealed contacts")
+        raise InputError(
+            f"k x_*^2/(2 kT) = {b:.3g}: must be <= {_LARGEST_POOLED_B:g} for annealed contacts"
+        )
     log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
-    require_number("ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230)
+    require_number(
+        "ln(attempt_frequency * threshold / velocity)", log_w, least=-230, most=230
+    )
     barrier: Barrier = law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]  # the NamedTuple that every law is
     require_whole(thermal.barrier, barrier)
     return barrier
@@ -244,61 +280,167 @@ class Group(NamedTuple):
 
 
 def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
-    """List what decides the regime of a run; along a programme velocity is that of its fastest segment."""
+    """List what decides the regime of a run; along a programme velocity is that of its
+    fastest segment."""
     law, thermal = ensemble.thresholds, ensemble.thermal
     unit, b = law.scale, ensemble.b
-    v = drive.velocity if isinstance(drive, Drive) else max(leg.pace for leg in legs(ensemble, drive))
+    v = (
+        drive.velocity
+        if isinstance(drive, Drive)
+        else max(leg.pace for leg in legs(ensemble, drive))
+    )
     found = [
-        Group("disorder", ensemble.disorder, "quenched: literal contacts; annealed: the published master equation"),
+        Group(
+            "disorder",
+            ensemble.disorder,
+            "quenched: literal contacts; annealed: the published master equation",
+        ),
         Group("x_star", unit, "unit of length: x_* of the threshold law, or its mean"),
-        Group("b", b, f"k x_*^2 / (2 kT), barrier over temperature ({equation('nt08a')})"),
-        Group("T/T_*", 0.0 if math.isinf(b) else 1.0 / b, f"temperature over its crossover ({equation('nt09a')})"),
+        Group(
+            "b", b, f"k x_*^2 / (2 kT), barrier over temperature ({equation('nt08a')})"
+        ),
+        Group(
+            "T/T_*",
+            0.0 if math.isinf(b) else 1.0 / b,
+            f"temperature over its crossover ({equation('nt09a')})",
+        ),
     ]
     if thermal.attempt_frequency > 0:
         reduced = v / (thermal.attempt_frequency * unit)
         found.append(Group("v/(omega x_*)", reduced, "velocity in x_* per attempt"))
     star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
     if star > 0:
-        not_here = "" if ensemble.disorder == "annealed" else ", not of these quenched contacts"
+        not_here = (
+            ""
+            if ensemble.disorder == "annealed"
+            else ", not of these quenched contacts"
+        )
         solved = f"Delta U(inf) = 1 ({equation('nt12')}; derived)"
         found += [
-            Group("v_*", star, f"crossover velocity of the annealed ensemble{not_here}, {solved}"),
-            Group("v/v_*", v / star, "below 1, thermal breaking decides (annealed ensemble only)"),
+            Group(
+                "v_*",
+                star,
+                f"crossover velocity of the annealed ensemble{not_here}, {solved}",
+            ),
+            Group(
+                "v/v_*",
+                v / star,
+                "below 1, thermal breaking decides (annealed ensemble only)",
+            ),
         ]
     aging = ensemble.aging
     if aging.active and aging.cutoff_time is not None:
-        found.append(Group("beta", aging.beta or 0.0, "growth of thresholds per e-fold of their age"))
-        found.append(Group("v t_c/x_*", v / unit * aging.cutoff_time, "distance slid before thresholds grow"))
+        found.append(
+            Group(
+                "beta",
+                aging.beta or 0.0,
+                "growth of thresholds per e-fold of their age",
+            )
+        )
+        found.append(
+            Group(
+                "v t_c/x_*",
+                v / unit * aging.cutoff_time,
+                "distance slid before thresholds grow",
+            )
+        )
     elif aging.active:
-        found.append(Group("x_*f/x_*i", aging.x_star_final / unit, "final over newborn threshold scale"))
-        found.append(Group("D/(v x_*f)", aging.rate / (v * aging.x_star_final), "aging over sliding"))
+        found.append(
+            Group(
+                "x_*f/x_*i",
+                aging.x_star_final / unit,
+                "final over newborn threshold scale",
+            )
+        )
+        found.append(
+            Group(
+                "D/(v x_*f)",
+                aging.rate / (v * aging.x_star_final),
+                "aging over sliding",
+            )
+        )
     if ensemble.newborn.active:
         births = ensemble.newborn.reduced(unit)
         low, high = births.range
         per = "xi" if ensemble.newborn.of == "threshold" else "x_*"
-        found.append(Group(f"<y>/{per}", births.mean, "mean stretch of newborn contacts"))
-        found.append(Group(f"least y/{per}", low, "of newborn contacts (1e-16 of a normal law is below)"))
-        found.append(Group(f"greatest y/{per}", high, "of newborn contacts (1e-16 of an unbounded law is above)"))
+        found.append(
+            Group(f"<y>/{per}", births.mean, "mean stretch of newborn contacts")
+        )
+        found.append(
+            Group(
+                f"least y/{per}",
+                low,
+                "of newborn contacts (1e-16 of a normal law is below)",
+            )
+        )
+        found.append(
+            Group(
+                f"greatest y/{per}",
+                high,
+                "of newborn contacts (1e-16 of an unbounded law is above)",
+            )
+        )
     if ensemble.delay.time > 0:
-        found.append(Group("v tau/x_*", v * ensemble.delay.time / unit, "distance slid while detached"))
+        found.append(
+            Group(
+                "v tau/x_*",
+                v * ensemble.delay.time / unit,
+                "distance slid while detached",
+            )
+        )
     if ensemble.eta > 0:
-        found.append(Group("eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"))
+        found.append(
+            Group("eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached")
+        )
     if isinstance(drive, Drive):
-        found.append(Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides"))
+        found.append(
+            Group("distance/x_*", drive.over(ensemble) / unit, "how far the run slides")
+        )
         found += _of_blocks(ensemble.count, drive.elastic) if drive.elastic else []
     else:
         segments, path = drive.segments, sum(segment.path for segment in drive.segments)
         found.append(Group("segments", len(segments), "of the programme"))
-        found.append(Group("path/x_*", path / unit, "how far the run slides, there and back"))
-        slowest = min((leg.pace for leg in legs(ensemble, drive) if leg.sign), default=v)
-        found.append(Group("slowest/fastest", slowest / v, "velocities of the segments that move"))
+        found.append(
+            Group("path/x_*", path / unit, "how far the run slides, there and back")
+        )
+        slowest = min(
+            (leg.pace for leg in legs(ensemble, drive) if leg.sign), default=v
+        )
+        found.append(
+            Group(
+                "slowest/fastest", slowest / v, "velocities of the segments that move"
+            )
+        )
         if drive.stage:
             pull = pull_of(ensemble, drive)
-            found.append(Group("kappa_s", pull.stiffness, "spring of the stage over that of all contacts, K/(N k)"))
-            found.append(Group("eta_s v/x_*", pull.damping, "damping of the slider at that velocity"))
-            found.append(Group("m v^2/x_*^2", pull.mass, "inertia of the slider at that velocity"))
-    if thermal.kT > 0 and ensemble.disorder == "quenched" and law.support[1] < math.inf and not law.steps.size:
-        found.append(Group("heavy tails", "no", f"no threshold exceeds {law.support[1]:g}"))
+            found.append(
+                Group(
+                    "kappa_s",
+                    pull.stiffness,
+                    "spring of the stage over that of all contacts, K/(N k)",
+                )
+            )
+            found.append(
+                Group(
+                    "eta_s v/x_*",
+                    pull.damping,
+                    "damping of the slider at that velocity",
+                )
+            )
+            found.append(
+                Group(
+                    "m v^2/x_*^2", pull.mass, "inertia of the slider at that velocity"
+                )
+            )
+    if (
+        thermal.kT > 0
+        and ensemble.disorder == "quenched"
+        and law.support[1] < math.inf
+        and not law.steps.size
+    ):
+        found.append(
+            Group("heavy tails", "no", f"no threshold exceeds {law.support[1]:g}")
+        )
     elif thermal.kT > 0 and ensemble.disorder == "quenched" and not law.steps.size:
         heavy = True
         if aging.active and aging.cutoff_time is not None:
@@ -307,16 +449,24 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
             text = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"
         else:
             heavy = b >= 0.5
-            text = "b >= 1/2: rare strong contacts dominate time" if heavy else "no: b < 1/2, linear creep at low v"
+            text = (
+                "b >= 1/2: rare strong contacts dominate time"
+                if heavy
+                else "no: b < 1/2, linear creep at low v"
+            )
         found.append(Group("heavy tails", "yes" if heavy else "no", text))
     return found
 
 
 def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:
-    """Warn about dimensionless groups so extreme that units were probably mixed, a line for each. Without a drive the
-    distance does not count."""
+    """Warn about dimensionless groups so extreme that units were probably mixed, a line
+    for each. Without a drive the distance does not count."""
     b, unit = ensemble.b, ensemble.thresholds.scale
-    scale = "; thresholds.scale = 1e-9 turns those of a table from nm into m" if ensemble.thresholds.steps.size else ""
+    scale = (
+        "; thresholds.scale = 1e-9 turns those of a table from nm into m"
+        if ensemble.thresholds.steps.size
+        else ""
+    )
     are = f"are all numbers in the same units? Thresholds are about {unit:.3g}{scale}"
     if ensemble.thermal.kT > 0 and not 1.0 / _DOUBTFUL_B <= b <= _DOUBTFUL_B:
         yield f"b = k x_*^2/(2 kT) = {b:.3g}, energy of a contact over heat: {are}"
@@ -327,16 +477,43 @@ def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]
 
 
 def _of_blocks(contacts: int, elastic: Elastic) -> list[Group]:
-    """Groups of coupled blocks. Raises InputError unless the contacts can be divided among them."""
+    """Groups of coupled blocks. Raises InputError unless the contacts can be divided
+    among them."""
     nx, ny = elastic.shape
     shape = f"{nx}" if ny == 1 else f"{nx} x {ny}"
     return [
-        Group("blocks", shape, f"{'chain' if ny == 1 else 'sheet'} with {elastic.edges} edges"),
-        Group("n", elastic.contacts_per_block(contacts), "contacts of a block, N over blocks"),
-        Group("kappa_b/(n k)", elastic.coupling, "spring between neighbours over the contacts of a block"),
-        Group("K_d/(n k)", elastic.drive_stiffness, "spring of a block to the plate, over the same"),
-        Group("lambda", elastic.length, "blocks over which the displacement by a break decays"),
-        Group("rho", elastic.load, "n k/(n k + K_d), breaks that follow from one directly"),
+        Group(
+            "blocks",
+            shape,
+            f"{'chain' if ny == 1 else 'sheet'} with {elastic.edges} edges",
+        ),
+        Group(
+            "n",
+            elastic.contacts_per_block(contacts),
+            "contacts of a block, N over blocks",
+        ),
+        Group(
+            "kappa_b/(n k)",
+            elastic.coupling,
+            "spring between neighbours over the contacts of a block",
+        ),
+        Group(
+            "K_d/(n k)",
+            elastic.drive_stiffness,
+            "spring of a block to the plate, over the same",
+        ),
+        Group(
+            "lambda",
+            elastic.length,
+            "blocks over which the displacement by a break decays",
+        ),
+        Group(
+            "rho", elastic.load, "n k/(n k + K_d), breaks that follow from one directly"
+        ),
         Group("mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"),
-        Group("cutoff size", 1.0 / (1.0 - elastic.load) ** 2, "up to which P(s) ~ s^(-3/2)"),
+        Group(
+            "cutoff size",
+            1.0 / (1.0 - elastic.load) ** 2,
+            "up to which P(s) ~ s^(-3/2)",
+        ),
     ]

@@ -126,7 +126,9 @@ class LawRoutine(Protocol):
 def by_law(default: Callable[..., Any]) -> LawRoutine: ...
 @typing.overload
 def by_law(*, makes_arrays: bool) -> Callable[[Callable[..., Any]], LawRoutine]: ...
-def by_law(default: Callable[..., Any] | None = None, *, makes_arrays: bool = False) -> Any:
+def by_law(
+    default: Callable[..., Any] | None = None, *, makes_arrays: bool = False
+) -> Any:
     """Make a routine that has another body for each type of law, its first argument:
     `functools.singledispatch` for kernels. Laws register theirs with
     `@name.register(Law)`; `default`, which every other law has, may raise TypeError.

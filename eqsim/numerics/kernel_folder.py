@@ -43,7 +43,8 @@ _one_thread = threading.RLock()
 _begins: list[float] = []
 
 
-# It has no parameters, and sources that are edited while a process runs are not those that it has imported.
+# It has no parameters, and sources that are edited while a process runs are not those
+# that it has imported.
 @functools.cache
 def kernel_folder() -> str | None:
     """The first of the usual folders that can be written; None if none can."""

@@ -1,4 +1,5 @@
-"""Adaptive panels: intervals are split until 17 Chebyshev nodes resolve a function on each of them."""
+"""Adaptive panels: intervals are split until 17 Chebyshev nodes resolve a function on
+each of them."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +27,8 @@ class ClenshawCurtis:
     coefficients : ndarray, shape (17, 17)
         It times values at the nodes is their Chebyshev coefficients.
     tail : ndarray, shape (17, 2)
-        Values at the nodes times it are the two highest coefficients, which say whether a function is resolved.
+        Values at the nodes times it are the two highest coefficients, which say whether
+        a function is resolved.
     """
 
     _order = 16
@@ -70,13 +72,15 @@ def refined(
     Parameters
     ----------
     evaluate : callable
-        From `left`, `right` and `interval` of some panels to their `values`, shape (..., panels).
+        From `left`, `right` and `interval` of some panels to their `values`, shape
+        (..., panels).
     judge : callable
         From all panels to which of them to split, shape (panels,), and anything else.
     edges : ndarray
         Ends of the first panels, the same in each of the `intervals`.
     pieces : ndarray
-        Where a panel is cut, from 0 to 1; `pieces_at_0` where it begins at 0, of the same shape.
+        Where a panel is cut, from 0 to 1; `pieces_at_0` where it begins at 0, of the
+        same shape.
     most : float
         The number of panels beyond which nothing is split any more.
 
@@ -94,9 +98,15 @@ def refined(
         if not split.any() or p.left.size > most:
             return p, verdict
         left, right = p.left[split, None], p.right[split, None]
-        cuts = left + (right - left) * np.where(left == 0, pieces if pieces_at_0 is None else pieces_at_0, pieces)
+        cuts = left + (right - left) * np.where(
+            left == 0, pieces if pieces_at_0 is None else pieces_at_0, pieces
+        )
         cuts[:, -1] = right[:, 0]
-        at = cuts[:, :-1].ravel(), cuts[:, 1:].ravel(), np.repeat(p.interval[split], pieces.size - 1)
+        at = (
+            cuts[:, :-1].ravel(),
+            cuts[:, 1:].ravel(),
+            np.repeat(p.interval[split], pieces.size - 1),
+        )
         count = np.where(split, pieces.size - 1, 1)
         merged = [np.repeat(old, count, axis=-1) for old in p]
         for old, new in zip(merged, (*at, evaluate(*at)), strict=True):
@@ -104,7 +114,12 @@ def refined(
         p = Panels(*merged)
 
 
-def interpolated(function: Callable[[Array], Array], x: Array, smooth: float, greatest: float | None = None) -> Array:
+def interpolated(
+    function: Callable[[Array], Array],
+    x: Array,
+    smooth: float,
+    greatest: float | None = None,
+) -> Array:
     """A costly function at many points, from Chebyshev polynomials in ln x.
 
     Parameters
@@ -114,8 +129,8 @@ def interpolated(function: Callable[[Array], Array], x: Array, smooth: float, gr
     x : ndarray, shape (points,)
         Ascending, > 0.
     smooth : float
-        What polynomials may miss, in units of `greatest` or else of the greatest of each value, and of it times x and
-        x^2, on which integrals depend.
+        What polynomials may miss, in units of `greatest` or else of the greatest of
+        each value, and of it times x and x^2, on which integrals depend.
 
     Returns
     -------
@@ -125,17 +140,27 @@ def interpolated(function: Callable[[Array], Array], x: Array, smooth: float, gr
     low, high = log_x[0], max(log_x[-1], log_x[0] + 1e-3)
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:
-        nodes = np.exp(left + 0.5 * (right - left) * (1 + ClenshawCurtis.nodes[:, None]))
-        return np.concatenate((nodes[None], function(nodes.ravel()).reshape(-1, *nodes.shape)))
+        nodes = np.exp(
+            left + 0.5 * (right - left) * (1 + ClenshawCurtis.nodes[:, None])
+        )
+        return np.concatenate(
+            (nodes[None], function(nodes.ravel()).reshape(-1, *nodes.shape))
+        )
 
     def judge(p: Panels) -> tuple[Array, None]:
         nodes, values = p.values[0], p.values[1:]
-        weighed = np.array([values * nodes**power for power in range(3)]) if greatest is None else values[None]
+        weighed = (
+            np.array([values * nodes**power for power in range(3)])
+            if greatest is None
+            else values[None]
+        )
         most = weighed.max(axis=(2, 3))[:, :, None] if greatest is None else greatest
         rough = np.abs(ClenshawCurtis.tail.T @ weighed).sum(axis=2) > smooth * most
         return rough.any(axis=(0, 1)) & (p.right - p.left > _SHORTEST), None
 
-    p, _ = refined(evaluate, judge, np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1))
+    p, _ = refined(
+        evaluate, judge, np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1)
+    )
     panel = np.append(0, np.searchsorted(p.left, log_x[1:], side="left") - 1)
     t = (2 * log_x - p.left[panel] - p.right[panel]) / (p.right[panel] - p.left[panel])
     coefficients = np.moveaxis(ClenshawCurtis.coefficients @ p.values[1:], 1, 0)

@@ -1,9 +1,11 @@
-"""Scrambled Sobol sequences, many at a time: to the last bit those of `scipy.stats.qmc.Sobol`, which takes longer to
-begin one of them than two thousand points do.
+"""Scrambled Sobol sequences, many at a time: to the last bit those of
+`scipy.stats.qmc.Sobol`, which takes longer to begin one of them than two thousand
+points do.
 
-Point i of a sequence is a shift and, for each bit k of i, an exclusive or with a word w_k: so many points follow from
-half as many. Direction numbers are those of Joe and Kuo (2008); the scramble is a lower triangular matrix of bits and a
-shift (Matousek, J. of Complexity 14, 527, 1998).
+Point i of a sequence is a shift and, for each bit k of i, an exclusive or with a word
+w_k: so many points follow from half as many. Direction numbers are those of Joe and Kuo
+(2008); the scramble is a lower triangular matrix of bits and a shift (Matousek, J. of
+Complexity 14, 527, 1998).
 """
 
 from collections.abc import Sequence
@@ -15,11 +17,14 @@ from eqsim.numerics.compiled import kernel
 from eqsim.numerics.tables import Array
 
 _BITS = 30
-_PLACES = np.arange(_BITS - 1, -1, -1, dtype=np.int32)  # of the bits of a number, the highest first
+_PLACES = np.arange(
+    _BITS - 1, -1, -1, dtype=np.int32
+)  # of the bits of a number, the highest first
 
 
 def _directions(dimensions: int) -> Array:
-    """The bits of the direction numbers of up to three dimensions, shape (dimensions, bits, numbers)."""
+    """The bits of the direction numbers of up to three dimensions, shape (dimensions,
+    bits, numbers)."""
     m = np.ones((3, _BITS), np.int64)
     m[2, 1] = 3
     for k in range(1, _BITS):
@@ -44,16 +49,28 @@ class Sobol(NamedTuple):
     words: Array
 
     @classmethod
-    def of(cls, generators: Sequence[np.random.Generator], dimensions: int, most: int) -> "Sobol":
-        """A sequence of each random generator, of `most` points, up to 2^30, in up to three dimensions."""
+    def of(
+        cls, generators: Sequence[np.random.Generator], dimensions: int, most: int
+    ) -> "Sobol":
+        """A sequence of each random generator, of `most` points, up to 2^30, in up to
+        three dimensions."""
         size, shape = dimensions * _BITS, (len(generators), dimensions, _BITS)
-        drawn = np.array([rng.integers(2, size=size * (1 + _BITS), dtype=np.uint32) for rng in generators])
+        drawn = np.array(
+            [
+                rng.integers(2, size=size * (1 + _BITS), dtype=np.uint32)
+                for rng in generators
+            ]
+        )
         shifts = drawn[:, :size].reshape(shape)
-        scramble = drawn[:, size:].reshape(*shape, _BITS) * np.tri(_BITS, k=-1) + np.eye(_BITS)
+        scramble = drawn[:, size:].reshape(*shape, _BITS) * np.tri(
+            _BITS, k=-1
+        ) + np.eye(_BITS)
         needed = _directions(dimensions)[:, :, : (most - 1).bit_length()]
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
-        words[..., 1:] ^= words[..., :-1]  # points follow each other in the order of Gray
+        words[..., 1:] ^= words[
+            ..., :-1
+        ]  # points follow each other in the order of Gray
         return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32), words)
 
     def some(self, which: slice) -> "Sobol":
@@ -61,8 +78,9 @@ class Sobol(NamedTuple):
         return Sobol(self.shift[which], self.words[which])
 
     def points(self, first: int, count: int) -> Array:
-        """Points number `first` to `first` + `count` - 1 of each sequence in the middle of their cells, away from 0,
-        shape (dimensions, sequences, count); `count` is a power of 2 that divides `first`."""
+        """Points number `first` to `first` + `count` - 1 of each sequence in the middle
+        of their cells, away from 0, shape (dimensions, sequences, count); `count` is a
+        power of 2 that divides `first`."""
         found = np.empty((*self.shift.shape[::-1], count))
         put_points(self, first, np.empty(count, np.uint32), found)
         return found

@@ -1,8 +1,10 @@
-"""Random streams that belong to contacts: a draw depends on (seed, purpose, contact, life, draw) and nothing else.
+"""Random streams that belong to contacts: a draw depends on (seed, purpose, contact,
+life, draw) and nothing else.
 
-Philox4x32-10 (Salmon, Moraes, Dror and Shaw, 2011: "Parallel random numbers: as easy as 1, 2, 3") turns a counter
-and a key into 128 random bits. The key comes from (seed, purpose), the counter holds contact, life and draw, so that
-a contact's history cannot depend on threads, blocks, or on what was simulated before it.
+Philox4x32-10 (Salmon, Moraes, Dror and Shaw, 2011: "Parallel random numbers: as easy as
+1, 2, 3") turns a counter and a key into 128 random bits. The key comes from (seed,
+purpose), the counter holds contact, life and draw, so that a contact's history cannot
+depend on threads, blocks, or on what was simulated before it.
 """
 
 import hashlib
@@ -38,10 +40,11 @@ def key(seed: int, purpose: int) -> Key:
 
 
 def name_of(*declared: Any) -> int:
-    """A 64-bit number that stands for declared parameters, texts and numbers (of any shape), in the names of streams.
+    """A 64-bit number that stands for declared parameters, texts and numbers (of any
+    shape), in the names of streams.
 
-    Of numbers only 33 bits count: one that was computed, 10**-1.5, may differ in its last bits between processors, and
-    still has to name the same stream.
+    Of numbers only 33 bits count: one that was computed, 10**-1.5, may differ in its
+    last bits between processors, and still has to name the same stream.
     """
     digest = hashlib.sha256()
     for part in declared:
@@ -49,17 +52,34 @@ def name_of(*declared: Any) -> int:
             digest.update(part.encode() + b"\0")
         else:
             mantissa, exponent = np.frexp(np.asarray(part, float))
-            digest.update(np.ldexp(np.rint(mantissa * 2.0**33), exponent - 33).astype("<f8").tobytes() + b"\0")
+            digest.update(
+                np.ldexp(np.rint(mantissa * 2.0**33), exponent - 33)
+                .astype("<f8")
+                .tobytes()
+                + b"\0"
+            )
     return int.from_bytes(digest.digest()[:8])
 
 
 @routine(inline=True)
-def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
+def philox(
+    c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any
+) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
-    c1, c3, k0, k1 = c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW  # else the compiler multiplies 64 bits by 64 at first
+    c1, c3, k0, k1 = (
+        c1 & _LOW,
+        c3 & _LOW,
+        k0 & _LOW,
+        k1 & _LOW,
+    )  # else the compiler multiplies 64 bits by 64 at first
     for _ in range(10):
         p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
-        c0, c1, c2, c3 = (p1 >> _HALF) ^ c1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ c3 ^ k1, p0 & _LOW
+        c0, c1, c2, c3 = (
+            (p1 >> _HALF) ^ c1 ^ k0,
+            p1 & _LOW,
+            (p0 >> _HALF) ^ c3 ^ k1,
+            p0 & _LOW,
+        )
         k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
     return c0, c1, c2, c3
 
@@ -68,9 +88,11 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
     bits = (low | (high << _HALF)) >> np.uint64(1)
-    # halves in the last bits of 2^84 and of 2^52, whose sum is rounded once: many processors have no instruction that
-    # converts several 64-bit integers
-    upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64) - (2.0**84 + 2.0**52)
+    # halves in the last bits of 2^84 and of 2^52, whose sum is rounded once: many
+    # processors have no instruction that converts several 64-bit integers
+    upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64) - (
+        2.0**84 + 2.0**52
+    )
     whole = upper + np.uint64((bits & _LOW) | _UNITS).view(np.float64)
     return min((whole + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
 
@@ -83,21 +105,30 @@ def _midpoint(word: Any) -> float:
 
 @routine(inline=True)
 def product(low: Any, high: Any) -> float:
-    """The product of two independent uniforms in (0, 1) from two 32-bit words: mid-points of cells 2^-32 wide, good
-    enough where the product is above `ROUGH`; below, `fine_product` divides the cells further."""
+    """The product of two independent uniforms in (0, 1) from two 32-bit words:
+    mid-points of cells 2^-32 wide, good enough where the product is above `ROUGH`;
+    below, `fine_product` divides the cells further."""
     return (_midpoint(low) * 2.0**-32) * (_midpoint(high) * 2.0**-32)
 
 
 @routine(inline=True)
-def fine_product(key: Key, contact: int, life: int, draw: int, low: Any, high: Any) -> float:
-    """`product` where it is small, its two cells divided by a further draw: uniforms down to 2^-96."""
+def fine_product(
+    key: Key, contact: int, life: int, draw: int, low: Any, high: Any
+) -> float:
+    """`product` where it is small, its two cells divided by a further draw: uniforms
+    down to 2^-96."""
     u, v = uniforms(key, contact, life, draw)
-    return ((np.float64(np.int64(low)) + u) * 2.0**-32) * ((np.float64(np.int64(high)) + v) * 2.0**-32)
+    return ((np.float64(np.int64(low)) + u) * 2.0**-32) * (
+        (np.float64(np.int64(high)) + v) * 2.0**-32
+    )
 
 
 @routine(inline=True)
-def fill_words(key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: int) -> None:
-    """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of `words`, shape (4, lanes)."""
+def fill_words(
+    key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: int
+) -> None:
+    """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of
+    `words`, shape (4, lanes)."""
     for i in range(lanes):
         c, j = np.uint64(contact[i]), np.uint64(life[i])
         last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
@@ -116,23 +147,36 @@ def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, A
 
 @routine(inline=True)
 def uniforms(key: Key, contact: int, life: int, draw: int) -> tuple[float, float]:
-    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw < 2^16."""
+    """Two independent uniforms of a contact's life; contact < 2^63, life < 2^47, draw <
+    2^16."""
     a, b, d, e = bits(key, contact, life, draw)
     return uniform(a, b), uniform(d, e)
 
 
 @routine(inline=True)
-def words(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
-    """Four independent 32-bit integers of a contact's path, as floats; contact < 2^63, life < 2^32, draw < 2^31. None
-    of their counters is one of `uniforms`."""
+def words(
+    key: Key, contact: int, life: int, draw: int
+) -> tuple[float, float, float, float]:
+    """Four independent 32-bit integers of a contact's path, as floats; contact < 2^63,
+    life < 2^32, draw < 2^31. None of their counters is one of `uniforms`."""
     c = np.uint64(contact)
     last = np.uint64(draw) | np.uint64(0x80000000)
-    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key.low, key.high)
+    a, b, d, e = philox(
+        c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key.low, key.high
+    )
     return np.float64(a), np.float64(b), np.float64(d), np.float64(e)
 
 
 @routine(inline=True)
-def midpoints(key: Key, contact: int, life: int, draw: int) -> tuple[float, float, float, float]:
-    """Four independent uniforms in (0, 1) of a contact's path, mid-points of cells 2^-32 wide, from `words`."""
+def midpoints(
+    key: Key, contact: int, life: int, draw: int
+) -> tuple[float, float, float, float]:
+    """Four independent uniforms in (0, 1) of a contact's path, mid-points of cells
+    2^-32 wide, from `words`."""
     a, b, d, e = words(key, contact, life, draw)
-    return (a + 0.5) * 2.0**-32, (b + 0.5) * 2.0**-32, (d + 0.5) * 2.0**-32, (e + 0.5) * 2.0**-32
+    return (
+        (a + 0.5) * 2.0**-32,
+        (b + 0.5) * 2.0**-32,
+        (d + 0.5) * 2.0**-32,
+        (e + 0.5) * 2.0**-32,
+    )

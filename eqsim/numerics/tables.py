@@ -1,12 +1,16 @@
-"""A smooth positive function of a positive argument as one table, to about 1e-10 relative over hundreds of decades.
+"""A smooth positive function of a positive argument as one table, to about 1e-10
+relative over hundreds of decades.
 
-Quantile functions and inverse hazards have no closed form that a kernel could evaluate quickly. Each is tabulated as
-a cubic Hermite polynomial in each of 64 equal cells of every octave [2^j, 2^(j+1)): the cell is read off the bits of
-the argument, so a look-up takes no logarithm and no search, and the relative cell width is the same at every scale.
-For a power law y = s^p the relative error is below |p(p-1)(p-2)(p-3)| / (384 * 64^4).
+Quantile functions and inverse hazards have no closed form that a kernel could evaluate
+quickly. Each is tabulated as a cubic Hermite polynomial in each of 64 equal cells of
+every octave [2^j, 2^(j+1)): the cell is read off the bits of the argument, so a look-up
+takes no logarithm and no search, and the relative cell width is the same at every
+scale. For a power law y = s^p the relative error is below |p(p-1)(p-2)(p-3)| / (384 *
+64^4).
 
-Below the first octave the function is continued as a line through the origin, above the last one as a constant;
-whoever builds a table chooses its octaves so that this is exact to rounding, or never reached.
+Below the first octave the function is continued as a line through the origin, above the
+last one as a constant; whoever builds a table chooses its octaves so that this is exact
+to rounding, or never reached.
 """
 
 from typing import Any
@@ -19,24 +23,31 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 NO_TABLE: Array = np.empty((0, 4))
 CELLS = 64
-_SHIFT = 52 - 6  # bits of the mantissa below those that number the 64 cells of an octave
+_SHIFT = (
+    52 - 6
+)  # bits of the mantissa below those that number the 64 cells of an octave
 _FRACTION = (1 << _SHIFT) - 1
 _UNITS = 0x4330000000000000  # bits of 2^52, the last of which are those of an integer that is added
 _BIAS = 1023 * CELLS  # of the IEEE exponent, in cells
 
 
 def octave_edges(first: int, last: int) -> Array:
-    """The arguments at which a table of octaves first .. last-1 (powers of 2) needs the function, ascending."""
-    edges = (2.0 ** np.arange(first, last)[:, None] * (1.0 + np.arange(CELLS) / CELLS)).ravel()
+    """The arguments at which a table of octaves first .. last-1 (powers of 2) needs the
+    function, ascending."""
+    edges = (
+        2.0 ** np.arange(first, last)[:, None] * (1.0 + np.arange(CELLS) / CELLS)
+    ).ravel()
     return np.append(edges, 2.0**last)
 
 
 def octave_table(first: int, y: Array, slope: Array) -> Array:
-    """Coefficients (cells + 2, 4) from values and derivatives at `octave_edges(first, last)`.
+    """Coefficients (cells + 2, 4) from values and derivatives at `octave_edges(first,
+    last)`.
 
-    The slopes are limited as Fritsch and Carlson prescribe, so that data that rise give a function that rises. Two rows
-    come before those of the cells: the cell offset of the first octave, 1 over its lower edge and the number of cells,
-    for `look_up`; and the line through the origin, of the argument over that edge.
+    The slopes are limited as Fritsch and Carlson prescribe, so that data that rise give
+    a function that rises. Two rows come before those of the cells: the cell offset of
+    the first octave, 1 over its lower edge and the number of cells, for `look_up`; and
+    the line through the origin, of the argument over that edge.
     """
     cells = len(y) - 1
     edges = octave_edges(first, first + cells // CELLS)
@@ -56,7 +67,8 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
 
 @routine(inline=True)
 def search(values: Array, x: float, right: bool) -> int:
-    """How many of ascending values are below x, or at most x (`right`); `np.searchsorted` takes long to compile."""
+    """How many of ascending values are below x, or at most x (`right`);
+    `np.searchsorted` takes long to compile."""
     low, high = 0, values.size
     while low < high:
         middle = (low + high) // 2
@@ -69,10 +81,13 @@ def search(values: Array, x: float, right: bool) -> int:
 
 @routine(inline=True)
 def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
-    """The row of the polynomial that holds at s > 0, and its argument, from what row 0 says."""
+    """The row of the polynomial that holds at s > 0, and its argument, from what row 0
+    says."""
     bits: Any = np.float64(s).view(np.int64)
     cell = (bits >> _SHIFT) - np.int64(first)
-    t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (1.0 / (_FRACTION + 1))
+    t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (
+        1.0 / (_FRACTION + 1)
+    )
     if cell < 0:
         t = s * per_edge
     if cell >= np.int64(cells):
@@ -95,8 +110,9 @@ def look_up(table: Array, s: float) -> float:
 
 @routine(inline=True)
 def look_up_all(table: Array, s: Array, row: Array, count: int) -> None:
-    """Replace the first `count` of `s`, shape (n,), by the tabulated function there; `row` is scratch. Look-ups in a
-    loop of their own leave the other one free to vectorise."""
+    """Replace the first `count` of `s`, shape (n,), by the tabulated function there;
+    `row` is scratch. Look-ups in a loop of their own leave the other one free to
+    vectorise."""
     first, per_edge, cells = table[0, 0], table[0, 1], table[0, 2]
     for i in range(count):
         row[i], s[i] = _cell_of(first, per_edge, cells, s[i])

@@ -1,8 +1,8 @@
 """Threads that Ctrl-C does not have to wait for.
 
-Python answers a signal between two instructions of its main thread. A kernel that runs for minutes there keeps Ctrl-C
-waiting, and so does a pool that joins its threads. Kernels release the GIL, so a main thread that waits for them is
-interrupted at once.
+Python answers a signal between two instructions of its main thread. A kernel that runs
+for minutes there keeps Ctrl-C waiting, and so does a pool that joins its threads.
+Kernels release the GIL, so a main thread that waits for them is interrupted at once.
 """
 
 import threading
@@ -24,11 +24,13 @@ _above = threading.local()  # `pool`: the threads among which the current one is
 
 
 class ThreadPool(Executor):
-    """A pool of threads that is left at once when an exception, such as KeyboardInterrupt, ends the block that uses it.
+    """A pool of threads that is left at once when an exception, such as
+    KeyboardInterrupt, ends the block that uses it.
 
-    Then `stop` is set, for kernels that look at it, in pools of these threads as well; and what has not begun is
-    cancelled. Threads that go on for longer than a moment all the same, as they compile, are abandoned: they end when
-    they have finished, or with the process. Python waits for those of a `ThreadPoolExecutor`.
+    Then `stop` is set, for kernels that look at it, in pools of these threads as well;
+    and what has not begun is cancelled. Threads that go on for longer than a moment all
+    the same, as they compile, are abandoned: they end when they have finished, or with
+    the process. Python waits for those of a `ThreadPoolExecutor`.
 
     Parameters
     ----------
@@ -38,7 +40,8 @@ class ThreadPool(Executor):
     Attributes
     ----------
     stop : ndarray, shape (1,)
-        0 as long as results are waited for. A result that is ready later is a CancelledError.
+        0 as long as results are waited for. A result that is ready later is a
+        CancelledError.
     """
 
     def __init__(self, count: int) -> None:
@@ -48,7 +51,9 @@ class ThreadPool(Executor):
         if self._parent is not None:
             self._parent._below.add(self)
         self._tasks: SimpleQueue[Any] = SimpleQueue()
-        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(count)]
+        self._threads = [
+            threading.Thread(target=self._work, daemon=True) for _ in range(count)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -65,7 +70,12 @@ class ThreadPool(Executor):
                     del result
                 except BaseException as error:
                     future.set_exception(error)
-            del task, future, function, arguments  # not to keep results until the next task
+            del (
+                task,
+                future,
+                function,
+                arguments,
+            )  # not to keep results until the next task
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:  # type: ignore[override]
         """Call a function in one of the threads."""
@@ -108,13 +118,15 @@ class ThreadPool(Executor):
 
 
 def current_stop() -> Array:
-    """The flag of the pool that the current thread belongs to; `NEVER` in other threads."""
+    """The flag of the pool that the current thread belongs to; `NEVER` in other
+    threads."""
     pool: ThreadPool | None = getattr(_above, "pool", None)
     return NEVER if pool is None else pool.stop
 
 
 def interruptibly(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a function that may take seconds to compile in a thread, so that Ctrl-C is answered meanwhile."""
+    """Call a function that may take seconds to compile in a thread, so that Ctrl-C is
+    answered meanwhile."""
     with ThreadPool(1) as thread:
         result: Result = thread.submit(function, *arguments).result()
     return result

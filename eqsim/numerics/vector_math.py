@@ -1,10 +1,13 @@
-"""Logarithm, exponential and sine without branches and tables, for loops over lanes of contacts that are to vectorise.
+"""Logarithm, exponential and sine without branches and tables, for loops over lanes of
+contacts that are to vectorise.
 
-The usual mathematical library is called once a number; these are additions, multiplications and at most one division,
-in strict IEEE arithmetic, so that eight of them run side by side. The logarithm is that of fdlibm (Sun, 1993), the
-exponential a Taylor polynomial of degree 13 after a reduction to |r| <= ln(2)/2. Errors in units of the last place:
-below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp and 2 for exp_less_one (of -708 to 708), 2.5 for log_one_plus, 3 for
-two_thirds_power, 5 for quarter_sine.
+The usual mathematical library is called once a number; these are additions,
+multiplications and at most one division, in strict IEEE arithmetic, so that eight of
+them run side by side. The logarithm is that of fdlibm (Sun, 1993), the exponential a
+Taylor polynomial of degree 13 after a reduction to |r| <= ln(2)/2. Errors in units of
+the last place: below 1 for log (of 2^-1000 to 2^1000), 1.5 for exp and 2 for
+exp_less_one (of -708 to 708), 2.5 for log_one_plus, 3 for two_thirds_power, 5 for
+quarter_sine.
 """
 
 import math
@@ -14,11 +17,18 @@ import numpy as np
 
 from eqsim.numerics.compiled import fma, routine
 
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # their product with 2^11 is exact
+_LN2_HIGH, _LN2_LOW = (
+    6.93147180369123816490e-01,
+    1.90821492927058770002e-10,
+)  # their product with 2^11 is exact
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of sqrt(1/2)
-_SHIFT = 1.5 * 2.0**52  # added to a number below 2^51, leaves its nearest integer in the low bits
+_SHIFT = (
+    1.5 * 2.0**52
+)  # added to a number below 2^51, leaves its nearest integer in the low bits
 _SHIFT_BITS = 0x4338000000000000
-_CUBE_BITS = (4.0 / 3.0 * 1023.0 - 0.065) * 2.0**52  # of a first y^(-1/3), less than 4 % off
+_CUBE_BITS = (
+    4.0 / 3.0 * 1023.0 - 0.065
+) * 2.0**52  # of a first y^(-1/3), less than 4 % off
 FLAT = 400.0  # where exponents are cut: ln(1 + y) is ln y to rounding, and any factor fits before y overflows
 _TAYLOR = tuple(1.0 / math.factorial(i) for i in range(14))
 _SINE = (  # of sin(pi z/2)/z in z^2: Chebyshev interpolation, 3e-16 off
@@ -42,11 +52,21 @@ def _log_of(k: Any, f: float) -> float:
     s = f / (2.0 + f)
     z = s * s
     w = z * z
-    odd = fma(w, fma(w, 1.531383769920937332e-01, 2.222219843214978396e-01), 3.999999999940941908e-01)
-    even = fma(w, fma(w, 1.479819860511658591e-01, 1.818357216161805012e-01), 2.857142874366239149e-01)
+    odd = fma(
+        w,
+        fma(w, 1.531383769920937332e-01, 2.222219843214978396e-01),
+        3.999999999940941908e-01,
+    )
+    even = fma(
+        w,
+        fma(w, 1.479819860511658591e-01, 1.818357216161805012e-01),
+        2.857142874366239149e-01,
+    )
     rest = fma(w, odd, z * fma(w, even, 6.666666666666735130e-01))
     half = 0.5 * f * f
-    return fma(exponent, _LN2_HIGH, f - (half - fma(s, half + rest, exponent * _LN2_LOW)))
+    return fma(
+        exponent, _LN2_HIGH, f - (half - fma(s, half + rest, exponent * _LN2_LOW))
+    )
 
 
 @routine(inline=True)
@@ -69,10 +89,14 @@ def _exp_parts(x: float) -> tuple[float, float]:
     r = fma(-k, _LN2_LOW, fma(-k, _LN2_HIGH, x))
     r2 = r * r
     r4 = r2 * r2
-    highest = fma(r2, fma(_TAYLOR[13], r, _TAYLOR[12]), fma(_TAYLOR[11], r, _TAYLOR[10]))
+    highest = fma(
+        r2, fma(_TAYLOR[13], r, _TAYLOR[12]), fma(_TAYLOR[11], r, _TAYLOR[10])
+    )
     high = fma(r2, highest, fma(_TAYLOR[9], r, _TAYLOR[8]))
     middle = fma(r2, fma(_TAYLOR[7], r, _TAYLOR[6]), fma(_TAYLOR[5], r, _TAYLOR[4]))
-    power = np.int64((np.float64(shifted).view(np.int64) - _SHIFT_BITS + 1023) << 52).view(np.float64)
+    power = np.int64(
+        (np.float64(shifted).view(np.int64) - _SHIFT_BITS + 1023) << 52
+    ).view(np.float64)
     return fma(r2, fma(r2, fma(r4, high, middle), fma(_TAYLOR[3], r, 0.5)), r), power
 
 
@@ -92,7 +116,8 @@ def exp_less_one(x: float) -> float:
 
 @routine(inline=True)
 def third(x: float) -> float:
-    """x/3 of a normal x > 1e-290, rounded as a division is (Markstein's theorem), which takes many times as long."""
+    """x/3 of a normal x > 1e-290, rounded as a division is (Markstein's theorem), which
+    takes many times as long."""
     q = x * (1.0 / 3.0)
     return fma(fma(-3.0, q, x), 1.0 / 3.0, q)
 
@@ -117,8 +142,11 @@ def log_one_plus(t: float) -> float:
 
 @routine(inline=True)
 def two_thirds_power(y: float) -> float:
-    """y^(2/3) of a normal y > 0: Newton's method for y^(-1/3), from a third of the bits of y."""
-    r = np.int64(_CUBE_BITS - np.float64(np.float64(y).view(np.int64)) * (1.0 / 3.0)).view(np.float64)
+    """y^(2/3) of a normal y > 0: Newton's method for y^(-1/3), from a third of the bits
+    of y."""
+    r = np.int64(
+        _CUBE_BITS - np.float64(np.float64(y).view(np.int64)) * (1.0 / 3.0)
+    ).view(np.float64)
     for _ in range(4):
         r = fma(r * (1.0 / 3.0), fma(-y, r * r * r, 1.0), r)
     return y * r

@@ -1,4 +1,5 @@
-"""The points of a sweep: from a run file's [sweep] table to checked run files, each with an identity and a seed."""
+"""The points of a sweep: from a run file's [sweep] table to checked run files, each
+with an identity and a seed."""
 
 import hashlib
 import itertools
@@ -39,8 +40,9 @@ class Plan:
     folder : Path
         Where the run file's paths start.
     ids : list of str, optional
-        Identities from an earlier plan, of which seeds are made, in the order of the grid, the last axis fastest.
-        Default: digests of parameters and `RESULTS_VERSION`.
+        Identities from an earlier plan, of which seeds are made, in the order of the
+        grid, the last axis fastest. Default: digests of parameters and
+        `RESULTS_VERSION`.
 
     Raises
     ------
@@ -48,12 +50,18 @@ class Plan:
         For a table, or a point of it, that cannot be used.
     """
 
-    def __init__(self, file: RunFile, folder: Path, ids: list[str] | None = None) -> None:
+    def __init__(
+        self, file: RunFile, folder: Path, ids: list[str] | None = None
+    ) -> None:
         self.file, self.folder = file, folder
         if file.drive.file is not None:
-            raise InputError("drive.file: a sweep has columns for the segments of a drive.programme only")
+            raise InputError(
+                "drive.file: a sweep has columns for the segments of a drive.programme only"
+            )
         if file.elastic is not None and isinstance(file.elastic.blocks, list):
-            raise InputError(f"elastic.blocks = {shown(file.elastic.blocks)}: a sweep has a column for chains only")
+            raise InputError(
+                f"elastic.blocks = {shown(file.elastic.blocks)}: a sweep has a column for chains only"
+            )
         self.axes = _axes(file.sweep, folder, file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
@@ -63,8 +71,13 @@ class Plan:
         seen: dict[str, int] = {}
         for index, point_id in enumerate(self.ids):
             if seen.setdefault(point_id, index) != index:
-                same = ", ".join(f"{key} = {shown(value)}" for key, value in self.changes(index).items())
-                raise InputError(f"sweep: points {seen[point_id] + 1} and {index + 1} are the same ({same})")
+                same = ", ".join(
+                    f"{key} = {shown(value)}"
+                    for key, value in self.changes(index).items()
+                )
+                raise InputError(
+                    f"sweep: points {seen[point_id] + 1} and {index + 1} are the same ({same})"
+                )
 
     @property
     def swept(self) -> set[str]:
@@ -78,7 +91,9 @@ class Plan:
             ensemble, _ = point.ensemble(self.folder), point.driven(self.folder)
             point.check_output()
         except InputError as error:
-            raise InputError(f"sweep, point {index + 1} of {self.size}: {error}") from None
+            raise InputError(
+                f"sweep, point {index + 1} of {self.size}: {error}"
+            ) from None
         return identity(point, ensemble)
 
     def changes(self, index: int) -> dict[str, Any]:
@@ -105,20 +120,29 @@ class Plan:
         )
 
 
-def _axes(sweep: dict[str, Any], folder: Path, file: RunFile) -> list[list[dict[str, Any]]]:
+def _axes(
+    sweep: dict[str, Any], folder: Path, file: RunFile
+) -> list[list[dict[str, Any]]]:
     """The axes of a [sweep] table: lists of what to change. Raises InputError."""
     axes = []
     for key, spec in entries(sweep):
         if key == "file":
             axes.append(_points_file(folder, spec, file))
         elif key == "zip":
-            axes += [_zipped(group, file) for group in (spec if isinstance(spec, list) else [spec])]
+            axes += [
+                _zipped(group, file)
+                for group in (spec if isinstance(spec, list) else [spec])
+            ]
         else:
             axes.append([{key: value} for value in _axis(key, spec, file)])
     if not axes:
-        raise InputError('sweep: the run file needs a [sweep] table, for example "drive.velocity" = [0.1, 1.0]')
+        raise InputError(
+            'sweep: the run file needs a [sweep] table, for example "drive.velocity" = [0.1, 1.0]'
+        )
     for one, other in itertools.combinations(axes, 2):
-        both = {key for row in one for key in row} & {key for row in other for key in row}
+        both = {key for row in one for key in row} & {
+            key for row in other for key in row
+        }
         if both:
             raise InputError(f"sweep.{min(both)}: is in two axes; must be in one")
     return axes
@@ -127,12 +151,19 @@ def _axes(sweep: dict[str, Any], folder: Path, file: RunFile) -> list[list[dict[
 def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     """Axes that advance together."""
     if not isinstance(group, dict) or not group:
-        raise InputError('sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]')
+        raise InputError(
+            'sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]'
+        )
     values = {name: _axis(name, part, file) for name, part in entries(group)}
     if len({len(part) for part in values.values()}) > 1:
         lengths = ", ".join(f"{name} {len(part)}" for name, part in values.items())
-        raise InputError(f"sweep.zip: its axes must have equal lengths; found {lengths}")
-    return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]
+        raise InputError(
+            f"sweep.zip: its axes must have equal lengths; found {lengths}"
+        )
+    return [
+        dict(zip(values, row, strict=True))
+        for row in zip(*values.values(), strict=True)
+    ]
 
 
 def swept(file: RunFile, folder: Path) -> set[str]:
@@ -149,7 +180,9 @@ def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     sections = {key.split(".")[0] for key in keys() if "." in key}
 
     def parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-        nested = isinstance(value, dict) and (key in sections or key.startswith(("drive.programme", "drive.stage")))
+        nested = isinstance(value, dict) and (
+            key in sections or key.startswith(("drive.programme", "drive.stage"))
+        )
         if nested and not {"log", "linear"} & value.keys():
             for name, part in value.items():
                 yield from parts(f"{key}.{name}", part)
@@ -161,9 +194,12 @@ def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
-    """The values of one key: a list, { log = [first, last, count] } or { linear = [first, last, count] }."""
+    """The values of one key: a list, { log = [first, last, count] } or { linear =
+    [first, last, count] }."""
     with under("sweep"):
-        at(file, {} if key in keys(file) else {key: 0})  # an unknown key is refused with the nearest
+        at(
+            file, {} if key in keys(file) else {key: 0}
+        )  # an unknown key is refused with the nearest
     if isinstance(spec, list) and spec:
         return spec
     form = next(iter(spec), "") if isinstance(spec, dict) and len(spec) == 1 else ""
@@ -177,45 +213,70 @@ def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
         raise InputError(f"{name}: this key holds text; must be a list of values")
     first, last, count = ends
     for value in (first, last):
-        require_number(name, value, **({"above": 0.0} if form == "log" else {"least": -1e100}), most=1e100)
+        require_number(
+            name,
+            value,
+            **({"above": 0.0} if form == "log" else {"least": -1e100}),
+            most=1e100,
+        )
     whole = int(count) if isinstance(count, float) and count.is_integer() else count
     require_integer(f"{name}, count", whole, 2, MOST_POINTS)
-    inner = (np.geomspace if form == "log" else np.linspace)(float(first), float(last), whole)[1:-1]
-    values = [first, *(float(f"{x:.12g}") for x in inner), last]  # 0.1 is 0.1, on any grid and any machine
+    inner = (np.geomspace if form == "log" else np.linspace)(
+        float(first), float(last), whole
+    )[1:-1]
+    values = [
+        first,
+        *(float(f"{x:.12g}") for x in inner),
+        last,
+    ]  # 0.1 is 0.1, on any grid and any machine
     return [round(x) for x in values] if keys(file)[key] is int else values
 
 
 def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]:
-    """Explicit points, one per row of a Parquet file; null: as in the run file. Raises InputError."""
+    """Explicit points, one per row of a Parquet file; null: as in the run file. Raises
+    InputError."""
     import pyarrow
     from pyarrow import parquet as pq
 
     if not isinstance(name, str):
-        raise InputError(f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys")
+        raise InputError(
+            f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys"
+        )
     path = path_of("sweep.file", folder, name)
     if not path.is_file():
-        raise InputError(f"sweep.file = {path}: is not a file; must be a Parquet file whose columns are keys")
+        raise InputError(
+            f"sweep.file = {path}: is not a file; must be a Parquet file whose columns are keys"
+        )
     try:
         rows = pq.read_table(path).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise InputError(f"sweep.file = {path}: cannot be read as Parquet ({str(error)[:100]})") from None
+        raise InputError(
+            f"sweep.file = {path}: cannot be read as Parquet ({str(error)[:100]})"
+        ) from None
     if not rows:
         raise InputError(f"sweep.file = {path}: has no rows; must have one a point")
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
             at(file, {} if key in keys(file) else {key: 0})
-    return [{key: value for key, value in row.items() if value is not None} for row in rows]
+    return [
+        {key: value for key, value in row.items() if value is not None} for row in rows
+    ]
 
 
 def identity(point: RunFile, ensemble: Ensemble) -> str:
-    """SHA-256 of the sorted parameters of a point, its seed and the results version, hexadecimal. A table of
-    thresholds enters with its values, whatever file they come from."""
+    """SHA-256 of the sorted parameters of a point, its seed and the results version,
+    hexadecimal. A table of thresholds enters with its values, whatever file they come
+    from."""
     values = parameters(point)
     seed = values.pop("output.seed")
     law = ensemble.thresholds
     if isinstance(law, Table):
         values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    del values["thresholds.column"], values["thresholds.scale"], values["thresholds.quantity"]
+    del (
+        values["thresholds.column"],
+        values["thresholds.scale"],
+        values["thresholds.quantity"],
+    )
     text = json.dumps([values, seed, RESULTS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -1,12 +1,14 @@
 """The rows of a sweep's dataset, one per point.
 
-Columns (version 2 of the schema, the same for every sweep; null where a column does not apply):
+Columns (version 2 of the schema, the same for every sweep; null where a column does not
+apply):
 
     id                         SHA-256 of parameters, seed and `RESULTS_VERSION`
     disorder ... output.replicas   every key of the run file but the title, as section.key; `thresholds.n` and `x_star`
                                with their defaults filled in
     kind                       "steady" (averages to a relative error), "transient" (the run's second half; of coupled
-                               blocks always) or "programme" (its segments or slips; averages are null)
+                               blocks always) or "programme" (its segments or slips;
+                               averages are null)
     status, message            "ok"; "unreliable", error bars not to be trusted or larger than asked for; "failed"
     each of `OBSERVABLES`, with
       _stderr, _dof, _reliable             its standard error, degrees of freedom (null: normal) and whether to trust it
@@ -16,9 +18,11 @@ Columns (version 2 of the schema, the same for every sweep; null where a column 
     segment_0_end, _peak, _at                force at its end, that which differs most from its beginning, and where
     segment_0_direct, _evolution, _memory    of a velocity step
     friction_force, shear_stress, friction_coefficient    what friction is at the interface, if the run file says so,
-                               with _stderr and _reference; the stress is in Pa where the units are known
+                               with _stderr and _reference; the stress is in Pa where
+                               the units are known
     size, single               of coupled blocks, with _stderr, _reference and _z: breaks per avalanche and the fraction
-                               of single breaks; `friction` is then that over displacement
+                               of single breaks; `friction` is then that over
+                               displacement
     slips, period, drop        of a slider that a stage pulls: how many, mean time between them, mean drop of the force
     reference_method           the solver
     lives                      lives simulated
@@ -26,9 +30,10 @@ Columns (version 2 of the schema, the same for every sweep; null where a column 
     seconds                    wall time of engine and reference; the only column that differs when a sweep is repeated
     eqsim_version              version of the package
 
-A value depends on the id of its point and on nothing else: not on the order, the workers, restarts or the rest of the
-grid. Other releases of NumPy, Numba and SciPy, and processors of different make, draw the same random numbers and round
-differently: values agree to 1e-9, and to 1e-6 where thresholds fluctuate.
+A value depends on the id of its point and on nothing else: not on the order, the
+workers, restarts or the rest of the grid. Other releases of NumPy, Numba and SciPy, and
+processors of different make, draw the same random numbers and round differently: values
+agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 """
 
 import time
@@ -59,7 +64,8 @@ class Asked:
     Parameters
     ----------
     rel_error, max_lives : float
-        Relative standard error of steady averages, and most lives a point. Raises InputError unless both are positive.
+        Relative standard error of steady averages, and most lives a point. Raises
+        InputError unless both are positive.
     transient : bool
         The second half of the run's distance instead of steady averages.
     """
@@ -82,19 +88,53 @@ def schema(file: RunFile) -> Any:
     fields = {"id": text, **{key: types[kind] for key, kind in keys(file).items()}}
     fields |= {"kind": text, "status": text, "message": text}
     for name in OBSERVABLES:
-        fields |= {name: number, f"{name}_stderr": number, f"{name}_dof": integer, f"{name}_reliable": truth}
-        fields |= {f"{name}_reference": number, f"{name}_reference_error": number, f"{name}_z": number}
+        fields |= {
+            name: number,
+            f"{name}_stderr": number,
+            f"{name}_dof": integer,
+            f"{name}_reliable": truth,
+        }
+        fields |= {
+            f"{name}_reference": number,
+            f"{name}_reference_error": number,
+            f"{name}_z": number,
+        }
     for one in _quantities(file, Ensemble()):
-        fields |= {one.column: number, f"{one.column}_stderr": number, f"{one.column}_reference": number}
+        fields |= {
+            one.column: number,
+            f"{one.column}_stderr": number,
+            f"{one.column}_reference": number,
+        }
     for name in ("size", "single") if file.elastic else ():
-        fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number, f"{name}_z": number}
+        fields |= {
+            name: number,
+            f"{name}_stderr": number,
+            f"{name}_reference": number,
+            f"{name}_z": number,
+        }
     if file.drive.stage:
-        fields |= {"slips": integer, "period": number, "period_stderr": number, "drop": number, "drop_stderr": number}
+        fields |= {
+            "slips": integer,
+            "period": number,
+            "period_stderr": number,
+            "drop": number,
+            "drop_stderr": number,
+        }
     for index in range(0 if file.drive.stage else len(file.drive.programme or [])):
         for name in (f"segment_{index}_{shown}" for shown in _SHOWN):
-            fields |= {name: number, f"{name}_stderr": number, f"{name}_reference": number}
+            fields |= {
+                name: number,
+                f"{name}_stderr": number,
+                f"{name}_reference": number,
+            }
             fields |= {f"{name}_reference_error": number, f"{name}_z": number}
-    fields |= {"reference_method": text, "lives": integer, "seed": integer, "seconds": number, "eqsim_version": text}
+    fields |= {
+        "reference_method": text,
+        "lives": integer,
+        "seed": integer,
+        "seconds": number,
+        "eqsim_version": text,
+    }
     return pa.schema(list(fields.items()))
 
 
@@ -104,7 +144,8 @@ def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
 
 
 def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, float]:
-    """The columns of a point that say what its friction is at the interface; none of a point that failed."""
+    """The columns of a point that say what its friction is at the interface; none of a
+    point that failed."""
     if row.get("friction") is None or not _quantities(file, Ensemble()):
         return {}
     found = {}
@@ -116,14 +157,18 @@ def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, floa
     return found
 
 
-def compute(tasks: list[Task], asked: Asked, threads: int, version: int) -> list[dict[str, Any]]:
-    """What a worker does: the columns of some points that are found by computing. Raises InputError if this worker's
-    results are not of `version`."""
+def compute(
+    tasks: list[Task], asked: Asked, threads: int, version: int
+) -> list[dict[str, Any]]:
+    """What a worker does: the columns of some points that are found by computing.
+    Raises InputError if this worker's results are not of `version`."""
     from eqsim.engine import trajectory  # noqa: F401  # imported before any point is timed
     from eqsim.master import steady  # noqa: F401
 
     if version != RESULTS_VERSION:
-        raise InputError(f"a worker runs other code (results version {RESULTS_VERSION}, not {version})")
+        raise InputError(
+            f"a worker runs other code (results version {RESULTS_VERSION}, not {version})"
+        )
     return [_row(task, asked, threads) for task in tasks]
 
 
@@ -135,7 +180,9 @@ def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
         elif task.drive.elastic:
             row = _elastic(task, task.drive, asked, threads)
         else:
-            row = (_transient if asked.transient else _steady)(task, task.drive, asked, threads)
+            row = (_transient if asked.transient else _steady)(
+                task, task.drive, asked, threads
+            )
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -149,20 +196,37 @@ def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, A
     from eqsim.master.steady import reference
 
     found = steady(
-        task.ensemble, drive, rel_error=asked.rel_error, seed=task.seed, threads=threads, max_lives=asked.max_lives
+        task.ensemble,
+        drive,
+        rel_error=asked.rel_error,
+        seed=task.seed,
+        threads=threads,
+        max_lives=asked.max_lives,
     )
-    problems = [] if found.reached else [f"relative error {asked.rel_error:g} was not reached"]
+    problems = (
+        [] if found.reached else [f"relative error {asked.rel_error:g} was not reached"]
+    )
     row = _columns(found, found.lives, problems)
     try:
         exact = reference(task.ensemble, drive)
     except InputError as error:
-        return row | {"message": "; ".join(filter(None, (row["message"], f"no reference: {error}")))}
+        return row | {
+            "message": "; ".join(
+                filter(None, (row["message"], f"no reference: {error}"))
+            )
+        }
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr, f"{name}_z": None}
+        row |= {
+            f"{name}_reference": level.value,
+            f"{name}_reference_error": level.stderr,
+            f"{name}_z": None,
+        }
         if level.value is None:
             continue
-        row[f"{name}_z"] = z_score(found.averages()[name], known(level), level.stderr or 0.0)
+        row[f"{name}_z"] = z_score(
+            found.averages()[name], known(level), level.stderr or 0.0
+        )
     return row
 
 
@@ -198,18 +262,28 @@ def _elastic(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, 
     assert elastic
     for name, estimate in (("size", found.size), ("single", found.single)):
         row |= {name: estimate.value, f"{name}_stderr": estimate.stderr}
-    if task.ensemble.thresholds.steps.size:  # equal thresholds break together: no law is known
+    if (
+        task.ensemble.thresholds.steps.size
+    ):  # equal thresholds break together: no law is known
         return row
     single = float(size_law(task.ensemble.thresholds, elastic.load, 1)[0])
     contacts = elastic.contacts_per_block(task.ensemble.count)
     few = missed_by_few(task.ensemble.thresholds, elastic.load, contacts)
-    laws = (("size", found.size, elastic.mean_size, few.mean), ("single", found.single, single, few.single))
+    laws = (
+        ("size", found.size, elastic.mean_size, few.mean),
+        ("single", found.single, single, few.single),
+    )
     for name, estimate, law, missed in laws:
-        row |= {f"{name}_reference": law, f"{name}_z": z_score(estimate, law, abs(missed))}
+        row |= {
+            f"{name}_reference": law,
+            f"{name}_z": z_score(estimate, law, abs(missed)),
+        }
     return row
 
 
-def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> dict[str, Any]:
+def _programme(
+    task: Task, programme: Programme, asked: Asked, threads: int
+) -> dict[str, Any]:
     from eqsim.engine.records import SliderTrajectory, shown_by
     from eqsim.engine.trajectory import trajectory
     from eqsim.master.transient import transient
@@ -220,16 +294,23 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
     )  # fmt: skip
     row: dict[str, Any] = {"lives": found.lives, "status": "ok", "message": None}
     if not found.force_reliable:
-        row |= {"status": "unreliable", "message": "error bars of forces cannot be trusted"}
+        row |= {
+            "status": "unreliable",
+            "message": "error bars of forces cannot be trusted",
+        }
     if isinstance(found, SliderTrajectory):
         return row | _slips(found)
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, task.points)
-        exact = shown_by(programme, programme.grid(task.points), means.force, means.force_error)
+        exact = shown_by(
+            programme, programme.grid(task.points), means.force, means.force_error
+        )
         row["reference_method"] = "renewal equation in two times"
     except InputError as error:
-        row["message"] = "; ".join(filter(None, (row["message"], f"no reference: {error}")))
+        row["message"] = "; ".join(
+            filter(None, (row["message"], f"no reference: {error}"))
+        )
     for index, segment in enumerate(found.segments):
         for shown in _SHOWN:
             name, ours = f"segment_{index}_{shown}", _shown(segment, shown)
@@ -237,7 +318,10 @@ def _programme(task: Task, programme: Programme, asked: Asked, threads: int) -> 
             if ours:
                 row |= {name: ours.value, f"{name}_stderr": ours.stderr}
             if ours and level and level.value is not None:
-                row |= {f"{name}_reference": level.value, f"{name}_reference_error": level.stderr}
+                row |= {
+                    f"{name}_reference": level.value,
+                    f"{name}_reference_error": level.stderr,
+                }
                 row[f"{name}_z"] = z_score(ours, level.value, level.stderr or 0.0)
     return row
 
@@ -259,15 +343,29 @@ def _slips(found: "SliderTrajectory") -> dict[str, Any]:
 
 def _shown(segment: "SegmentRecord", name: str) -> Estimate | None:
     """An observable of a segment, of a velocity step if it is one."""
-    return getattr(segment if name in ("end", "peak", "at") else segment.step, name, None)
+    return getattr(
+        segment if name in ("end", "peak", "at") else segment.step, name, None
+    )
 
 
 def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:
     """Columns of estimates, and what is wrong with them besides `problems`."""
     row: dict[str, Any] = {"lives": lives}
     for name, e in averages.averages().items():
-        row |= {name: e.value, f"{name}_stderr": e.stderr, f"{name}_dof": e.dof, f"{name}_reliable": e.reliable}
+        row |= {
+            name: e.value,
+            f"{name}_stderr": e.stderr,
+            f"{name}_dof": e.dof,
+            f"{name}_reliable": e.reliable,
+        }
     every = averages.averages().items()
-    doubtful = ", ".join(name for name, estimate in every if not (estimate.reliable or estimate.diverges))
-    problems = [f"error bars of {doubtful} cannot be trusted"] * bool(doubtful) + problems
-    return row | {"status": "unreliable" if problems else "ok", "message": "; ".join(problems) or None}
+    doubtful = ", ".join(
+        name for name, estimate in every if not (estimate.reliable or estimate.diverges)
+    )
+    problems = [f"error bars of {doubtful} cannot be trusted"] * bool(
+        doubtful
+    ) + problems
+    return row | {
+        "status": "unreliable" if problems else "ok",
+        "message": "; ".join(problems) or None,
+    }

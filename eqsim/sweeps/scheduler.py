@@ -1,4 +1,5 @@
-"""Sweeps over grids of points: batches of points go to workers, and their rows to a resumable Parquet dataset."""
+"""Sweeps over grids of points: batches of points go to workers, and their rows to a
+resumable Parquet dataset."""
 
 import dataclasses
 import functools
@@ -7,7 +8,13 @@ import statistics
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    wait,
+)
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +28,10 @@ from eqsim.sweeps.store import Store
 from eqsim.sweeps.workers import Pool, Workers
 
 _FLUSH_SECONDS = 5.0
-_BATCH_SECONDS, _MOST_BATCH = 0.25, 64  # a batch of points that a worker computes: as long as this, as many as that
+_BATCH_SECONDS, _MOST_BATCH = (
+    0.25,
+    64,
+)  # a batch of points that a worker computes: as long as this, as many as that
 _LOSSES = 3  # so many workers may die at a point before it is given up
 
 Progress = Callable[[int, int], None]
@@ -30,8 +40,9 @@ Note = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True)
 class Summary:
-    """How a sweep ended: numbers of points by status, found on disk and computed now, seconds since the start and
-    summed over the points computed now, the failed points (index, id, changes, message), and damaged files."""
+    """How a sweep ended: numbers of points by status, found on disk and computed now,
+    seconds since the start and summed over the points computed now, the failed points
+    (index, id, changes, message), and damaged files."""
 
     points: int
     ok: int
@@ -55,7 +66,8 @@ def sweep(
     note: Note | None = None,
     opened: Callable[[Store], None] | None = None,
 ) -> Summary:
-    """Compute all points of a plan into the folder `out`, or those that are not there yet.
+    """Compute all points of a plan into the folder `out`, or those that are not there
+    yet.
 
     Parameters
     ----------
@@ -64,10 +76,11 @@ def sweep(
     out : Path
         Folder of the dataset (`eqsim.sweeps.store`).
     asked, workers : optional
-        What is computed at each point (default: steady averages to 1e-2), and who computes (default: one process).
+        What is computed at each point (default: steady averages to 1e-2), and who
+        computes (default: one process).
     progress, note, opened : callable, optional
-        `progress(done, total)` counts the points of this call, `note` is told what to expect, and `opened` is given the
-        folder's `Store` once it is there.
+        `progress(done, total)` counts the points of this call, `note` is told what to
+        expect, and `opened` is given the folder's `Store` once it is there.
 
     Returns
     -------
@@ -80,18 +93,29 @@ def sweep(
     """
     begin = time.perf_counter()
     asked, note = asked or Asked(), note or (lambda _: None)
-    with (workers or Workers()).pool() as pool:  # before there is a folder: a cluster that does not answer leaves none
+    with (
+        (workers or Workers()).pool() as pool
+    ):  # before there is a folder: a cluster that does not answer leaves none
         store = Store(out, plan, asked)
         if opened:
             opened(store)
         try:
             for path in store.damaged:
                 note(f"{path} is damaged; its points are computed again")
-            pending = [index for index in range(plan.size) if plan.ids[index] not in store.done]
+            pending = [
+                index for index in range(plan.size) if plan.ids[index] not in store.done
+            ]
             resumed = plan.size - len(pending)
             sizes = " x ".join(str(len(axis)) for axis in plan.axes)
-            note(f"{plan.size} points ({sizes})" + (f", {resumed} of them on disk" if resumed else ""))
-            seconds = Scheduler(store, pool, asked, progress, note).run(pending) if pending else 0.0
+            note(
+                f"{plan.size} points ({sizes})"
+                + (f", {resumed} of them on disk" if resumed else "")
+            )
+            seconds = (
+                Scheduler(store, pool, asked, progress, note).run(pending)
+                if pending
+                else 0.0
+            )
             table = store.compact()
         except BaseException:
             signals.acknowledge()
@@ -103,7 +127,12 @@ def sweep(
     statuses, messages = table["status"].to_pylist(), table["message"].to_pylist()
     count = Counter(statuses)
     failures = [
-        {"point": index + 1, "id": plan.ids[index], "changes": plan.changes(index), "message": messages[index]}
+        {
+            "point": index + 1,
+            "id": plan.ids[index],
+            "changes": plan.changes(index),
+            "message": messages[index],
+        }
         for index, status in enumerate(statuses)
         if status == "failed"
     ]
@@ -116,12 +145,23 @@ def sweep(
 class Scheduler:
     """Hands batches of points to workers and their rows to the store."""
 
-    def __init__(self, store: Store, pool: Pool, asked: Asked, progress: Progress | None, note: Note) -> None:
+    def __init__(
+        self,
+        store: Store,
+        pool: Pool,
+        asked: Asked,
+        progress: Progress | None,
+        note: Note,
+    ) -> None:
         self.plan, self.store, self.pool, self.note = store.plan, store, pool, note
-        self.work = functools.partial(compute, asked=asked, threads=pool.threads, version=RESULTS_VERSION)
+        self.work = functools.partial(
+            compute, asked=asked, threads=pool.threads, version=RESULTS_VERSION
+        )
         self.progress = progress or (lambda *_: None)
         self.running: dict[Future[Any], list[int]] = {}
-        self.suspects: deque[int] = deque()  # of having killed a worker; each of these goes alone
+        self.suspects: deque[int] = (
+            deque()
+        )  # of having killed a worker; each of these goes alone
         self.losses: Counter[int] = Counter()
         self.deaths, self.done, self.seconds = 0, 0, 0.0
         self.recent: deque[float] = deque(maxlen=64)  # seconds a point took
@@ -141,12 +181,15 @@ class Scheduler:
                 if self.recent and queue:
                     mean, slots = statistics.fmean(self.recent), self.pool.slots()
                     needed = duration(mean * len(queue) / slots)
-                    self.note(f"about {needed} to go: {duration(mean)} a point, {slots} workers")
+                    self.note(
+                        f"about {needed} to go: {duration(mean)} a point, {slots} workers"
+                    )
             self.progress(self.done, total)
         return self.seconds
 
     def _probe(self, pending: list[int]) -> deque[int]:
-        """Submit batches of two from all over the grid, of which the second is timed; the points that are left."""
+        """Submit batches of two from all over the grid, of which the second is timed;
+        the points that are left."""
         probes = min(self.pool.slots(), 8, -(-len(pending) // 4))
         chosen = pending[:: -(-len(pending) // (2 * probes))]
         for start in range(0, len(chosen), 2):
@@ -158,8 +201,12 @@ class Scheduler:
         slots = self.pool.slots()
         while queue and len(self.running) < 2 * slots:
             longest = max(self.recent, default=math.inf)
-            share = -(-len(queue) // (2 * slots))  # the last batches of a sweep are small
-            batch = max(1, min(int(_BATCH_SECONDS / max(longest, 1e-9)), _MOST_BATCH, share))
+            share = -(
+                -len(queue) // (2 * slots)
+            )  # the last batches of a sweep are small
+            batch = max(
+                1, min(int(_BATCH_SECONDS / max(longest, 1e-9)), _MOST_BATCH, share)
+            )
             self._submit([queue.popleft() for _ in range(min(batch, len(queue)))])
 
     def _submit(self, batch: list[int]) -> None:
@@ -183,11 +230,15 @@ class Scheduler:
                 self._lost(batch, alone=not self.running and len(batch) == 1)
                 continue
             except CancelledError:
-                raise InputError("the connection to the scheduler was lost; the same command continues") from None
+                raise InputError(
+                    "the connection to the scheduler was lost; the same command continues"
+                ) from None
             self.deaths = 0
             for index, row in zip(batch, rows, strict=True):
                 self._finish(index, row)
-            self.recent.extend(row["seconds"] for row in rows[1:] or rows)  # a first one may compile and tabulate
+            self.recent.extend(
+                row["seconds"] for row in rows[1:] or rows
+            )  # a first one may compile and tabulate
         if broken:
             self._died()
 
@@ -197,17 +248,22 @@ class Scheduler:
         self.seconds += row["seconds"]
 
     def _lost(self, batch: list[int], alone: bool) -> None:
-        """Try again, each point on its own; one that is alone with every death is to blame."""
+        """Try again, each point on its own; one that is alone with every death is to
+        blame."""
         for index in batch:
             self.losses[index] += alone
             if self.losses[index] >= _LOSSES:
                 message = f"{_LOSSES} workers died at this point (not enough memory?)"
-                self._finish(index, {"status": "failed", "message": message, "seconds": 0.0})
+                self._finish(
+                    index, {"status": "failed", "message": message, "seconds": 0.0}
+                )
             else:
                 self.suspects.append(index)
 
     def _died(self) -> None:
         self.deaths += 1
         if self.deaths > 4 * _LOSSES:
-            raise InputError("workers die as soon as they start; finished points are on disk")
+            raise InputError(
+                "workers die as soon as they start; finished points are on disk"
+            )
         self.pool.renew()

@@ -1,10 +1,12 @@
 """The folder of a sweep.
 
-It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweeps.rows`), and `_sweep.json`, what was asked
-for. While a sweep runs its rows are in `parts/`, in files named by a digest of their content; when all are there, that
-folder becomes `_parts` just before the table gets its name. Names that begin with "_" are not part of the dataset:
-`pandas.read_parquet(FOLDER)` reads the rows that there are, each once. The metadata key `eqsim` holds the run file, the
-settings, versions and the version of the schema.
+It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweeps.rows`), and
+`_sweep.json`, what was asked for. While a sweep runs its rows are in `parts/`, in files
+named by a digest of their content; when all are there, that folder becomes `_parts`
+just before the table gets its name. Names that begin with "_" are not part of the
+dataset: `pandas.read_parquet(FOLDER)` reads the rows that there are, each once. The
+metadata key `eqsim` holds the run file, the settings, versions and the version of the
+schema.
 """
 
 import dataclasses
@@ -32,13 +34,18 @@ _FLUSH_ROWS = 256
 
 
 class Store:
-    """The folder `out` of a sweep, held by a lock that dies with its process: identities of the points that are `done`,
-    and files that were found `damaged`. Raises InputError if it is in use, holds something else, or cannot be written.
+    """The folder `out` of a sweep, held by a lock that dies with its process:
+    identities of the points that are `done`, and files that were found `damaged`.
+    Raises InputError if it is in use, holds something else, or cannot be written.
     """
 
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
-        self.out, self.plan, self.kind = out, plan, "transient" if asked.transient else "steady"
+        self.out, self.plan, self.kind = (
+            out,
+            plan,
+            "transient" if asked.transient else "steady",
+        )
         if plan.file.elastic is not None:
             self.kind = "transient"
         if plan.file.drive.programme is not None or plan.file.drive.stage is not None:
@@ -46,18 +53,26 @@ class Store:
         theirs = () if (out / SWEEP_MANIFEST).exists() else self._foreign(out)
         if theirs:  # the folder is read as one table
             name = theirs[0].name
-            raise InputError(f"--out {out}: holds files of another origin, {name}; must be a folder of its own")
+            raise InputError(
+                f"--out {out}: holds files of another origin, {name}; must be a folder of its own"
+            )
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
         try:
             self._agree(asked)
             (out / SWEEP_PARTS).mkdir(exist_ok=True)
             for unfinished in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
-                shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
+                shutil.rmtree(
+                    unfinished
+                ) if unfinished.is_dir() else unfinished.unlink()
             settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
-            origin = storage.provenance("sweep", settings, plan.file.text, plan.file.output.seed, plan.folder)
+            origin = storage.provenance(
+                "sweep", settings, plan.file.text, plan.file.output.seed, plan.folder
+            )
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
-            self.schema = schema(plan.file).with_metadata({"eqsim": storage.to_json(origin)})
+            self.schema = schema(plan.file).with_metadata(
+                {"eqsim": storage.to_json(origin)}
+            )
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
             self.damaged: list[str] = []
@@ -69,18 +84,25 @@ class Store:
 
     @staticmethod
     def _foreign(out: Path) -> list[Path]:
-        """What a folder holds that is no sweep's, or that of a sweep whose manifest is lost."""
-        return [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS] + [*out.glob("*parts/*.parquet")]
+        """What a folder holds that is no sweep's, or that of a sweep whose manifest is
+        lost."""
+        return [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS] + [
+            *out.glob("*parts/*.parquet")
+        ]
 
     def _locked(self) -> int:
-        handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)  # modulo umask: the folder may be a group's
+        handle = os.open(
+            self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666
+        )  # modulo umask: the folder may be a group's
         try:
             import fcntl
 
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(handle)
-            raise InputError(f"--out {self.out}: another sweep is at work in this folder") from None
+            raise InputError(
+                f"--out {self.out}: another sweep is at work in this folder"
+            ) from None
         except (ImportError, OSError):  # a system or a file system without locks
             pass
         return handle
@@ -95,11 +117,22 @@ class Store:
         names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
         now = {key: repr(value) for key, value in parameters(plan.file).items()}
         for section in ("units", "interface"):
-            now |= {f"{section}.{key}": repr(value) for key, value in getattr(plan.file, section) if value}
+            now |= {
+                f"{section}.{key}": repr(value)
+                for key, value in getattr(plan.file, section)
+                if value
+            }
         now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
-        now |= {f"content of {name}": _digest((plan.folder / str(name)).read_bytes()) for name in names}
+        now |= {
+            f"content of {name}": _digest((plan.folder / str(name)).read_bytes())
+            for name in names
+        }
         now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
-        now |= {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION), "order of axes": repr([*plan.file.sweep])}
+        now |= {
+            "schema": str(SCHEMA),
+            _VERSION: str(RESULTS_VERSION),
+            "order of axes": repr([*plan.file.sweep]),
+        }
         if not path.exists():
             manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}
             storage.save(path, json.dumps(manifest, indent=2).encode())
@@ -109,7 +142,9 @@ class Store:
             known = {*now, *before} - plan.swept  # whatever the run file says of these
             changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
-            raise InputError(f"{path}: is damaged; this folder cannot be continued") from None
+            raise InputError(
+                f"{path}: is damaged; this folder cannot be continued"
+            ) from None
         if _VERSION in changed:
             raise InputError(
                 f"--out {self.out}: was begun by another version of eqsim (results version {before.get(_VERSION)}, "
@@ -117,15 +152,25 @@ class Store:
                 "computed anew; `eqsim export` and `eqsim plot` read this one as it is"
             )
         if changed:
-            pairs = [(key, str(before.get(key, "absent")), now.get(key, "absent")) for key in changed]
-            listed = "; ".join(f"{key} was {then[:80]}, is {here[:80]}" for key, then, here in pairs)
-            raise InputError(f"--out {self.out}: holds another sweep, use another folder: {listed}")
+            pairs = [
+                (key, str(before.get(key, "absent")), now.get(key, "absent"))
+                for key in changed
+            ]
+            listed = "; ".join(
+                f"{key} was {then[:80]}, is {here[:80]}" for key, then, here in pairs
+            )
+            raise InputError(
+                f"--out {self.out}: holds another sweep, use another folder: {listed}"
+            )
 
     def _load(self) -> None:
         """The rows on disk; what is damaged is noted and removed."""
         final = self.out / SWEEP_TABLE
         self.complete, self.parts = False, []
-        parts = [*(self.out / SWEEP_PARTS).glob("*.parquet"), *(self.out / SWEEP_HIDDEN).glob("*.parquet")]
+        parts = [
+            *(self.out / SWEEP_PARTS).glob("*.parquet"),
+            *(self.out / SWEEP_HIDDEN).glob("*.parquet"),
+        ]
         for path in [*self.out.glob(SWEEP_TABLE), *sorted(parts)]:
             content = path.read_bytes()
             whole = path == final or path.stem == f"part-{_digest(content)}"
@@ -140,14 +185,28 @@ class Store:
         self.done = self._on_disk()
 
     def _on_disk(self) -> set[str]:
-        return {point_id for table in self.tables for point_id in table["id"].to_pylist()} & set(self.plan.ids)
+        return {
+            point_id for table in self.tables for point_id in table["id"].to_pylist()
+        } & set(self.plan.ids)
 
     def add(self, index: int, row: dict[str, Any]) -> None:
         """Keep the row of a point; it reaches the disk with `flush`."""
         point_id = self.plan.ids[index]
-        known = {"id": point_id, "seed": seed_of(point_id), "kind": self.kind, "eqsim_version": _version()}
+        known = {
+            "id": point_id,
+            "seed": seed_of(point_id),
+            "kind": self.kind,
+            "eqsim_version": _version(),
+        }
         point = self.plan.at(index)
-        self.rows.append({**parameters(point), **row, **physical(point, self.plan.folder, row), **known})
+        self.rows.append(
+            {
+                **parameters(point),
+                **row,
+                **physical(point, self.plan.folder, row),
+                **known,
+            }
+        )
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -167,21 +226,32 @@ class Store:
         self.rows, self.flushed = [], time.monotonic()
 
     def kept(self) -> str:
-        """Write the rows at hand, also those of a `flush` that was broken off, and say how many points are on disk."""
+        """Write the rows at hand, also those of a `flush` that was broken off, and say
+        how many points are on disk."""
         self.flush()
         return f"{len(self._on_disk())} of {self.plan.size} points are on disk"
 
     def compact(self) -> Any:
-        """All rows in one file, in the order of the grid, each once; a death in between loses and doubles nothing.
-        Returns them as a pyarrow table."""
+        """All rows in one file, in the order of the grid, each once; a death in between
+        loses and doubles nothing. Returns them as a pyarrow table."""
         import pyarrow as pa
 
         self.flush()
         table = pa.concat_tables(self.tables)
-        place = dict(zip(reversed(table["id"].to_pylist()), reversed(range(len(table))), strict=True))  # the first
-        table = table.take([place[point_id] for point_id in self.plan.ids]).combine_chunks()
+        place = dict(
+            zip(
+                reversed(table["id"].to_pylist()),
+                reversed(range(len(table))),
+                strict=True,
+            )
+        )  # the first
+        table = table.take(
+            [place[point_id] for point_id in self.plan.ids]
+        ).combine_chunks()
         if self.parts or not self.complete:
-            table = table.replace_schema_metadata({"eqsim": storage.to_json(self._origin())})
+            table = table.replace_schema_metadata(
+                {"eqsim": storage.to_json(self._origin())}
+            )
             content = storage.as_parquet(table)
             self._hide()
             storage.save(self.out / SWEEP_TABLE, content)
@@ -193,14 +263,22 @@ class Store:
         return table
 
     def _origin(self) -> dict[str, Any]:
-        """The provenance of the first rows, with all versions that rows were computed with."""
+        """The provenance of the first rows, with all versions that rows were computed
+        with."""
         every = [json.loads(table.schema.metadata[b"eqsim"]) for table in self.tables]
         names = every[0]["versions"]
-        used = {name: sorted({origin["versions"][name] for origin in every}) for name in names}
-        return {**every[0], "versions": {name: ", ".join(known) for name, known in used.items()}}
+        used = {
+            name: sorted({origin["versions"][name] for origin in every})
+            for name in names
+        }
+        return {
+            **every[0],
+            "versions": {name: ", ".join(known) for name, known in used.items()},
+        }
 
     def _hide(self) -> None:
-        """Take the parts out of the dataset, at once unless some are hidden since an earlier end."""
+        """Take the parts out of the dataset, at once unless some are hidden since an
+        earlier end."""
         shown, hidden = self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN
         if hidden.exists():
             for path in shown.glob("*.parquet"):

@@ -1,4 +1,5 @@
-"""Who computes: worker processes of this machine, or those of a dask.distributed cluster."""
+"""Who computes: worker processes of this machine, or those of a dask.distributed
+cluster."""
 
 import json
 import logging
@@ -10,7 +11,13 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+)
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -21,7 +28,11 @@ from eqsim.errors import InputError, require_package
 from eqsim.io.signals import deferred
 from eqsim.numerics.threads import ThreadPool
 
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # sums must not depend on cores
+_ONE_THREAD = (
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+)  # sums must not depend on cores
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 
@@ -34,8 +45,8 @@ class Workers:
     count, threads : int
         Processes of this machine (0: none but this one), and threads of each.
     dask : str, optional
-        Instead of own processes those of the dask.distributed cluster whose scheduler has this address, or has written
-        this file.
+        Instead of own processes those of the dask.distributed cluster whose scheduler
+        has this address, or has written this file.
     """
 
     count: int = 1
@@ -44,7 +55,8 @@ class Workers:
 
     @contextmanager
     def pool(self) -> Iterator["Pool"]:
-        """The workers, for as long as the block takes; ended at once if it is broken off. Raises InputError."""
+        """The workers, for as long as the block takes; ended at once if it is broken
+        off. Raises InputError."""
         own = Processes if self.count else Here
         found: Pool = own(self.count) if self.dask is None else Cluster(self.dask)
         found.threads = self.threads
@@ -57,7 +69,8 @@ class Workers:
 
     @contextmanager
     def executor(self) -> Iterator[Executor | None]:
-        """That of a `fixed_pool`, or None for a single worker, which is this process. Raises InputError."""
+        """That of a `fixed_pool`, or None for a single worker, which is this process.
+        Raises InputError."""
         if self.count == 1:
             yield None
             return
@@ -66,24 +79,32 @@ class Workers:
 
     @contextmanager
     def fixed_pool(self) -> Iterator["Pool"]:
-        """A `pool` for work that cannot go on without one of its workers: InputError if one is lost."""
+        """A `pool` for work that cannot go on without one of its workers: InputError if
+        one is lost."""
         where = "--workers" if self.dask is None else f"--dask {self.dask}"
         with self.pool() as found:
             found.check()
-            lost: tuple[type[BaseException], ...] = (*found.lost, OSError, CancelledError)
+            lost: tuple[type[BaseException], ...] = (
+                *found.lost,
+                OSError,
+                CancelledError,
+            )
             try:
                 yield found
             except lost as error:
                 if isinstance(error, OSError) and self.dask is None:
                     raise
                 said = ": ".join(filter(None, (type(error).__name__, str(error))))
-                raise InputError(f"{where}: a worker was lost, perhaps for want of memory ({said})") from None
+                raise InputError(
+                    f"{where}: a worker was lost, perhaps for want of memory ({said})"
+                ) from None
 
 
 class _Executor(ProcessPoolExecutor):
-    """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all processes of a terminal, and
-    one that is still starting would answer with a traceback. What is submitted cannot be cancelled: when workers are
-    killed, the thread that manages them stumbles over what is, and the process may never end."""
+    """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all
+    processes of a terminal, and one that is still starting would answer with a
+    traceback. What is submitted cannot be cancelled: when workers are killed, the
+    thread that manages them stumbles over what is, and the process may never end."""
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
         with deferred():
@@ -93,7 +114,8 @@ class _Executor(ProcessPoolExecutor):
 
 
 class Processes:
-    """Worker processes of this machine; `lost` is what the executor raises when one dies."""
+    """Worker processes of this machine; `lost` is what the executor raises when one
+    dies."""
 
     executor: Executor
     lost: tuple[type[Exception], ...] = (BrokenExecutor, MemoryError)
@@ -103,7 +125,9 @@ class Processes:
         self.count = count
         self.others = set(multiprocessing.active_children())
         self.environment = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))  # read by the libraries of workers when they start
+        os.environ.update(
+            dict.fromkeys(_ONE_THREAD, "1")
+        )  # read by the libraries of workers when they start
         self.renew()
 
     def slots(self) -> int:
@@ -111,12 +135,15 @@ class Processes:
         return self.count
 
     def check(self) -> None:
-        """Raise InputError unless workers are there now, all with this version of eqsim."""
+        """Raise InputError unless workers are there now, all with this version of
+        eqsim."""
 
     def renew(self) -> None:
         """Replace those that died."""
         with deferred():
-            self.executor = _Executor(self.count, multiprocessing.get_context("spawn"), initializer=_enlist)
+            self.executor = _Executor(
+                self.count, multiprocessing.get_context("spawn"), initializer=_enlist
+            )
 
     def close(self, hurry: bool) -> None:
         """End them, in a hurry whatever they are doing."""
@@ -174,7 +201,8 @@ def _enlist() -> None:
 
 
 class Cluster:
-    """The workers of a dask.distributed cluster, as `Processes`; `address` of its scheduler, or of a scheduler file."""
+    """The workers of a dask.distributed cluster, as `Processes`; `address` of its
+    scheduler, or of a scheduler file."""
 
     executor: Executor
     lost: tuple[type[Exception], ...]
@@ -192,11 +220,17 @@ class Cluster:
             raise InputError(
                 f"--dask {address}: must be HOST:PORT of a scheduler or a file in which one wrote its address"
             )
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost cluster is told in one line
+        logging.getLogger("distributed.client").setLevel(
+            logging.CRITICAL
+        )  # a lost cluster is told in one line
         try:
-            self.client = distributed.Client(address=where, timeout=15, set_as_default=False)
+            self.client = distributed.Client(
+                address=where, timeout=15, set_as_default=False
+            )
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise InputError(f"--dask {address}: no scheduler answers ({error})") from None
+            raise InputError(
+                f"--dask {address}: no scheduler answers ({error})"
+            ) from None
         self.executor = self.client.get_executor(pure=False)
         self.counted, self.known = -math.inf, 0
 
@@ -212,14 +246,20 @@ class Cluster:
     def check(self) -> None:
         try:
             self.client.wait_for_workers(1, timeout=10)
-            found = {str(number) for number in self.client.run(version, "eqsim").values()}
+            found = {
+                str(number) for number in self.client.run(version, "eqsim").values()
+            }
         except PackageNotFoundError:
-            raise InputError(f"--dask {self.address}: eqsim is not installed on its workers") from None
+            raise InputError(
+                f"--dask {self.address}: eqsim is not installed on its workers"
+            ) from None
         except OSError:
             raise InputError(f"--dask {self.address}: it has no workers") from None
         if found != {version("eqsim")}:
             listed = ", ".join(sorted(found))
-            raise InputError(f"--dask {self.address}: its workers have eqsim {listed}, not {version('eqsim')}")
+            raise InputError(
+                f"--dask {self.address}: its workers have eqsim {listed}, not {version('eqsim')}"
+            )
 
     def close(self, hurry: bool) -> None:
         self.executor.shutdown(wait=not hurry)

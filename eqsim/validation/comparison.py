@@ -1,4 +1,5 @@
-"""A comparison at a point of the parameter space: what it is made of, how it is scored, and what is not scored."""
+"""A comparison at a point of the parameter space: what it is made of, how it is scored,
+and what is not scored."""
 
 import dataclasses
 import math
@@ -25,11 +26,13 @@ _VAGUE = 0.1  # a bound, relative to what it bounds, that leaves nothing to comp
 
 @dataclass(frozen=True)
 class Score:
-    """One comparison: its kind, the ensemble and velocity, what the engine and the master said, and z; `even` if sigma
-    is scatter, so that z is normal; elsewhere bounds add to it, and z is small.
+    """One comparison: its kind, the ensemble and velocity, what the engine and the
+    master said, and z; `even` if sigma is scatter, so that z is normal; elsewhere
+    bounds add to it, and z is small.
 
-    Of a hazard law these are the distance of Kolmogorov and Smirnov, 0, and n^(-1/2) of n lives. Of a slider that a
-    stage pulls there are the `stage`, the `count` of its contacts, and the `time` of the hold or pull."""
+    Of a hazard law these are the distance of Kolmogorov and Smirnov, 0, and n^(-1/2) of
+    n lives. Of a slider that a stage pulls there are the `stage`, the `count` of its
+    contacts, and the `time` of the hold or pull."""
 
     kind: str
     ensemble: Ensemble
@@ -44,12 +47,14 @@ class Score:
     time: float = math.nan
 
     def behind(self, stage: Stage, count: int, time: float) -> "Score":
-        """The same score, of `count` contacts of a slider behind the spring of a stage after that time."""
+        """The same score, of `count` contacts of a slider behind the spring of a stage
+        after that time."""
         return dataclasses.replace(self, stage=stage, count=count, time=time)
 
 
 class Unscored(NamedTuple):
-    """A comparison that was asked for and not made, and why: one of `REASONS`, and what the program said."""
+    """A comparison that was asked for and not made, and why: one of `REASONS`, and what
+    the program said."""
 
     kind: str
     ensemble: Ensemble
@@ -66,7 +71,8 @@ Found = list[Score | Unscored]
 
 
 class Point(NamedTuple):
-    """A point of the parameter space: its number, the ensemble, the one that the engine is shown, and a seed."""
+    """A point of the parameter space: its number, the ensemble, the one that the engine
+    is shown, and a seed."""
 
     number: int
     ensemble: Ensemble
@@ -84,24 +90,36 @@ class Point(NamedTuple):
 
     def without(self, kinds: tuple[str, ...], reason: str, message: str = "") -> Found:
         """None of these comparisons made."""
-        return [Unscored(kind, self.ensemble, self.velocity, reason, message) for kind in kinds]
+        return [
+            Unscored(kind, self.ensemble, self.velocity, reason, message)
+            for kind in kinds
+        ]
 
-    def score(self, kind: str, ours: Estimate, exact: Estimate, bound: float) -> Score | Unscored:
-        """An estimate against an exact value with its error; of both quoted errors, so much is a `bound`."""
+    def score(
+        self, kind: str, ours: Estimate, exact: Estimate, bound: float
+    ) -> Score | Unscored:
+        """An estimate against an exact value with its error; of both quoted errors, so
+        much is a `bound`."""
         value, error = known(exact), exact.stderr or 0.0
         sigma, z = math.hypot(ours.stderr or 0.0, error), z_score(ours, value, error)
         even = bound <= _SHARE * sigma
         if not even and bound > _VAGUE * abs(value):
             return Unscored(kind, self.ensemble, self.velocity, "vague")
         score = math.inf if z is None else z
-        return Score(kind, self.ensemble, self.velocity, known(ours), value, sigma, score, even)
+        return Score(
+            kind, self.ensemble, self.velocity, known(ours), value, sigma, score, even
+        )
 
     def uniform(self, share: Array) -> Score:
         """Test whether numbers are uniform, as they should be."""
         distance, p = stats.kstest(share, "uniform")
-        z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))  # low if it is too even
+        z = float(
+            stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16))
+        )  # low if it is too even
         root = 1 / math.sqrt(share.size)
-        return Score("hazard law", self.ensemble, self.velocity, float(distance), 0.0, root, z)
+        return Score(
+            "hazard law", self.ensemble, self.velocity, float(distance), 0.0, root, z
+        )
 
 
 def stream(*numbers: int) -> int:
@@ -125,13 +143,21 @@ def columns(scores: list[Score]) -> dict[str, list[Any]]:
     """The scores as columns of a table, one row per comparison."""
     if not scores:
         return {}
-    table = {name: [attrgetter(path)(score) for score in scores] for name, path in _COLUMNS.items()}
+    table = {
+        name: [attrgetter(path)(score) for score in scores]
+        for name, path in _COLUMNS.items()
+    }
     table["thresholds"] = [law_text(law) for law in table["thresholds"]]
     for name in ("stiffness", "damping", "preload"):
-        table[f"stage_{name}"] = [_number(getattr(score.stage, name, None)) for score in scores]
+        table[f"stage_{name}"] = [
+            _number(getattr(score.stage, name, None)) for score in scores
+        ]
     for name in ("x_star_final", "beta", "cutoff_time"):
         ages = zip(table["aging"], table[name], strict=True)
-        table[name] = [value if rule in RULES and name in RULES[rule].keys else math.nan for rule, value in ages]
+        table[name] = [
+            value if rule in RULES and name in RULES[rule].keys else math.nan
+            for rule, value in ages
+        ]
     for name in (name for name in table if name.startswith("newborn_")):
         table[name] = [math.nan if value is None else value for value in table[name]]
     return table

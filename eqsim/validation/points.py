@@ -1,13 +1,16 @@
 """Parameter points of a suite, by a seeded sampler.
 
-In a third of the points thresholds drift, from x_*f/x_*i = 0.01 to 100, and have gamma laws with n from 0 to 10. The
-others have, in turn, gamma laws; tables of 2 to 12 thresholds over up to four decades, of two, and of a single one;
-samples of up to 500; lognormal laws (sigma 0.1 to 2), Weibull laws (shape 0.4 to 10: at low ones the density is
-infinite at 0) and Pareto laws (exponent 3.05 to 10: a finite third moment); uniform, triangular and log-Laplace laws,
-whose densities have jumps and kinks; beta laws with infinite densities at both ends; histograms with gaps; and narrow
-laws (standard deviation over mean 1e-3 to 0.02). A third of the quenched ones among these grow as the logarithm of
-their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities are 1e-4 to 100 omega x_*, temperatures 0 or
-0.01 to 3 k x_*^2 (of the mean threshold where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
+In a third of the points thresholds drift, from x_*f/x_*i = 0.01 to 100, and have gamma
+laws with n from 0 to 10. The others have, in turn, gamma laws; tables of 2 to 12
+thresholds over up to four decades, of two, and of a single one; samples of up to 500;
+lognormal laws (sigma 0.1 to 2), Weibull laws (shape 0.4 to 10: at low ones the density
+is infinite at 0) and Pareto laws (exponent 3.05 to 10: a finite third moment); uniform,
+triangular and log-Laplace laws, whose densities have jumps and kinks; beta laws with
+infinite densities at both ends; histograms with gaps; and narrow laws (standard
+deviation over mean 1e-3 to 0.02). A third of the quenched ones among these grow as the
+logarithm of their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities
+are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean threshold
+where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
 """
 
 import dataclasses
@@ -38,13 +41,19 @@ LAWS = (  # without aging
     "loglaplace", "few", "delta", "narrow",
 )  # fmt: skip
 
-_SHAPES = {"lognorm": (0.1, 2.0), "weibull_min": (0.4, 10.0), "pareto": (3.05, 10.0), "loglaplace": (3.1, 20.0)}
+_SHAPES = {
+    "lognorm": (0.1, 2.0),
+    "weibull_min": (0.4, 10.0),
+    "pareto": (3.05, 10.0),
+    "loglaplace": (3.1, 20.0),
+}
 
 
 class Suite(NamedTuple):
-    """How many parameter points, how many of them are also tested for fluctuations, contacts and ensembles of these
-    tests in turn, the fewest contacts of a transient, for as long as they take fewer than `lives` lives, how many
-    sliders on a few contacts behind a spring are followed, and the tolerance of their steps in holds."""
+    """How many parameter points, how many of them are also tested for fluctuations,
+    contacts and ensembles of these tests in turn, the fewest contacts of a transient,
+    for as long as they take fewer than `lives` lives, how many sliders on a few
+    contacts behind a spring are followed, and the tolerance of their steps in holds."""
 
     points: int
     wide: int
@@ -58,7 +67,9 @@ class Suite(NamedTuple):
 SUITES = {
     "quick": Suite(32, 6, replicas=12, tolerance=1e-3),
     "full": Suite(240, 18, replicas=60),
-    "verification": Suite(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200),
+    "verification": Suite(
+        1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200
+    ),
 }
 
 
@@ -72,13 +83,23 @@ class Part(NamedTuple):
 WHOLE = Part()
 
 
-def sample(count: int, seed: int, part: Part = WHOLE) -> Iterator[tuple[int, Ensemble, float]]:
-    """Index, ensemble and velocity of points over the whole parameter space, the same for
-    the same seed; of all points or of a `part` of them."""
+def sample(
+    count: int, seed: int, part: Part = WHOLE
+) -> Iterator[tuple[int, Ensemble, float]]:
+    """Index, ensemble and velocity of points over the whole parameter space, the same
+    for the same seed; of all points or of a `part` of them."""
     first, step = part
-    rng, laws, aging, growing, newborn = (np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6))
+    rng, laws, aging, growing, newborn = (
+        np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6)
+    )
     ages = aging.permutation(count) < count // 3
-    kinds = dict(zip(laws.permutation(np.flatnonzero(~ages)).tolist(), itertools.cycle(LAWS), strict=False))
+    kinds = dict(
+        zip(
+            laws.permutation(np.flatnonzero(~ages)).tolist(),
+            itertools.cycle(LAWS),
+            strict=False,
+        )
+    )
     barriers, delays = tuple(BARRIERS), tuple(DELAYS)
     for index in range(count):
         v = 10 ** rng.uniform(-4, 2)
@@ -106,15 +127,20 @@ def sample(count: int, seed: int, part: Part = WHOLE) -> Iterator[tuple[int, Ens
             continue  # lives take time
         if delay:
             time = delay * typical_life(ensemble, v * unit) / (v * unit)
-            ensemble = dataclasses.replace(ensemble, delay=Delay(time, ensemble.delay.law))
+            ensemble = dataclasses.replace(
+                ensemble, delay=Delay(time, ensemble.delay.law)
+            )
         yield index, ensemble, v * unit
 
 
 def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:
-    """A law of thresholds, `unit` wide, in numbers of four digits: few of them, some several times as likely, over up
-    to four decades; a sample of up to 500; shapes of SciPy's laws."""
+    """A law of thresholds, `unit` wide, in numbers of four digits: few of them, some
+    several times as likely, over up to four decades; a sample of up to 500; shapes of
+    SciPy's laws."""
     if kind == "gamma":
-        n = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)][rng.integers(6)]
+        n = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)][
+            rng.integers(6)
+        ]
         return Gamma(float(n), unit)
     if kind == "delta":
         return Delta(float(_brief(np.array(unit))))
@@ -122,40 +148,76 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
         low, high = _brief(unit * np.array([1.0, 10 ** rng.uniform(0.01, 2)]))
         return Table(np.repeat([low, high], rng.integers(1, 6, 2)))
     if kind == "narrow":
-        width, scale = (float(x) for x in _brief(np.array([10 ** rng.uniform(-3, -1.7), unit])))
-        return Lognormal(width, scale) if rng.random() < 0.5 else Gamma(float(round(0.25 / width**2)), scale)
+        width, scale = (
+            float(x) for x in _brief(np.array([10 ** rng.uniform(-3, -1.7), unit]))
+        )
+        return (
+            Lognormal(width, scale)
+            if rng.random() < 0.5
+            else Gamma(float(round(0.25 / width**2)), scale)
+        )
     if kind == "few":
         low, decades = math.log10(unit), rng.uniform(0.05, 4)
-        steps = 10 ** rng.uniform(low - decades / 2, low + decades / 2, rng.integers(2, 13))
-        return Table(np.repeat(_brief(steps), rng.integers(1, 4, steps.size) if rng.random() < 0.5 else 1))
+        steps = 10 ** rng.uniform(
+            low - decades / 2, low + decades / 2, rng.integers(2, 13)
+        )
+        return Table(
+            np.repeat(
+                _brief(steps),
+                rng.integers(1, 4, steps.size) if rng.random() < 0.5 else 1,
+            )
+        )
     if kind == "sample":
         size = round(10 ** rng.uniform(1.3, 2.7))
         return Table(_brief(unit * rng.lognormal(0.0, rng.uniform(0.1, 0.8), size)))
     if kind == "histogram":
         bins = int(rng.integers(2, 11))
-        heights = np.append(rng.integers(0, 10, bins - 1), 1 + rng.integers(10))  # with gaps
-        edges = _brief(unit * (rng.choice([0.0, 0.2, 1.0]) + np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))))
+        heights = np.append(
+            rng.integers(0, 10, bins - 1), 1 + rng.integers(10)
+        )  # with gaps
+        edges = _brief(
+            unit
+            * (
+                rng.choice([0.0, 0.2, 1.0])
+                + np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))
+            )
+        )
         return Distribution(stats.rv_histogram((heights, edges), density=True))
-    scale, low = (float(x) for x in _brief(np.array([unit, rng.uniform(0.05, 0.95) * unit])))
+    scale, low = (
+        float(x) for x in _brief(np.array([unit, rng.uniform(0.05, 0.95) * unit]))
+    )
     if kind == "uniform":
         return Distribution(stats.uniform(low, scale))
     if kind == "arcsine":
-        shapes = _brief(rng.uniform(0.4, 0.9, 2)) if rng.random() < 0.5 else np.array([0.5, 0.5])
+        shapes = (
+            _brief(rng.uniform(0.4, 0.9, 2))
+            if rng.random() < 0.5
+            else np.array([0.5, 0.5])
+        )
         return Distribution(stats.beta(*shapes.tolist(), loc=low, scale=scale))
     if kind == "triang":
-        return Distribution(stats.triang(float(_brief(np.array(rng.uniform(0.0, 1.0)))), loc=low, scale=scale))
+        return Distribution(
+            stats.triang(
+                float(_brief(np.array(rng.uniform(0.0, 1.0)))), loc=low, scale=scale
+            )
+        )
     least, most = _SHAPES[kind]
     shape = float(_brief(np.exp(rng.uniform(math.log(least), math.log(most)))))
     return Distribution(getattr(stats, kind)(shape, scale=scale))
 
 
 def _born_stretched(ensemble: Ensemble, rng: np.random.Generator) -> Ensemble:
-    """The same contacts, with thresholds of a gamma law (references of others take long), born stretched by up to about
-    a typical one, along the motion or against it."""
-    thresholds = Gamma(float(rng.choice([0.0, 0.5, 1.0, 2.5])), ensemble.thresholds.scale)
+    """The same contacts, with thresholds of a gamma law (references of others take
+    long), born stretched by up to about a typical one, along the motion or against it.
+    """
+    thresholds = Gamma(
+        float(rng.choice([0.0, 0.5, 1.0, 2.5])), ensemble.thresholds.scale
+    )
     size, kind = float(_brief(np.array(10 ** rng.uniform(-1.5, 0)))), rng.integers(6)
     unit, sign = ensemble.thresholds.scale, float(rng.choice([-1.0, 1.0]))
-    low, high = sorted(float(_brief(np.array(part))) for part in rng.uniform(-1.0, 1.0, 2))
+    low, high = sorted(
+        float(_brief(np.array(part))) for part in rng.uniform(-1.0, 1.0, 2)
+    )
     laws = (
         Newborn("delta", stretch=sign * size * unit),
         Newborn("uniform", low=low * size * unit, high=high * size * unit),
@@ -173,8 +235,8 @@ def _brief(x: Array) -> Array:
 
 
 def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
-    """The same contacts, aging by drift: x_*f/x_*i from 0.01 to 100, D over v and the lesser of x_*i and x_*f from
-    1e-3 to 10, sometimes infinite; sometimes at T = 0."""
+    """The same contacts, aging by drift: x_*f/x_*i from 0.01 to 100, D over v and the
+    lesser of x_*i and x_*f from 1e-3 to 10, sometimes infinite; sometimes at T = 0."""
     rules = tuple(rule for rule, law in RULES.items() if issubclass(law, Drift))
     unit, rule = ensemble.thresholds.scale, rules[int(rng.integers(len(rules)))]
     final = 10 ** rng.uniform(-2, 2) * unit
@@ -182,13 +244,18 @@ def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
     at_once, cold = rng.random() < 0.15, rng.random() < 0.25
     if at_once and (ensemble.disorder == "annealed" or not RULES[rule].fluctuates):
         rate, rule = math.inf, "flow"  # all the same to annealed contacts
-    thermal = dataclasses.replace(ensemble.thermal, kT=0.0) if cold else ensemble.thermal
-    return dataclasses.replace(ensemble, thermal=thermal, aging=Aging(rule, rate, final))
+    thermal = (
+        dataclasses.replace(ensemble.thermal, kT=0.0) if cold else ensemble.thermal
+    )
+    return dataclasses.replace(
+        ensemble, thermal=thermal, aging=Aging(rule, rate, final)
+    )
 
 
 def typical_life(ensemble: Ensemble, v: float) -> float:
-    """About the mean stretch at breaking; births of annealed contacts that age are those of lives as long as the mean
-    threshold, which is also the answer where there is no telling."""
+    """About the mean stretch at breaking; births of annealed contacts that age are
+    those of lives as long as the mean threshold, which is also the answer where there
+    is no telling."""
     mean = ensemble.thresholds.mean
     try:
         travel = typical_lives(contacts(ensemble, v, mean)).travel
@@ -198,7 +265,8 @@ def typical_life(ensemble: Ensemble, v: float) -> float:
 
 
 def law_text(law: ThresholdLaw) -> str:
-    """The Python expression that makes a law of `sample`, with eqsim's names and scipy.stats as stats."""
+    """The Python expression that makes a law of `sample`, with eqsim's names and
+    scipy.stats as stats."""
     if isinstance(law, Table):
         return f"Table({law.steps.tolist()})"
     if not isinstance(law, Distribution):
@@ -207,5 +275,8 @@ def law_text(law: ThresholdLaw) -> str:
     if isinstance(frozen, stats.rv_histogram):
         heights, edges = (np.asarray(part).tolist() for part in frozen._histogram)
         return f"Distribution(stats.rv_histogram(({heights}, {edges}), density=True))"
-    shape = [*map(repr, frozen.args), *(f"{name}={value!r}" for name, value in frozen.kwds.items())]
+    shape = [
+        *map(repr, frozen.args),
+        *(f"{name}={value!r}" for name, value in frozen.kwds.items()),
+    ]
     return f"Distribution(stats.{frozen.dist.name}({', '.join(shape)}))"

@@ -1,5 +1,5 @@
-"""The comparisons made at one parameter point: each difference between contacts and the master equation as a score z
-in units of the quoted errors,
+"""The comparisons made at one parameter point: each difference between contacts and the
+master equation as a score z in units of the quoted errors,
 
     friction, pinned, break_stretch    steady averages, rel_error 1e-4 (of `langevin` contacts from 65 536 lives)
     transient                          F(X) from a fresh start, every X from its own ensemble, over 5 mean thresholds
@@ -10,24 +10,30 @@ in units of the quoted errors,
     hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
     mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at half a mean life
 
-Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is below 1e-3, which is part of the
-quoted error: it does little to scores from 65 536 lives, most of which are good to 1e-3 to 5e-3 without it, and counts
-where they are better, because thresholds hardly move. Their hazard is not known path by path; the whole law of x_b,
-S(x_b) uniform, stands in for it. Fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
-law) have no reference, nor have `langevin` contacts and annealed ones that age along programmes; of discrete laws the
-renewal equation in two times says little, as equal thresholds break together. Births of annealed contacts that age are
-found once a point, with the steady averages, and then held.
+Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is
+below 1e-3, which is part of the quoted error: it does little to scores from 65 536
+lives, most of which are good to 1e-3 to 5e-3 without it, and counts where they are
+better, because thresholds hardly move. Their hazard is not known path by path; the
+whole law of x_b, S(x_b) uniform, stands in for it. Fluctuations of aging quenched
+contacts whose stiffness follows their thresholds (sqrt law) have no reference, nor have
+`langevin` contacts and annealed ones that age along programmes; of discrete laws the
+renewal equation in two times says little, as equal thresholds break together. Births of
+annealed contacts that age are found once a point, with the steady averages, and then
+held.
 
-Some quoted errors are bounds: what all randomisations may miss of a few thresholds, tables of laws whose density jumps,
-grids where F jumps, because equal thresholds break together. With them |z| is too small to be normal. A score is even
-if bounds make less than a fifth of its error, which is known without its value; uneven ones count among the largest
-only: with a bias as large as the bound |z| exceeds any t > 2 less often than a normal score does. Means are scored if
-as many as 400 contacts carry the force, squares if a pilot says that 1600 do and that no small part of them makes the
-error, as with heavy tails.
+Some quoted errors are bounds: what all randomisations may miss of a few thresholds,
+tables of laws whose density jumps, grids where F jumps, because equal thresholds break
+together. With them |z| is too small to be normal. A score is even if bounds make less
+than a fifth of its error, which is known without its value; uneven ones count among the
+largest only: with a bias as large as the bound |z| exceeds any t > 2 less often than a
+normal score does. Means are scored if as many as 400 contacts carry the force, squares
+if a pilot says that 1600 do and that no small part of them makes the error, as with
+heavy tails.
 
-Variances are taken about the master's mean, as means of squares. Their scores are the Y of a test suite of stochastic
-simulators, (s^2 - sigma^2) over the error of s^2, with that error, ((mu_4 - sigma^4)/n)^(1/2), from the scatter of the
-squares in the sample: forces of one contact, or of twenty, are far from normal.
+Variances are taken about the master's mean, as means of squares. Their scores are the Y
+of a test suite of stochastic simulators, (s^2 - sigma^2) over the error of s^2, with
+that error, ((mu_4 - sigma^4)/n)^(1/2), from the scatter of the squares in the sample:
+forces of one contact, or of twenty, are far from normal.
 """
 
 import dataclasses
@@ -98,9 +104,17 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
     if stride and index % stride == 2:
         size = plan.sizes[index // stride % len(plan.sizes)]
         parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, *size)))
-    rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR  # 1.0: the first 65 536 lives will do
+    rel_error = (
+        1.0 if point.shown.fluctuates else _REL_ERROR
+    )  # 1.0: the first 65 536 lives will do
     try:
-        found = steady(point.shown, Drive(point.velocity), rel_error=rel_error, seed=seed, threads=threads)
+        found = steady(
+            point.shown,
+            Drive(point.velocity),
+            rel_error=rel_error,
+            seed=seed,
+            threads=threads,
+        )
         scores = averages(point, found)
         point = point._replace(shown=_held(point.shown, point.velocity, found))
     except InputError as error:
@@ -115,17 +129,23 @@ def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
 
 
 def _dear_along_programmes(ensemble: Ensemble) -> bool:
-    """True of quenched contacts that heat breaks and whose smooth law is so narrow that steps are very short."""
+    """True of quenched contacts that heat breaks and whose smooth law is so narrow that
+    steps are very short."""
     law = ensemble.thresholds
     narrow = not law.steps.size and (law.rms / law.mean) ** 2 - 1.0 < _NARROW**2
     return narrow and ensemble.thermal.kT > 0.0 and ensemble.disorder == "quenched"
 
 
 def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
-    """The same contacts; births of annealed ones that age are held at the stretch C that was `found`."""
+    """The same contacts; births of annealed ones that age are held at the stretch C
+    that was `found`."""
     if not ensemble.self_consistent:
         return ensemble
-    return dataclasses.replace(ensemble, thresholds=births(ensemble, v, known(found.break_stretch)), aging=Aging())
+    return dataclasses.replace(
+        ensemble,
+        thresholds=births(ensemble, v, known(found.break_stretch)),
+        aging=Aging(),
+    )
 
 
 def averages(point: Point, found: Steady) -> Found:
@@ -144,15 +164,19 @@ def averages(point: Point, found: Steady) -> Found:
         response = abs(known(ours)) * (1.0 - known(ours) if name == "pinned" else 1.0)
         hidden, stderr = found.hidden * response, ours.stderr or 0.0
         scatter = math.sqrt(max(stderr**2 - hidden**2, 0.0))
-        if point.shown.fluctuates and scatter > hidden:  # what steps may cost is a bound, mostly far from reached
+        if (
+            point.shown.fluctuates and scatter > hidden
+        ):  # what steps may cost is a bound, mostly far from reached
             ours, hidden = dataclasses.replace(ours, stderr=scatter), 0.0
-        scores.append(point.score(name, ours, theirs, math.hypot(hidden, theirs.stderr or 0.0)))
+        scores.append(
+            point.score(name, ours, theirs, math.hypot(hidden, theirs.stderr or 0.0))
+        )
     return scores
 
 
 def transients(point: Point, plan: Suite, threads: int) -> Found:
-    """Eight ensembles, each asked for F at one displacement of its own, and eight more for its variance: over five mean
-    thresholds, or over two lives and delays."""
+    """Eight ensembles, each asked for F at one displacement of its own, and eight more
+    for its variance: over five mean thresholds, or over two lives and delays."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     typical = reference(ensemble, Drive(v))
     distance = 5 * ensemble.thresholds.mean
@@ -162,22 +186,31 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
     cost = predicted_lives(dataclasses.replace(ensemble, count=1), whole)
     dear = _DEAR if shown.fluctuates else 1
     least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
-    shown = dataclasses.replace(shown, count=int(min(20_000, max(least, 1e6 / dear / cost))))
-    if predicted_lives(shown, whole) > 1e8 / dear:  # very low velocity: nothing for a test of minutes
+    shown = dataclasses.replace(
+        shown, count=int(min(20_000, max(least, 1e6 / dear / cost)))
+    )
+    if (
+        predicted_lives(shown, whole) > 1e8 / dear
+    ):  # very low velocity: nothing for a test of minutes
         return point.without(_EACH * _TRANSIENT, "too many lives")
     # near jumps of F the error is what a few cells of the grid make of it
     steps = ensemble.thresholds.steps.size
     every = max(1, _CELLS // (_EACH * max(12, steps))) if steps else 1
-    exact, drag = transient(ensemble, whole, points=_EACH * every + 1, variance=True), _drag(ensemble, v)
+    exact, drag = (
+        transient(ensemble, whole, points=_EACH * every + 1, variance=True),
+        _drag(ensemble, v),
+    )
     if exact.force_variance is None or exact.force_variance_error is None:
         return point.without(_EACH * _TRANSIENT, "vague")
     scores: Found = []
     for i in range(1, _EACH + 1):
         level, off = float(exact.force[i * every]), float(exact.force_error[i * every])
         variance = float(exact.force_variance[i * every])
-        few = shown.count * _carrying(level, variance, float(exact.pinned[i * every]), drag)
-        # few that have broken make the variance if all others have the same force; the law of `langevin` contacts is
-        # not known well enough to say how large it is
+        few = shown.count * _carrying(
+            level, variance, float(exact.pinned[i * every]), drag
+        )
+        # few that have broken make the variance if all others have the same force; the
+        # law of `langevin` contacts is not known well enough to say how large it is
         broken = shown.count * variance / max(level**2, 1e-300)
         if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH:
             scores += point.without(_TRANSIENT, "few contacts")
@@ -190,20 +223,31 @@ def transients(point: Point, plan: Suite, threads: int) -> Found:
         else:
             scores += point.without(_TRANSIENT[:1], "unreliable")
         group = dataclasses.replace(shown, count=shown.count // _GROUPS)
-        # a pilot tells how many contacts make the variance: its relative error is as if so many had equal parts
-        if min(few, broken) < _ENOUGH_SQUARES or not _many(_about(level, group, drive, point.stream(i, 1))):
+        # a pilot tells how many contacts make the variance: its relative error is as if
+        # so many had equal parts
+        if min(few, broken) < _ENOUGH_SQUARES or not _many(
+            _about(level, group, drive, point.stream(i, 1))
+        ):
             scores += point.without(_TRANSIENT[1:], "few contacts")
             continue
         groups = _about(level, group, drive, point.stream(i, 2))
-        ours = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
+        ours = Estimate(
+            float(groups.mean()),
+            float(groups.std(ddof=1)) / math.sqrt(_GROUPS),
+            0,
+            _GROUPS - 1,
+        )
         off = float(exact.force_variance_error[i * every])
-        scores.append(point.score("transient variance", ours, Estimate(variance, off, 0), off))
+        scores.append(
+            point.score("transient variance", ours, Estimate(variance, off, 0), off)
+        )
     return scores
 
 
 class Course(NamedTuple):
-    """A programme, and the `same` but for segments so slow, or so short and many, that they are holds: of each segment
-    of that, where it ends among those of the `programme`, and by how much the force differs at most."""
+    """A programme, and the `same` but for segments so slow, or so short and many, that
+    they are holds: of each segment of that, where it ends among those of the
+    `programme`, and by how much the force differs at most."""
 
     programme: Programme
     same: Programme
@@ -212,13 +256,18 @@ class Course(NamedTuple):
 
 
 def programme_of(point: Point) -> Course:
-    """Steps, holds and reversals, from a fresh or stationary start: displacements of 0.2 to 3 mean lives at 0.1 to 10
-    times the velocity of the point, holds of 0.1 to 100 lives at that velocity. A third of the holds are crawls at a
-    velocity 1e-25 to 1e-12 times that of the point, another third the jitter of a recorded drive, eight segments back
-    and forth by 1e-18 to 1e-8 lives."""
+    """Steps, holds and reversals, from a fresh or stationary start: displacements of
+    0.2 to 3 mean lives at 0.1 to 10 times the velocity of the point, holds of 0.1 to
+    100 lives at that velocity. A third of the holds are crawls at a velocity 1e-25 to
+    1e-12 times that of the point, another third the jitter of a recorded drive, eight
+    segments back and forth by 1e-18 to 1e-8 lives."""
     rng, v = np.random.default_rng((point.seed, 3)), point.velocity
     life = known(reference(point.ensemble, Drive(v)).break_stretch)
-    first = Segment(v * 10 ** rng.uniform(-1, 1), distance=life * 10 ** rng.uniform(-0.5, 0.5), points=1)
+    first = Segment(
+        v * 10 ** rng.uniform(-1, 1),
+        distance=life * 10 ** rng.uniform(-0.5, 0.5),
+        points=1,
+    )
     segments, same, ends, moved = [first], [first], [1], 0.0
     while len(same) < _SEGMENTS:
         kind = rng.choice(["hold", "reversal", "step"])
@@ -229,18 +278,30 @@ def programme_of(point: Point) -> Course:
             segments += pieces
             same.append(hold)
         else:
-            forward = next(segment.velocity for segment in reversed(same) if segment.velocity) > 0
+            forward = (
+                next(segment.velocity for segment in reversed(same) if segment.velocity)
+                > 0
+            )
             sign = 1 if forward == (kind == "step") else -1
             distance = life * 10 ** rng.uniform(-0.7, 0.5)
-            segment = Segment(sign * v * 10 ** rng.uniform(-1, 1), distance=distance, points=1)
+            segment = Segment(
+                sign * v * 10 ** rng.uniform(-1, 1), distance=distance, points=1
+            )
             segments.append(segment)
             same.append(segment)
         ends.append(len(segments))
     start: Start = "stationary" if rng.random() < 0.5 else "fresh"
-    return Course(Programme(tuple(segments), start, v), Programme(tuple(same), start, v), ends, moved)
+    return Course(
+        Programme(tuple(segments), start, v),
+        Programme(tuple(same), start, v),
+        ends,
+        moved,
+    )
 
 
-def _pieces(hold: Segment, life: float, v: float, rng: np.random.Generator) -> list[Segment]:
+def _pieces(
+    hold: Segment, life: float, v: float, rng: np.random.Generator
+) -> list[Segment]:
     """A hold as it is, or as segments that all but stand."""
     kind, time = rng.choice(["hold", "crawl", "jitter"]), hold.duration
     if kind == "hold":
@@ -248,16 +309,22 @@ def _pieces(hold: Segment, life: float, v: float, rng: np.random.Generator) -> l
     if kind == "crawl":
         return [Segment(v * 10 ** rng.uniform(-25, -12), time=time, points=1)]
     step = life * 10 ** rng.uniform(-18, -8)
-    return [Segment((-1) ** i * step / (time / _JITTER), time=time / _JITTER, points=1) for i in range(_JITTER)]
+    return [
+        Segment((-1) ** i * step / (time / _JITTER), time=time / _JITTER, points=1)
+        for i in range(_JITTER)
+    ]
 
 
 def programmes(point: Point, plan: Suite, threads: int) -> Found:
-    """The end of each segment of a programme, from an ensemble of its own, and from another its variance."""
+    """The end of each segment of a programme, from an ensemble of its own, and from
+    another its variance."""
     (whole, same, ends, moved), shown = programme_of(point), point.shown
     cost = predicted_lives(dataclasses.replace(shown, count=1), whole)
     dear = 1 if shown.aging.rule == "none" else _DEAR
     least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
-    shown = dataclasses.replace(shown, count=int(min(100_000, max(least, 4e6 / dear / cost))))
+    shown = dataclasses.replace(
+        shown, count=int(min(100_000, max(least, 4e6 / dear / cost)))
+    )
     if predicted_lives(shown, whole) > 1e8 / dear:
         return point.without(_SEGMENTS * _PROGRAMME, "too many lives")
     scores: Found = []
@@ -269,8 +336,15 @@ def programmes(point: Point, plan: Suite, threads: int) -> Found:
     assert exact.force_variance is not None
     assert exact.force_variance_error is not None
     for i in range(1, _SEGMENTS + 1):
-        level, off, pinned = float(exact.force[i]), float(exact.force_error[i]), float(exact.pinned[i])
-        variance, off2 = float(exact.force_variance[i]), float(exact.force_variance_error[i])
+        level, off, pinned = (
+            float(exact.force[i]),
+            float(exact.force_error[i]),
+            float(exact.pinned[i]),
+        )
+        variance, off2 = (
+            float(exact.force_variance[i]),
+            float(exact.force_variance_error[i]),
+        )
         off, off2 = off + moved, off2 + 2.0 * abs(level) * moved
         velocity = same.segments[i - 1].velocity
         drag = math.copysign(_drag(point.ensemble, abs(velocity)), velocity)
@@ -279,55 +353,77 @@ def programmes(point: Point, plan: Suite, threads: int) -> Found:
             scores += point.without(_PROGRAMME, "few contacts")
             continue
         drive = dataclasses.replace(whole, segments=whole.segments[: ends[i - 1]])
-        run = trajectory(shown, drive, points=2, seed=point.stream(i, 3), threads=threads)
+        run = trajectory(
+            shown, drive, points=2, seed=point.stream(i, 3), threads=threads
+        )
         ours = Estimate(float(run.force[-1]), float(run.force_stderr[-1]), shown.count)
         if run.force_reliable:
-            scores.append(point.score(_PROGRAMME[0], ours, Estimate(level, off, 0), off))
+            scores.append(
+                point.score(_PROGRAMME[0], ours, Estimate(level, off, 0), off)
+            )
         else:
             scores += point.without(_PROGRAMME[:1], "unreliable")
         group = dataclasses.replace(shown, count=shown.count // _GROUPS)
-        if few < _ENOUGH_SQUARES or not _many(_about(level, group, drive, point.stream(i, 4))):
+        if few < _ENOUGH_SQUARES or not _many(
+            _about(level, group, drive, point.stream(i, 4))
+        ):
             scores += point.without(_PROGRAMME[1:], "few contacts")
             continue
         groups = _about(level, group, drive, point.stream(i, 5))
-        ours = Estimate(float(groups.mean()), float(groups.std(ddof=1)) / math.sqrt(_GROUPS), 0, _GROUPS - 1)
-        scores.append(point.score(_PROGRAMME[1], ours, Estimate(variance, off2, 0), off2))
+        ours = Estimate(
+            float(groups.mean()),
+            float(groups.std(ddof=1)) / math.sqrt(_GROUPS),
+            0,
+            _GROUPS - 1,
+        )
+        scores.append(
+            point.score(_PROGRAMME[1], ours, Estimate(variance, off2, 0), off2)
+        )
     return scores
 
 
 def _many(pilot: Array) -> bool:
-    """Whether many contacts make the mean of squares of which a pilot found these, in _GROUPS groups: its relative
-    error is as if _ENOUGH_SQUARES had equal parts, and is not of one group (as with tails so heavy that there is no
-    error)."""
+    """Whether many contacts make the mean of squares of which a pilot found these, in
+    _GROUPS groups: its relative error is as if _ENOUGH_SQUARES had equal parts, and is
+    not of one group (as with tails so heavy that there is no error)."""
     off = (pilot - pilot.mean()) ** 2
-    return bool(pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0 and off.max() < _ONE * off.sum())
+    return bool(
+        pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0
+        and off.max() < _ONE * off.sum()
+    )
 
 
 def _drag(ensemble: Ensemble, v: float) -> float:
     """What a detached contact adds to F/k, if there are any."""
-    return drag_of(ensemble, v) * ensemble.thresholds.scale if ensemble.delay.time else 0.0
+    return (
+        drag_of(ensemble, v) * ensemble.thresholds.scale if ensemble.delay.time else 0.0
+    )
 
 
 def _carrying(level: float, variance: float, pinned: float, drag: float) -> float:
-    """The share of contacts that make the mean force `level`, as if each of these did as much: <f>^2/<f^2>, f the force
-    above the `drag`, which all detached contacts carry alike. Where pinned contacts are few, or detached ones with
-    their drag, it is these that make its fluctuations."""
+    """The share of contacts that make the mean force `level`, as if each of these did
+    as much: <f>^2/<f^2>, f the force above the `drag`, which all detached contacts
+    carry alike. Where pinned contacts are few, or detached ones with their drag, it is
+    these that make its fluctuations."""
     share = (level - drag) ** 2 / max((level - drag) ** 2 + variance, 1e-300)
     return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
 
 def _about(level: float, group: Ensemble, drive: Drive | Programme, seed: int) -> Array:
-    """The variance of F/k per contact about its expectation, at the end of the drive, in each of _GROUPS groups."""
+    """The variance of F/k per contact about its expectation, at the end of the drive,
+    in each of _GROUPS groups."""
     forces, variances = _forces(group, drive, _GROUPS, seed)
     return np.asarray((variances + (forces - level) ** 2)[:, 1])
 
 
 def hazards(point: Point) -> Found:
-    """Integrated hazards at breaking against Exp(1), censored at each contact's own threshold, two ways.
+    """Integrated hazards at breaking against Exp(1), censored at each contact's own
+    threshold, two ways.
 
-    A life that ends by heat counts 1; the integrated hazard it went through has the same mean, and is the variance of
-    the difference. And of the lives that heat would have ended somewhere before the threshold, a fraction
-    U = (1 - exp(-Lambda))/(1 - exp(-Lambda(xi))) ends where they did or earlier: U of those it did end is uniform.
+    A life that ends by heat counts 1; the integrated hazard it went through has the
+    same mean, and is the variance of the difference. And of the lives that heat would
+    have ended somewhere before the threshold, a fraction U = (1 - exp(-Lambda))/(1 -
+    exp(-Lambda(xi))) ends where they did or earlier: U of those it did end is uniform.
     Of `langevin` contacts S(x_b) is uniform, S the mean over paths.
     """
     s = settled(point.ensemble, point.velocity)
@@ -335,8 +431,12 @@ def hazards(point: Point) -> Found:
         return []  # no hazard
     if s.newborn.active:
         return point.without(_HAZARD, "contacts born stretched")
-    u, clock = np.random.default_rng((point.seed, 2)).random((2, 20_000)) * (1 - 2e-16) + 1e-16
-    if not (s.aging.closed or s.aging.fluctuates):  # hazards along paths are quadratures
+    u, clock = (
+        np.random.default_rng((point.seed, 2)).random((2, 20_000)) * (1 - 2e-16) + 1e-16
+    )
+    if not (
+        s.aging.closed or s.aging.fluctuates
+    ):  # hazards along paths are quadratures
         u, clock = u[:4000], clock[:4000]
     c = contacts(point.shown, point.velocity)
     stretch = lives(c, Source(key(point.seed, TRAJECTORY), 0, STEP), u, clock).travel
@@ -350,27 +450,39 @@ def hazards(point: Point) -> Found:
         end = np.empty(u.size)
         whole_lives(c, xi, end, np.empty(u.size))
     thermal = stretch < end * (1.0 - _ROUNDING)
-    hazard, total = _integrated(s, xi * unit, np.stack((np.minimum(stretch, end), end)) * unit)
+    hazard, total = _integrated(
+        s, xi * unit, np.stack((np.minimum(stretch, end), end)) * unit
+    )
     mean = float(hazard.sum())
     scores: Found = []
     if mean >= _ENOUGH:
         ours = Estimate(float(thermal.sum()), math.sqrt(mean), u.size)
         scores.append(point.score("hazard", ours, Estimate(mean, 0.0, 0), 0.0))
     if thermal.any():
-        scores.append(point.uniform(np.expm1(-hazard[thermal]) / np.expm1(-total[thermal])))
+        scores.append(
+            point.uniform(np.expm1(-hazard[thermal]) / np.expm1(-total[thermal]))
+        )
     done = [score.kind for score in scores]
-    return scores + point.without(tuple(kind for kind in _HAZARD if kind not in done), "few contacts")
+    return scores + point.without(
+        tuple(kind for kind in _HAZARD if kind not in done), "few contacts"
+    )
 
 
 def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
-    """Integrated hazards to stretches `x` (any, n) of contacts born with thresholds `xi` (n,)."""
+    """Integrated hazards to stretches `x` (any, n) of contacts born with thresholds
+    `xi` (n,)."""
     return _pooled(s, x) if s.annealed else _INTEGRATED[type(s.aging)](s, xi, x)
 
 
 def _pooled(s: Reduced, x: Array) -> Array:
-    """Of annealed contacts: -ln of survival over J_c, just below x, where a discrete law still has the threshold x."""
-    below = np.sort(x.ravel()) * (1.0 - _BELOW) if s.law.steps.size else np.sort(x.ravel())
-    ahead = np.maximum(s.law.sf(below * s.law.scale), 1e-300)  # a threshold that cannot be is no survivor
+    """Of annealed contacts: -ln of survival over J_c, just below x, where a discrete
+    law still has the threshold x."""
+    below = (
+        np.sort(x.ravel()) * (1.0 - _BELOW) if s.law.steps.size else np.sort(x.ravel())
+    )
+    ahead = np.maximum(
+        s.law.sf(below * s.law.scale), 1e-300
+    )  # a threshold that cannot be is no survivor
     alive = profile_of(s).at(below)[0] / ahead
     found = np.empty(x.size)
     found[np.argsort(x.ravel())] = -np.log(np.clip(alive, 1e-300, 1.0))
@@ -384,12 +496,15 @@ def _closed(s: Reduced, xi: Array, x: Array) -> Array:
 
 
 def _along(s: Reduced, xi: Array, x: Array) -> Array:
-    """Of thresholds that age in a known way. The rate is greatest at the ends of a life, where the nodes crowd."""
+    """Of thresholds that age in a known way. The rate is greatest at the ends of a
+    life, where the nodes crowd."""
 
     def rate(y: Array, born: Array) -> Array:
         return flow.rate(s, y, born)
 
-    found = integrate.tanhsinh(rate, 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12)
+    found = integrate.tanhsinh(
+        rate, 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
+    )
     return np.asarray(found.integral)
 
 
@@ -401,8 +516,9 @@ _INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {
 
 
 def fluctuating(point: Point, count: int, ensembles: int) -> Found:
-    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles of `count`
-    contacts. Raises InputError where lives are too rare and too long to be found."""
+    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles of
+    `count` contacts. Raises InputError where lives are too rare and too long to be
+    found."""
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     s = settled(ensemble, v)
     if s.stiffness == "sqrt" and s.aging.stiffens:
@@ -412,23 +528,40 @@ def fluctuating(point: Point, count: int, ensembles: int) -> Found:
     means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)
     level, lag = known(means.friction), 0.5 * known(means.travel)
     shown = dataclasses.replace(shown, count=count)
-    if predicted_lives(shown, point.drive(lag)) * ensembles > (2e8 / _DEAR**2 if shown.fluctuates else 2e8):
+    if predicted_lives(shown, point.drive(lag)) * ensembles > (
+        2e8 / _DEAR**2 if shown.fluctuates else 2e8
+    ):
         return point.without(_FLUCTUATIONS, "too many lives")
     exact = fluctuations(ensemble, point.drive(lag), points=2)
-    # contacts that make the force in all ensembles together, and of these the share that does after the lag
-    carry = count * ensembles * _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
+    # contacts that make the force in all ensembles together, and of these the share
+    # that does after the lag
+    carry = (
+        count
+        * ensembles
+        * _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
+    )
     square, product = (exact.covariance + (level - drag) ** 2).tolist()
     of_squares = carry / _ENOUGH_SQUARES
-    enough = {"mean": carry / _ENOUGH, "variance": of_squares, "covariance": of_squares * product / square}
+    enough = {
+        "mean": carry / _ENOUGH,
+        "variance": of_squares,
+        "covariance": of_squares * product / square,
+    }
     at_once = point.drive(1e-6 * lag, "stationary")
-    group = dataclasses.replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
-    if enough["variance"] >= 1.0 and not _many(_about(level, group, at_once, point.stream(1))):
+    group = dataclasses.replace(
+        shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS)
+    )
+    if enough["variance"] >= 1.0 and not _many(
+        _about(level, group, at_once, point.stream(1))
+    ):
         enough["variance"] = enough["covariance"] = 0.0
     if enough["mean"] < 1.0:
         return point.without(_FLUCTUATIONS, "few contacts")
     forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
     first, second = (forces - level).T
-    held = _REL_ERROR * level if ensemble.self_consistent else 0.0  # what the error of C can do
+    held = (
+        _REL_ERROR * level if ensemble.self_consistent else 0.0
+    )  # what the error of C can do
     scores: Found = []
     (now, later), (now_off, later_off) = exact.covariance / count, exact.error / count
     for kind, terms, value, error in (
@@ -439,21 +572,34 @@ def fluctuating(point: Point, count: int, ensembles: int) -> Found:
         if enough[kind] < 1.0:
             scores += point.without((kind,), "few contacts")
             continue
-        ours = Estimate(float(terms.mean()), float(terms.std(ddof=1)) / math.sqrt(ensembles), ensembles)
+        ours = Estimate(
+            float(terms.mean()),
+            float(terms.std(ddof=1)) / math.sqrt(ensembles),
+            ensembles,
+        )
         scores.append(point.score(kind, ours, Estimate(value, error, 0), error))
     return scores
 
 
-def _forces(ensemble: Ensemble, drive: Drive | Programme, ensembles: int, seed: int) -> tuple[Array, Array]:
-    """F/(N k) at the beginning and the end of a drive, shape (ensembles, 2), and its variance over the contacts of each
-    ensemble."""
-    n, unit, job = ensemble.count, ensemble.thresholds.scale, _job(ensemble, drive, seed)
+def _forces(
+    ensemble: Ensemble, drive: Drive | Programme, ensembles: int, seed: int
+) -> tuple[Array, Array]:
+    """F/(N k) at the beginning and the end of a drive, shape (ensembles, 2), and its
+    variance over the contacts of each ensemble."""
+    n, unit, job = (
+        ensemble.count,
+        ensemble.thresholds.scale,
+        _job(ensemble, drive, seed),
+    )
     forces, variances = np.empty((2, ensembles, 2))
     for index in range(ensembles):
         total = job.totals(1)
         job.simulate(total, index * n, (index + 1) * n)
         force, _, variance = job.moments(total.deposits, n)
-        forces[index], variances[index] = force[[0, -1]] * unit, variance[[0, -1]] * unit**2
+        forces[index], variances[index] = (
+            force[[0, -1]] * unit,
+            variance[[0, -1]] * unit**2,
+        )
     return forces, variances
 
 
@@ -462,7 +608,11 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
     if isinstance(drive, Programme):
         return steps_of(ensemble, drive, drive.grid(2), 1, seed)
     c = contacts(ensemble, drive.velocity)
-    run = Run(drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary")
+    run = Run(
+        drive.over(ensemble) / ensemble.thresholds.scale, 2, drive.start == "stationary"
+    )
     table = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, ensemble.count, 1, 0.0)
-    return constant_drive(c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity))
+    return constant_drive(
+        c, table, run, scales, key(seed, TRAJECTORY), drag_of(ensemble, drive.velocity)
+    )

@@ -1,15 +1,18 @@
 """The engine against the master equation over the parameter space: the verdict.
 
-A suite draws parameter points (`points`) and compares, point by point, what contacts estimate with what the master
-equation says, each difference as a score z in units of the quoted errors (`scores`).
+A suite draws parameter points (`points`) and compares, point by point, what contacts
+estimate with what the master equation says, each difference as a score z in units of
+the quoted errors (`scores`).
 
-What is asked for and not scored is counted by reason: refused by the program, called unreliable by it, or too vague, an
-error that leaves nothing to compare; too few contacts, too many lives, no reference. A suite in which the program
-declines (the first three) more of a kind than is scored does not pass.
+What is asked for and not scored is counted by reason: refused by the program, called
+unreliable by it, or too vague, an error that leaves nothing to compare; too few
+contacts, too many lives, no reference. A suite in which the program declines (the first
+three) more of a kind than is scored does not pass.
 
-Scores of one kind are independent. A kind passes if the sum of squares of even ones has a chi-square probability above
-1e-4 on both sides, and the largest |z| a probability above 1e-4 given their number. With twenty kinds and two
-probabilities each a correct program fails a suite once in some 250 seeds or less often, whatever the correlations
+Scores of one kind are independent. A kind passes if the sum of squares of even ones has
+a chi-square probability above 1e-4 on both sides, and the largest |z| a probability
+above 1e-4 given their number. With twenty kinds and two probabilities each a correct
+program fails a suite once in some 250 seeds or less often, whatever the correlations
 between kinds (Bonferroni).
 """
 
@@ -26,7 +29,15 @@ from scipy import stats
 from eqsim.errors import InputError
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import pulled
-from eqsim.validation.comparison import DECLINED, Found, Point, Score, Unscored, columns, stream
+from eqsim.validation.comparison import (
+    DECLINED,
+    Found,
+    Point,
+    Score,
+    Unscored,
+    columns,
+    stream,
+)
 from eqsim.validation.points import SUITES, WHOLE, Part, sample
 from eqsim.validation.scores import KINDS as RIGID
 from eqsim.validation.scores import compared
@@ -41,8 +52,8 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of the `count` scores of a kind, `even` of which make its chi-square: both probabilities, the largest |z|, and
-    whether it passes."""
+    """Of the `count` scores of a kind, `even` of which make its chi-square: both
+    probabilities, the largest |z|, and whether it passes."""
 
     kind: str
     count: int
@@ -89,42 +100,58 @@ class Validation:
         """The verdict on each kind."""
         import pandas as pd
 
-        shown: str = pd.DataFrame([asdict(verdict) for verdict in self.verdicts]).to_html(index=False)
+        shown: str = pd.DataFrame(
+            [asdict(verdict) for verdict in self.verdicts]
+        ).to_html(index=False)
         return f"{html.escape(repr(self))}{shown}"
 
     @property
     def passed(self) -> bool:
-        """Whether every kind passes, and the program declined no more of any than it made."""
+        """Whether every kind passes, and the program declined no more of any than it
+        made."""
         return all(verdict.passed for verdict in self.verdicts) and not self.declined
 
     @property
     def declined(self) -> list[str]:
         """Kinds of which the program refused more than was scored."""
         left = left_out(self.unscored)
-        return [verdict.kind for verdict in self.verdicts if declined(verdict.kind, verdict.count, left)]
+        return [
+            verdict.kind
+            for verdict in self.verdicts
+            if declined(verdict.kind, verdict.count, left)
+        ]
 
     @property
     def p_overall(self) -> float:
-        """Probability of a p-value as small as the smallest of all kinds, or an upper bound of it (Bonferroni)."""
+        """Probability of a p-value as small as the smallest of all kinds, or an upper
+        bound of it (Bonferroni)."""
         return p_overall(self.verdicts)
 
 
 def left_out(unscored: list[Unscored]) -> dict[str, dict[str, int]]:
     """How many comparisons were not made, by kind and reason."""
     found: dict[str, dict[str, int]] = {}
-    for (kind, reason), count in Counter((one.kind, one.reason) for one in unscored).items():
+    for (kind, reason), count in Counter(
+        (one.kind, one.reason) for one in unscored
+    ).items():
         found.setdefault(kind, {})[reason] = count
     return found
 
 
 def declined(kind: str, scores: int, left: dict[str, dict[str, int]]) -> bool:
-    """Whether the program would not do, or not be trusted with, more comparisons of a kind than were made."""
+    """Whether the program would not do, or not be trusted with, more comparisons of a
+    kind than were made."""
     return sum(left.get(kind, {}).get(reason, 0) for reason in DECLINED) > scores
 
 
 def p_overall(verdicts: list[Verdict]) -> float:
     """`Validation.p_overall` of these verdicts."""
-    p = [p for verdict in verdicts if verdict.count for p in (verdict.p_chi_square, verdict.p_largest)]
+    p = [
+        p
+        for verdict in verdicts
+        if verdict.count
+        for p in (verdict.p_chi_square, verdict.p_largest)
+    ]
     return min(1.0, len(p) * min(p, default=1.0))
 
 
@@ -136,10 +163,18 @@ def judge(kind: str, scores: list[Score]) -> Verdict:
     z = np.array([score.z for score in of_kind])
     even = z[[score.even for score in of_kind]]
     total, largest = float(np.sum(even**2)), float(np.abs(z).max())
-    p_square = 2 * min(stats.chi2.cdf(total, even.size), stats.chi2.sf(total, even.size)) if even.size else 1.0
-    p_largest = -math.expm1(z.size * math.log1p(-min(2 * stats.norm.sf(largest), 1 - 1e-16)))
+    p_square = (
+        2 * min(stats.chi2.cdf(total, even.size), stats.chi2.sf(total, even.size))
+        if even.size
+        else 1.0
+    )
+    p_largest = -math.expm1(
+        z.size * math.log1p(-min(2 * stats.norm.sf(largest), 1 - 1e-16))
+    )
     passed = bool(p_square > ALARM and p_largest > ALARM)
-    return Verdict(kind, z.size, even.size, total, float(p_square), largest, p_largest, passed)
+    return Verdict(
+        kind, z.size, even.size, total, float(p_square), largest, p_largest, passed
+    )
 
 
 def validate(
@@ -162,9 +197,11 @@ def validate(
     threads : int
         Changes speed only.
     wrong : callable, optional
-        Changes the ensemble that the engine sees but not the reference's: a suite that then still passes is worthless.
+        Changes the ensemble that the engine sees but not the reference's: a suite that
+        then still passes is worthless.
     part : Part or (int, int)
-        (i, m) does every m-th point from the i-th on; the scores of all parts are those of the suite.
+        (i, m) does every m-th point from the i-th on; the scores of all parts are those
+        of the suite.
     progress : callable, optional
         Called with the number of points done and of all.
 
@@ -178,17 +215,28 @@ def validate(
         For an unknown suite.
     """
     if suite not in SUITES:
-        raise InputError(f"suite = {suite!r}: must be one of " + ", ".join(f'"{name}"' for name in SUITES))
+        raise InputError(
+            f"suite = {suite!r}: must be one of "
+            + ", ".join(f'"{name}"' for name in SUITES)
+        )
     plan = SUITES[suite]
     first, step = part
     total = len(range(first, plan.points, step))
     found: Found = []
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
-        point = Point(index, ensemble, wrong(ensemble) if wrong else ensemble, v, stream(seed, index))
+        point = Point(
+            index,
+            ensemble,
+            wrong(ensemble) if wrong else ensemble,
+            v,
+            stream(seed, index),
+        )
         found += compared(point, plan, seed, threads)
         found += pulled.compared(point, plan)
         if progress:
             progress(done, total)
     scores = [one for one in found if isinstance(one, Score)]
     unscored = [one for one in found if isinstance(one, Unscored)]
-    return Validation(suite, seed, scores, [judge(kind, scores) for kind in KINDS], unscored)
+    return Validation(
+        suite, seed, scores, [judge(kind, scores) for kind in KINDS], unscored
+    )

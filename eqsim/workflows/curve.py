@@ -1,4 +1,5 @@
-"""Exact curves of a run file: the mean force and the pinned fraction on the way, as columns."""
+"""Exact curves of a run file: the mean force and the pinned fraction on the way, as
+columns."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -11,7 +12,8 @@ from eqsim.numerics.tables import Array
 
 
 def curve(file: RunFile, folder: Path, *, closure: bool = False) -> dict[str, Array]:
-    """The exact mean of a run (`master.transient`), or the closure of annealed contacts that age (`master.closure`).
+    """The exact mean of a run (`master.transient`), or the closure of annealed contacts
+    that age (`master.closure`).
 
     Parameters
     ----------

@@ -34,19 +34,22 @@ class ElasticResult(OfTrajectory):
 
     @cached_property
     def sizes(self) -> Array:
-        """P(1), P(2), ... of infinitely many contacts, (1000,); empty for a discrete law."""
+        """P(1), P(2), ... of infinitely many contacts, (1000,); empty for a discrete
+        law."""
         assert self.drive.elastic
         if self.ensemble.thresholds.steps.size:
             return np.empty(0)
         return size_law(self.ensemble.thresholds, self.drive.elastic.load, _SHOWN)
 
     def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
-        """Averages over the second half of the plate's way, and their exact values, by name.
+        """Averages over the second half of the plate's way, and their exact values, by
+        name.
 
-        Friction over displacement (length) is exact for any number of contacts. Breaks per
-        avalanche and the fraction of single breaks are those of infinitely many contacts;
-        their error is the change for a single block with its contacts. They have no value
-        for a discrete law, whose equal thresholds break together from a fresh start on.
+        Friction over displacement (length) is exact for any number of contacts. Breaks
+        per avalanche and the fraction of single breaks are those of infinitely many
+        contacts; their error is the change for a single block with its contacts. They
+        have no value for a discrete law, whose equal thresholds break together from a
+        fresh start on.
         """
         found, elastic = self.trajectory, self.drive.elastic
         assert elastic
@@ -57,7 +60,11 @@ class ElasticResult(OfTrajectory):
             few = missed_by_few(self.ensemble.thresholds, elastic.load, contacts)
             size = Estimate(elastic.mean_size, abs(few.mean), 0)
             single = Estimate(float(self.sizes[0]), abs(few.single), 0)
-        return {"friction": (found.friction, friction), "size": (found.size, size), "single": (found.single, single)}
+        return {
+            "friction": (found.friction, friction),
+            "size": (found.size, size),
+            "single": (found.single, single),
+        }
 
     def summary(self) -> dict[str, Any]:
         """Content of `summary.json`."""
@@ -69,43 +76,65 @@ class ElasticResult(OfTrajectory):
             **{name: estimate.as_dict() for name, (estimate, _) in averages.items()},
             "force_reliable": found.force_reliable,
             "reference": {name: exact.value for name, (_, exact) in averages.items()},
-            **self.file.physical(self.ensemble, averages["friction"][0], averages["friction"][1].value),
+            **self.file.physical(
+                self.ensemble, averages["friction"][0], averages["friction"][1].value
+            ),
             "z": {name: difference(*pair) for name, pair in averages.items()},
             "avalanches": len(found.avalanches["breaks"]),
             **{name: getattr(found, name) for name in names},
             "versions": storage.versions(),
         }
 
-    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
-        """Files of a results folder by name; pictures have `title` unless the file has one."""
-        from eqsim.io.plots import avalanches_figure, caption, elastic_figure, fronts_figure
+    def files(
+        self, title: str = "", formats: Sequence[str] = ("png",)
+    ) -> dict[str, bytes]:
+        """Files of a results folder by name; pictures have `title` unless the file has
+        one."""
+        from eqsim.io.plots import (
+            avalanches_figure,
+            caption,
+            elastic_figure,
+            fronts_figure,
+        )
         from eqsim.io.style import pictures
 
         file, found, elastic = self.file, self.trajectory, self.drive.elastic
         assert elastic
         exact = self.averages()["friction"][1]
         said = caption(file, self.ensemble, exact, title)
-        origin = storage.provenance("run", file.model_dump(), file.text, file.output.seed, self.folder)
+        origin = storage.provenance(
+            "run", file.model_dump(), file.text, file.output.seed, self.folder
+        )
         return {
             "trajectory.parquet": storage.parquet(found.columns(), origin),
             "avalanches.parquet": storage.parquet(found.avalanches, origin),
             "blocks.parquet": storage.parquet(found.blocks, origin),
             "summary.json": storage.to_json(self.summary()).encode(),
             **pictures("force", elastic_figure(found, exact, said), formats),
-            **pictures("avalanches", avalanches_figure(found, self.sizes, said), formats),
+            **pictures(
+                "avalanches", avalanches_figure(found, self.sizes, said), formats
+            ),
             **pictures("fronts", fronts_figure(found, *elastic.shape, said), formats),
         }
 
 
 def run_elastic(
-    file: RunFile, folder: Path, drive: Drive, *, threads: int, max_lives: float, progress: Callable[[int, float], None]
+    file: RunFile,
+    folder: Path,
+    drive: Drive,
+    *,
+    threads: int,
+    max_lives: float,
+    progress: Callable[[int, float], None],
 ) -> ElasticResult:
     """Simulate a run file with coupled blocks on a plate with this drive.
 
     Raises InputError.
     """
     ensemble, output = file.ensemble(folder), file.output
-    _, expected = check_elastic(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+    _, expected = check_elastic(
+        ensemble, drive, output.points, output.seed, output.replicas, max_lives
+    )
     progress(0, expected)
     found = elastic_trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,

@@ -1,4 +1,5 @@
-"""What `eqsim fluctuations` computes: the autocovariance of the stationary force, exact and of simulated contacts."""
+"""What `eqsim fluctuations` computes: the autocovariance of the stationary force, exact
+and of simulated contacts."""
 
 import math
 from collections.abc import Callable
@@ -26,14 +27,16 @@ Progress = Callable[[int, float], None]
 _CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by default
 _TOGETHER = 20  # contacts of a simulated ensemble: the fewer, the more ensembles there are of the same lives
 _MOST_ENSEMBLES, _FEWEST = 20_000, 100
-_DOMINANT = 0.1  # an ensemble that makes more of the scatter has siblings that were not seen
+# an ensemble that makes more of the scatter has siblings that were not seen
+_DOMINANT = 0.1
 _UNMET = 4.0  # contacts expected, below which a sample may have met none
 
 
 @dataclass(frozen=True)
 class Sample:
-    """The autocovariance of many small ensembles, N times that of F/(N k), at the lags of the exact one, arrays
-    (points,) (length^2); `reliable` is False where few of the ensembles make its scatter."""
+    """The autocovariance of many small ensembles, N times that of F/(N k), at the lags
+    of the exact one, arrays (points,) (length^2); `reliable` is False where few of the
+    ensembles make its scatter."""
 
     covariance: Array
     stderr: Array
@@ -45,7 +48,8 @@ class Sample:
 
 @dataclass(frozen=True)
 class FluctuationsResult:
-    """A run file whose fluctuations were computed; `sample` is None if nothing was simulated, and `reason` why."""
+    """A run file whose fluctuations were computed; `sample` is None if nothing was
+    simulated, and `reason` why."""
 
     file: RunFile
     folder: Path
@@ -54,29 +58,47 @@ class FluctuationsResult:
     sample: Sample | None
     reason: str
     asked: dict[str, float]
-    names: ClassVar[tuple[str, ...]] = ("fluctuations.parquet", "summary.json", "fluctuations.png")
+    names: ClassVar[tuple[str, ...]] = (
+        "fluctuations.parquet",
+        "summary.json",
+        "fluctuations.png",
+    )
 
     @property
     def z(self) -> list[float | None]:
-        """Difference of the simulated covariance from the exact one in standard errors, at each lag; None if there is
-        no sample."""
+        """Difference of the simulated covariance from the exact one in standard errors,
+        at each lag; None if there is no sample."""
         sample, exact = self.sample, self.exact
         if sample is None:
             return [None] * exact.lag.size
         estimates = zip(sample.covariance.tolist(), sample.stderr.tolist(), strict=True)
-        found = (Estimate(value, stderr, sample.ensembles) for value, stderr in estimates)
-        return [z_score(*parts) for parts in zip(found, exact.covariance.tolist(), exact.error.tolist(), strict=True)]
+        found = (
+            Estimate(value, stderr, sample.ensembles) for value, stderr in estimates
+        )
+        return [
+            z_score(*parts)
+            for parts in zip(
+                found, exact.covariance.tolist(), exact.error.tolist(), strict=True
+            )
+        ]
 
     @property
     def correlation_length(self) -> float:
         """int of the covariance over the lags, over the variance (length)."""
-        return float(np.trapezoid(self.exact.covariance, self.exact.lag) / self.exact.covariance[0])
+        return float(
+            np.trapezoid(self.exact.covariance, self.exact.lag)
+            / self.exact.covariance[0]
+        )
 
     def columns(self) -> dict[str, Array]:
-        """The table: `lag`, `covariance`, `error`, and if contacts were simulated `simulated`, `simulated_stderr`."""
+        """The table: `lag`, `covariance`, `error`, and if contacts were simulated
+        `simulated`, `simulated_stderr`."""
         found = self.exact.columns()
         if self.sample:
-            found |= {"simulated": self.sample.covariance, "simulated_stderr": self.sample.stderr}
+            found |= {
+                "simulated": self.sample.covariance,
+                "simulated_stderr": self.sample.stderr,
+            }
         return found
 
     def summary(self) -> dict[str, Any]:
@@ -99,13 +121,16 @@ class FluctuationsResult:
         }
 
     def files(self, title: str = "") -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+        """The files of a results folder by name; `title` of the picture, unless the run
+        file has one."""
         from eqsim.io.plots import caption, fluctuations_figure
         from eqsim.io.style import saved
 
         said = caption(self.file, self.ensemble, Estimate(None, None, 0), title)
         settings = {"run": self.file.model_dump(), **self.asked}
-        origin = storage.provenance("fluctuations", settings, self.file.text, self.file.output.seed, self.folder)
+        origin = storage.provenance(
+            "fluctuations", settings, self.file.text, self.file.output.seed, self.folder
+        )
         contents = (
             storage.parquet(self.columns(), origin),
             storage.to_json(self.summary()).encode(),
@@ -115,9 +140,16 @@ class FluctuationsResult:
 
 
 def run_fluctuations(
-    file: RunFile, folder: Path, *, lag: float | None = None, points: int = 101, lives: float = 1e6, threads: int = 1
+    file: RunFile,
+    folder: Path,
+    *,
+    lag: float | None = None,
+    points: int = 101,
+    lives: float = 1e6,
+    threads: int = 1,
 ) -> FluctuationsResult:
-    """The stationary fluctuations of a run file's force, exact and of simulated contacts.
+    """The stationary fluctuations of a run file's force, exact and of simulated
+    contacts.
 
     Parameters
     ----------
@@ -140,7 +172,8 @@ def run_fluctuations(
     Raises
     ------
     InputError
-        Without a constant velocity, for contacts that there is no such theory of, and for values out of range.
+        Without a constant velocity, for contacts that there is no such theory of, and
+        for values out of range.
     """
     ensemble, drive = file.ensemble(folder), file.constant(folder)
     require_number("--lives", lives, least=0.0, most=1e10)
@@ -152,16 +185,26 @@ def run_fluctuations(
     sample, reason = None, "" if lives else "none asked for"
     if lives:
         try:
-            sample = sampled(ensemble, replace(drive, distance=lag), points, lives, file.output.seed, threads)
+            sample = sampled(
+                ensemble,
+                replace(drive, distance=lag),
+                points,
+                lives,
+                file.output.seed,
+                threads,
+            )
         except InputError as error:
             reason = str(error)
     asked = {"lag": lag, "points": points, "lives": lives}
     return FluctuationsResult(file, folder, ensemble, exact, sample, reason, asked)
 
 
-def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: int, threads: int) -> Sample:
-    """The autocovariance at `points` lags up to the drive's distance, from products about the
-    exact mean, of forces of independent stationary ensembles over twice that distance.
+def sampled(
+    ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: int, threads: int
+) -> Sample:
+    """The autocovariance at `points` lags up to the drive's distance, from products
+    about the exact mean, of forces of independent stationary ensembles over twice that
+    distance.
 
     Raises InputError where an ensemble cannot be simulated so.
     """
@@ -170,12 +213,24 @@ def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: i
     small = replace(ensemble, count=_TOGETHER)
     long = replace(drive, distance=2.0 * drive.over(ensemble), start="stationary")
     each = predicted_lives(small, long)
-    ensembles = int(min(max(lives / each, _FEWEST), _MOST_ENSEMBLES, 1e7 // (2 * points)))
-    run = trajectory(small, long, points=2 * points - 1, seed=seed, replicas=ensembles, threads=threads)
+    ensembles = int(
+        min(max(lives / each, _FEWEST), _MOST_ENSEMBLES, 1e7 // (2 * points))
+    )
+    run = trajectory(
+        small,
+        long,
+        points=2 * points - 1,
+        seed=seed,
+        replicas=ensembles,
+        threads=threads,
+    )
     assert run.force_replicas is not None
     off = run.force_replicas - level
     products = np.array(
-        [np.mean(off[:, :points] * off[:, j : j + points], axis=1) for j in range(points)]
+        [
+            np.mean(off[:, :points] * off[:, j : j + points], axis=1)
+            for j in range(points)
+        ]
     )  # (points, ensembles)
     found = _TOGETHER * products
     about = (products[0] - products[0].mean()) ** 2
@@ -184,22 +239,35 @@ def sampled(ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: i
     return Sample(
         covariance=found.mean(axis=1),
         stderr=np.hypot(stderr, unmet),
-        reliable=bool(about.max() < _DOMINANT * about.sum() and unmet < _DOMINANT * known(exact.force_variance)),
+        reliable=bool(
+            about.max() < _DOMINANT * about.sum()
+            and unmet < _DOMINANT * known(exact.force_variance)
+        ),
         contacts=_TOGETHER,
         ensembles=ensembles,
         lives=run.lives,
     )
 
 
-def _unmet(ensemble: Ensemble, velocity: float, exact: Reference, initial: int, lives: int) -> float:
-    """The part of the mean square force (length^2) that a sample cannot know of: that of
-    contacts so strong that few are expected among `initial` contacts of the stationary state
-    and the `lives` that begin later."""
+def _unmet(
+    ensemble: Ensemble, velocity: float, exact: Reference, initial: int, lives: int
+) -> float:
+    """The part of the mean square force (length^2) that a sample cannot know of: that
+    of contacts so strong that few are expected among `initial` contacts of the
+    stationary state and the `lives` that begin later."""
     if ensemble.fluctuates:
         return 0.0  # thresholds of gamma laws, whose lives take paths
-    c = contacts(ensemble, velocity, known(exact.break_stretch) if ensemble.self_consistent else None)
+    c = contacts(
+        ensemble,
+        velocity,
+        known(exact.break_stretch) if ensemble.self_consistent else None,
+    )
     born, unit = births(c), ensemble.thresholds.scale
-    square = born.stiffness**2 * born.travel * (born.birth**2 + born.travel * (born.birth + born.travel / 3.0))
+    square = (
+        born.stiffness**2
+        * born.travel
+        * (born.birth**2 + born.travel * (born.birth + born.travel / 3.0))
+    )
     cycle = known(exact.travel) / unit / known(exact.pinned)
     expected = born.share * (initial * born.travel / cycle + lives)
     order = np.argsort(-square)
@@ -207,4 +275,7 @@ def _unmet(ensemble: Ensemble, velocity: float, exact: Reference, initial: int, 
     drag = drag_of(ensemble, velocity)
     second = (known(exact.force_variance) + known(exact.friction) ** 2) / unit**2
     pinned = second - drag**2 * (1.0 - known(exact.pinned))
-    return max(pinned - float(np.sum((born.share * square)[order][met])) / cycle, 0.0) * unit**2
+    return (
+        max(pinned - float(np.sum((born.share * square)[order][met])) / cycle, 0.0)
+        * unit**2
+    )

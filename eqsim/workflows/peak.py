@@ -14,7 +14,8 @@ _PLATEAU, _KINK = 0.25, 0.05  # of the window; of the height
 
 
 def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | None:
-    """The first maximum of the force of a run after a fresh start, within four rms thresholds.
+    """The first maximum of the force of a run after a fresh start, within four rms
+    thresholds.
 
     Parameters
     ----------
@@ -26,20 +27,26 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
     Returns
     -------
     Peak or None
-        With standard errors; without values where no maximum is seen. None of a stationary start, which has no peak.
+        With standard errors; without values where no maximum is seen. None of a
+        stationary start, which has no peak.
     """
     if drive.start == "stationary":
         return None
     period = ensemble.thresholds.rms
     size = int(np.searchsorted(found.X, WINDOW * period, side="right"))
-    X, force, stderr = (column[:size] for column in (found.X, found.force, found.force_stderr))
+    X, force, stderr = (
+        column[:size] for column in (found.X, found.force, found.force_stderr)
+    )
     top = top_of(X, force, 2.0 * stderr, period)
     if not 0 < top < size - 1:
         none = Estimate(None, None, found.lives, reliable=False)
         return Peak(none, none)
     error = float(stderr[top])
     fallen = np.flatnonzero(force < force[top] - 4.0 * error)
-    first, last = max(fallen[fallen < top], default=-1) + 1, min(fallen[fallen > top], default=size)
+    first, last = (
+        max(fallen[fallen < top], default=-1) + 1,
+        min(fallen[fallen > top], default=size),
+    )
     peak, place = extreme(X[:last], force[:last], stderr[:last], 1.0)
     where, height = known(place), known(peak)
     if height == force[top]:  # no neighbours that are as high within errors
@@ -47,10 +54,20 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
         error = math.hypot(error, height - force[top])
     else:
         error = peak.stderr or error
-    near = X[first:last][force[first:last] >= force[top] - 2.0 * stderr[top]]  # on a plateau it may be anywhere
+    near = X[first:last][
+        force[first:last] >= force[top] - 2.0 * stderr[top]
+    ]  # on a plateau it may be anywhere
     beside, missed = tip(ensemble, X, force, top)
-    spread, error = max(place.stderr or 0.0, 0.5 * float(np.ptp(near)), beside), math.hypot(error, missed)
-    reliable = found.force_reliable and float(np.ptp(near)) < _PLATEAU * WINDOW * period  # else the largest of many
+    spread, error = (
+        max(place.stderr or 0.0, 0.5 * float(np.ptp(near)), beside),
+        math.hypot(error, missed),
+    )
+    reliable = (
+        found.force_reliable and float(np.ptp(near)) < _PLATEAU * WINDOW * period
+    )  # else the largest of many
     reliable &= missed < _KINK * height  # else a later one may be higher between points
     lives = found.lives
-    return Peak(Estimate(where, spread, lives, None, reliable), Estimate(height, error, lives, None, reliable))
+    return Peak(
+        Estimate(where, spread, lives, None, reliable),
+        Estimate(height, error, lives, None, reliable),
+    )

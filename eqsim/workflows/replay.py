@@ -1,4 +1,5 @@
-"""Run again what made a table, from its provenance alone, and compare the two bit by bit."""
+"""Run again what made a table, from its provenance alone, and compare the two bit by
+bit."""
 
 import dataclasses
 import json
@@ -35,8 +36,8 @@ class Replay:
     rows : int
         Of the table.
     differences : dict
-        For each column that is not the same to the last bit, in how many rows and by how much at most (None where it is
-        not a number).
+        For each column that is not the same to the last bit, in how many rows and by
+        how much at most (None where it is not a number).
     versions : dict
         Those that differ, as (then, now).
     """
@@ -51,13 +52,16 @@ class Replay:
         return not self.differences
 
 
-def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None) -> Replay:
+def replay(
+    path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
+) -> Replay:
     """Repeat the call that made a Parquet file, and compare.
 
     Parameters
     ----------
     path : Path
-        A file that eqsim wrote. Files that its run file names are looked for where they were.
+        A file that eqsim wrote. Files that its run file names are looked for where they
+        were.
     workers : int
         Threads or processes.
     progress : callable, optional
@@ -76,13 +80,20 @@ def replay(path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
     import pandas as pd
 
     try:
-        again = pd.DataFrame(_REPEAT[origin["command"]](origin, table, workers, progress))
+        again = pd.DataFrame(
+            _REPEAT[origin["command"]](origin, table, workers, progress)
+        )
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: its provenance is damaged ({type(error).__name__}: {error})") from None
+        raise InputError(
+            f"{path}: its provenance is damaged ({type(error).__name__}: {error})"
+        ) from None
     here = storage.versions()
-    changed = {name: (then, here.get(name, "none")) for name, then in origin["versions"].items()}
+    changed = {
+        name: (then, here.get(name, "none"))
+        for name, then in origin["versions"].items()
+    }
     return Replay(
         origin["command"], len(table), compare(table, again),
         {name: pair for name, pair in changed.items() if pair[0] != pair[1]},
@@ -105,18 +116,32 @@ def _read(path: Path) -> tuple[Table, dict[str, Any]]:
     try:
         table = pq.read_table(pyarrow.BufferReader(content))
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
-        sound = isinstance(origin["settings"], dict) and isinstance(origin["versions"], dict)
+        sound = isinstance(origin["settings"], dict) and isinstance(
+            origin["versions"], dict
+        )
         if sound and origin["command"] in _REPEAT:
             return table.to_pandas(), origin
-    except (pyarrow.ArrowException, OSError, KeyError, ValueError, TypeError, RecursionError):
+    except (
+        pyarrow.ArrowException,
+        OSError,
+        KeyError,
+        ValueError,
+        TypeError,
+        RecursionError,
+    ):
         sound = False
     if sound and isinstance(origin["command"], str):
-        raise InputError(f"{path}: was written by `eqsim {origin['command']}`; only tables of {known} can be replayed")
-    raise InputError(f"{path}: is not a Parquet file that eqsim has written, or is damaged")
+        raise InputError(
+            f"{path}: was written by `eqsim {origin['command']}`; only tables of {known} can be replayed"
+        )
+    raise InputError(
+        f"{path}: is not a Parquet file that eqsim has written, or is damaged"
+    )
 
 
 def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
-    """Columns of two tables that differ, as in `Replay`. A column or row that only one of them has differs."""
+    """Columns of two tables that differ, as in `Replay`. A column or row that only one
+    of them has differs."""
     found: dict[str, tuple[int, float | None]] = {}
     for name in [*table, *(name for name in again if name not in table)]:
         if name in _TIMES:
@@ -129,54 +154,92 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
         if other.any():
             numbers = then.dtype.kind in "iuf" and now.dtype.kind in "iuf"
             by = (then - now)[other].abs() if numbers else None
-            found[name] = (int(other.sum()), None if by is None or by.isna().any() else float(by.max()))
+            found[name] = (
+                int(other.sum()),
+                None if by is None or by.isna().any() else float(by.max()),
+            )
     return found
 
 
-def _run(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
+def _run(
+    origin: dict[str, Any], table: Table, workers: int, progress: Progress
+) -> Table:
     file, folder = stored(origin["settings"]), Path(origin["folder"])
     result = run(file, folder, threads=workers, max_lives=1e300, progress=progress)
     found = result.trajectory
     if isinstance(found, ElasticTrajectory):
-        return found.avalanches if "drop" in table else found.blocks if "block" in table else found.columns()
-    if isinstance(result, RunResult) and result.breaks is not None and "contact" in table:
+        return (
+            found.avalanches
+            if "drop" in table
+            else found.blocks
+            if "block" in table
+            else found.columns()
+        )
+    if (
+        isinstance(result, RunResult)
+        and result.breaks is not None
+        and "contact" in table
+    ):
         return result.breaks.columns()
     if "replica" in table and "force" in table:
         return found.replicas()
     avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
-    return avalanches if avalanches is not None and "breaks" in table else found.columns()
+    return (
+        avalanches if avalanches is not None and "breaks" in table else found.columns()
+    )
 
 
-def _reference(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
-    return curve(stored(origin["settings"]), Path(origin["folder"]), closure="mean_threshold" in table)
+def _reference(
+    origin: dict[str, Any], table: Table, _: int, progress: Progress
+) -> Table:
+    return curve(
+        stored(origin["settings"]),
+        Path(origin["folder"]),
+        closure="mean_threshold" in table,
+    )
 
 
-def _fluctuations(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
+def _fluctuations(
+    origin: dict[str, Any], _: Table, workers: int, progress: Progress
+) -> Table:
     from eqsim.workflows.fluctuations import run_fluctuations
 
     file, asked = stored(origin["settings"]["run"]), origin["settings"]
     how = {name: asked[name] for name in ("lag", "points", "lives")}
-    return run_fluctuations(file, Path(origin["folder"]), threads=workers, **how).columns()
+    return run_fluctuations(
+        file, Path(origin["folder"]), threads=workers, **how
+    ).columns()
 
 
-def _stability(origin: dict[str, Any], table: Table, _: int, progress: Progress) -> Table:
+def _stability(
+    origin: dict[str, Any], table: Table, _: int, progress: Progress
+) -> Table:
     from eqsim.master.stability import border, pulled_by
 
     file, folder = stored(origin["settings"]), Path(origin["folder"])
     pulled = pulled_by(file.ensemble(folder), file.driven(folder))
     critical = bool(table["critical_stiffness"].notna().any())
-    return border(pulled, table["velocity"].tolist(), critical=critical, progress=progress)
+    return border(
+        pulled, table["velocity"].tolist(), critical=critical, progress=progress
+    )
 
 
-def _validate(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
+def _validate(
+    origin: dict[str, Any], _: Table, workers: int, progress: Progress
+) -> Table:
     from eqsim.validation import columns, validate
 
     suite = origin["settings"]["suite"]
-    return columns(validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores)
+    return columns(
+        validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores
+    )
 
 
-def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progress) -> Table:
-    """With the identities of then, of which seeds are made: they change with the version of results."""
+def _sweep(
+    origin: dict[str, Any], table: Table, workers: int, progress: Progress
+) -> Table:
+    """With the identities of then, of which seeds are made: they change with the
+    version of results."""
     from pyarrow import parquet as pq
 
     settings = origin["settings"]
@@ -186,7 +249,9 @@ def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progres
             f"the table holds {len(table)} of the {plan.size} points of a sweep that was not finished; "
             "only the table of a finished one, sweep.parquet, can be replayed"
         )
-    asked = Asked(**{field.name: settings[field.name] for field in dataclasses.fields(Asked)})
+    asked = Asked(
+        **{field.name: settings[field.name] for field in dataclasses.fields(Asked)}
+    )
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
         sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)
@@ -195,12 +260,16 @@ def _sweep(origin: dict[str, Any], table: Table, workers: int, progress: Progres
     return again.rename(columns={other: name for name, other in old.items()})
 
 
-def _figures(origin: dict[str, Any], _: Table, workers: int, progress: Progress) -> Table:
+def _figures(
+    origin: dict[str, Any], _: Table, workers: int, progress: Progress
+) -> Table:
     from eqsim_figures import tabulate
 
     name, quick = origin["settings"]["figure"], origin["settings"]["quick"]
     with Workers(workers).fixed_pool() as pool:
-        return dict(tabulate([name], quick=quick, executor=pool.executor, progress=progress))[name]
+        return dict(
+            tabulate([name], quick=quick, executor=pool.executor, progress=progress)
+        )[name]
 
 
 _REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eqsim.engine.breaks import Breaks, breaks, check_breaks
-from eqsim.engine.records import ProgrammeTrajectory, SegmentRecord, SliderTrajectory, Trajectory, shown_by
+from eqsim.engine.records import (
+    ProgrammeTrajectory,
+    SegmentRecord,
+    SliderTrajectory,
+    Trajectory,
+    shown_by,
+)
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
@@ -65,7 +71,9 @@ class RunResult(OfTrajectory):
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
         """The exact mean, or None and why there is none."""
-        return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
+        return if_any(
+            lambda: transient(self.ensemble, self.drive, self.file.output.points)
+        )
 
     @cached_property
     def peak(self) -> Peak | None:
@@ -87,29 +95,53 @@ class RunResult(OfTrajectory):
         level, known = self.steady.friction, None
         if exact is not None:
             known = {name: getattr(exact, name).value for name in Peak._fields}
-            known["ratio"] = _over(exact.force, reference(self.ensemble, self.drive).friction).value
+            known["ratio"] = _over(
+                exact.force, reference(self.ensemble, self.drive).friction
+            ).value
         found = {**seen._asdict(), "ratio": _over(seen.force, level)}
-        return {"peak": {**{name: one.as_dict() for name, one in found.items()}, "exact": known}}
+        return {
+            "peak": {
+                **{name: one.as_dict() for name, one in found.items()},
+                "exact": known,
+            }
+        }
 
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
         found = self.trajectory
         return {
             "title": self.file.title,
-            **{name: estimate.as_dict() for name, estimate in found.averages.averages().items()},
+            **{
+                name: estimate.as_dict()
+                for name, estimate in found.averages.averages().items()
+            },
             **self._peaks(),
-            **({"divergence": self.ensemble.divergence} if self.ensemble.divergence else {}),
+            **(
+                {"divergence": self.ensemble.divergence}
+                if self.ensemble.divergence
+                else {}
+            ),
             "force_reliable": found.force_reliable,
-            "steady": {name: estimate.as_dict() for name, estimate in self.steady.averages().items()},
-            **self.file.physical(self.ensemble, found.averages.friction, self.steady.friction.value),
+            "steady": {
+                name: estimate.as_dict()
+                for name, estimate in self.steady.averages().items()
+            },
+            **self.file.physical(
+                self.ensemble, found.averages.friction, self.steady.friction.value
+            ),
             **_how(found),
         }
 
-    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+    def files(
+        self, title: str = "", formats: Sequence[str] = ("png",)
+    ) -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run
+        file has one."""
         found = _files(self, formats, self.picture(title))
         if self.breaks is not None:
-            found["breaks.parquet"] = storage.parquet(self.breaks.columns(), _origin(self))
+            found["breaks.parquet"] = storage.parquet(
+                self.breaks.columns(), _origin(self)
+            )
         return found
 
     def picture(self, title: str = "") -> "Figure":
@@ -133,7 +165,9 @@ class ProgrammeResult(OfTrajectory):
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:
         """The exact mean, or None and why there is none."""
-        return if_any(lambda: transient(self.ensemble, self.drive, self.file.output.points))
+        return if_any(
+            lambda: transient(self.ensemble, self.drive, self.file.output.points)
+        )
 
     @cached_property
     def exact_segments(self) -> tuple[SegmentRecord, ...]:
@@ -142,15 +176,26 @@ class ProgrammeResult(OfTrajectory):
         if exact is None:
             return ()
         grid = self.drive.grid(self.file.output.points)
-        # behind a spring the grid knows where the stage is, and the solution where the slider is
-        return shown_by(self.drive, grid._replace(X=exact.X), exact.force, exact.force_error, X_stderr=exact.X_error)
+        # behind a spring the grid knows where the stage is, and the solution where the
+        # slider is
+        return shown_by(
+            self.drive,
+            grid._replace(X=exact.X),
+            exact.force,
+            exact.force_error,
+            X_stderr=exact.X_error,
+        )
 
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
         found, exact = self.trajectory, self.exact_segments
         segments = [asdict(segment) for segment in found.segments]
         for segment, known in zip(segments, exact, strict=False):
-            segment["exact"] = {"end": known.end.value, "peak": known.peak.value, "at": known.at.value}
+            segment["exact"] = {
+                "end": known.end.value,
+                "peak": known.peak.value,
+                "at": known.at.value,
+            }
         return {
             "title": self.file.title,
             "segments": segments,
@@ -160,12 +205,24 @@ class ProgrammeResult(OfTrajectory):
         }
 
     def _physical(self) -> dict[str, Any]:
-        """Of each quantity of the interface, what a force F/(N k) is multiplied by, and its unit."""
+        """Of each quantity of the interface, what a force F/(N k) is multiplied by, and
+        its unit."""
         known = self.file.quantities(self.ensemble)
-        return {"physical": {one.name: {"factor": one.factor, "unit": one.unit} for one in known}} if known else {}
+        return (
+            {
+                "physical": {
+                    one.name: {"factor": one.factor, "unit": one.unit} for one in known
+                }
+            }
+            if known
+            else {}
+        )
 
-    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+    def files(
+        self, title: str = "", formats: Sequence[str] = ("png",)
+    ) -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run
+        file has one."""
         return _files(self, formats, self.picture(title))
 
     def picture(self, title: str = "") -> "Figure":
@@ -173,7 +230,11 @@ class ProgrammeResult(OfTrajectory):
         from eqsim.io.plots import caption, programme_figure
 
         largest = Estimate(float(np.abs(self.trajectory.force).max()), None, 0)
-        return programme_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
+        return programme_figure(
+            self.trajectory,
+            self.exact[0],
+            caption(self.file, self.ensemble, largest, title),
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -186,20 +247,33 @@ class SliderResult(ProgrammeResult):
         """The content of `summary.json`."""
         found = self.trajectory
         slips = {"slips": [asdict(slip) for slip in found.slips]}
-        return super().summary() | {"period": found.period.as_dict(), "drop": found.drop.as_dict()} | slips
+        return (
+            super().summary()
+            | {"period": found.period.as_dict(), "drop": found.drop.as_dict()}
+            | slips
+        )
 
     def picture(self, title: str = "") -> "Figure":
         """Forces and displacements of slider and stage."""
         from eqsim.io.plots import caption, slider_figure
 
         largest = Estimate(float(np.abs(self.trajectory.spring).max()), None, 0)
-        return slider_figure(self.trajectory, self.exact[0], caption(self.file, self.ensemble, largest, title))
+        return slider_figure(
+            self.trajectory,
+            self.exact[0],
+            caption(self.file, self.ensemble, largest, title),
+        )
 
-    def files(self, title: str = "", formats: Sequence[str] = ("png",)) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run file has one."""
+    def files(
+        self, title: str = "", formats: Sequence[str] = ("png",)
+    ) -> dict[str, bytes]:
+        """The files of a results folder by name; `title` of the picture, unless the run
+        file has one."""
         found = super().files(title, formats)
         if self.trajectory.avalanches is not None:
-            found["avalanches.parquet"] = storage.parquet(self.trajectory.avalanches, _origin(self))
+            found["avalanches.parquet"] = storage.parquet(
+                self.trajectory.avalanches, _origin(self)
+            )
         return found
 
 
@@ -207,7 +281,9 @@ def _over(peak: Estimate, level: Estimate) -> Estimate:
     """A static peak over the steady friction."""
     if not peak.value or not level.value:
         return Estimate(None, None, peak.n, reliable=False)
-    relative = math.hypot((peak.stderr or 0.0) / peak.value, (level.stderr or 0.0) / level.value)
+    relative = math.hypot(
+        (peak.stderr or 0.0) / peak.value, (level.stderr or 0.0) / level.value
+    )
     value = peak.value / level.value
     return Estimate(value, abs(value) * relative, peak.n, None, peak.reliable)
 
@@ -215,24 +291,35 @@ def _over(peak: Estimate, level: Estimate) -> Estimate:
 def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
     """How it was computed."""
     names = ("lives", "engine_seconds", "threads", "seed")
-    return {**{name: getattr(found, name) for name in names}, "versions": storage.versions()}
+    return {
+        **{name: getattr(found, name) for name in names},
+        "versions": storage.versions(),
+    }
 
 
 def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
     file = result.file
-    return storage.provenance("run", file.model_dump(), file.text, file.output.seed, result.folder)
+    return storage.provenance(
+        "run", file.model_dump(), file.text, file.output.seed, result.folder
+    )
 
 
-def _files(result: RunResult | ProgrammeResult, formats: Sequence[str], picture: "Figure") -> dict[str, bytes]:
+def _files(
+    result: RunResult | ProgrammeResult, formats: Sequence[str], picture: "Figure"
+) -> dict[str, bytes]:
     from eqsim.io.style import pictures
 
     found = {
-        "trajectory.parquet": storage.parquet(result.trajectory.columns(), _origin(result)),
+        "trajectory.parquet": storage.parquet(
+            result.trajectory.columns(), _origin(result)
+        ),
         "summary.json": storage.to_json(result.summary()).encode(),
         **pictures("force", picture, formats),
     }
     if result.file.output.series:
-        found["replicas.parquet"] = storage.parquet(result.trajectory.replicas(), _origin(result))
+        found["replicas.parquet"] = storage.parquet(
+            result.trajectory.replicas(), _origin(result)
+        )
     return found
 
 
@@ -245,7 +332,8 @@ def run(
     max_lives: float = 1e10,
     progress: Progress = lambda *_: None,
 ) -> RunResult | ProgrammeResult | ElasticResult:
-    """Simulate a run file, and at constant velocity estimate the steady averages that belong to it.
+    """Simulate a run file, and at constant velocity estimate the steady averages that
+    belong to it.
 
     Parameters
     ----------
@@ -269,7 +357,8 @@ def run(
     Raises
     ------
     InputError
-        If the run file cannot be simulated, if more than `max_lives` lives are predicted, or if a worker is lost.
+        If the run file cannot be simulated, if more than `max_lives` lives are
+        predicted, or if a worker is lost.
     """
     file = opened(file)
     folder = file.folder if folder is None else folder
@@ -277,20 +366,35 @@ def run(
     ensemble, drive, output = file.ensemble(folder), file.driven(folder), file.output
     if isinstance(drive, Drive) and drive.elastic:
         if workers:
-            raise InputError("--workers, --dask: coupled blocks are simulated in one process; threads share replicas")
-        return run_elastic(file, folder, drive, threads=threads, max_lives=max_lives, progress=progress)
+            raise InputError(
+                "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
+            )
+        return run_elastic(
+            file, folder, drive, threads=threads, max_lives=max_lives, progress=progress
+        )
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
-        expected = check_run(ensemble, drive, output.points, output.seed, output.replicas, max_lives)
+        expected = check_run(
+            ensemble, drive, output.points, output.seed, output.replicas, max_lives
+        )
         if output.series and workers:
-            raise InputError("output.series: every series is kept by threads; not with --workers or --dask")
+            raise InputError(
+                "output.series: every series is kept by threads; not with --workers or --dask"
+            )
         if output.breaks and isinstance(drive, Drive):
             check_breaks(ensemble, drive, output.seed, output.replicas)
         pool = stack.enter_context(workers.fixed_pool()) if workers else None
         progress(0, expected)
         level = None
         if isinstance(drive, Drive):
-            level = steady(ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives)
+            level = steady(
+                ensemble,
+                drive,
+                rel_error=rough,
+                seed=output.seed,
+                threads=threads,
+                max_lives=max_lives,
+            )
         found: Any = trajectory(
             ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
             threads=(pool.executor, pool.slots()) if pool else threads,
@@ -302,7 +406,9 @@ def run(
     assert level is not None
     listed = None
     if output.breaks:
-        listed = breaks(ensemble, drive, seed=output.seed, replicas=output.replicas, threads=threads)
+        listed = breaks(
+            ensemble, drive, seed=output.seed, replicas=output.replicas, threads=threads
+        )
     return RunResult(file, folder, ensemble, drive, level, found, listed)
 
 

@@ -31,25 +31,27 @@ def sweep(
     max_lives: float = 1e10,
     progress: bool | Progress = True,
 ) -> Any:
-    """Simulate a grid of points beside their references, as `eqsim sweep` does: the same numbers.
+    """Simulate a grid of points beside their references, as `eqsim sweep` does: the
+    same numbers.
 
     Parameters
     ----------
     file : RunFile, Path, str or dict
         A run file, the path of one, or values by "section.key": {"thermal.kT": 0.1}.
     grid : dict, optional
-        The axes, instead of those of the run file's [sweep] table: a list or array of values by "section.key", or what
-        else that table may hold, such as {"log": [first, last, count]}. The grid is their product, the last one
-        fastest.
+        The axes, instead of those of the run file's [sweep] table: a list or array of
+        values by "section.key", or what else that table may hold, such as {"log":
+        [first, last, count]}. The grid is their product, the last one fastest.
     out : Path or str, optional
-        Folder that keeps finished points, so that the same call continues after an interruption; by default none does.
+        Folder that keeps finished points, so that the same call continues after an
+        interruption; by default none does.
     rel_error : float
         Relative standard error of all observables.
     transient : bool
         The second half of the run's distance instead of steady averages.
     workers : int
-        Processes; 0 computes in this one. A script that asks for processes calls this below `if __name__ ==
-        "__main__":`, as they begin by importing it.
+        Processes; 0 computes in this one. A script that asks for processes calls this
+        below `if __name__ == "__main__":`, as they begin by importing it.
     max_lives : float
         Most lives a point.
     progress : bool or callable
@@ -58,8 +60,9 @@ def sweep(
     Returns
     -------
     pandas.DataFrame
-        One row a point: the keys of the run file, and each observable with `_stderr`, `_reference`, `_z`, ...; where a
-        point failed, about which a warning is given, `message` says why.
+        One row a point: the keys of the run file, and each observable with `_stderr`,
+        `_reference`, `_z`, ...; where a point failed, about which a warning is given,
+        `message` says why.
 
     Raises
     ------
@@ -76,25 +79,40 @@ def sweep(
     from pyarrow import parquet as pq
 
     bar = terminal.bar("sweeping", progress is not True, "points")
-    with bar as shown_on, tempfile.TemporaryDirectory() if out is None else nullcontext(out) as folder:
+    with (
+        bar as shown_on,
+        tempfile.TemporaryDirectory() if out is None else nullcontext(out) as folder,
+    ):
         told = progress if callable(progress) else shown_on
-        found = scheduler.sweep(plan, Path(folder), asked=asked, workers=Workers(workers), progress=told)
+        found = scheduler.sweep(
+            plan, Path(folder), asked=asked, workers=Workers(workers), progress=told
+        )
         table = pq.read_table(Path(folder) / "sweep.parquet").to_pandas()
     for failure in found.failures[:1]:
         first = f"the first at {failure['changes']}: {failure['message']}"
-        warnings.warn(f"{found.failed} of {found.points} points failed, {first}", stacklevel=2)
+        warnings.warn(
+            f"{found.failed} of {found.points} points failed, {first}", stacklevel=2
+        )
     return table
 
 
 def _with_grid(file: RunFile, grid: dict[str, Any]) -> RunFile:
     """The run file with other axes. Raises InputError."""
     if not isinstance(grid, dict):
-        raise InputError(f'grid = {shown(grid)}: must be values by key, such as {{"drive.velocity": [0.1, 1.0]}}')
+        raise InputError(
+            f'grid = {shown(grid)}: must be values by key, such as {{"drive.velocity": [0.1, 1.0]}}'
+        )
 
     def plain(values: Any) -> Any:
-        return np.asarray(values).tolist() if isinstance(values, (np.ndarray, tuple, range)) else values
+        return (
+            np.asarray(values).tolist()
+            if isinstance(values, (np.ndarray, tuple, range))
+            else values
+        )
 
     content = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
-    found = check({**content, "sweep": {key: plain(values) for key, values in grid.items()}})
+    found = check(
+        {**content, "sweep": {key: plain(values) for key, values in grid.items()}}
+    )
     found._folder, found._text = file._folder, file._text
     return found

@@ -1,8 +1,10 @@
-"""A study: how the error of `langevin` lives goes with the accuracy of their steps (`step` of `eqsim.engine.langevin`).
+"""A study: how the error of `langevin` lives goes with the accuracy of their steps
+(`step` of `eqsim.engine.langevin`).
 
-Lives drawn with step = 0.2, 0.35 (the default), 0.5 and 0.7 against the Fokker-Planck equation, from thresholds that
-hardly fluctuate to ones that fluctuate a hundred times faster than the slider moves: relative errors of friction and of
-the mean stretch at breaking, with standard errors. `python tests/verification/langevin_steps.py` writes
+Lives drawn with step = 0.2, 0.35 (the default), 0.5 and 0.7 against the Fokker-Planck
+equation, from thresholds that hardly fluctuate to ones that fluctuate a hundred times
+faster than the slider moves: relative errors of friction and of the mean stretch at
+breaking, with standard errors. `python tests/verification/langevin_steps.py` writes
 langevin_steps.png and langevin_steps.parquet.
 """
 
@@ -29,9 +31,19 @@ STEPS = (0.2, STEP, 0.5, 0.7)
 RANDOMISATIONS = 32
 NEWBORN, FINAL = 0.1, 1.0
 CASES = {  # kT/(k x_*i^2), stiffness law, barrier, and D/(v x_*f)
-    "T = 0, uniform": (0.0, "uniform", "soft", (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)),
+    "T = 0, uniform": (
+        0.0,
+        "uniform",
+        "soft",
+        (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0),
+    ),
     "kT = k x_*i^2, uniform, soft": (1.0, "uniform", "soft", (1e-4, 1e-2, 1.0, 100.0)),
-    "kT = k x_*i^2, uniform, stiff": (1.0, "uniform", "stiff", (1e-4, 1e-2, 1.0, 100.0)),
+    "kT = k x_*i^2, uniform, stiff": (
+        1.0,
+        "uniform",
+        "stiff",
+        (1e-4, 1e-2, 1.0, 100.0),
+    ),
     "kT = 0.1 k x_*i^2, sqrt, soft": (0.1, "sqrt", "soft", (1e-4, 1e-2, 1.0, 100.0)),
 }
 
@@ -47,14 +59,20 @@ def ensemble(case: str, D_v: float) -> Ensemble:
     )
 
 
-def measured(ages: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndarray, float]:
-    """Mean work over k and mean stretch at breaking in units of x_*i, shape (RANDOMISATIONS, 2), from scrambled Sobol
-    births and independent paths; and seconds that a life takes."""
+def measured(
+    ages: Ensemble, step: float, size: int, seed: int
+) -> tuple[np.ndarray, float]:
+    """Mean work over k and mean stretch at breaking in units of x_*i, shape
+    (RANDOMISATIONS, 2), from scrambled Sobol births and independent paths; and seconds
+    that a life takes."""
     c = contacts(ages, 1.0)
     lives(c, Source(key(0, 0), 0, step), *np.full((2, 1), 0.5))  # compiles
 
     def one(index: int) -> tuple[float, float, float]:
-        u, clock = (qmc.Sobol(2, rng=np.random.default_rng((seed, index))).random(size) + 2.0**-31).T
+        u, clock = (
+            qmc.Sobol(2, rng=np.random.default_rng((seed, index))).random(size)
+            + 2.0**-31
+        ).T
         begin = time.thread_time()
         work, stretch, *_ = lives(c, Source(key(seed, index), 0, step), u, clock)
         return work.mean(), stretch.mean(), (time.thread_time() - begin) / size
@@ -65,9 +83,15 @@ def measured(ages: Ensemble, step: float, size: int, seed: int) -> tuple[np.ndar
 
 
 def table(size: int) -> pd.DataFrame:
-    """One row per case, D_v and step: errors relative to the reference, with both standard errors in quadrature, and
-    lives per second of one core's time; `size` lives of each randomisation."""
-    jobs = [(case, D_v, step) for case, (*_, rates) in CASES.items() for D_v in rates for step in STEPS]
+    """One row per case, D_v and step: errors relative to the reference, with both
+    standard errors in quadrature, and lives per second of one core's time; `size` lives
+    of each randomisation."""
+    jobs = [
+        (case, D_v, step)
+        for case, (*_, rates) in CASES.items()
+        for D_v in rates
+        for step in STEPS
+    ]
     rows = []
     for seed, (case, D_v, step) in enumerate(track(jobs, description="drawing lives")):
         ages = ensemble(case, D_v)
@@ -75,7 +99,10 @@ def table(size: int) -> pd.DataFrame:
         means, seconds = measured(ages, step, size, seed)
         work, stretch = means.T
         found = {
-            "friction": (means[:, 0].mean() / stretch.mean(), (work / work.mean() - stretch / stretch.mean())),
+            "friction": (
+                means[:, 0].mean() / stretch.mean(),
+                (work / work.mean() - stretch / stretch.mean()),
+            ),
             "break_stretch": (stretch.mean(), stretch / stretch.mean() - 1),
         }
         row = {"case": case, "D_v": D_v, "step": step, "lives": size * RANDOMISATIONS}
@@ -83,14 +110,16 @@ def table(size: int) -> pd.DataFrame:
             theirs = getattr(exact, name)
             row[f"{name}_error"] = value * NEWBORN / theirs.value - 1
             row[f"{name}_stderr"] = np.hypot(
-                scatter.std(ddof=1) / np.sqrt(RANDOMISATIONS), theirs.stderr / theirs.value
+                scatter.std(ddof=1) / np.sqrt(RANDOMISATIONS),
+                theirs.stderr / theirs.value,
             )
         rows.append(row | {"lives_per_second": 1.0 / seconds})
     return pd.DataFrame(rows)
 
 
 def picture(frame: pd.DataFrame) -> Figure:
-    """Errors against step, one column per case and one row per observable, in per mille."""
+    """Errors against step, one column per case and one row per observable, in per
+    mille."""
     figure = Figure(figsize=(14, 6.4), dpi=150, layout="constrained")
     panels = figure.subplots(2, len(CASES), sharex=True, sharey="row")
     for column, case in zip(panels.T, CASES, strict=True):
@@ -102,7 +131,9 @@ def picture(frame: pd.DataFrame) -> Figure:
             axes.axvline(STEP, color="0.5", linewidth=0.5, linestyle="--")
             for index, D_v in enumerate(rates):
                 rows = of_case[of_case.D_v == D_v]
-                aside = rows.step + 0.012 * (index - (len(rates) - 1) / 2)  # so that error bars stay apart
+                aside = rows.step + 0.012 * (
+                    index - (len(rates) - 1) / 2
+                )  # so that error bars stay apart
                 axes.errorbar(
                     aside,
                     1e3 * rows[f"{name}_error"],
@@ -118,13 +149,19 @@ def picture(frame: pd.DataFrame) -> Figure:
     for axes, name in zip(panels[:, 0], ("friction", "break_stretch"), strict=True):
         axes.set_ylabel(f"relative error of {name}\n[per mille]")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), fontsize=8)
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=len(handles), fontsize=8
+    )
     return figure
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for the picture and the table.")] = Path("runs/out/verification"),
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer lives: error bars twice as long.")] = False,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the picture and the table.")
+    ] = Path("runs/out/verification"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer lives: error bars twice as long.")
+    ] = False,
 ) -> None:
     """Draw lives, save, draw the picture, say what the default is worth."""
     out.mkdir(parents=True, exist_ok=True)
@@ -140,8 +177,13 @@ def main(
             f"({worst.case}, D_v = {worst.D_v:g}); all errors, two standard errors included, within {upper:.1e}"
         )
     bound = (default.friction_error.abs() + 2 * default.friction_stderr).max()
-    print("the bias of friction is " + ("below 1e-3 everywhere" if bound < 1e-3 else "not shown to be below 1e-3"))
-    speed = default[(default.case == "T = 0, uniform") & (default.D_v == 0.1)].lives_per_second.item()
+    print(
+        "the bias of friction is "
+        + ("below 1e-3 everywhere" if bound < 1e-3 else "not shown to be below 1e-3")
+    )
+    speed = default[
+        (default.case == "T = 0, uniform") & (default.D_v == 0.1)
+    ].lives_per_second.item()
     print(f"{speed:.2g} lives per second and core at D_v = 0.1, T = 0")
 
 

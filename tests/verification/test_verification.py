@@ -1,11 +1,13 @@
-"""The long statistical run: a thousand parameter points, flat p-values, and one wrong thing at a time.
+"""The long statistical run: a thousand parameter points, flat p-values, and one wrong
+thing at a time.
 
     pytest -m verification
 
-leaves runs/out/verification/{report.md, scores.parquet, verification.png}. Verdicts on all points, and on all seeds,
-are given by the test that finishes last; what the same code has done before is kept until its test is run again. False
-alarms of a correct program: all points together once in 500 runs, flatness once in 500, any of all p-values of all
-seeds once in 500, single scores beyond 6.5 once in a million.
+leaves runs/out/verification/{report.md, scores.parquet, verification.png}. Verdicts on
+all points, and on all seeds, are given by the test that finishes last; what the same
+code has done before is kept until its test is run again. False alarms of a correct
+program: all points together once in 500 runs, flatness once in 500, any of all p-values
+of all seeds once in 500, single scores beyond 6.5 once in a million.
 """
 
 import dataclasses
@@ -32,45 +34,68 @@ from eqsim.validation.verdict import ALARM, KINDS, declined, left_out
 pytestmark = pytest.mark.verification
 
 FAR = 6.5  # 8e-11 of a normal score
-BOUNDED = {"steps"}  # kinds all of whose errors may be bounds, so that no score counts as even
+BOUNDED = {
+    "steps"
+}  # kinds all of whose errors may be bounds, so that no score counts as even
 
 
 @pytest.mark.parametrize("part", range(PARTS))
 def test_parameter_space(part):
-    """Engine against master equation at 1008 points: means (Z), variances (Y), hazards, covariances. As many scores as
-    were declined are made, and even ones of every kind."""
+    """Engine against master equation at 1008 points: means (Z), variances (Y), hazards,
+    covariances. As many scores as were declined are made, and even ones of every kind.
+    """
     begin = time.perf_counter()
     result = validate("verification", seed=SEED, part=(part, PARTS))
-    leave(f"space-{part:02d}", begin, columns(result.scores), left_out=left_out(result.unscored))
+    leave(
+        f"space-{part:02d}",
+        begin,
+        columns(result.scores),
+        left_out=left_out(result.unscored),
+    )
     found = publish()
     far = [score for score in result.scores if not abs(score.z) < FAR]
     assert not far
     if "space" in found.complete:
         assert [v for v in found.verdicts if not v.passed] == []
-        assert min(v.count if v.kind in BOUNDED else v.even for v in found.verdicts) >= 50
-        assert [v.kind for v in found.verdicts if declined(v.kind, v.count, found.left_out)] == []
+        assert (
+            min(v.count if v.kind in BOUNDED else v.even for v in found.verdicts) >= 50
+        )
+        assert [
+            v.kind for v in found.verdicts if declined(v.kind, v.count, found.left_out)
+        ] == []
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_p_values_are_flat(seed, monkeypatch):
-    """Over seeds the p-value of the chi-square of every kind is uniform, that of the largest score, which bounds only
-    make smaller, is at least not too often small, and none is too small for so many."""
+    """Over seeds the p-value of the chi-square of every kind is uniform, that of the
+    largest score, which bounds only make smaller, is at least not too often small, and
+    none is too small for so many."""
     begin = time.perf_counter()
     monkeypatch.setitem(SUITES, "flat", Suite(15, 5, ((20, 2000), (100, 1000))))
     result = validate("flat", seed=seed)
-    leave(f"flat-{seed}", begin, verdicts=[dataclasses.asdict(v) for v in result.verdicts if v.even])
+    leave(
+        f"flat-{seed}",
+        begin,
+        verdicts=[dataclasses.asdict(v) for v in result.verdicts if v.even],
+    )
     found = publish()
-    assert [v for v in result.verdicts if not min(v.p_chi_square, v.p_largest) > ALARM / len(SEEDS)] == []
+    assert [
+        v
+        for v in result.verdicts
+        if not min(v.p_chi_square, v.p_largest) > ALARM / len(SEEDS)
+    ] == []
     if "flat" in found.complete:
         assert {kind for kind, _ in found.flatness} >= set(KINDS) - BOUNDED
         assert [at for at, p in found.flatness.items() if not p > ALARM] == []
 
 
-# ------------------------------------------------------------------------------------------------ negative controls
+# ------------------------------------------------------------------------------------------------
+# negative controls
 
 
 class Control(NamedTuple):
-    """A law, what is wrong with it in the engine, the kinds that must fail; the ensembles it applies to, how many."""
+    """A law, what is wrong with it in the engine, the kinds that must fail; the
+    ensembles it applies to, how many."""
 
     law: str
     wrong: str
@@ -96,11 +121,15 @@ def part(name, **factors):
 
 
 def of_part(name, **changes):
-    return lambda e: dataclasses.replace(e, **{name: dataclasses.replace(getattr(e, name), **changes)})
+    return lambda e: dataclasses.replace(
+        e, **{name: dataclasses.replace(getattr(e, name), **changes)}
+    )
 
 
 def shape(e):
-    return dataclasses.replace(e, thresholds=dataclasses.replace(e.thresholds, n=1.03 * e.thresholds.n + 0.01))
+    return dataclasses.replace(
+        e, thresholds=dataclasses.replace(e.thresholds, n=1.03 * e.thresholds.n + 0.01)
+    )
 
 
 def gamma(e):
@@ -127,20 +156,26 @@ def all_off(e):
 
 def of_scipy(name):
     def known(e):
-        return isinstance(e.thresholds, Distribution) and getattr(e.thresholds.frozen, "dist", stats.norm).name == name
+        return (
+            isinstance(e.thresholds, Distribution)
+            and getattr(e.thresholds.frozen, "dist", stats.norm).name == name
+        )
 
     return known
 
 
 def shape_off(e):
-    """Of a law of SciPy, which may have two parameters, a shape and a scale, or place and width."""
+    """Of a law of SciPy, which may have two parameters, a shape and a scale, or place
+    and width."""
     frozen = e.thresholds.frozen
     law = frozen.dist(1.02 * frozen.args[0], *frozen.args[1:], **frozen.kwds)
     return dataclasses.replace(e, thresholds=Distribution(law))
 
 
 def histogram(e):
-    return isinstance(e.thresholds, Distribution) and isinstance(e.thresholds.frozen, stats.rv_histogram)
+    return isinstance(e.thresholds, Distribution) and isinstance(
+        e.thresholds.frozen, stats.rv_histogram
+    )
 
 
 def bin_off(e):
@@ -181,22 +216,64 @@ def pooled(e):
 
 STEADY = {"friction", "break_stretch"}
 CONTROLS = [
-    Control("thresholds", "x_* 2 % too large", part("thresholds", x_star=1.02), {*STEADY, "transient"}, gamma),
+    Control(
+        "thresholds",
+        "x_* 2 % too large",
+        part("thresholds", x_star=1.02),
+        {*STEADY, "transient"},
+        gamma,
+    ),
     Control("thresholds", "n 3 % and 0.01 too large", shape, STEADY, gamma),
     Control("table", "the greatest of a few 2 % too large", one_off, STEADY, few),
     Control("table", "all of many 0.2 % too large", all_off, STEADY, many),
     Control("lognormal", "s 2 % too large", shape_off, STEADY, of_scipy("lognorm")),
-    Control("Weibull", "exponent 2 % too large", shape_off, STEADY, of_scipy("weibull_min")),
+    Control(
+        "Weibull", "exponent 2 % too large", shape_off, STEADY, of_scipy("weibull_min")
+    ),
     Control("Pareto", "exponent 2 % too large", shape_off, STEADY, of_scipy("pareto")),
-    Control("uniform", "least threshold 2 % too large", shape_off, STEADY, of_scipy("uniform")),
+    Control(
+        "uniform",
+        "least threshold 2 % too large",
+        shape_off,
+        STEADY,
+        of_scipy("uniform"),
+    ),
     Control("histogram", "last bin 5 % too likely", bin_off, STEADY, histogram),
     Control("stiffness", "k 2 % too large", set_(stiffness=1.02), STEADY),
-    Control("stiffness", "uniform instead of sqrt", set_(stiffness_law="uniform"), {"friction", "transient variance"}),
-    Control("attempts", "omega 2 % too large", part("thermal", attempt_frequency=1.02), STEADY, hot),
-    Control("stiffness", "sqrt instead of uniform", set_(stiffness_law="sqrt"), {"friction", "transient variance"}),
-    Control("soft", "stiff instead", of_part("thermal", barrier="stiff"), {*STEADY, "hazard law"}, soft),
+    Control(
+        "stiffness",
+        "uniform instead of sqrt",
+        set_(stiffness_law="uniform"),
+        {"friction", "transient variance"},
+    ),
+    Control(
+        "attempts",
+        "omega 2 % too large",
+        part("thermal", attempt_frequency=1.02),
+        STEADY,
+        hot,
+    ),
+    Control(
+        "stiffness",
+        "sqrt instead of uniform",
+        set_(stiffness_law="sqrt"),
+        {"friction", "transient variance"},
+    ),
+    Control(
+        "soft",
+        "stiff instead",
+        of_part("thermal", barrier="stiff"),
+        {*STEADY, "hazard law"},
+        soft,
+    ),
     Control("soft", "kT 2 % too high", part("thermal", kT=1.02), STEADY, soft),
-    Control("stiff", "soft instead", of_part("thermal", barrier="soft"), {*STEADY, "hazard law"}, stiff),
+    Control(
+        "stiff",
+        "soft instead",
+        of_part("thermal", barrier="soft"),
+        {*STEADY, "hazard law"},
+        stiff,
+    ),
     Control("stiff", "kT 2 % too high", part("thermal", kT=1.02), STEADY, stiff),
     Control("delay", "2 % too long", part("delay", time=1.02), {"friction", "pinned"}),
     Control(
@@ -206,14 +283,32 @@ CONTROLS = [
         {"transient", "transient variance"},
         points=72,
     ),
-    Control("viscosity", "eta 5 % too large", lambda e: dataclasses.replace(e, eta=1.05 * e.eta), {"friction"}),
+    Control(
+        "viscosity",
+        "eta 5 % too large",
+        lambda e: dataclasses.replace(e, eta=1.05 * e.eta),
+        {"friction"},
+    ),
     Control("langevin", "D 10 % too large", part("aging", rate=1.1), STEADY, langevin),
-    Control("langevin", "flow instead", of_part("aging", rule="flow"), STEADY, langevin),
+    Control(
+        "langevin", "flow instead", of_part("aging", rule="flow"), STEADY, langevin
+    ),
     Control("flow", "D 10 % too large", part("aging", rate=1.1), STEADY, flow),
-    Control("flow", "x_*f 2 % too large", part("aging", x_star_final=1.02), STEADY, flow),
-    Control("flow", "langevin instead", of_part("aging", rule="langevin"), STEADY, slow),
-    Control("pooled", "own thresholds instead", set_(disorder="quenched"), {*STEADY, "hazard law"}),
-    Control("pooled", "births age 10 % faster", part("aging", rate=1.1), STEADY, pooled),
+    Control(
+        "flow", "x_*f 2 % too large", part("aging", x_star_final=1.02), STEADY, flow
+    ),
+    Control(
+        "flow", "langevin instead", of_part("aging", rule="langevin"), STEADY, slow
+    ),
+    Control(
+        "pooled",
+        "own thresholds instead",
+        set_(disorder="quenched"),
+        {*STEADY, "hazard law"},
+    ),
+    Control(
+        "pooled", "births age 10 % faster", part("aging", rate=1.1), STEADY, pooled
+    ),
 ]
 
 
@@ -221,25 +316,47 @@ def run_control(law, wrong, kinds, result, begin):
     failed = {v.kind for v in result.verdicts if not v.passed}
     verdicts = [dataclasses.asdict(v) for v in result.verdicts]
     name = "".join(c if c.isalnum() else "_" for c in f"{law}_{wrong}")
-    leave(f"control-{name}", begin, law=law, wrong=wrong, caught=kinds <= failed, verdicts=verdicts)
+    leave(
+        f"control-{name}",
+        begin,
+        law=law,
+        wrong=wrong,
+        caught=kinds <= failed,
+        verdicts=verdicts,
+    )
     publish()
     assert kinds <= failed
 
 
-@pytest.mark.parametrize("control", CONTROLS, ids=[f"{c.law}: {c.wrong}" for c in CONTROLS])
+@pytest.mark.parametrize(
+    "control", CONTROLS, ids=[f"{c.law}: {c.wrong}" for c in CONTROLS]
+)
 def test_wrong_law(control, monkeypatch):
-    """One law wrong in the engine alone, at all points that know it: every kind it must show in fails."""
+    """One law wrong in the engine alone, at all points that know it: every kind it must
+    show in fails."""
     begin = time.perf_counter()
-    monkeypatch.setitem(SUITES, "control", Suite(control.points, control.points // 3, ((20, 2000), (100, 1000))))
-    monkeypatch.setattr(verdict, "sample", lambda count, seed, _: knowing(control, count, seed))
+    monkeypatch.setitem(
+        SUITES,
+        "control",
+        Suite(control.points, control.points // 3, ((20, 2000), (100, 1000))),
+    )
+    monkeypatch.setattr(
+        verdict, "sample", lambda count, seed, _: knowing(control, count, seed)
+    )
     result = validate("control", seed=7, wrong=control.change)
     run_control(control.law, control.wrong, control.kinds, result, begin)
 
 
 def knowing(control, count, seed):
     """The first `count` points that know what is wrong, and can be drawn so."""
-    knows = ((e, v) for _, e, v in sample(48 * count, seed) if control.of(e) and changes(control, e))
-    return ((index, e, v) for index, (e, v) in enumerate(itertools.islice(knows, count)))
+    knows = (
+        (e, v)
+        for _, e, v in sample(48 * count, seed)
+        if control.of(e) and changes(control, e)
+    )
+    return (
+        (index, e, v) for index, (e, v) in enumerate(itertools.islice(knows, count))
+    )
 
 
 def changes(control, e):
@@ -263,7 +380,8 @@ def births(c):
 
 
 def long_lives(c):
-    """Stretches from 0 to the threshold alone, evenly: an envelope that is too high is harmless, one too low is not."""
+    """Stretches from 0 to the threshold alone, evenly: an envelope that is too high is
+    harmless, one too low is not."""
     found = stationary(c)
     return found._replace(life=0.8 * found.life) if found.life.size else found
 
@@ -275,7 +393,9 @@ START = [
 ]
 
 
-@pytest.mark.parametrize(("wrong", "start", "kinds"), START, ids=[row[0] for row in START])
+@pytest.mark.parametrize(
+    ("wrong", "start", "kinds"), START, ids=[row[0] for row in START]
+)
 def test_wrong_stationary_start(wrong, start, kinds, monkeypatch):
     """What the stationary start finds is wrong."""
     begin = time.perf_counter()

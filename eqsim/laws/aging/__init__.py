@@ -4,15 +4,34 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_choice, require_number
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    require_choice,
+    require_number,
+)
 from eqsim.laws.aging.base import AgingLaw, Unaged
 from eqsim.laws.aging.flow import Flow
 from eqsim.laws.aging.langevin import Langevin
 from eqsim.laws.aging.logarithmic import Logarithmic
 from eqsim.laws.aging.pooled import PooledThresholds
 
-RULES: dict[str, type[AgingLaw]] = {"langevin": Langevin, "flow": Flow, "logarithmic": Logarithmic}
-__all__ = ["RULES", "Aging", "AgingLaw", "Flow", "Langevin", "Logarithmic", "PooledThresholds", "Unaged"]
+RULES: dict[str, type[AgingLaw]] = {
+    "langevin": Langevin,
+    "flow": Flow,
+    "logarithmic": Logarithmic,
+}
+__all__ = [
+    "RULES",
+    "Aging",
+    "AgingLaw",
+    "Flow",
+    "Langevin",
+    "Logarithmic",
+    "PooledThresholds",
+    "Unaged",
+]
 _MOST_BETA = 1000.0  # thresholds then grow a thousandfold per e-fold of their age
 
 
@@ -23,14 +42,16 @@ class Aging:
     Parameters
     ----------
     rule : str
-        "none", or for quenched contacts one of `RULES`; annealed contacts draw from `PooledThresholds` under "langevin"
-        and "flow", and cannot age by "logarithmic".
+        "none", or for quenched contacts one of `RULES`; annealed contacts draw from
+        `PooledThresholds` under "langevin" and "flow", and cannot age by "logarithmic".
     rate : float
-        D (length^2/time) of "langevin" and "flow"; may be infinite for "flow" and for annealed contacts.
+        D (length^2/time) of "langevin" and "flow"; may be infinite for "flow" and for
+        annealed contacts.
     x_star_final : float
         Scale x_*f of the final law (length) of the same.
     beta : float, optional
-        Of "logarithmic", and required there: xi(t) = xi(0) (1 + beta ln(1 + t/t_c)), from 0 to 1000.
+        Of "logarithmic", and required there: xi(t) = xi(0) (1 + beta ln(1 + t/t_c)),
+        from 0 to 1000.
     cutoff_time : float, optional
         t_c (time) of the same.
 
@@ -55,11 +76,17 @@ class Aging:
             require_number("beta", self.beta, least=0.0, most=_MOST_BETA)
         if self.cutoff_time is not None:
             require_number("cutoff_time", self.cutoff_time, **POSITIVE)
-        self.check_keys({field.name for field in fields(self) if getattr(self, field.name) != field.default})
+        self.check_keys(
+            {
+                field.name
+                for field in fields(self)
+                if getattr(self, field.name) != field.default
+            }
+        )
 
     def check_keys(self, given: set[str]) -> None:
-        """Raise InputError if parameters are `given` that are not of this rule, or one is missing that has no default.
-        Without a rule nothing is asked."""
+        """Raise InputError if parameters are `given` that are not of this rule, or one
+        is missing that has no default. Without a rule nothing is asked."""
         if self.rule == "none":
             return
         for field in fields(self)[1:]:
@@ -80,13 +107,30 @@ class Aging:
             RULES[self.rule].check(self, law, disorder)
 
     def alpha(self, x_star: float, velocity: float) -> float:
-        """4 D x_*i/(v x_*f^2), decay of x_*(t)^2 per x_*i of displacement. Raises InputError beyond 1e100."""
+        """4 D x_*i/(v x_*f^2), decay of x_*(t)^2 per x_*i of displacement. Raises
+        InputError beyond 1e100."""
         if not self.active or self.rate == math.inf:
             return math.inf if self.active else 0.0
-        alpha = 4.0 * self.rate / self.x_star_final * (x_star / self.x_star_final) / velocity
-        require_number("aging rate * x_star / (velocity * x_star_final^2)", alpha, least=0, most=1e100)
+        alpha = (
+            4.0
+            * self.rate
+            / self.x_star_final
+            * (x_star / self.x_star_final)
+            / velocity
+        )
+        require_number(
+            "aging rate * x_star / (velocity * x_star_final^2)",
+            alpha,
+            least=0,
+            most=1e100,
+        )
         return alpha
 
     def law(self, thresholds: Any, velocity: float) -> AgingLaw:
-        """What quenched contacts of these newborn thresholds do at `velocity`. Raises InputError."""
-        return RULES[self.rule].reduced(self, thresholds, velocity) if self.active else Unaged()
+        """What quenched contacts of these newborn thresholds do at `velocity`. Raises
+        InputError."""
+        return (
+            RULES[self.rule].reduced(self, thresholds, velocity)
+            if self.active
+            else Unaged()
+        )

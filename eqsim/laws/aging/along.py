@@ -1,11 +1,22 @@
-"""Lives along thresholds that grow in a known way, xi(x) = xi(0) s(x): `flow` and `logarithmic`."""
+"""Lives along thresholds that grow in a known way, xi(x) = xi(0) s(x): `flow` and
+`logarithmic`."""
 
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.aging.base import Held, end, growth, kappa_at, life, smooth, spend, spent, whole_hazard
+from eqsim.laws.aging.base import (
+    Held,
+    end,
+    growth,
+    kappa_at,
+    life,
+    smooth,
+    spend,
+    spent,
+    whole_hazard,
+)
 from eqsim.laws.barrier.base import height, prefactor, thermal
 from eqsim.laws.stiffness import Springs
 from eqsim.numerics.compiled import routine
@@ -16,8 +27,8 @@ _ROUNDING = 2e-15  # of E over a xi^2, 9 units in the last place: of threshold, 
 
 
 class _Path(NamedTuple):
-    """A contact: its laws, its threshold at birth, where the path ends, and the stretch and age where it begins. The
-    stretch grows by `moves` s."""
+    """A contact: its laws, its threshold at birth, where the path ends, and the stretch
+    and age where it begins. The stretch grows by `moves` s."""
 
     law: Any
     barrier: Any
@@ -38,20 +49,26 @@ def _at(c: _Path, s: float) -> tuple[float, float]:
 
 
 @routine
-def path_life(law: Any, barrier: Any, springs: Springs, xi: float, clock: float) -> tuple[float, float]:
-    """Where a contact with threshold `xi` at birth breaks whose clock shows `clock`, and the hazard it has spent."""
+def path_life(
+    law: Any, barrier: Any, springs: Springs, xi: float, clock: float
+) -> tuple[float, float]:
+    """Where a contact with threshold `xi` at birth breaks whose clock shows `clock`,
+    and the hazard it has spent."""
     return _follow(_Path(law, barrier, springs, xi, end(law, xi), 0.0, 1.0, 0.0), clock)
 
 
 @routine
 def _follow(c: _Path, clock: float) -> tuple[float, float]:
-    """The s of a path at which a contact breaks whose clock shows `clock`, or its end, and the hazard it has spent.
+    """The s of a path at which a contact breaks whose clock shows `clock`, or its end,
+    and the hazard it has spent.
 
-    The hazard along a growing threshold has no closed form. It is integrated over z, s = end z (2 - z), which makes it
-    smooth where a stiff barrier vanishes, by 10 Gauss-Legendre nodes in dyadic cells. A cell is halved unless the
-    barrier and the aging vary little in it, or nothing happens in it: the barrier first rises, then falls (derived, for
-    rising thresholds; for falling ones it falls), so its least value in a cell is at an end. Where a stretch relaxes
-    under a falling threshold it may first fall: no coarse cell is skipped. Error 5e-9 of the hazard.
+    The hazard along a growing threshold has no closed form. It is integrated over z, s
+    = end z (2 - z), which makes it smooth where a stiff barrier vanishes, by 10
+    Gauss-Legendre nodes in dyadic cells. A cell is halved unless the barrier and the
+    aging vary little in it, or nothing happens in it: the barrier first rises, then
+    falls (derived, for rising thresholds; for falling ones it falls), so its least
+    value in a cell is at an end. Where a stretch relaxes under a falling threshold it
+    may first fall: no coarse cell is skipped. Error 5e-9 of the hazard.
     """
     law, top, log_w = c.law, c.end, c.barrier.log_w
     if not thermal(c.barrier):
@@ -60,7 +77,13 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
     born, left = _at(c, 0.0)
     final = _at(c, top)[0]
     greatest = max(born, final)
-    noise = _ROUNDING * c.barrier.b * kappa_at(law, c.springs, c.xi, greatest) * greatest * greatest
+    noise = (
+        _ROUNDING
+        * c.barrier.b
+        * kappa_at(law, c.springs, c.xi, greatest)
+        * greatest
+        * greatest
+    )
     most = _RANGE + noise  # by which E may differ within a cell
     coarse = _RELAXING if c.stretch < 0.0 and final < born else 0
     spent, level, index = 0.0, 0, 0
@@ -69,13 +92,19 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
         z = index * width
         x0, x1 = top * z * (2.0 - z), top * (z + width) * (2.0 - z - width)
         now, right = _at(c, x1)
-        seen = log_w + math.log(2.0 * top * width) - min(left, right) > floor or level < coarse
+        seen = (
+            log_w + math.log(2.0 * top * width) - min(left, right) > floor
+            or level < coarse
+        )
         last = level >= _DEEPEST
         fine = last or (
             abs(right - left) <= most
             and level >= coarse
             and smooth(law, c.age + x0, c.age + x1)
-            and now <= _GROWN * c.xi * growth(law, c.age + x0)  # thresholds vanish at some x < 0, perhaps nearby
+            and now
+            <= _GROWN
+            * c.xi
+            * growth(law, c.age + x0)  # thresholds vanish at some x < 0, perhaps nearby
         )
         if seen and fine and not last:
             for quarter in range(1, 4):  # the barrier may rise and fall inside
@@ -122,8 +151,16 @@ def _rate(c: _Path, z: float) -> float:
     s = c.end * z * (2.0 - z)
     x = abs(c.stretch + c.moves * s)
     now = max(c.xi * growth(c.law, c.age + s), x)
-    barrier = height(c.barrier, now, x, c.barrier.b * kappa_at(c.law, c.springs, c.xi, now))
-    return math.exp(c.barrier.log_w - barrier) * 2.0 * c.end * (1.0 - z) * prefactor(c.barrier, now, x)
+    barrier = height(
+        c.barrier, now, x, c.barrier.b * kappa_at(c.law, c.springs, c.xi, now)
+    )
+    return (
+        math.exp(c.barrier.log_w - barrier)
+        * 2.0
+        * c.end
+        * (1.0 - z)
+        * prefactor(c.barrier, now, x)
+    )
 
 
 @routine
@@ -151,18 +188,22 @@ def _life(law: Any, c: Any, xi: float, clock: float) -> float:
     return path_life(law, c.barrier, c.springs, xi, clock)[0]
 
 
-# -------------------------------------------------------------------------------------------- segments of a programme
+# --------------------------------------------------------------------------------------------
+# segments of a programme
 
 
 @routine(inline=True)
 def _excess(law: Any, contact: Held, moves: float, s: float) -> float:
     """Threshold less stretch at s of a segment."""
-    return contact.threshold * growth(law, contact.age + s) - abs(contact.stretch + moves * s)
+    return contact.threshold * growth(law, contact.age + s) - abs(
+        contact.stretch + moves * s
+    )
 
 
 @routine
 def _root(law: Any, contact: Held, moves: float, low: float, high: float) -> float:
-    """Where the stretch reaches the threshold, between s where it is below and where it is not."""
+    """Where the stretch reaches the threshold, between s where it is below and where it
+    is not."""
     for _ in range(200):
         middle = 0.5 * (low + high)
         if high - low <= 2e-16 * high:
@@ -176,10 +217,11 @@ def _root(law: Any, contact: Held, moves: float, low: float, high: float) -> flo
 
 @routine
 def crossing(law: Any, contact: Held, moves: float, length: float) -> float:
-    """Where in a segment of that length the stretch of a contact first reaches its threshold; infinity if it does not.
-    Growth is concave and falling thresholds are convex in time, so that there is one crossing where the stretch grows
-    or stays; where it relaxes, only a falling threshold can meet it, between the beginning and the least excess
-    (derived)."""
+    """Where in a segment of that length the stretch of a contact first reaches its
+    threshold; infinity if it does not. Growth is concave and falling thresholds are
+    convex in time, so that there is one crossing where the stretch grows or stays;
+    where it relaxes, only a falling threshold can meet it, between the beginning and
+    the least excess (derived)."""
     y, age = contact.stretch, contact.age
     turn = min(-y / moves, length) if moves != 0 and y < 0.0 else 0.0
     if turn > 0.0 and growth(law, age + turn) < growth(law, age):
@@ -202,23 +244,33 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @routine
-def _along(law: Any, c: Any, contact: Held, moves: float, end: float, clock: float) -> tuple[float, float]:
-    """`_follow` up to `end` of a segment, in two parts if the stretch changes its sign on the way."""
+def _along(
+    law: Any, c: Any, contact: Held, moves: float, end: float, clock: float
+) -> tuple[float, float]:
+    """`_follow` up to `end` of a segment, in two parts if the stretch changes its sign
+    on the way."""
     xi, _, y, age = contact
     turn = -y / moves if moves != 0 and -end * moves < y < 0.0 else 0.0
     before = 0.0
     if turn > 0.0:
-        s, before = _follow(_Path(law, c.barrier, c.springs, xi, turn, y, float(moves), age), clock)
+        s, before = _follow(
+            _Path(law, c.barrier, c.springs, xi, turn, y, float(moves), age), clock
+        )
         if s < turn:
             return s, clock
         y, age = 0.0, age + turn
     if end <= turn:
         return turn, before
-    s, after = _follow(_Path(law, c.barrier, c.springs, xi, end - turn, y, float(moves), age), clock - before)
+    s, after = _follow(
+        _Path(law, c.barrier, c.springs, xi, end - turn, y, float(moves), age),
+        clock - before,
+    )
     return turn + s, before + after
 
 
-def _spend(law: Any, c: Any, contact: Held, moves: float, length: float, clock: float) -> tuple[float, float]:
+def _spend(
+    law: Any, c: Any, contact: Held, moves: float, length: float, clock: float
+) -> tuple[float, float]:
     ends = crossing(law, contact, moves, length)
     s, passed = _along(law, c, contact, moves, min(ends, length), clock)
     if passed >= clock or ends <= length:

@@ -1,20 +1,23 @@
-"""Aging of pinned contacts: thresholds that move from the newborn law P_ci (scale x_*i) to the final law P_cf (x_*f).
+"""Aging of pinned contacts: thresholds that move from the newborn law P_ci (scale x_*i)
+to the final law P_cf (x_*f).
 
-The Smoluchowski equation of Braun and Peyrard (2011, section IV) with thresholds xi^2/x_*^2 ~ Gamma(n+1) is solved by
-the norm of a (2n+2)-dimensional Ornstein-Uhlenbeck process of rate 2D/x_*f^2 and variance x_*f^2/2 per component
-(derived). So, for contacts of age t that have not broken,
+The Smoluchowski equation of Braun and Peyrard (2011, section IV) with thresholds
+xi^2/x_*^2 ~ Gamma(n+1) is solved by the norm of a (2n+2)-dimensional Ornstein-Uhlenbeck
+process of rate 2D/x_*f^2 and variance x_*f^2/2 per component (derived). So, for
+contacts of age t that have not broken,
 
     transition    xi'^2 = (xi e + s Z)^2 + s^2 chi^2(2n+1),   e = exp(-2Dt/x_*f^2),   s^2 = x_*f^2 (1 - e^2)/2
     one-time law  Gamma(n, x_*(t)),   x_*(t)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4Dt/x_*f^2)
 
-with Z normal. There are two rules for quenched contacts: the thresholds of `langevin` follow that process; those of
-`flow` follow xi(t) = xi(0) x_*(t)/x_*i, which has the same one-time laws and no fluctuations. The annealed (published)
-ensemble draws frozen thresholds from the law of `pooled` under either rule. A third rule, `logarithmic`, has no final
-law and nothing in common with these.
+with Z normal. There are two rules for quenched contacts: the thresholds of `langevin`
+follow that process; those of `flow` follow xi(t) = xi(0) x_*(t)/x_*i, which has the
+same one-time laws and no fluctuations. The annealed (published) ensemble draws frozen
+thresholds from the law of `pooled` under either rule. A third rule, `logarithmic`, has
+no final law and nothing in common with these.
 
-Lengths are in units of the newborn law's scale and ages are displacements: `final2` is (x_*f/x_*i)^2 and `alpha` is
-4 D x_*i/(v x_*f^2).
-A law is a NamedTuple of its numbers with a body of each kernel routine below.
+Lengths are in units of the newborn law's scale and ages are displacements: `final2` is
+(x_*f/x_*i)^2 and `alpha` is 4 D x_*i/(v x_*f^2). A law is a NamedTuple of its numbers
+with a body of each kernel routine below.
 """
 
 import math
@@ -41,13 +44,18 @@ def change2(final2: float, age: Any) -> Array:
 
 def scale2(final2: float, age: Any) -> Array:
     """x_*^2/x_*i^2 of the unbroken law, a sum of positive terms; `age` may be infinite."""
-    return np.asarray(final2 + (1.0 - final2) * np.exp(-age)) if final2 < 1 else 1.0 + change2(final2, age)
+    return (
+        np.asarray(final2 + (1.0 - final2) * np.exp(-age))
+        if final2 < 1
+        else 1.0 + change2(final2, age)
+    )
 
 
 class AgingLaw(Law):
-    """What every law of aging has: `fluctuates` if lives are paths of a random process, `closed` if they are known in
-    closed form, without integrating a hazard or following a path, and `stiffens` if the stiffness of the sqrt law
-    follows the threshold, which else is that at birth. `keys` are the parameters of `Aging` that are its own."""
+    """What every law of aging has: `fluctuates` if lives are paths of a random process,
+    `closed` if they are known in closed form, without integrating a hazard or following
+    a path, and `stiffens` if the stiffness of the sqrt law follows the threshold, which
+    else is that at birth. `keys` are the parameters of `Aging` that are its own."""
 
     __slots__ = ()
     fluctuates: ClassVar[bool] = False
@@ -57,11 +65,13 @@ class AgingLaw(Law):
 
     @classmethod
     def check(cls, aging: Any, law: Any, disorder: str) -> None:
-        """Raise InputError unless contacts of newborn thresholds `law` can age as `aging`, an `Aging`, says."""
+        """Raise InputError unless contacts of newborn thresholds `law` can age as
+        `aging`, an `Aging`, says."""
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "AgingLaw":
-        """The law from an `Aging`, the law of newborn thresholds and the velocity. Raises InputError."""
+        """The law from an `Aging`, the law of newborn thresholds and the velocity.
+        Raises InputError."""
         raise NotImplementedError
 
     @property
@@ -70,12 +80,13 @@ class AgingLaw(Law):
         return 1.0
 
     def growth_at(self, x: Array) -> Array:
-        """By what factor every threshold has grown of contacts that have been pinned for `x` (any shape), where it is
-        the same for all."""
+        """By what factor every threshold has grown of contacts that have been pinned
+        for `x` (any shape), where it is the same for all."""
         return np.ones_like(x)
 
     def bracket(self, xi: Any) -> tuple[Any, Any]:
-        """Two stretches between which thresholds born as `xi` (any shape) meet the stretch."""
+        """Two stretches between which thresholds born as `xi` (any shape) meet the
+        stretch."""
         return xi, xi
 
     def table(self, springs: Springs) -> Array:
@@ -98,13 +109,23 @@ class Drift(AgingLaw):
             raise InputError(f'rule = "{aging.rule}": needs thresholds of law "gamma"')
         fluctuates = disorder == "quenched" and cls.fluctuates
         if aging.rate == math.inf and fluctuates:
-            raise InputError(f'rate = inf: must be finite with rule = "{aging.rule}" and quenched disorder')
+            raise InputError(
+                f'rate = inf: must be finite with rule = "{aging.rule}" and quenched disorder'
+            )
         ratio = aging.x_star_final / law.x_star
         if not 1e-3 <= ratio <= 1e3:
-            raise InputError(f"x_star_final = {aging.x_star_final!r}: must be within a factor 1000 of x_star")
+            raise InputError(
+                f"x_star_final = {aging.x_star_final!r}: must be within a factor 1000 of x_star"
+            )
         if aging.active and law.n > _MOST_N and (disorder == "annealed" or fluctuates):
-            who = "annealed contacts" if disorder == "annealed" else f'contacts of rule "{aging.rule}"'
-            raise InputError(f"rule: {who} can age for n <= {_MOST_N:g}; n is {law.n:g}")
+            who = (
+                "annealed contacts"
+                if disorder == "annealed"
+                else f'contacts of rule "{aging.rule}"'
+            )
+            raise InputError(
+                f"rule: {who} can age for n <= {_MOST_N:g}; n is {law.n:g}"
+            )
 
     @property
     def final(self) -> float:
@@ -120,8 +141,9 @@ class Drift(AgingLaw):
 
 
 class Held(NamedTuple):
-    """A pinned contact where a segment begins: its threshold and relative stiffness at birth, its stretch in the
-    direction of motion, and for how long it has been pinned (displacement at the pace of its laws)."""
+    """A pinned contact where a segment begins: its threshold and relative stiffness at
+    birth, its stretch in the direction of motion, and for how long it has been pinned
+    (displacement at the pace of its laws)."""
 
     threshold: float
     stiffness: float
@@ -141,7 +163,8 @@ class Unaged(_NoNumbers, AgingLaw):
     closed: ClassVar[bool] = True
 
 
-# --------------------------------------------------------------------------------------------------------- kernels
+# ---------------------------------------------------------------------------------------------------------
+# kernels
 
 
 @by_law
@@ -158,7 +181,8 @@ def end(law: Any, xi: float) -> float:
 
 @by_law
 def smooth(law: Any, x0: float, x1: float) -> bool:
-    """Whether growth between two stretches is well described by a polynomial of a few degrees."""
+    """Whether growth between two stretches is well described by a polynomial of a few
+    degrees."""
     return True
 
 
@@ -170,21 +194,23 @@ def kappa_at(law: Any, springs: Springs, born: float, now: float) -> float:
 
 @by_law
 def whole_hazard(law: Any, c: Any, xi: float) -> tuple[float, float]:
-    """Where a contact born with threshold `xi` breaks mechanically, and its integrated hazard until then; of laws whose
-    lives have no closed form. `c` is an `engine.contacts.Contacts`."""
+    """Where a contact born with threshold `xi` breaks mechanically, and its integrated
+    hazard until then; of laws whose lives have no closed form. `c` is an
+    `engine.contacts.Contacts`."""
     raise TypeError("lives of this law of aging are closed, or paths")
 
 
 @by_law
 def life(law: Any, c: Any, xi: float, clock: float) -> float:
-    """Where a contact born with threshold `xi` breaks whose exponential clock shows `clock`."""
+    """Where a contact born with threshold `xi` breaks whose exponential clock shows
+    `clock`."""
     raise TypeError("lives of this law of aging are paths")
 
 
 @by_law
 def break_lives(law: Any, c: Any, lives: Any, r: int, count: int) -> None:
-    """Fill travel, and stiffness at birth, of the first `count` lives of round r; `lives` is an
-    `engine.lanes.Lives`."""
+    """Fill travel, and stiffness at birth, of the first `count` lives of round r;
+    `lives` is an `engine.lanes.Lives`."""
     threshold, stiffness = lives.threshold, lives.stiffness
     clock, travel = lives.clock, lives.travel
     for i in range(count):
@@ -193,16 +219,20 @@ def break_lives(law: Any, c: Any, lives: Any, r: int, count: int) -> None:
 
 
 @by_law
-def spend(law: Any, c: Any, contact: Held, moves: float, length: float, clock: float) -> tuple[float, float]:
-    """When a contact breaks along a segment of a programme whose exponential clock has `clock` left, or infinity, and
-    what the clock has left at the end. Time is displacement at the pace of `c`, and the slider `moves` at so many times
-    that pace: 1 along a segment of a programme, 0 in a hold."""
+def spend(
+    law: Any, c: Any, contact: Held, moves: float, length: float, clock: float
+) -> tuple[float, float]:
+    """When a contact breaks along a segment of a programme whose exponential clock has
+    `clock` left, or infinity, and what the clock has left at the end. Time is
+    displacement at the pace of `c`, and the slider `moves` at so many times that pace:
+    1 along a segment of a programme, 0 in a hold."""
     raise TypeError("contacts of this law of aging follow no programme")
 
 
 @by_law
 def spent(law: Any, c: Any, contact: Held, moves: float, length: float) -> float:
-    """The hazard along a segment, arguments as in `spend`, of a contact that survives it."""
+    """The hazard along a segment, arguments as in `spend`, of a contact that survives
+    it."""
     raise TypeError("contacts of this law of aging follow no programme")
 
 
@@ -239,11 +269,15 @@ def _spent(law: Unaged, c: Any, contact: Held, moves: float, length: float) -> f
     if y < 0.0 < end:
         before = hazard(c.barrier, c.hazard_table, xi, stiffness, -y)
         return (before + hazard(c.barrier, c.hazard_table, xi, stiffness, end)) / moves
-    return mean_rate(c.barrier, c.hazard_table, xi, stiffness, max(y, -end), way) * length
+    return (
+        mean_rate(c.barrier, c.hazard_table, xi, stiffness, max(y, -end), way) * length
+    )
 
 
 @spend.register(Unaged)
-def _spend(law: Unaged, c: Any, contact: Held, moves: float, length: float, clock: float) -> tuple[float, float]:
+def _spend(
+    law: Unaged, c: Any, contact: Held, moves: float, length: float, clock: float
+) -> tuple[float, float]:
     xi, stiffness, y, _ = contact
     if y + moves * length < xi:
         left = clock - spent(law, c, contact, moves, length)
@@ -251,4 +285,6 @@ def _spend(law: Unaged, c: Any, contact: Held, moves: float, length: float, cloc
             return math.inf, left
     if moves * clock < _STANDSTILL:
         return min(clock / rate(c.barrier, xi, stiffness, abs(y)), length), 0.0
-    return min(max(travel(c, xi, stiffness, y, moves * clock), 0.0) / moves, length), 0.0
+    return min(
+        max(travel(c, xi, stiffness, y, moves * clock), 0.0) / moves, length
+    ), 0.0

@@ -6,7 +6,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.laws.aging.along import along_paths
-from eqsim.laws.aging.base import Drift, change2, end, growth, kappa_at, scale2, smooth, stiffness_varies, work
+from eqsim.laws.aging.base import (
+    Drift,
+    change2,
+    end,
+    growth,
+    kappa_at,
+    scale2,
+    smooth,
+    stiffness_varies,
+    work,
+)
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
@@ -19,13 +29,16 @@ class _Numbers(NamedTuple):
 
 @along_paths
 class Flow(_Numbers, Drift):
-    """Every threshold moves with the scale of the law. The stiffness of the sqrt law follows it."""
+    """Every threshold moves with the scale of the law. The stiffness of the sqrt law
+    follows it."""
 
     __slots__ = ()
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Flow":
-        return cls((aging.x_star_final / law.x_star) ** 2, aging.alpha(law.x_star, velocity))
+        return cls(
+            (aging.x_star_final / law.x_star) ** 2, aging.alpha(law.x_star, velocity)
+        )
 
     def growth_at(self, x: Array) -> Array:
         return np.sqrt(scale2(self.final2, self.alpha * x))
@@ -35,8 +48,9 @@ class Flow(_Numbers, Drift):
 
 
 def work_table(final2: float) -> Array:
-    """By how much the mean of x_*(y)/x_*i, weighted with y, over 0 < y < x differs from 1, up to the sign, over
-    2 and of alpha x: it rises, from a line through the origin to a constant, over which the table may be continued."""
+    """By how much the mean of x_*(y)/x_*i, weighted with y, over 0 < y < x differs from
+    1, up to the sign, over 2 and of alpha x: it rises, from a line through the origin
+    to a constant, over which the table may be continued."""
     first, last = -60, 30
     t = octave_edges(first, last)
     half = 0.5 * np.diff(np.append(0.0, t))[:, None]
@@ -62,7 +76,8 @@ def _growth(law: Flow, x: float) -> float:
 @end.register(Flow)
 @routine
 def flow_end(law: Flow, xi: float) -> float:
-    """Where a threshold born as `xi` meets the stretch, by Newton's method kept inside a shrinking bracket."""
+    """Where a threshold born as `xi` meets the stretch, by Newton's method kept inside
+    a shrinking bracket."""
     final2, alpha = law.final2, law.alpha
     low, high = xi * min(1.0, math.sqrt(final2)), xi * max(1.0, math.sqrt(final2))
     x = high
@@ -99,7 +114,9 @@ def _varies(law: Flow, springs: Springs) -> bool:
 
 
 @work.register(Flow)
-def _work(law: Flow, table: Array, springs: Springs, stiffness: float, x: float) -> float:
+def _work(
+    law: Flow, table: Array, springs: Springs, stiffness: float, x: float
+) -> float:
     if springs.slope == 0.0:
         return 0.5 * stiffness * x * x
     excess = look_up(table, law.alpha * x)

@@ -1,6 +1,8 @@
-"""Thresholds that fluctuate: the process of the Smoluchowski equation itself (`laws.aging.base`).
+"""Thresholds that fluctuate: the process of the Smoluchowski equation itself
+(`laws.aging.base`).
 
-The engine follows its paths in `engine.langevin`, the reference solves its Fokker-Planck equation.
+The engine follows its paths in `engine.langevin`, the reference solves its
+Fokker-Planck equation.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -19,17 +21,20 @@ class _Numbers(NamedTuple):
 
 
 class Langevin(_Numbers, Drift):
-    """The norm of an Ornstein-Uhlenbeck process of 2 shape + 2 components, shape = n. The stiffness of the sqrt law
-    follows it."""
+    """The norm of an Ornstein-Uhlenbeck process of 2 shape + 2 components, shape = n.
+    The stiffness of the sqrt law follows it."""
 
     __slots__ = ()
     fluctuates: ClassVar[bool] = True
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Langevin":
-        """As of every law. Raises InputError for rates that would take too many steps, too."""
+        """As of every law. Raises InputError for rates that would take too many steps,
+        too."""
         alpha = aging.alpha(law.x_star, velocity)
-        require_number("4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=MOST_ALPHA)
+        require_number(
+            "4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=MOST_ALPHA
+        )
         return cls((aging.x_star_final / law.x_star) ** 2, alpha, law.n)
 
 

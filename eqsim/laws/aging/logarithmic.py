@@ -1,9 +1,11 @@
-"""Thresholds that grow as the logarithm of the pinned time, as contact areas do in laboratories:
+"""Thresholds that grow as the logarithm of the pinned time, as contact areas do in
+laboratories:
 
     xi(t) = xi(0) (1 + beta ln(1 + t/t_c))
 
-New area joins unstressed, so that the force of a contact stays as it is: its stiffness is that at birth. Any law of
-newborn thresholds will do. At velocity v the stretch is x = v t, and `per_time` is x_*/(v t_c).
+New area joins unstressed, so that the force of a contact stays as it is: its stiffness
+is that at birth. Any law of newborn thresholds will do. At velocity v the stretch is x
+= v t, and `per_time` is x_*/(v t_c).
 """
 
 import math
@@ -40,18 +42,24 @@ class Logarithmic(_Numbers, AgingLaw):
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Logarithmic":
-        """As of every law. Raises InputError unless v t_c is within 1e-100 to 1e100 of a threshold."""
+        """As of every law. Raises InputError unless v t_c is within 1e-100 to 1e100 of
+        a threshold."""
         slid = velocity / law.scale * aging.cutoff_time
-        require_number("velocity * cutoff_time / threshold", slid, least=1e-100, most=1e100)
+        require_number(
+            "velocity * cutoff_time / threshold", slid, least=1e-100, most=1e100
+        )
         return cls(aging.beta, 1.0 / slid)
 
     def growth_at(self, x: Array) -> Array:
         return np.asarray(1.0 + self.beta * np.log1p(self.per_time * x))
 
     def bracket(self, xi: Any) -> tuple[Any, Any]:
-        # The growth is concave, so below any of its tangents; that of slope 1/2, or of less where it starts flatter,
-        # meets the stretch no later than here.
-        return xi, 2.0 * xi * (1.0 + self.beta * np.log(np.maximum(2.0 * xi * self.beta * self.per_time, 1.0)))
+        # The growth is concave, so below any of its tangents; that of slope 1/2, or of
+        # less where it starts flatter, meets the stretch no later than here.
+        return xi, 2.0 * xi * (
+            1.0
+            + self.beta * np.log(np.maximum(2.0 * xi * self.beta * self.per_time, 1.0))
+        )
 
 
 @growth.register(Logarithmic)
@@ -63,8 +71,8 @@ def _growth(law: Logarithmic, x: float) -> float:
 @end.register(Logarithmic)
 @routine
 def _end(law: Logarithmic, xi: float) -> float:
-    # The growth is concave, so that Newton's method, begun beyond the only root where the excess falls (at the end of
-    # `bracket`), descends to it.
+    # The growth is concave, so that Newton's method, begun beyond the only root where
+    # the excess falls (at the end of `bracket`), descends to it.
     beta, rate = law.beta, law.per_time
     x = 2.0 * xi * (1.0 + beta * math.log(max(2.0 * xi * beta * rate, 1.0)))
     for _ in range(100):
@@ -79,4 +87,6 @@ def _end(law: Logarithmic, xi: float) -> float:
 @smooth.register(Logarithmic)
 @routine(inline=True)
 def _smooth(law: Logarithmic, x0: float, x1: float) -> bool:
-    return law.per_time * (x1 - x0) <= 2.0 * (1.0 + law.per_time * x0)  # ln(1 + x/(v t_c)) has an end at x = -v t_c
+    return law.per_time * (x1 - x0) <= 2.0 * (
+        1.0 + law.per_time * x0
+    )  # ln(1 + x/(v t_c)) has an end at x = -v t_c

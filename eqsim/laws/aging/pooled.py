@@ -1,4 +1,5 @@
-"""Thresholds of annealed contacts that age: the law P_c of star1 (Braun and Peyrard, 2011)."""
+"""Thresholds of annealed contacts that age: the law P_c of star1 (Braun and Peyrard,
+2011)."""
 
 import math
 from typing import Any
@@ -11,20 +12,27 @@ from eqsim.numerics.tables import Array, octave_edges, octave_table
 
 
 class PooledThresholds:
-    """Thresholds of annealed contacts that age: Gamma(n, x_*(s)) with s ~ Exp(1) mean pinned times, that is
+    """Thresholds of annealed contacts that age: Gamma(n, x_*(s)) with s ~ Exp(1) mean
+    pinned times, that is
 
         x_*(s)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-decay s),   decay = 4 D C/(v x_*f^2),   C/v the mean pinned time
 
-    (the resolvent that solves star1, derived); infinite `decay` gives the final law. A threshold law like those of
-    `laws.threshold`, except that `scale` and `rms` remain those of `newborn`, where the sqrt law has k_i = k.
+    (the resolvent that solves star1, derived); infinite `decay` gives the final law. A
+    threshold law like those of `laws.threshold`, except that `scale` and `rms` remain
+    those of `newborn`, where the sqrt law has k_i = k.
 
-    The mixture is summed over ln s by the trapezoidal rule and kept as splines of ln(-ln J_c) and ln P_c over ln xi,
-    whose error is below 2e-9 for -ln J_c up to 100 (of P_c 2e-8, of the quantile 5e-8; beyond, J_c is good to 3e-2 at
-    exp(-500)) and P(xi < x) down to 1e-16 absolute.
+    The mixture is summed over ln s by the trapezoidal rule and kept as splines of
+    ln(-ln J_c) and ln P_c over ln xi, whose error is below 2e-9 for -ln J_c up to 100
+    (of P_c 2e-8, of the quantile 5e-8; beyond, J_c is good to 3e-2 at exp(-500)) and
+    P(xi < x) down to 1e-16 absolute.
     """
 
     def __init__(self, newborn: Gamma, x_star_final: float, decay: float) -> None:
-        self.newborn, self.final, self.decay = newborn, x_star_final / newborn.x_star, decay
+        self.newborn, self.final, self.decay = (
+            newborn,
+            x_star_final / newborn.x_star,
+            decay,
+        )
         self.scale, self.rms, self.steps = newborn.scale, newborn.rms, NO_STEPS
         self.support, self.breakpoints, self.kinks = (0.0, math.inf), NO_STEPS, NO_STEPS
         n, unit = newborn.n, Gamma(newborn.n, 1.0)
@@ -37,11 +45,15 @@ class PooledThresholds:
         square = self.final**2 - (self.final**2 - 1.0) * age
         use = share > 1e-300
         share, square = share[use], square[use]
-        reach = np.array([unit.inverse_survival(2.0**-56), unit.inverse_survival(520.0)]) * [
+        reach = np.array(
+            [unit.inverse_survival(2.0**-56), unit.inverse_survival(520.0)]
+        ) * [
             min(1, self.final),
             max(1, self.final),
         ]
-        log_x = np.arange(math.log(max(reach[0], 1e-18)), math.log(reach[1]), 0.02 * max(width, 1e-3))
+        log_x = np.arange(
+            math.log(max(reach[0], 1e-18)), math.log(reach[1]), 0.02 * max(width, 1e-3)
+        )
         log_share = np.log(share) - (n + 1) * np.log(square)
 
         def log_density(log_x: Array) -> Array:
@@ -51,7 +63,9 @@ class PooledThresholds:
                 y = log_x[i : i + 256, None]
                 terms = log_share - np.exp(2 * y) / square
                 most = terms.max(axis=1)
-                found[i : i + 256] = most + np.log(np.exp(terms - most[:, None]).sum(axis=1))
+                found[i : i + 256] = most + np.log(
+                    np.exp(terms - most[:, None]).sum(axis=1)
+                )
             return math.log(2.0) + 2 * (n + 1) * log_x + found - math.lgamma(n + 1.0)
 
         log_p = log_density(log_x)
@@ -60,12 +74,18 @@ class PooledThresholds:
         nodes, weights = np.polynomial.legendre.leggauss(7)
         half = 0.5 * np.diff(log_x)[:, None]
         inner = log_x[:-1, None] + half * (1.0 + nodes)
-        cells = (half * weights * np.exp(log_density(inner.ravel()).reshape(inner.shape))).sum(axis=1)
-        below = np.exp(log_p[0]) / (2 * (n + 1)) + np.append(0.0, np.cumsum(cells))  # a power of xi below the grid
-        above = np.exp(log_p[-1]) * (log_x[-1] - log_x[-2]) / (log_p[-2] - log_p[-1]) + np.append(
-            np.cumsum(cells[::-1])[::-1], 0.0
+        cells = (
+            half * weights * np.exp(log_density(inner.ravel()).reshape(inner.shape))
+        ).sum(axis=1)
+        below = np.exp(log_p[0]) / (2 * (n + 1)) + np.append(
+            0.0, np.cumsum(cells)
+        )  # a power of xi below the grid
+        above = np.exp(log_p[-1]) * (log_x[-1] - log_x[-2]) / (
+            log_p[-2] - log_p[-1]
+        ) + np.append(np.cumsum(cells[::-1])[::-1], 0.0)
+        log_e = np.log(
+            np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
         )
-        log_e = np.log(np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above)))
         self._log_e = _spline(log_x, log_e)
         self._log_x = _spline(log_e, log_x)
         self._log_pdf = _spline(log_x, log_p - log_x)
@@ -77,7 +97,11 @@ class PooledThresholds:
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        return *self.newborn.declared, "pooled", self.final  # `decay` is an estimate, which no stream may depend on
+        return (
+            *self.newborn.declared,
+            "pooled",
+            self.final,
+        )  # `decay` is an estimate, which no stream may depend on
 
     def _log(self, x: Any) -> tuple[Array, Array]:
         """ln(x/scale) clipped to the splines, and by how much it was below."""
@@ -96,7 +120,9 @@ class PooledThresholds:
     def _e(self, x: Any) -> Array:
         """-ln J_c(x)."""
         inside, below = self._log(x)
-        return np.asarray(np.exp(self._log_e(inside) + 2 * (self.newborn.n + 1) * below))
+        return np.asarray(
+            np.exp(self._log_e(inside) + 2 * (self.newborn.n + 1) * below)
+        )
 
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
@@ -110,14 +136,18 @@ class PooledThresholds:
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
         log_e = np.log(np.asarray(e, float))
         inside = np.clip(log_e, *self._ranks)
-        below = np.minimum(log_e - inside, 0.0) / (2 * (self.newborn.n + 1))  # a power of xi
+        below = np.minimum(log_e - inside, 0.0) / (
+            2 * (self.newborn.n + 1)
+        )  # a power of xi
         return np.asarray(self.scale * np.exp(self._log_x(inside) + below))
 
     def table(self) -> Array:
         """`inverse_survival` in units of `scale` for `threshold_draw`."""
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         xi = self.inverse_survival(e)
-        return octave_table(FIRST_OCTAVE, xi / self.scale, np.exp(-e) / self.pdf(xi) / self.scale)
+        return octave_table(
+            FIRST_OCTAVE, xi / self.scale, np.exp(-e) / self.pdf(xi) / self.scale
+        )
 
 
 def _spline(x: Array, y: Array) -> Any:

@@ -1,4 +1,5 @@
-"""Thermally activated breaking of a pinned contact: one file for each barrier. This is where they are listed."""
+"""Thermally activated breaking of a pinned contact: one file for each barrier. This is
+where they are listed."""
 
 from eqsim.laws.barrier.base import Barrier
 from eqsim.laws.barrier.mechanical import Mechanical

@@ -1,16 +1,20 @@
-"""What a barrier is: the rate at which heat breaks a pinned contact, its integral, and the inverse of that.
+"""What a barrier is: the rate at which heat breaks a pinned contact, its integral, and
+the inverse of that.
 
-With stretch x, threshold xi and a = k_i/(2 kT), a contact that makes omega attempts per unit time breaks at the rate
+With stretch x, threshold xi and a = k_i/(2 kT), a contact that makes omega attempts per
+unit time breaks at the rate
 
     omega r,    r = p exp(-E),
 
-E the height of the barrier over kT and p a prefactor of each law. At velocity v the hazard per unit displacement is
-(omega/v) r and its integral (omega/v) H, H(x) = int_0^x r dy; a contact whose exponential clock shows c breaks where
-(omega/v) H(x) = c, or at xi if that comes first. Exponents reach 1e9, so everything is done in logarithms.
+E the height of the barrier over kT and p a prefactor of each law. At velocity v the
+hazard per unit displacement is (omega/v) r and its integral (omega/v) H, H(x) = int_0^x
+r dy; a contact whose exponential clock shows c breaks where (omega/v) H(x) = c, or at
+xi if that comes first. Exponents reach 1e9, so everything is done in logarithms.
 
-A law is a NamedTuple of the numbers that kernels need, with NumPy's formulas as methods and bodies of the kernel
-routines below; `eqsim.laws.barrier` lists the laws. Every law has `exponent`, `log_hazard` and a body of `height`, and
-`log_prefactor` with a body of `prefactor` if p is not 1. From these the other routines follow numerically; bodies of
+A law is a NamedTuple of the numbers that kernels need, with NumPy's formulas as methods
+and bodies of the kernel routines below; `eqsim.laws.barrier` lists the laws. Every law
+has `exponent`, `log_hazard` and a body of `height`, and `log_prefactor` with a body of
+`prefactor` if p is not 1. From these the other routines follow numerically; bodies of
 their own, where there are closed forms, are faster.
 """
 
@@ -26,7 +30,8 @@ from eqsim.numerics.tables import NO_TABLE, Array
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _RANGE = 2.0  # of E in a cell, over which 8 nodes integrate exp(-E) to 1e-12
-_NEGLIGIBLE = 40.0  # cells whose rate is e^40 times less than the largest at an end do not count
+# cells whose rate is e^40 times less than the largest at an end do not count
+_NEGLIGIBLE = 40.0
 _COARSEST = 3  # halvings before a cell may be left out: E may have its minimum inside
 _DEEPEST = 60  # halvings of a piece; there rounding is all that varies
 
@@ -39,7 +44,8 @@ class Numbers(NamedTuple):
 
 
 class Barrier(Law):
-    """Formulas of a barrier for NumPy: arrays of any shape that broadcast. Lengths are in units of `law.scale`.
+    """Formulas of a barrier for NumPy: arrays of any shape that broadcast. Lengths are
+    in units of `law.scale`.
 
     Attributes
     ----------
@@ -51,14 +57,15 @@ class Barrier(Law):
 
     __slots__ = ()
     thermal: ClassVar[bool] = True  # whether heat breaks contacts at all
-    flat_out: ClassVar[float] = 1e16  # b above which a quenched contact breaks at its threshold, to 1e-10
+    # b above which a quenched contact breaks at its threshold, to 1e-10
+    flat_out: ClassVar[float] = 1e16
     b: float
     log_w: float
 
     @classmethod
     def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
-        """E at stretch x of a contact of threshold xi, given gap = xi - x and total = xi + x, which some callers know
-        without cancellation."""
+        """E at stretch x of a contact of threshold xi, given gap = xi - x and total =
+        xi + x, which some callers know without cancellation."""
         raise NotImplementedError
 
     @classmethod
@@ -82,16 +89,24 @@ class Barrier(Law):
         raise NotImplementedError
 
     def whole_hazard(self, xi: Array, stiffness: Array) -> Array:
-        """(omega/v) H(xi) of contacts of relative stiffness `stiffness`; beyond e^7 about as much as that."""
-        return np.exp(np.minimum(self.log_hazard(xi, xi, self.b * stiffness) + self.log_w, 7.0))
+        """(omega/v) H(xi) of contacts of relative stiffness `stiffness`; beyond e^7
+        about as much as that."""
+        return np.exp(
+            np.minimum(self.log_hazard(xi, xi, self.b * stiffness) + self.log_w, 7.0)
+        )
 
-    # Where to look: only panels and grids depend on the following, which a law may replace by closed forms.
+    # Where to look: only panels and grids depend on the following, which a law may
+    # replace by closed forms.
 
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
-        """Distance xi - y above a stretch y at which E is about `exponent`, for contacts of the same a."""
+        """Distance xi - y above a stretch y at which E is about `exponent`, for
+        contacts of the same a."""
         size = np.broadcast(exponent, y, a)
-        low, high = np.full(size.shape, -40.0), np.full(size.shape, 20.0)  # ln of it over y
+        low, high = (
+            np.full(size.shape, -40.0),
+            np.full(size.shape, 20.0),
+        )  # ln of it over y
         for _ in range(20):
             middle = 0.5 * (low + high)
             gap = y * np.exp(middle)
@@ -101,15 +116,24 @@ class Barrier(Law):
 
     @classmethod
     def layer(cls, x: float, a: float) -> float:
-        """Distance from the threshold, over x, within which the rate falls by a factor e at stretch x."""
+        """Distance from the threshold, over x, within which the rate falls by a factor
+        e at stretch x."""
         return float(cls.width(1.0, x, a)) / x
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
-        """About the stretch at which ln((omega/v) H) passes each of `levels`, shape (n, levels), of n contacts."""
-        low, high = np.full((xi.size, levels.size), -700.0), np.zeros((xi.size, levels.size))
+        """About the stretch at which ln((omega/v) H) passes each of `levels`, shape (n,
+        levels), of n contacts."""
+        low, high = (
+            np.full((xi.size, levels.size), -700.0),
+            np.zeros((xi.size, levels.size)),
+        )
         for _ in range(20):
             middle = 0.5 * (low + high)
-            early = self.log_hazard(xi[:, None] * np.exp(middle), xi[:, None], a[:, None]) + self.log_w < levels
+            early = (
+                self.log_hazard(xi[:, None] * np.exp(middle), xi[:, None], a[:, None])
+                + self.log_w
+                < levels
+            )
             low, high = np.where(early, middle, low), np.where(early, high, middle)
         return np.asarray(xi[:, None] * np.exp(high))
 
@@ -124,7 +148,8 @@ class Barrier(Law):
         return NO_TABLE
 
 
-# --------------------------------------------------------------------------------------------------------- kernels
+# ---------------------------------------------------------------------------------------------------------
+# kernels
 
 
 @by_law
@@ -160,7 +185,8 @@ def path_step(law: Any) -> float:
 
 @by_law
 def stretch(law: Any, table: Array, xi: float, stiffness: float, clock: float) -> float:
-    """Where a contact of threshold `xi` and relative stiffness `stiffness` breaks whose clock shows `clock`."""
+    """Where a contact of threshold `xi` and relative stiffness `stiffness` breaks whose
+    clock shows `clock`."""
     return _carried(law, xi, stiffness, 0.0, xi, clock, 1.0)
 
 
@@ -171,43 +197,61 @@ def hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> flo
 
 
 @by_law
-def mean_rate(law: Any, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
-    """Mean of `rate` from stretch x to x + length, both from 0 to xi, to 1e-8 of itself. `length` may be less than the
-    resolution of x; where it is 0 this is the rate at x."""
+def mean_rate(
+    law: Any, table: Array, xi: float, stiffness: float, x: float, length: float
+) -> float:
+    """Mean of `rate` from stretch x to x + length, both from 0 to xi, to 1e-8 of
+    itself. `length` may be less than the resolution of x; where it is 0 this is the
+    rate at x."""
     return _averaged(law, xi, stiffness, x, length)
 
 
 @by_law
 def rate(law: Any, xi: float, stiffness: float, x: float) -> float:
     """(omega/v) r at stretch 0 <= x <= xi."""
-    return math.exp(law.log_w - height(law, xi, x, law.b * stiffness)) * prefactor(law, xi, x)
+    return math.exp(law.log_w - height(law, xi, x, law.b * stiffness)) * prefactor(
+        law, xi, x
+    )
 
 
 @by_law
-def onward(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
-    """How far a contact of threshold `xi` and relative stiffness `stiffness` is carried from stretch 0 < y < xi before
-    it breaks, whose clock has `clock` left; to 1e-8 of itself, however short. `c` holds the tables."""
+def onward(
+    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> float:
+    """How far a contact of threshold `xi` and relative stiffness `stiffness` is carried
+    from stretch 0 < y < xi before it breaks, whose clock has `clock` left; to 1e-8 of
+    itself, however short. `c` holds the tables."""
     return _carried(law, xi, stiffness, y, xi - y, clock, 1.0)
 
 
 @by_law
-def back(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
-    """How far it is carried from stretch -y < 0 before it breaks, up to stretch 0, and what the clock has left there,
-    less than 0 if it breaks before."""
+def back(
+    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> tuple[float, float]:
+    """How far it is carried from stretch -y < 0 before it breaks, up to stretch 0, and
+    what the clock has left there, less than 0 if it breaks before."""
     left = clock - hazard(law, c.hazard_table, xi, stiffness, y)
-    return (y, left) if left >= 0.0 else (_carried(law, xi, stiffness, y, y, clock, -1.0), -1.0)
+    return (
+        (y, left)
+        if left >= 0.0
+        else (_carried(law, xi, stiffness, y, y, clock, -1.0), -1.0)
+    )
 
 
 @routine
 def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) -> float:
-    """`mean_rate` of any law, by Gauss-Legendre nodes in cells that are halved until E varies little in them. In
-    u = sqrt(xi - x) the rate of a barrier that vanishes at the threshold is smooth; dx = -2 u du."""
+    """`mean_rate` of any law, by Gauss-Legendre nodes in cells that are halved until E
+    varies little in them. In u = sqrt(xi - x) the rate of a barrier that vanishes at
+    the threshold is smooth; dx = -2 u du."""
     a = law.b * stiffness
     far, near = math.sqrt(max(xi - x, 0.0)), math.sqrt(max(xi - x - length, 0.0))
     if far + near == 0.0:
         return rate(law, xi, stiffness, xi)
     way = min(length / (far + near), far)  # far - near without cancellation
-    left, right = height(law, xi, xi - far * far, a), height(law, xi, xi - near * near, a)
+    left, right = (
+        height(law, xi, xi - far * far, a),
+        height(law, xi, xi - near * near, a),
+    )
     least = min(left, right)
     total, level, index = 0.0, 0, 0
     while True:
@@ -218,14 +262,18 @@ def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) ->
         u = far - (t + 0.5 * width) * way
         middle = height(law, xi, xi - u * u, a)
         seen = level < _COARSEST or min(left, right) < least + _NEGLIGIBLE
-        varies = max(abs(right - left), abs(middle - left), abs(middle - right)) > _RANGE
+        varies = (
+            max(abs(right - left), abs(middle - left), abs(middle - right)) > _RANGE
+        )
         if seen and varies and level < _DEEPEST:
             level, index = level + 1, 2 * index
             continue
         if seen:
             for i in range(_NODES.size):
                 u = far - (t + 0.5 * width * (1.0 + _NODES[i])) * way
-                total += 0.5 * width * _WEIGHTS[i] * rate(law, xi, stiffness, xi - u * u) * u
+                total += (
+                    0.5 * width * _WEIGHTS[i] * rate(law, xi, stiffness, xi - u * u) * u
+                )
         left, index = right, index + 1
         while index % 2 == 0 and level > 0:
             level, index = level - 1, index // 2
@@ -234,9 +282,18 @@ def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) ->
 
 
 @routine
-def _carried(law: Any, xi: float, stiffness: float, y: float, most: float, clock: float, sign: float) -> float:
-    """How far a contact is carried from stretch y, on (`sign` 1) or back (-1), before its hazard is `clock`; `most` if
-    it is less until there. Newton's method for its logarithm, in a bracket."""
+def _carried(
+    law: Any,
+    xi: float,
+    stiffness: float,
+    y: float,
+    most: float,
+    clock: float,
+    sign: float,
+) -> float:
+    """How far a contact is carried from stretch y, on (`sign` 1) or back (-1), before
+    its hazard is `clock`; `most` if it is less until there. Newton's method for its
+    logarithm, in a bracket."""
     if _averaged(law, xi, stiffness, min(y, y + sign * most), most) * most <= clock:
         return most
     low, high = 0.0, most
@@ -249,7 +306,11 @@ def _carried(law: Any, xi: float, stiffness: float, y: float, most: float, clock
         else:
             high = s
         slope = s * rate(law, xi, stiffness, y + sign * s)
-        step = s * math.exp(spent / slope * math.log(clock / spent)) if slope > 0.0 and spent > 0.0 else -1.0
+        step = (
+            s * math.exp(spent / slope * math.log(clock / spent))
+            if slope > 0.0 and spent > 0.0
+            else -1.0
+        )
         if not low <= step <= high:
             step = 0.5 * (low + high)
         if abs(step - s) <= 1e-14 * s:
@@ -260,7 +321,8 @@ def _carried(law: Any, xi: float, stiffness: float, y: float, most: float, clock
 
 @routine
 def travel(c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
-    """How far a contact born at stretch y is carried before it breaks; `c` is an `engine.contacts.Contacts`."""
+    """How far a contact born at stretch y is carried before it breaks; `c` is an
+    `engine.contacts.Contacts`."""
     if y > 0.0:
         return onward(c.barrier, c, xi, stiffness, y, clock)
     if y < 0.0:
@@ -271,18 +333,22 @@ def travel(c: Any, xi: float, stiffness: float, y: float, clock: float) -> float
 
 
 @by_law
-def stretches(law: Any, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
-    """Fill the first `count` travels of round r with `stretch` of these contacts, born unstressed; `lives` is an
-    `engine.lanes.Lives`."""
+def stretches(
+    law: Any, table: Array, springs: Any, lives: Any, r: int, count: int
+) -> None:
+    """Fill the first `count` travels of round r with `stretch` of these contacts, born
+    unstressed; `lives` is an `engine.lanes.Lives`."""
     threshold, stiffness = lives.threshold, lives.stiffness
     clock, travel = lives.clock, lives.travel
     for i in range(count):
-        travel[r, i] = stretch(law, table, threshold[r, i], stiffness[r, i], clock[r, i])
+        travel[r, i] = stretch(
+            law, table, threshold[r, i], stiffness[r, i], clock[r, i]
+        )
 
 
 def require_whole(name: str, law: Any) -> None:
-    """Raise InputError unless a barrier, listed as `name`, has all that every law needs: NumPy's formulas, and kernel
-    routines that say the same."""
+    """Raise InputError unless a barrier, listed as `name`, has all that every law
+    needs: NumPy's formulas, and kernel routines that say the same."""
     xi, x, a = 2.0, 1.0, 0.7  # any contact
     missing = [
         method

@@ -5,7 +5,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import Barrier, back, mean_rate, onward, rate, stretch, thermal
+from eqsim.laws.barrier.base import (
+    Barrier,
+    back,
+    mean_rate,
+    onward,
+    rate,
+    stretch,
+    thermal,
+)
 from eqsim.numerics.tables import Array
 
 
@@ -35,22 +43,30 @@ def _no_heat(law: Any) -> bool:
 
 
 @stretch.register(Mechanical)
-def _at_threshold(law: Any, table: Array, xi: float, stiffness: float, clock: float) -> float:
+def _at_threshold(
+    law: Any, table: Array, xi: float, stiffness: float, clock: float
+) -> float:
     return xi
 
 
 @onward.register(Mechanical)
-def _up_to_threshold(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+def _up_to_threshold(
+    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> float:
     return xi - y
 
 
 @back.register(Mechanical)
-def _back(law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+def _back(
+    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> tuple[float, float]:
     return y, clock
 
 
 @mean_rate.register(Mechanical)
-def _no_mean_rate(law: Any, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
+def _no_mean_rate(
+    law: Any, table: Array, xi: float, stiffness: float, x: float, length: float
+) -> float:
     return 0.0
 
 

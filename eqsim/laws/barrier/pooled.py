@@ -1,8 +1,10 @@
-"""Annealed contacts: every attempt draws a fresh threshold xi' and needs xi' > x; contacts share one pooled rate
+"""Annealed contacts: every attempt draws a fresh threshold xi' and needs xi' > x;
+contacts share one pooled rate
 
     h(x) = int_x^inf P_c(xi') r(x|xi') dxi',    G(x) = int_0^x h dy
 
-(h is H v/omega of temper11 and temper12 of Braun and Peyrard, 2011, for any barrier; G v/omega is Delta U, nt09).
+(h is H v/omega of temper11 and temper12 of Braun and Peyrard, 2011, for any barrier; G
+v/omega is Delta U, nt09).
 """
 
 import functools
@@ -14,7 +16,15 @@ import numpy as np
 from scipy import interpolate, special
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import Barrier, back, hazard, mean_rate, onward, rate, stretch
+from eqsim.laws.barrier.base import (
+    Barrier,
+    back,
+    hazard,
+    mean_rate,
+    onward,
+    rate,
+    stretch,
+)
 from eqsim.laws.law import Law
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw, panels_above
@@ -23,9 +33,10 @@ from eqsim.numerics.tables import Array
 
 
 class PooledHazard(NamedTuple):
-    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape (nodes,), and the slope
-    d ln x/d ln G at the left and right end of each cell between them, shape (nodes - 1, 2). In logarithms the inverse
-    is a straight line where G is a power of x, and nearly one where G rises exponentially towards a threshold."""
+    """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape
+    (nodes,), and the slope d ln x/d ln G at the left and right end of each cell between
+    them, shape (nodes - 1, 2). In logarithms the inverse is a straight line where G is
+    a power of x, and nearly one where G rises exponentially towards a threshold."""
 
     x: Array
     G: Array
@@ -36,93 +47,153 @@ NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty((0, 2)))
 MOST_POOLED_STEPS = 4096
 
 
-def pooled_rate(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float, y: Array) -> Array:
-    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of `law.scale`, to 1e-8 relative.
+def pooled_rate(
+    law: ThresholdLaw,
+    stiffness: StiffnessLaw,
+    barrier: type[Barrier],
+    b: float,
+    y: Array,
+) -> Array:
+    """h(y) of a smooth law (temper11, temper12 without omega/v), y and 1/h in units of
+    `law.scale`, to 1e-8 relative.
 
-    Gauss-Legendre panels over xi' > y follow the law and the layer next to y, of width 1/(2 b y) for large b, in which
-    attempts succeed.
+    Gauss-Legendre panels over xi' > y follow the law and the layer next to y, of width
+    1/(2 b y) for large b, in which attempts succeed.
     """
     rms, y = law.rms / law.scale, np.asarray(y, float)
-    weak = np.append(law.inverse_survival(_WEAK) / law.scale, _steep(law))  # attempts may succeed on these
+    weak = np.append(
+        law.inverse_survival(_WEAK) / law.scale, _steep(law)
+    )  # attempts may succeed on these
     layer = y[:, None] + _layer(stiffness, barrier, b, rms, y)
-    edges = panels_above(law, y, np.concatenate((layer, np.broadcast_to(weak, (y.size, weak.size))), axis=1))
+    edges = panels_above(
+        law,
+        y,
+        np.concatenate((layer, np.broadcast_to(weak, (y.size, weak.size))), axis=1),
+    )
     half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    beyond = edges[:, :-1, None] - y[:, None, None] + half * (1.0 + _NODES)  # xi' - y without cancellation
+    beyond = (
+        edges[:, :-1, None] - y[:, None, None] + half * (1.0 + _NODES)
+    )  # xi' - y without cancellation
     y = y[:, None, None]
     xi = y + beyond
     a = b * relative_stiffness(stiffness, xi, rms)
     with np.errstate(divide="ignore", invalid="ignore"):
         log_r = barrier.log_attempt(beyond, beyond + 2 * y, xi, a)
         terms = law.pdf(xi * law.scale) * law.scale * np.exp(log_r) * half * _WEIGHTS
-    return np.asarray(np.where((half > 0) & np.isfinite(terms), terms, 0.0).sum(axis=(1, 2)))
+    return np.asarray(
+        np.where((half > 0) & np.isfinite(terms), terms, 0.0).sum(axis=(1, 2))
+    )
 
 
 _NODES, _WEIGHTS = special.roots_legendre(8)
-_WEAK = 10.0 ** -np.array([7.0, 9.0, 12.0, 17.0, 25.0, 37.0, 55.0, 80.0, 120.0, 180.0, 270.0])  # ranks e
-_EXPONENTS = np.array([1e-9, 1e-6, 1e-4, 3e-3, 0.03, 0.2, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0])
+_WEAK = 10.0 ** -np.array(
+    [7.0, 9.0, 12.0, 17.0, 25.0, 37.0, 55.0, 80.0, 120.0, 180.0, 270.0]
+)  # ranks e
+_EXPONENTS = np.array(
+    [1e-9, 1e-6, 1e-4, 3e-3, 0.03, 0.2, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0]
+)
 
 
 def _steep(law: ThresholdLaw) -> Array:
-    """Thresholds, in factors of 4 of their distance from the least one, of a law with so many weak contacts that its
-    density may be infinite there; none of other laws."""
+    """Thresholds, in factors of 4 of their distance from the least one, of a law with
+    so many weak contacts that its density may be infinite there; none of other laws."""
     low = law.support[0] / law.scale
-    least = max(float(law.inverse_survival(1e-10)) / law.scale - low, 1e-15 * low, 1e-100)
-    return low + 4.0 ** np.arange(math.log(least, 4.0), 0.0) if least < 1e-6 else NO_STEPS
+    least = max(
+        float(law.inverse_survival(1e-10)) / law.scale - low, 1e-15 * low, 1e-100
+    )
+    return (
+        low + 4.0 ** np.arange(math.log(least, 4.0), 0.0) if least < 1e-6 else NO_STEPS
+    )
 
 
-def _layer(stiffness: StiffnessLaw, barrier: type[Barrier], b: float, rms: float, y: Array) -> Array:
-    """Distances xi' - y at which the exponent of the rate is about each of `_EXPONENTS`, were xi' near y, or were it
-    far from it, shape (n, 2 exponents): only panels depend on it."""
-    a, y = np.maximum(b * relative_stiffness(stiffness, y, rms), 1e-300)[:, None], y[:, None]
+def _layer(
+    stiffness: StiffnessLaw, barrier: type[Barrier], b: float, rms: float, y: Array
+) -> Array:
+    """Distances xi' - y at which the exponent of the rate is about each of
+    `_EXPONENTS`, were xi' near y, or were it far from it, shape (n, 2 exponents): only
+    panels depend on it."""
+    a, y = (
+        np.maximum(b * relative_stiffness(stiffness, y, rms), 1e-300)[:, None],
+        y[:, None],
+    )
     near = barrier.width(_EXPONENTS, y, a)
-    far = np.cbrt(_EXPONENTS * rms / b) if stiffness == "sqrt" else np.sqrt(_EXPONENTS / b)
-    return np.concatenate((near, np.broadcast_to(far[4:], (y.size, far.size - 4))), axis=1)
+    far = (
+        np.cbrt(_EXPONENTS * rms / b)
+        if stiffness == "sqrt"
+        else np.sqrt(_EXPONENTS / b)
+    )
+    return np.concatenate(
+        (near, np.broadcast_to(far[4:], (y.size, far.size - 4))), axis=1
+    )
 
 
-def pooled_hazard(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float) -> PooledHazard:
-    """G and its inverse for the annealed ensemble, lengths in units of `law.scale`; Delta U = (omega/v) G (nt09).
+def pooled_hazard(
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+) -> PooledHazard:
+    """G and its inverse for the annealed ensemble, lengths in units of `law.scale`;
+    Delta U = (omega/v) G (nt09).
 
-    Relative error of the inverse: below 2e-7 for smooth laws, 1e-4 where the support of the law has an edge; for
-    discrete laws, in the mean over clocks, below 1e-2 of the distance between neighbours (1e-4 up to 64 thresholds).
-    Raises InputError for a discrete law of more than 4096 thresholds.
+    Relative error of the inverse: below 2e-7 for smooth laws, 1e-4 where the support of
+    the law has an edge; for discrete laws, in the mean over clocks, below 1e-2 of the
+    distance between neighbours (1e-4 up to 64 thresholds). Raises InputError for a
+    discrete law of more than 4096 thresholds.
     """
     if law.steps.size:
         return _pooled_steps(law, stiffness, barrier, b)
     low, high = (edge / law.scale for edge in law.support)
     top = min(float(law.inverse_survival(60.0)) / law.scale, high)
-    toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)  # the ends of the support are approached from both sides
+    toward = 2.0 ** -np.arange(
+        0.0, 46.0, 0.125
+    )  # the ends of the support are approached from both sides
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
     first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
     nodes = [np.geomspace(first, linear, 200), np.linspace(0.0, top, 1500)]
-    nodes.append(4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125))  # of rates that are not constant
+    nodes.append(
+        4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125)
+    )  # of rates that are not constant
     nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
-    if low > 0:  # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its exponent
-        nodes.append(low - low * 2.0 ** -np.arange(0.0, min(46.0, 14.0 + math.log2(1.0 + b)), 1 / 32))
+    if (
+        low > 0
+    ):  # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its exponent
+        nodes.append(
+            low
+            - low * 2.0 ** -np.arange(0.0, min(46.0, 14.0 + math.log2(1.0 + b)), 1 / 32)
+        )
         nodes.append(low + (top - low) * toward)
     if math.isfinite(high):
         nodes.append(top - (top - low) * toward)
     y = np.unique(np.concatenate(nodes))
     y = y[y >= first]
     if low == 0 and math.isinf(high) and not law.breakpoints.size:  # h is smooth
-        y = np.unique(np.append(y, np.asarray(law.inverse_survival(_RANKS)) / law.scale))
+        y = np.unique(
+            np.append(y, np.asarray(law.inverse_survival(_RANKS)) / law.scale)
+        )
         y = y[(y >= first) & (y <= top)]
         h = pooled_rate(law, stiffness, barrier, b, y)
         y, h = y[h > 1e-300], h[h > 1e-300]
         if y.size < 2:
             return NO_POOL
         log_y, log_h = np.log(y), np.log(h)
-        rate = interpolate.CubicSpline(log_y, log_h)  # the rate may rise by factors of 1e8 between neighbours
+        rate = interpolate.CubicSpline(
+            log_y, log_h
+        )  # the rate may rise by factors of 1e8 between neighbours
         parts = np.maximum(np.ceil(np.abs(np.diff(log_h)) / _RISE), 1.0)
-        at = np.interp(np.arange(parts.sum() + 1), np.append(0.0, np.cumsum(parts)), log_y)
+        at = np.interp(
+            np.arange(parts.sum() + 1), np.append(0.0, np.cumsum(parts)), log_y
+        )
         return _pooled_cells(at, lambda x: np.exp(rate(x)))
-    return _pooled_cells(np.log(y), lambda x: pooled_rate(law, stiffness, barrier, b, np.exp(x)))
+    return _pooled_cells(
+        np.log(y), lambda x: pooled_rate(law, stiffness, barrier, b, np.exp(x))
+    )
 
 
 def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
     """G at nodes ln y, between which 3 points of the rate, a function of ln y, will do."""
     half = 0.5 * np.diff(log_y)[:, None]
     inner = log_y[:-1, None] + half * (1.0 + _FEW_NODES)
-    cells = half * _FEW_WEIGHTS * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
+    cells = (
+        half * _FEW_WEIGHTS * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
+    )
     y, h = np.exp(log_y), rate(log_y)
     return _pool(y, y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1))), h, h)
 
@@ -130,12 +201,17 @@ def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
 _FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(3)
 _RISE = 0.25  # of ln h between nodes
 _Z = np.arange(-37.0, 10.0, 0.05)
-_RANKS = np.where(_Z < 0, -np.log1p(-np.minimum(special.ndtr(_Z), 0.5)), -special.log_ndtr(-_Z))  # e of nodes
+_RANKS = np.where(
+    _Z < 0, -np.log1p(-np.minimum(special.ndtr(_Z), 0.5)), -special.log_ndtr(-_Z)
+)  # e of nodes
 
 
-def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float) -> PooledHazard:
-    """G of equally likely thresholds: a mean of closed forms, at nodes that crowd towards each threshold from below,
-    where the rate of attempts on it rises to 1, and if the next one is far away also from above, where it is gone."""
+def _pooled_steps(
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+) -> PooledHazard:
+    """G of equally likely thresholds: a mean of closed forms, at nodes that crowd
+    towards each threshold from below, where the rate of attempts on it rises to 1, and
+    if the next one is far away also from above, where it is gone."""
     xi = np.unique(law.steps) / law.scale
     if xi.size > MOST_POOLED_STEPS:
         raise InputError(
@@ -143,13 +219,25 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barr
         )
     weight = np.unique(law.steps, return_counts=True)[1] / law.steps.size
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    fine = 8 if xi.size <= 64 else 4 if xi.size <= 512 else 1  # nodes per halving of the distance to a threshold
+    fine = (
+        8 if xi.size <= 64 else 4 if xi.size <= 512 else 1
+    )  # nodes per halving of the distance to a threshold
     nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0, 0.25)]  # from the linear beginning
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, 2 * a * xi, strict=True):
-        depth = 12 + math.ceil(math.log2(max(scale * (high - low), 1.0)))  # down to a fraction of the layer
-        nodes.append(high - (high - low) * np.append(2.0 ** (-np.arange(1, depth * fine) / fine), 0.0))
+        depth = 12 + math.ceil(
+            math.log2(max(scale * (high - low), 1.0))
+        )  # down to a fraction of the layer
+        nodes.append(
+            high
+            - (high - low) * np.append(2.0 ** (-np.arange(1, depth * fine) / fine), 0.0)
+        )
         if low and high - low > low / 16:  # G grows by a constant rate: no power of x
-            nodes.append(low + (high - low) * 2.0 ** -np.arange(0.125, math.log2(16 * (high / low - 1.0)) + 1.0, 0.125))
+            nodes.append(
+                low
+                + (high - low)
+                * 2.0
+                ** -np.arange(0.125, math.log2(16 * (high / low - 1.0)) + 1.0, 0.125)
+            )
     y = np.unique(np.concatenate(nodes))
     G, left, right = np.zeros(y.size), np.zeros(y.size), np.zeros(y.size)
     for j in range(xi.size):
@@ -164,19 +252,26 @@ def _pooled_steps(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barr
 
 
 def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
-    """From h just left and right of each node: drop nodes that cannot be told apart, and keep the interpolant monotone
-    (Fritsch and Carlson)."""
+    """From h just left and right of each node: drop nodes that cannot be told apart,
+    and keep the interpolant monotone (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
     x, G = x[keep], G[keep]
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # neighbours whose logarithms are the same
+    with np.errstate(
+        divide="ignore", over="ignore", invalid="ignore"
+    ):  # neighbours whose logarithms are the same
         limit = 3.0 * np.diff(np.log(x)) / np.diff(np.log(G))
         left, right = G / (x * left[keep]), G / (x * right[keep])
-    return PooledHazard(x, G, np.fmin(np.stack((right[:-1], left[1:]), axis=1), limit[:, None]))
+    return PooledHazard(
+        x, G, np.fmin(np.stack((right[:-1], left[1:]), axis=1), limit[:, None])
+    )
 
 
-# It takes 0.1 to 0.3 s, and a sweep over velocity asks for it at every point; 32 tables are some 3 MB.
+# It takes 0.1 to 0.3 s, and a sweep over velocity asks for it at every point; 32 tables
+# are some 3 MB.
 @functools.lru_cache(maxsize=32)
-def pooled_hazard_of(law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float) -> PooledHazard:
+def pooled_hazard_of(
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+) -> PooledHazard:
     """`pooled_hazard`, remembered: it does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)
 
@@ -200,7 +295,9 @@ class Pooled(_Numbers, Law):
 
 
 @stretch.register(Pooled)
-def _stretch(law: Pooled, table: Array, xi: float, stiffness: float, clock: float) -> float:
+def _stretch(
+    law: Pooled, table: Array, xi: float, stiffness: float, clock: float
+) -> float:
     return min(xi, _inverse(law.x, law.G, law.slopes, clock * math.exp(-law.log_w)))
 
 
@@ -215,7 +312,9 @@ def _rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
 
 
 @mean_rate.register(Pooled)
-def _mean_rate(law: Pooled, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
+def _mean_rate(
+    law: Pooled, table: Array, xi: float, stiffness: float, x: float, length: float
+) -> float:
     if length < _POINT * x or length == 0.0:
         return rate(law, xi, stiffness, x)
     return math.exp(law.log_w) * (_rise(law.x, law.G, law.slopes, x, length) / length)
@@ -225,8 +324,8 @@ _POINT = 1e-250  # length over stretch in which the rate does not vary
 
 
 class _Cubic(NamedTuple):
-    """ln x as a function of t = ln G between two nodes, over `width`, about some t: ln x changes by
-    d (slope + d (curve + d third)) in a step d."""
+    """ln x as a function of t = ln G between two nodes, over `width`, about some t: ln
+    x changes by d (slope + d (curve + d third)) in a step d."""
 
     width: float
     slope: float
@@ -239,7 +338,9 @@ def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
     """The cell that begins at a node, about its beginning, t = 0; it ends at t = 1."""
     width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
     left, right = slopes[low, 0] * width, slopes[low, 1] * width
-    return _Cubic(width, left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise)
+    return _Cubic(
+        width, left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
+    )
 
 
 @routine(inline=True)
@@ -257,8 +358,8 @@ def _change(cell: _Cubic, step: float) -> float:
 
 @routine
 def _step(cell: _Cubic, change: float, most: float) -> float:
-    """The step of t, at most `most`, in which ln x grows by `change` > 0, to rounding however short: Newton in a
-    bracket."""
+    """The step of t, at most `most`, in which ln x grows by `change` > 0, to rounding
+    however short: Newton in a bracket."""
     below, above = 0.0, most
     step = min(change / cell.slope, most) if cell.slope > 0.0 else 0.5 * most
     for _ in range(60):
@@ -309,15 +410,25 @@ def _rise(x: Array, G: Array, slopes: Array, stretch: float, length: float) -> f
     total += _rise_in(x, G, slopes, low, stretch, x[low + 1] - stretch)
     high = np.searchsorted(x, end, side="right") - 1
     total += G[high] - G[low + 1]
-    return total + _rise_in(x, G, slopes, high, x[high], end - x[high]) if high < last else total
+    return (
+        total + _rise_in(x, G, slopes, high, x[high], end - x[high])
+        if high < last
+        else total
+    )
 
 
 @routine
-def _rise_in(x: Array, G: Array, slopes: Array, low: int, stretch: float, length: float) -> float:
+def _rise_in(
+    x: Array, G: Array, slopes: Array, low: int, stretch: float, length: float
+) -> float:
     """`_rise` within a cell."""
     cell = _cell(x, G, slopes, low)
     t = _step(cell, math.log(stretch / x[low]), 1.0) if stretch > x[low] else 0.0
-    step = _step(_about(cell, t), math.log1p(length / stretch), max(1.0 - t, 0.0)) if length > 0.0 else 0.0
+    step = (
+        _step(_about(cell, t), math.log1p(length / stretch), max(1.0 - t, 0.0))
+        if length > 0.0
+        else 0.0
+    )
     return G[low] * math.exp(t * cell.width) * math.expm1(step * cell.width)
 
 
@@ -339,17 +450,28 @@ def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
     width, rise = math.log(G[high] / G[low]), math.log(x[high] / x[low])
     t = math.log(target / G[low]) / width
     left, right = slopes[low, 0] * width, slopes[low, 1] * width
-    return x[low] * math.exp(t * (left + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise))))
+    return x[low] * math.exp(
+        t
+        * (
+            left
+            + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise))
+        )
+    )
 
 
 @onward.register(Pooled)
-def _onward(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
-    return min(_ahead(law.x, law.G, law.slopes, y, clock * math.exp(-law.log_w)), xi - y)
+def _onward(
+    law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> float:
+    return min(
+        _ahead(law.x, law.G, law.slopes, y, clock * math.exp(-law.log_w)), xi - y
+    )
 
 
 @routine
 def _ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
-    """The travel from y in which G grows by `ticks`, to rounding however short; infinite if it never does."""
+    """The travel from y in which G grows by `ticks`, to rounding however short;
+    infinite if it never does."""
     last, passed = G.size - 1, 0.0
     if last < 0 or y >= x[last]:
         return math.inf
@@ -369,7 +491,9 @@ def _ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
 
 
 @back.register(Pooled)
-def _back(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+def _back(
+    law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> tuple[float, float]:
     ticks = clock * math.exp(-law.log_w)
     G = _hermite(law.x, law.G, law.slopes, y)[0]
     if ticks >= G:
@@ -379,7 +503,8 @@ def _back(law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: flo
 
 @routine
 def _behind(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
-    """The travel back from y in which G falls by `ticks`, less than it is there, to rounding however short."""
+    """The travel back from y in which G falls by `ticks`, less than it is there, to
+    rounding however short."""
     last, passed = G.size - 1, 0.0
     if y <= x[0]:
         return ticks * (x[0] / G[0])

@@ -26,7 +26,13 @@ from eqsim.laws.barrier.base import (
     stretches,
 )
 from eqsim.numerics.compiled import routine
-from eqsim.numerics.tables import Array, look_up, look_up_all, octave_edges, octave_table
+from eqsim.numerics.tables import (
+    Array,
+    look_up,
+    look_up_all,
+    octave_edges,
+    octave_table,
+)
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
 
@@ -61,7 +67,10 @@ class Soft(Numbers, Barrier):
         for _ in range(3):  # erfi(z) ~ exp(z^2)/(sqrt(pi) z)
             z2 = np.maximum(log_erfi + 0.5 * np.log(math.pi * z2), 1.0)
         small = 0.5 * math.sqrt(math.pi) * np.exp(np.minimum(log_erfi, 1.0))
-        return np.asarray(np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0)) / np.sqrt(a)[:, None])
+        return np.asarray(
+            np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0))
+            / np.sqrt(a)[:, None]
+        )
 
     @classmethod
     def table(cls) -> Array:
@@ -81,7 +90,8 @@ def log_erfi(z: Any) -> Array:
 # It has no parameters, and takes 3 to 8 ms.
 @functools.cache
 def erfi_inverse_table() -> Array:
-    """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up to s = 2^60.
+    """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up
+    to s = 2^60.
 
     The relative error is below 5e-10.
     """
@@ -108,8 +118,9 @@ def dawson_table() -> Array:
     return octave_table(first, ratio, (1.0 - ratio * (1.0 - 2.0 * z * dawson)) / dawson)
 
 
-# The inverse of (omega/v) H in steps, each of which is a loop of its own where many contacts break: a look-up between
-# the others would keep them from being vectorised, and in one long loop every result would wait for many before it.
+# The inverse of (omega/v) H in steps, each of which is a loop of its own where many
+# contacts break: a look-up between the others would keep them from being vectorised,
+# and in one long loop every result would wait for many before it.
 
 _SOFT = 2.0 / math.sqrt(math.pi)
 
@@ -123,7 +134,8 @@ def _excess(xi: float, root: float, log_w: float) -> float:
 
 @routine(inline=True)
 def _odds(xi: float, root: float, log_w: float, clock: float) -> float:
-    """erfi(root x) of the x where (omega/v) H(x) = clock, but for what of the barrier is beyond FLAT."""
+    """erfi(root x) of the x where (omega/v) H(x) = clock, but for what of the barrier
+    is beyond FLAT."""
     return _SOFT * clock * root * bounded_exp(min(_excess(xi, root, log_w), FLAT))
 
 
@@ -135,7 +147,8 @@ def _rank(xi: float, root: float, log_w: float, odds: float) -> float:
 
 @routine(inline=True)
 def _end(xi: float, per_root: float, z: float) -> float:
-    """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is xi, to double precision."""
+    """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is
+    xi, to double precision."""
     return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
 
 
@@ -150,14 +163,18 @@ def _height_slope(law: Soft, xi: float, x: float, a: float) -> float:
 
 
 @stretch.register(Soft)
-def _stretch(law: Soft, table: Array, xi: float, stiffness: float, clock: float) -> float:
+def _stretch(
+    law: Soft, table: Array, xi: float, stiffness: float, clock: float
+) -> float:
     root = math.sqrt(law.b * stiffness)
     rank = _rank(xi, root, law.log_w, _odds(xi, root, law.log_w, clock))
     return _end(xi, 1.0 / root, look_up(table, rank))
 
 
 @stretches.register(Soft)
-def _stretches(law: Soft, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+def _stretches(
+    law: Soft, table: Array, springs: Any, lives: Any, r: int, count: int
+) -> None:
     threshold, stiffness = lives.threshold, lives.stiffness
     clock, travel, log_w = lives.clock, lives.travel, law.log_w
     root, per_root, rank = lives.root, lives.per_root, lives.rank
@@ -187,10 +204,16 @@ def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> f
 
 
 @mean_rate.register(Soft)
-def _mean_rate(law: Soft, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
-    """Where it is short by its series about the middle: of the mean of exp(p t + q t^2) over -1 < t < 1 (derived)."""
+def _mean_rate(
+    law: Soft, table: Array, xi: float, stiffness: float, x: float, length: float
+) -> float:
+    """Where it is short by its series about the middle: of the mean of exp(p t + q t^2)
+    over -1 < t < 1 (derived)."""
     middle = x + 0.5 * length
-    p, q = law.b * stiffness * middle * length, 0.25 * law.b * stiffness * length * length
+    p, q = (
+        law.b * stiffness * middle * length,
+        0.25 * law.b * stiffness * length * length,
+    )
     if p > 0.25 or q > 0.004:
         end = hazard(law, table, xi, stiffness, x + length)
         return (end - hazard(law, table, xi, stiffness, x)) / length
@@ -200,10 +223,13 @@ def _mean_rate(law: Soft, table: Array, xi: float, stiffness: float, x: float, l
     return rate(law, xi, stiffness, middle) * mean
 
 
-# Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock sqrt(a) exp(a (xi^2 - y^2)):
-#     I(z, s) = int_0^s exp(2 z t + t^2) dt = exp(s^2 + 2 z s) D(z + s) - D(z) = T,   D Dawson's function     (derived)
+# Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock
+# sqrt(a) exp(a (xi^2 - y^2)): I(z, s) = int_0^s exp(2 z t + t^2) dt = exp(s^2 + 2 z s)
+# D(z + s) - D(z) = T,   D Dawson's function     (derived)
 
-_NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
+_NODES, _WEIGHTS = (
+    tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8)
+)
 
 
 @routine(inline=True)
@@ -234,7 +260,9 @@ def _short(z: float, ticks: float) -> float:
 
 
 @onward.register(Soft)
-def _onward(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+def _onward(
+    law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> float:
     a = law.b * stiffness
     root = math.sqrt(a)
     z, log_ticks = root * y, _log_ticks(law, xi, a, y, max(clock, 1e-300))
@@ -242,13 +270,17 @@ def _onward(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: flo
     if (2.0 * z + 1.0) * ticks < 1e-4:
         s = _short(z, ticks)
     else:
-        s = math.log1p(2.0 * z * ticks) / (2.0 * z) if z > 1e-8 else ticks  # not less than it is
+        s = (
+            math.log1p(2.0 * z * ticks) / (2.0 * z) if z > 1e-8 else ticks
+        )  # not less than it is
         if s * (2.0 * z + s) < 1.0:
             for _ in range(5):  # Newton
                 s += (ticks - _ahead(z, s)) * math.exp(-s * (2.0 * z + s))
         else:
             level = log_ticks + math.log1p(D * math.exp(-log_ticks))
-            e = max(1.0, level + 0.5 * math.log(4.0 * (z * z + max(level, 1.0))))  # s^2 + 2 z s
+            e = max(
+                1.0, level + 0.5 * math.log(4.0 * (z * z + max(level, 1.0)))
+            )  # s^2 + 2 z s
             for _ in range(6):  # Newton
                 end = math.sqrt(z * z + e)
                 D = _dawson(c.hazard_table, end)
@@ -258,7 +290,9 @@ def _onward(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: flo
 
 
 @back.register(Soft)
-def _back(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+def _back(
+    law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> tuple[float, float]:
     a = law.b * stiffness
     root = math.sqrt(a)
     z, D = root * y, _dawson(c.hazard_table, root * y)
@@ -274,6 +308,8 @@ def _back(law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
     else:
         rest = D - ticks
         level = z * z + math.log(_SOFT * rest)  # ln erfi(z - s)
-        end = look_up(c.barrier_table, math.log1p(math.exp(level)) if level < FLAT else level)
+        end = look_up(
+            c.barrier_table, math.log1p(math.exp(level)) if level < FLAT else level
+        )
         s = max(math.log(_dawson(c.hazard_table, end) / rest), 0.0) / (z + end)
     return min(s / root, y), -1.0

@@ -49,8 +49,15 @@ class Stiff(Numbers, Barrier):
         c = np.asarray(a * xi**2, float)
         # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
         with np.errstate(divide="ignore"):  # x = xi
-            gap15 = -np.expm1(1.5 * np.log1p(-x / xi))  # 1 - (1 - x/xi)^1.5 without cancellation
-            return math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15) + np.log(-np.expm1(-c * gap15))
+            gap15 = -np.expm1(
+                1.5 * np.log1p(-x / xi)
+            )  # 1 - (1 - x/xi)^1.5 without cancellation
+            return (
+                math.log(2 / 3)
+                - np.log(a * xi)
+                - c * (1 - gap15)
+                + np.log(-np.expm1(-c * gap15))
+            )
 
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
@@ -62,16 +69,21 @@ class Stiff(Numbers, Barrier):
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         c = (a * xi**2)[:, None]
-        spent = np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w) / c  # 1 - (1 - x/xi)^1.5
+        spent = (
+            np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w)
+            / c
+        )  # 1 - (1 - x/xi)^1.5
         spent = np.minimum(spent, 1.0)
         q = (1.0 - spent) ** (2.0 / 3.0)
-        return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))  # 1 - q without cancellation
+        return np.asarray(
+            xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q)
+        )  # 1 - q without cancellation
 
 
 @routine(inline=True)
 def _odds(xi: float, a: float, log_w: float, clock: float) -> float:
-    """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where (omega/v) H(x) = clock, but for what of the barrier is
-    beyond FLAT."""
+    """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where (omega/v) H(x) = clock, but
+    for what of the barrier is beyond FLAT."""
     return 1.5 * a * xi * clock * bounded_exp(min(a * xi * xi - log_w, FLAT))
 
 
@@ -113,13 +125,17 @@ def _path_step(law: Stiff) -> float:
 
 
 @stretch.register(Stiff)
-def _stretch(law: Stiff, table: Array, xi: float, stiffness: float, clock: float) -> float:
+def _stretch(
+    law: Stiff, table: Array, xi: float, stiffness: float, clock: float
+) -> float:
     a = law.b * stiffness
     return _end(xi, _spent(xi, a, law.log_w, _odds(xi, a, law.log_w, clock)))
 
 
 @stretches.register(Stiff)
-def _stretches(law: Stiff, table: Array, springs: Any, lives: Any, r: int, count: int) -> None:
+def _stretches(
+    law: Stiff, table: Array, springs: Any, lives: Any, r: int, count: int
+) -> None:
     threshold, stiffness = lives.threshold, lives.stiffness
     clock, travel, spent = lives.clock, lives.travel, lives.rank
     b, log_w = law.b, law.log_w
@@ -136,33 +152,52 @@ def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> 
     a = law.b * stiffness
     barrier = a * xi * xi
     spent = -math.expm1(1.5 * math.log1p(-min(x / xi, 1.0)))  # 1 - (1 - x/xi)^(3/2)
-    return -math.exp(law.log_w - barrier * (1.0 - spent)) * math.expm1(-barrier * spent) / (1.5 * a * xi)
+    return (
+        -math.exp(law.log_w - barrier * (1.0 - spent))
+        * math.expm1(-barrier * spent)
+        / (1.5 * a * xi)
+    )
 
 
 @mean_rate.register(Stiff)
-def _mean_rate(law: Stiff, table: Array, xi: float, stiffness: float, x: float, length: float) -> float:
+def _mean_rate(
+    law: Stiff, table: Array, xi: float, stiffness: float, x: float, length: float
+) -> float:
     near, far = max(xi - x - length, 0.0) / xi, max(xi - x, 0.0) / xi
-    whole, left, before = law.b * stiffness * xi * xi, near * math.sqrt(near), far * math.sqrt(far)
+    whole, left, before = (
+        law.b * stiffness * xi * xi,
+        near * math.sqrt(near),
+        far * math.sqrt(far),
+    )
     if left + before == 0.0:
         return 0.0
     per_length = (near * near + near * far + far * far) / (left + before)
     fall = whole * (length / xi) * per_length  # of E
-    mean = -math.expm1(-fall) / fall if fall > 0.0 else 1.0  # of exp(-E), over its greatest value
+    mean = (
+        -math.expm1(-fall) / fall if fall > 0.0 else 1.0
+    )  # of exp(-E), over its greatest value
     return math.exp(law.log_w - whole * left) * mean * per_length / 1.5
 
 
 @onward.register(Stiff)
-def _onward(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
-    """As a contact of threshold xi - y at rest whose barrier is the one that is left at y (derived)."""
+def _onward(
+    law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> float:
+    """As a contact of threshold xi - y at rest whose barrier is the one that is left at
+    y (derived)."""
     a, gap = law.b * stiffness, xi - y
     left = gap / xi
     barrier = max(a * xi * xi * left * math.sqrt(left), 1e-300)
     odds = 1.5 * a * xi * clock * bounded_exp(min(barrier - law.log_w, FLAT))
-    return _end(gap, (log_one_plus(odds) + max(barrier - law.log_w - FLAT, 0.0)) / barrier)
+    return _end(
+        gap, (log_one_plus(odds) + max(barrier - law.log_w - FLAT, 0.0)) / barrier
+    )
 
 
 @back.register(Stiff)
-def _back(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float) -> tuple[float, float]:
+def _back(
+    law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float
+) -> tuple[float, float]:
     a, left = law.b * stiffness, (xi - y) / xi
     whole, start = a * xi * xi, left * math.sqrt(left)
     barrier = whole * start
@@ -172,5 +207,7 @@ def _back(law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: floa
         return y, clock * (1.0 - most / odds)
     rise = -math.log1p(-odds) / whole
     if rise < start:
-        return min(xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise / start)), y), -1.0
+        return min(
+            xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise / start)), y
+        ), -1.0
     return min(xi * ((start + rise) ** (2.0 / 3.0) - left), y), -1.0
