@@ -560,8 +560,6 @@ MISTAKES = [
       "test_fokker_planck.py::test_laws_with_equal_numbers"),
     M("master: panels at 0 like others", "numerics/panels.py",
       "pieces if pieces_at_0 is None else pieces_at_0, pieces)", "pieces, pieces)", "test_panels.py::test_pieces"),
-    M("master: panels of the last value alone", "numerics/panels.py", "rough.any(axis=(0, 1))",
-      "rough[:, -1].any(axis=0)", "test_panels.py::test_interpolated"),
     M("model: a velocity is a drive", "model/drive.py", "if not isinstance(drive, Drive):", "if drive is None:",
       "test_reference.py::test_what_is_no_drive_is_refused"),
     M("published: S_1", "master/closed_forms.py", "return C_0 / 2 * (1 + self.b)", "return C_0 * (1 + self.b)",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from eqsim.numerics.panels import ClenshawCurtis, interpolated, refined
+from eqsim.numerics.panels import ClenshawCurtis, refined
 
 
 def integral(function, edges, converged=1e-12, **given):
@@ -67,20 +67,3 @@ def test_pieces():
     assert np.bincount(p.interval).tolist() == [1, 1024, 1]
     sums = np.bincount(p.interval, p.values[0])
     np.testing.assert_allclose(sums, [0.25, 2 / 3, 0.75], rtol=1e-6)  # the middle rule
-
-
-def test_interpolated():
-    """A step of width 1e-3 in ln x, and a smooth function, to the 1e-9 asked for, in
-    far fewer evaluations than points."""
-    asked = []
-
-    def step(x):
-        asked.append(x.size)
-        return np.array(
-            [1 / (1 + np.exp(np.clip(1e3 * np.log(x), -700, 700))), np.exp(-x)]
-        )
-
-    x = np.geomspace(1e-10, 1e3, 200_001)
-    found = interpolated(step, x, 1e-9)
-    assert sum(asked) < x.size / 50
-    np.testing.assert_allclose(found, step(x), rtol=0, atol=1e-8)

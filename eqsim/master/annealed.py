@@ -22,8 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.aging import PooledThresholds
-from eqsim.laws.threshold import Gamma, ThresholdLaw, means_above, panels_above
+from eqsim.laws.threshold import panels_above
 from eqsim.master.quenched import (
     Moments,
     beyond,
@@ -33,16 +32,13 @@ from eqsim.master.quenched import (
     weakest,
 )
 from eqsim.model.reduced import Reduced
-from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
+from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
 
 METHOD = "published master equation"
 
 # Different thresholds of a discrete law at most, to bound time.
 _MOST_STEPS = 1000
-# What interpolation of the rate may miss.
-_SMOOTH = 1e-10
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 # The factor by which the first panels in x rise.
 _RISE = 5.0
@@ -260,82 +256,21 @@ def hazard_rate(contacts: Reduced, y: Array, order: int = _ORDER) -> Array:
 
 
 def survivors(contacts: Reduced, x: Array) -> Array:
-    """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x >
-    0, shape (3, n).
-
-    For a smooth law x has to begin near 0 and to rise by small factors, up to where
-    nothing survives.
+    """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] of a discrete law
+    at ascending x > 0, shape (3, n). Raises InputError for more than 1000 thresholds.
     """
-    law = contacts.law
-    if law.steps.size:
-        xi, share, kappa = _few_steps(contacts)
-        with np.errstate(divide="ignore"):
-            log_dU = (
-                np.log(_pooled_hazard(contacts, xi, share, kappa, x))
-                + contacts.barrier.log_w
-            )
-        dU = np.exp(np.minimum(log_dU, 7.0))
-        above = np.searchsorted(xi, x, side="right")
-        means = [
-            np.append(np.cumsum((share * kappa**power)[::-1])[::-1], 0.0)[above]
-            for power in range(3)
-        ]
-        return np.exp(-dU) * np.array(means)
-    log_x = np.log(x)
-    half = 0.5 * np.diff(log_x)[:, None]
-    inner = np.exp(log_x[:-1, None] + half * (1.0 + _NODES))
-    weights = half * _WEIGHTS * inner
-    at = np.append(x[0], inner)
-
-    def log_rate(
-        y: Array,
-    ) -> (
-        Array
-    ):  # smooth where it matters: Delta U has to be known to 1e-9 unless it is large
-        return np.log1p(y * hazard_rate(contacts, y))
-
-    rate = np.expm1(interpolated(log_rate, at, _SMOOTH, 1.0)[0]) / at
-    dU = x[0] * rate[0] + np.append(
-        0.0, np.cumsum((weights * rate[1:].reshape(inner.shape)).sum(1))
-    )
-    J, inner_J = law.sf(x * law.scale), law.sf(inner * law.scale)
-    means = [J, J, J]
-    if (
-        contacts.stiffness == "sqrt"
-    ):  # E[xi^p; xi > x] = x^p J + int_x^inf p y^(p-1) J dy
-        for p in (1, 2):
-            cells = (weights * p * inner ** (p - 1) * inner_J).sum(1)
-            beyond_x = np.append(np.cumsum(cells[::-1])[::-1], 0.0) + _above(
-                law, float(x[-1]), p
-            )
-            means[p] = (x**p * J + beyond_x) / contacts.rms**p
-    return np.exp(-dU) * np.array(means)
-
-
-def _above(law: ThresholdLaw, x: float, power: int) -> float:
-    """E[xi^power - x^power; xi > x] of a smooth law, x and xi in units of the scale."""
-    if isinstance(law, (Gamma, PooledThresholds)):
-        return 0.0  # x is where less than exp(-45) of the contacts are left
-
-    def log_values(xi: Array) -> Array:
-        with np.errstate(divide="ignore"):
-            return (
-                power * math.log(x)
-                + np.log(np.expm1(power * np.log(np.maximum(xi / x, 1.0))))[None]
-            )
-
-    return float(means_above(law, x, log_values)[0][0])
-
-
-def _few_steps(contacts: Reduced) -> tuple[Array, Array, Array]:
-    """`different_steps`. Raises InputError if there are too many."""
-    found = different_steps(contacts)
-    if found[0].size > _MOST_STEPS:
-        count = found[0].size
+    xi, share, kappa = different_steps(contacts)
+    if xi.size > _MOST_STEPS:
         raise InputError(
-            f"thresholds: {count} different values; the annealed reference takes at most {_MOST_STEPS}"
+            f"thresholds: {xi.size} different values; the annealed reference takes at "
+            f"most {_MOST_STEPS}"
         )
-    return found
+    with np.errstate(divide="ignore"):
+        log_dU = np.log(_pooled_hazard(contacts, xi, share, kappa, x))
+    dU = np.exp(np.minimum(log_dU + contacts.barrier.log_w, 7.0))
+    above = np.searchsorted(xi, x, side="right")
+    tails = [np.cumsum((share * kappa**p)[::-1])[::-1] for p in range(3)]
+    return np.exp(-dU) * np.array([np.append(tail, 0.0)[above] for tail in tails])
 
 
 def _pooled_hazard(

@@ -44,7 +44,7 @@ from eqsim.master.quenched import (
     weakest,
 )
 from eqsim.model.reduced import Reduced
-from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
+from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
 
 METHOD = "joint kinetic equation along flowing thresholds"
@@ -70,8 +70,6 @@ _NARROWEST = 1e-3
 # The least relative error that is quoted.
 _ROUNDING = 1e-12
 
-# What interpolation of survivors may miss.
-_SMOOTH = 1e-9
 # The step of the trapezoidal rule of a hazard, and the share of it that truncation may
 # miss.
 _STEP = 0.45
@@ -249,14 +247,10 @@ def stationary(contacts: Reduced) -> Moments:
 
 
 def survivors(contacts: Reduced, x: Array) -> Array:
-    """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at ascending x > 0,
-    shape (3, n), kappa now.
-
-    Of a smooth law to about 1e-8 of the greatest value of each, and of each times x and
-    x^2, by interpolation in ln x.
-    """
+    """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at x > 0, shape (3,
+    n), kappa now."""
     if not contacts.law.steps.size:
-        return interpolated(lambda at: survivors_at(contacts, at), x, _SMOOTH)
+        return _survivors_of_density(contacts, x)
     total, grown = np.zeros((3, x.size)), contacts.aging.growth_at(x)
     xi0, shares, _ = different_steps(contacts)
     for xi, share, alive in zip(xi0, shares, _survivals(contacts, xi0, x), strict=True):
@@ -299,8 +293,8 @@ def _survivals(contacts: Reduced, xi0: Array, x: Array) -> Iterator[Array]:
         yield alive
 
 
-def survivors_at(contacts: Reduced, x: Array) -> Array:
-    """`survivors` of a smooth law at any x > 0, over births xi0 > x/s(x), by panels
+def _survivors_of_density(contacts: Reduced, x: Array) -> Array:
+    """`survivors` of a smooth law, over births xi0 > x/s(x), by panels
     that end at fixed shares of the stronger contacts and where the hazard passes fixed
     levels."""
     law, grown = contacts.law, contacts.aging.growth_at(x)

@@ -169,14 +169,6 @@ def _density(births: BirthLaw, y: Array, middle: Array) -> Array:
     )
 
 
-def survivors(contacts: Reduced, travel: Array) -> Array:
-    """S(l) and means of kappa and kappa^2 of those that outlast travels l > 0, shape
-    (3, n)."""
-    from eqsim.master import newborn_lives  # which needs this module
-
-    return np.asarray(newborn_lives.survivors(contacts, travel)[0])
-
-
 def method(contacts: Reduced) -> str:
     """The equation that is solved."""
     return PUBLISHED if contacts.one_sided else METHOD

@@ -10,7 +10,14 @@ from numpy.polynomial import chebyshev
 
 from eqsim.laws.aging import Langevin, Unaged
 from eqsim.laws.newborn import DeltaBirths
-from eqsim.master import flow, fokker_planck, newborn, newborn_lives, quenched
+from eqsim.master import (
+    annealed,
+    flow,
+    fokker_planck,
+    newborn,
+    newborn_lives,
+    quenched,
+)
 from eqsim.master.solvers import solver
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
@@ -138,7 +145,9 @@ class _Steps:
         self.survive = self.at(self.x)[0]
 
     def at(self, x: Array, power: int = 0) -> Array:
-        return solver(self._reduced).survivors(self._reduced, x) * x**power
+        contacts = self._reduced
+        survivors = annealed.survivors if contacts.annealed else _quenched(contacts)
+        return np.asarray(survivors(contacts, x) * x**power)
 
     def integral(self, x: Array, power: int) -> Array:
         index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
@@ -154,12 +163,13 @@ def _means_of(contacts: Reduced) -> _Means:
         return lambda x: newborn_lives.published(contacts, np.zeros(x.size), x)
     if isinstance(contacts.aging, Langevin):
         return lambda x: x**_POWERS * fokker_planck.survivors(contacts, x)
-    survivors = (
-        quenched.survivors_at
-        if isinstance(contacts.aging, Unaged)
-        else flow.survivors_at
-    )
+    survivors = _quenched(contacts)
     return lambda x: x**_POWERS * survivors(contacts, x)
+
+
+def _quenched(contacts: Reduced) -> Callable[[Reduced, Array], Array]:
+    unaged = isinstance(contacts.aging, Unaged)
+    return quenched.survivors_at if unaged else flow.survivors
 
 
 def _first_edges(contacts: Reduced) -> Array:

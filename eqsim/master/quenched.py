@@ -33,7 +33,7 @@ from eqsim.laws.threshold import (
     rank_above,
 )
 from eqsim.model.reduced import Reduced
-from eqsim.numerics.panels import ClenshawCurtis, Panels, interpolated, refined
+from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
 
 METHOD = "joint kinetic equation"
@@ -64,8 +64,6 @@ _RARER = 5.0
 # ln(xi/x - 1) from where levels are sought, and in how many bisections.
 _SHALLOWEST = -44.0
 _BISECTIONS = 13
-# What interpolation of survivors may miss.
-_SMOOTH = 1e-9
 
 
 class Moments(NamedTuple):
@@ -321,16 +319,6 @@ def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, 
         error
         if contacts.annealed or not contacts.barrier.thermal
         else error + (1.0 - share) * found,
-    )
-
-
-def survivors(contacts: Reduced, x: Array) -> Array:
-    """`survivors_at` many ascending x > 0, of a smooth law to 1e-9 by interpolation in
-    ln x."""
-    return (
-        survivors_at(contacts, x)
-        if contacts.law.steps.size
-        else interpolated(lambda x: survivors_at(contacts, x), x, _SMOOTH)
     )
 
 

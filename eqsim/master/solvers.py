@@ -6,7 +6,6 @@ from eqsim.laws.aging import Flow, Langevin, Logarithmic, Unaged
 from eqsim.master import annealed, flow, fokker_planck, newborn, quenched
 from eqsim.master.quenched import Moments
 from eqsim.model.reduced import Reduced
-from eqsim.numerics.tables import Array
 
 
 class Solver(Protocol):
@@ -16,10 +15,6 @@ class Solver(Protocol):
 
     def stationary(self, contacts: Reduced) -> Moments:
         """Moments of lives."""
-
-    def survivors(self, contacts: Reduced, x: Array) -> Array:
-        """S(x) = P(x_b > x), E[k_i/k; x_b > x] and E[(k_i/k)^2; x_b > x] at ascending x
-        > 0, shape (3, n)."""
 
 
 _SOLVERS: dict[type, Solver] = {  # of quenched contacts

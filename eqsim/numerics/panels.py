@@ -10,9 +10,6 @@ from numpy.polynomial import chebyshev
 
 from eqsim.numerics.tables import Array
 
-# The longest and the shortest panel in ln x.
-_LONGEST = 2.0
-_SHORTEST = 1e-3
 _HALVES = np.array([0.0, 0.5, 1.0])
 
 
@@ -112,56 +109,3 @@ def refined(
         for old, new in zip(merged, (*at, evaluate(*at)), strict=True):
             old[..., np.repeat(split, count)] = new
         p = Panels(*merged)
-
-
-def interpolated(
-    function: Callable[[Array], Array],
-    x: Array,
-    smooth: float,
-    greatest: float | None = None,
-) -> Array:
-    """A costly function at many points, from Chebyshev polynomials in ln x.
-
-    Parameters
-    ----------
-    function : callable
-        From x > 0, shape (n,), to values, shape (values, n).
-    x : ndarray, shape (points,)
-        Ascending, > 0.
-    smooth : float
-        What polynomials may miss, in units of `greatest` or else of the greatest of
-        each value, and of it times x and x^2, on which integrals depend.
-
-    Returns
-    -------
-    ndarray, shape (values, points)
-    """
-    log_x = np.log(x)
-    low, high = log_x[0], max(log_x[-1], log_x[0] + 1e-3)
-
-    def evaluate(left: Array, right: Array, _: Array) -> Array:
-        nodes = np.exp(
-            left + 0.5 * (right - left) * (1 + ClenshawCurtis.nodes[:, None])
-        )
-        return np.concatenate(
-            (nodes[None], function(nodes.ravel()).reshape(-1, *nodes.shape))
-        )
-
-    def judge(p: Panels) -> tuple[Array, None]:
-        nodes, values = p.values[0], p.values[1:]
-        weighed = (
-            np.array([values * nodes**power for power in range(3)])
-            if greatest is None
-            else values[None]
-        )
-        most = weighed.max(axis=(2, 3))[:, :, None] if greatest is None else greatest
-        rough = np.abs(ClenshawCurtis.tail.T @ weighed).sum(axis=2) > smooth * most
-        return rough.any(axis=(0, 1)) & (p.right - p.left > _SHORTEST), None
-
-    p, _ = refined(
-        evaluate, judge, np.linspace(low, high, math.ceil((high - low) / _LONGEST) + 1)
-    )
-    panel = np.append(0, np.searchsorted(p.left, log_x[1:], side="left") - 1)
-    t = (2 * log_x - p.left[panel] - p.right[panel]) / (p.right[panel] - p.left[panel])
-    coefficients = np.moveaxis(ClenshawCurtis.coefficients @ p.values[1:], 1, 0)
-    return np.asarray(chebyshev.chebval(t, coefficients[:, :, panel], tensor=False))
