@@ -70,6 +70,12 @@ class Estimate:
         return f"Estimate({self})"
 
 
+def mean_of(values: Array, n: int, dof: int | None = None) -> Estimate:
+    """Mean of independent values of `n` samples, its error from their scatter."""
+    error = float(np.std(values, ddof=1)) / math.sqrt(values.size)
+    return Estimate(float(values.mean()), error, n, dof)
+
+
 class Observable(NamedTuple):
     """How an observable is shown: `label` on axes and in tables; `unit`, "length",
     "length^2" or "" for a number."""

@@ -56,10 +56,12 @@ from eqsim.validation.scores import (
 )
 from eqsim.validation.verdict import KINDS, Validation, judge
 
+QUICK = SUITES["quick"]
 
-def at(ensemble, velocity, shown=None, seed=1):
+
+def at(ensemble, velocity, shown=None, seed=1, threads=1):
     """A point of the parameter space."""
-    return Point(0, ensemble, shown or ensemble, velocity, seed)
+    return Point(0, ensemble, shown or ensemble, velocity, seed, 1, threads)
 
 
 def changed(**changes):
@@ -201,8 +203,8 @@ def test_hazard(was, wrong):
             other = dataclasses.replace(
                 ensemble, thermal=dataclasses.replace(ensemble.thermal, barrier=wrong)
             )
-            passed += made(hazards(at(ensemble, v, seed=index)))
-            failed += made(hazards(at(ensemble, v, other, index)))
+            passed += made(hazards(at(ensemble, v, seed=index), QUICK))
+            failed += made(hazards(at(ensemble, v, other, index), QUICK))
     for kind in ("hazard", "hazard law"):
         assert judge(kind, passed).count >= 3
         assert judge(kind, passed).passed
@@ -418,9 +420,10 @@ def test_no_fluctuations_where_the_stationary_start_is_refused():
     hot = Ensemble(
         Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform"
     )
-    assert made(compared(Point(2, hot, hot, 2.2e-4, 1), Suite(3, 1), 1, 1)[3:]) == []
+    wide = Suite(3, 1, ((20, 2000),))
+    assert made(compared(at(hot, 2.2e-4)._replace(number=2), wide)[3:]) == []
     warm = dataclasses.replace(hot, thermal=Thermal(0.1))
-    assert made(fluctuating(at(warm, 2.2e-4), 20, 2000)) != []
+    assert made(fluctuating(at(warm, 2.2e-4), wide)) != []
 
 
 def test_averages_that_call_themselves_unreliable_are_not_scored():
@@ -456,7 +459,7 @@ def test_errors_that_are_bounds_do_not_count_as_scatter():
         of_steady = made(
             averages(at(ensemble, 1.0), steady(ensemble, Drive(1.0), rel_error=1e-4))
         )
-        of_force = made(transients(at(ensemble, 1.0, seed=2), SUITES["quick"], 1))
+        of_force = made(transients(at(ensemble, 1.0, seed=2), QUICK))
         assert {score.even for score in of_steady} == {even}
         assert all(score.even for score in of_force) == even
         assert max(abs(score.z) for score in of_steady + of_force) < 5.0
@@ -528,7 +531,7 @@ def test_variances_of_a_few_broken_contacts_are_not_scored():
     but for the one in a million that has broken, and the sample has none of these;
     later variances are scored."""
     cold = Ensemble(Gamma(5.0, 0.5), Thermal(0.005), stiffness_law="uniform")
-    found = transients(at(cold, 7e-4), SUITES["quick"], 1)
+    found = transients(at(cold, 7e-4), QUICK)
     found = [one for one in found if one.kind == "transient variance"]
     assert [isinstance(one, Score) for one in found] == [False, False, *[True] * 6]
     assert {one.reason for one in found[:2]} == {"few contacts"}
@@ -555,10 +558,7 @@ GROWING = Ensemble(
 
 def programme_scores(ensemble, shown=None):
     """Of two programmes of steps, holds and reversals."""
-    found = [
-        programmes(at(ensemble, 0.1, shown, seed), SUITES["quick"], 2)
-        for seed in (4, 10)
-    ]
+    found = [programmes(at(ensemble, 0.1, shown, seed, 2), QUICK) for seed in (4, 10)]
     return np.array(
         [abs(score.z) for one in found for score in one if isinstance(score, Score)]
     )
@@ -628,7 +628,7 @@ def pulled_scores(compare, chosen, count=4):
     quick suite."""
     drawn = ((index, e, v) for index, e, v in sample(60, 1) if chosen(e))
     points = (
-        Point(index, e, e, v, 1000 + index)
+        at(e, v, seed=1000 + index)._replace(number=index)
         for index, e, v in itertools.islice(drawn, count)
     )
     return [

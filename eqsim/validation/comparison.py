@@ -3,6 +3,7 @@ and what is not scored."""
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -10,13 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from eqsim.errors import InputError
 from eqsim.estimate import Estimate, known, z_score
 from eqsim.laws.aging import RULES
 from eqsim.laws.newborn import Newborn
 from eqsim.model.drive import Drive, Stage, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
-from eqsim.validation.points import law_text
+from eqsim.validation.points import Suite, law_text
 
 DECLINED = ("refused", "unreliable", "vague")
 REASONS = (*DECLINED, "few contacts", "too many lives", "no reference")
@@ -72,13 +74,15 @@ Found = list[Score | Unscored]
 
 class Point(NamedTuple):
     """A point of the parameter space: its number, the ensemble, the one that the engine
-    is shown, and a seed."""
+    is shown, its seed and that of the suite, and the threads that simulate it."""
 
     number: int
     ensemble: Ensemble
     shown: Ensemble
     velocity: float
     seed: int
+    suite_seed: int
+    threads: int = 1
 
     def stream(self, *numbers: int) -> int:
         """A seed for something drawn here."""
@@ -105,21 +109,33 @@ class Point(NamedTuple):
         even = bound <= _SHARE * sigma
         if not even and bound > _VAGUE * abs(value):
             return Unscored(kind, self.ensemble, self.velocity, "vague")
+        where = kind, self.ensemble, self.velocity
         score = math.inf if z is None else z
-        return Score(
-            kind, self.ensemble, self.velocity, known(ours), value, sigma, score, even
-        )
+        return Score(*where, known(ours), value, sigma, score, even)
 
     def uniform(self, share: Array) -> Score:
         """Test whether numbers are uniform, as they should be."""
         distance, p = stats.kstest(share, "uniform")
-        z = float(
-            stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16))
-        )  # low if it is too even
-        root = 1 / math.sqrt(share.size)
-        return Score(
-            "hazard law", self.ensemble, self.velocity, float(distance), 0.0, root, z
-        )
+        # low if it is too even
+        z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))
+        root, distance = 1 / math.sqrt(share.size), float(distance)
+        kind = "hazard law", self.ensemble, self.velocity
+        return Score(*kind, distance, 0.0, root, z)
+
+
+# Kinds of comparisons, and what makes them at a point.
+Asked = tuple[tuple[str, ...], Callable[[Point, Suite], Found]]
+
+
+def attempt(point: Point, plan: Suite, asked: list[Asked]) -> Found:
+    """The comparisons that are asked for; those that the program refuses are unscored."""
+    scores: Found = []
+    for kinds, compare in asked:
+        try:
+            scores += compare(point, plan)
+        except InputError as error:
+            scores += point.without(kinds, "refused", str(error))
+    return scores
 
 
 def stream(*numbers: int) -> int:

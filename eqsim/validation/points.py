@@ -138,69 +138,47 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
     several times as likely, over up to four decades; a sample of up to 500; shapes of
     SciPy's laws."""
     if kind == "gamma":
-        n = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)][
-            rng.integers(6)
-        ]
-        return Gamma(float(n), unit)
+        orders = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)]
+        return Gamma(float(orders[rng.integers(6)]), unit)
     if kind == "delta":
         return Delta(float(_brief(np.array(unit))))
     if kind == "two":
         low, high = _brief(unit * np.array([1.0, 10 ** rng.uniform(0.01, 2)]))
         return Table(np.repeat([low, high], rng.integers(1, 6, 2)))
     if kind == "narrow":
-        width, scale = (
-            float(x) for x in _brief(np.array([10 ** rng.uniform(-3, -1.7), unit]))
-        )
-        return (
-            Lognormal(width, scale)
-            if rng.random() < 0.5
-            else Gamma(float(round(0.25 / width**2)), scale)
-        )
+        width, scale = _brief(np.array([10 ** rng.uniform(-3, -1.7), unit])).tolist()
+        if rng.random() < 0.5:
+            return Lognormal(width, scale)
+        return Gamma(float(round(0.25 / width**2)), scale)
     if kind == "few":
         low, decades = math.log10(unit), rng.uniform(0.05, 4)
-        steps = 10 ** rng.uniform(
-            low - decades / 2, low + decades / 2, rng.integers(2, 13)
-        )
-        return Table(
-            np.repeat(
-                _brief(steps),
-                rng.integers(1, 4, steps.size) if rng.random() < 0.5 else 1,
-            )
-        )
+        low, high = low - decades / 2, low + decades / 2
+        steps = 10 ** rng.uniform(low, high, rng.integers(2, 13))
+        times = rng.integers(1, 4, steps.size) if rng.random() < 0.5 else 1
+        return Table(np.repeat(_brief(steps), times))
     if kind == "sample":
         size = round(10 ** rng.uniform(1.3, 2.7))
         return Table(_brief(unit * rng.lognormal(0.0, rng.uniform(0.1, 0.8), size)))
     if kind == "histogram":
         bins = int(rng.integers(2, 11))
-        heights = np.append(
-            rng.integers(0, 10, bins - 1), 1 + rng.integers(10)
-        )  # with gaps
-        edges = _brief(
-            unit
-            * (
-                rng.choice([0.0, 0.2, 1.0])
-                + np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))
-            )
-        )
+        # with gaps
+        heights = np.append(rng.integers(0, 10, bins - 1), 1 + rng.integers(10))
+        first = rng.choice([0.0, 0.2, 1.0])
+        widths = np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))
+        edges = _brief(unit * (first + widths))
         return Distribution(stats.rv_histogram((heights, edges), density=True))
-    scale, low = (
-        float(x) for x in _brief(np.array([unit, rng.uniform(0.05, 0.95) * unit]))
-    )
+    low = rng.uniform(0.05, 0.95) * unit
+    scale, low = _brief(np.array([unit, low])).tolist()
     if kind == "uniform":
         return Distribution(stats.uniform(low, scale))
     if kind == "arcsine":
-        shapes = (
-            _brief(rng.uniform(0.4, 0.9, 2))
-            if rng.random() < 0.5
-            else np.array([0.5, 0.5])
-        )
-        return Distribution(stats.beta(*shapes.tolist(), loc=low, scale=scale))
+        shapes = [0.5, 0.5]
+        if rng.random() < 0.5:
+            shapes = _brief(rng.uniform(0.4, 0.9, 2)).tolist()
+        return Distribution(stats.beta(*shapes, loc=low, scale=scale))
     if kind == "triang":
-        return Distribution(
-            stats.triang(
-                float(_brief(np.array(rng.uniform(0.0, 1.0)))), loc=low, scale=scale
-            )
-        )
+        peak = float(_brief(np.array(rng.uniform(0.0, 1.0))))
+        return Distribution(stats.triang(peak, loc=low, scale=scale))
     least, most = _SHAPES[kind]
     shape = float(_brief(np.exp(rng.uniform(math.log(least), math.log(most)))))
     return Distribution(getattr(stats, kind)(shape, scale=scale))

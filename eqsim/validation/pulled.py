@@ -30,7 +30,6 @@ import numpy as np
 
 from eqsim.engine.records import SliderTrajectory
 from eqsim.engine.trajectory import trajectory
-from eqsim.errors import InputError
 from eqsim.estimate import Estimate
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
@@ -41,7 +40,7 @@ from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
 from eqsim.model.drive import Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
-from eqsim.validation.comparison import Found, Point
+from eqsim.validation.comparison import Asked, Found, Point, attempt
 from eqsim.validation.points import Suite
 
 HOLD = ("hold",)
@@ -70,7 +69,7 @@ def compared(point: Point, plan: Suite) -> Found:
     """All comparisons of a pulled slider at a point: each kind at its own share of the
     points."""
     index = point.number
-    asked: list[tuple[tuple[str, ...], Callable[[Point, Suite], Found]]] = []
+    asked: list[Asked] = []
     if index % 24 in (4, 13):
         asked.append((HOLD, holds))
     if index % 13 == 10:
@@ -79,13 +78,7 @@ def compared(point: Point, plan: Suite) -> Found:
         asked.append((STEPS, steps))
     if index % 7 == 3:
         asked.append((AVALANCHES, avalanches))
-    scores: Found = []
-    for kinds, compare in asked:
-        try:
-            scores += compare(point, plan)
-        except InputError as error:
-            scores += point.without(kinds, "refused", str(error))
-    return scores
+    return attempt(point, plan, asked)
 
 
 def _plain(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:

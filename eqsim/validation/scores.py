@@ -54,19 +54,19 @@ from eqsim.engine.stationary import Fresh, stationary, thresholds, whole_lives
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import OBSERVABLES, Estimate, known
+from eqsim.estimate import OBSERVABLES, Estimate, known, mean_of
 from eqsim.laws.aging import Aging, Flow, Logarithmic, Unaged
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
 from eqsim.master.steady import reference, settled
-from eqsim.master.transient import fluctuations, transient
+from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
 from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
-from eqsim.validation.comparison import Found, Point
+from eqsim.validation.comparison import Asked, Found, Point, attempt
 from eqsim.validation.points import Suite
 
 _EACH = 8  # displacements, each with an ensemble of its own
@@ -85,47 +85,42 @@ _BELOW = 1e-13  # a threshold of a table, relative: contacts that have it still 
 _PILOT = 400_000  # contacts, at most
 _ROUNDING = 1e-12  # of a threshold that was computed in two ways; as many lives end by heat as close to it
 _NARROW = 0.03  # standard deviation over mean of thresholds, below which references of warm programmes take minutes
+_MOST_LIVES = 1e8  # of one comparison
 _DEAR = 20  # `langevin` lives take that much longer than others, and stationary ones are found by trying
 
 
-def compared(point: Point, plan: Suite, seed: int, threads: int) -> Found:
+def compared(point: Point, plan: Suite) -> Found:
     """All comparisons at a point."""
     index = point.number
     stride = plan.points // plan.wide if plan.wide else 0
-    parts: list[tuple[tuple[str, ...], Callable[[Point], Found]]] = []
+    asked: list[Asked] = []
     if index % 3 == 0:
-        parts.append((_EACH * _TRANSIENT, lambda at: transients(at, plan, threads)))
+        asked.append((_EACH * _TRANSIENT, transients))
     if index % 3 == 1:
-        parts.append((_HAZARD, hazards))
+        asked.append((_HAZARD, hazards))
     follows = not (point.ensemble.self_consistent or point.ensemble.fluctuates)
     follows = follows and not point.ensemble.newborn.active  # else no reference
     if index % 3 == 2 and follows and not _dear_along_programmes(point.ensemble):
-        parts.append((_SEGMENTS * _PROGRAMME, lambda at: programmes(at, plan, threads)))
+        asked.append((_SEGMENTS * _PROGRAMME, programmes))
     if stride and index % stride == 2:
-        size = plan.sizes[index // stride % len(plan.sizes)]
-        parts.append((_FLUCTUATIONS, lambda at: fluctuating(at, *size)))
-    rel_error = (
-        1.0 if point.shown.fluctuates else _REL_ERROR
-    )  # 1.0: the first 65 536 lives will do
+        asked.append((_FLUCTUATIONS, fluctuating))
+    # the first 65 536 lives of `langevin` contacts will do
+    rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR
+    drive = Drive(point.velocity)
     try:
         found = steady(
             point.shown,
-            Drive(point.velocity),
+            drive,
             rel_error=rel_error,
-            seed=seed,
-            threads=threads,
+            seed=point.suite_seed,
+            threads=point.threads,
         )
         scores = averages(point, found)
         point = point._replace(shown=_held(point.shown, point.velocity, found))
     except InputError as error:
-        asked = (*OBSERVABLES, *(kind for kinds, _ in parts for kind in kinds))
-        return point.without(asked, "refused", str(error))
-    for kinds, part in parts:
-        try:
-            scores += part(point)
-        except InputError as error:
-            scores += point.without(kinds, "refused", str(error))
-    return scores
+        kinds = (*OBSERVABLES, *(kind for kinds, _ in asked for kind in kinds))
+        return point.without(kinds, "refused", str(error))
+    return scores + attempt(point, plan, asked)
 
 
 def _dear_along_programmes(ensemble: Ensemble) -> bool:
@@ -174,73 +169,101 @@ def averages(point: Point, found: Steady) -> Found:
     return scores
 
 
-def transients(point: Point, plan: Suite, threads: int) -> Found:
+class _End(NamedTuple):
+    """What a drive leads to: mean and variance of the force of one contact, whose
+    errors are bounds, and the share of contacts that make the mean (`_carrying`)."""
+
+    drive: Drive | Programme
+    mean: Estimate
+    variance: Estimate
+    carrying: float
+
+
+def _end(drive: Drive | Programme, exact: Transient, i: int, drag: float) -> _End:
+    """The end of a drive, row `i` of a reference along it."""
+    assert exact.force_variance is not None
+    assert exact.force_variance_error is not None
+    mean = Estimate(float(exact.force[i]), float(exact.force_error[i]), 0)
+    square, off = float(exact.force_variance[i]), float(exact.force_variance_error[i])
+    carrying = _carrying(known(mean), square, float(exact.pinned[i]), drag)
+    return _End(drive, mean, Estimate(square, off, 0), carrying)
+
+
+def _score_end(
+    point: Point,
+    end: _End,
+    kinds: tuple[str, str],
+    streams: tuple[tuple[int, ...], ...],
+) -> Found:
+    """Score the mean force at the end of a drive, and by other contacts its variance,
+    for which a pilot tells whether there are enough; each draws from its own stream."""
+    shown, level, variance = point.shown, known(end.mean), known(end.variance)
+    few = shown.count * end.carrying
+    # few that have broken make the variance if all others have the same force; the law
+    # of `langevin` contacts is not known well enough to say how large it is
+    broken = shown.count * variance / max(level**2, 1e-300)
+    if isinstance(end.drive, Programme):
+        broken = math.inf
+    if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH:
+        return point.without(kinds, "few contacts")
+    own, pilot, groups = (point.stream(*numbers) for numbers in streams)
+    run = trajectory(shown, end.drive, points=2, seed=own, threads=point.threads)
+    scores = point.without(kinds[:1], "unreliable")
+    if run.force_reliable:
+        ours = Estimate(float(run.force[-1]), float(run.force_stderr[-1]), shown.count)
+        scores = [point.score(kinds[0], ours, end.mean, end.mean.stderr or 0.0)]
+    group = dataclasses.replace(shown, count=shown.count // _GROUPS)
+    if min(few, broken) < _ENOUGH_SQUARES or not _many(
+        _about(level, group, end.drive, pilot)
+    ):
+        return scores + point.without(kinds[1:], "few contacts")
+    squares = _about(level, group, end.drive, groups)
+    ours = mean_of(squares, 0, _GROUPS - 1)
+    off = end.variance.stderr or 0.0
+    return [*scores, point.score(kinds[1], ours, end.variance, off)]
+
+
+def _affordable(
+    point: Point, plan: Suite, drive: Drive | Programme, most: int, lives: float
+) -> Point | None:
+    """The point with as many contacts as the suite affords along a drive, `most` of
+    them or so many `lives`; None at velocities so low that even few take too long."""
+    dear = 1
+    ages = point.shown.aging.rule != "none"
+    if point.shown.fluctuates or (ages and isinstance(drive, Programme)):
+        dear = _DEAR
+    cost = predicted_lives(dataclasses.replace(point.shown, count=1), drive)
+    least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
+    count = int(min(most, max(least, lives / dear / cost)))
+    shown = dataclasses.replace(point.shown, count=count)
+    if predicted_lives(shown, drive) > _MOST_LIVES / dear:
+        return None
+    return point._replace(shown=shown)
+
+
+def transients(point: Point, plan: Suite) -> Found:
     """Eight ensembles, each asked for F at one displacement of its own, and eight more
     for its variance: over five mean thresholds, or over two lives and delays."""
-    ensemble, shown, v = point.ensemble, point.shown, point.velocity
+    ensemble, v = point.ensemble, point.velocity
     typical = reference(ensemble, Drive(v))
     distance = 5 * ensemble.thresholds.mean
     if point.seed % 2:
         distance = 2 * (known(typical.travel) + v * ensemble.delay.time)
     whole = point.drive(distance)
-    cost = predicted_lives(dataclasses.replace(ensemble, count=1), whole)
-    dear = _DEAR if shown.fluctuates else 1
-    least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
-    shown = dataclasses.replace(
-        shown, count=int(min(20_000, max(least, 1e6 / dear / cost)))
-    )
-    if (
-        predicted_lives(shown, whole) > 1e8 / dear
-    ):  # very low velocity: nothing for a test of minutes
+    sized = _affordable(point, plan, whole, 20_000, 1e6)
+    if sized is None:
         return point.without(_EACH * _TRANSIENT, "too many lives")
     # near jumps of F the error is what a few cells of the grid make of it
     steps = ensemble.thresholds.steps.size
     every = max(1, _CELLS // (_EACH * max(12, steps))) if steps else 1
-    exact, drag = (
-        transient(ensemble, whole, points=_EACH * every + 1, variance=True),
-        _drag(ensemble, v),
-    )
+    exact = transient(ensemble, whole, points=_EACH * every + 1, variance=True)
     if exact.force_variance is None or exact.force_variance_error is None:
         return point.without(_EACH * _TRANSIENT, "vague")
     scores: Found = []
     for i in range(1, _EACH + 1):
-        level, off = float(exact.force[i * every]), float(exact.force_error[i * every])
-        variance = float(exact.force_variance[i * every])
-        few = shown.count * _carrying(
-            level, variance, float(exact.pinned[i * every]), drag
-        )
-        # few that have broken make the variance if all others have the same force; the
-        # law of `langevin` contacts is not known well enough to say how large it is
-        broken = shown.count * variance / max(level**2, 1e-300)
-        if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH:
-            scores += point.without(_TRANSIENT, "few contacts")
-            continue
         drive = point.drive(distance * i / _EACH)
-        run = trajectory(shown, drive, points=2, seed=point.stream(i), threads=threads)
-        ours = Estimate(float(run.force[1]), float(run.force_stderr[1]), shown.count)
-        if run.force_reliable:
-            scores.append(point.score("transient", ours, Estimate(level, off, 0), off))
-        else:
-            scores += point.without(_TRANSIENT[:1], "unreliable")
-        group = dataclasses.replace(shown, count=shown.count // _GROUPS)
-        # a pilot tells how many contacts make the variance: its relative error is as if
-        # so many had equal parts
-        if min(few, broken) < _ENOUGH_SQUARES or not _many(
-            _about(level, group, drive, point.stream(i, 1))
-        ):
-            scores += point.without(_TRANSIENT[1:], "few contacts")
-            continue
-        groups = _about(level, group, drive, point.stream(i, 2))
-        ours = Estimate(
-            float(groups.mean()),
-            float(groups.std(ddof=1)) / math.sqrt(_GROUPS),
-            0,
-            _GROUPS - 1,
-        )
-        off = float(exact.force_variance_error[i * every])
-        scores.append(
-            point.score("transient variance", ours, Estimate(variance, off, 0), off)
-        )
+        end = _end(drive, exact, i * every, _drag(ensemble, v))
+        scores += _score_end(sized, end, _TRANSIENT, ((i,), (i, 1), (i, 2)))
     return scores
 
 
@@ -315,71 +338,35 @@ def _pieces(
     ]
 
 
-def programmes(point: Point, plan: Suite, threads: int) -> Found:
+def programmes(point: Point, plan: Suite) -> Found:
     """The end of each segment of a programme, from an ensemble of its own, and from
     another its variance."""
-    (whole, same, ends, moved), shown = programme_of(point), point.shown
-    cost = predicted_lives(dataclasses.replace(shown, count=1), whole)
-    dear = 1 if shown.aging.rule == "none" else _DEAR
-    least = plan.contacts if plan.contacts * cost < plan.lives / dear else 200
-    shown = dataclasses.replace(
-        shown, count=int(min(100_000, max(least, 4e6 / dear / cost)))
-    )
-    if predicted_lives(shown, whole) > 1e8 / dear:
+    whole, same, ends, moved = programme_of(point)
+    sized = _affordable(point, plan, whole, 100_000, 4e6)
+    if sized is None:
         return point.without(_SEGMENTS * _PROGRAMME, "too many lives")
-    scores: Found = []
     try:
         exact = transient(point.ensemble, same, 2, variance=True)
     except InputError:  # of tails so long that a stationary start has no reference
         whole, same = (dataclasses.replace(one, start="fresh") for one in (whole, same))
         exact = transient(point.ensemble, same, 2, variance=True)
-    assert exact.force_variance is not None
-    assert exact.force_variance_error is not None
+    scores: Found = []
     for i in range(1, _SEGMENTS + 1):
-        level, off, pinned = (
-            float(exact.force[i]),
-            float(exact.force_error[i]),
-            float(exact.pinned[i]),
-        )
-        variance, off2 = (
-            float(exact.force_variance[i]),
-            float(exact.force_variance_error[i]),
-        )
-        off, off2 = off + moved, off2 + 2.0 * abs(level) * moved
         velocity = same.segments[i - 1].velocity
         drag = math.copysign(_drag(point.ensemble, abs(velocity)), velocity)
-        few = shown.count * _carrying(level, variance, pinned, drag)
-        if not few >= _ENOUGH:
-            scores += point.without(_PROGRAMME, "few contacts")
-            continue
         drive = dataclasses.replace(whole, segments=whole.segments[: ends[i - 1]])
-        run = trajectory(
-            shown, drive, points=2, seed=point.stream(i, 3), threads=threads
+        end = _end(drive, exact, i, drag)
+        end = end._replace(
+            mean=_vaguer(end.mean, moved),
+            variance=_vaguer(end.variance, 2.0 * abs(known(end.mean)) * moved),
         )
-        ours = Estimate(float(run.force[-1]), float(run.force_stderr[-1]), shown.count)
-        if run.force_reliable:
-            scores.append(
-                point.score(_PROGRAMME[0], ours, Estimate(level, off, 0), off)
-            )
-        else:
-            scores += point.without(_PROGRAMME[:1], "unreliable")
-        group = dataclasses.replace(shown, count=shown.count // _GROUPS)
-        if few < _ENOUGH_SQUARES or not _many(
-            _about(level, group, drive, point.stream(i, 4))
-        ):
-            scores += point.without(_PROGRAMME[1:], "few contacts")
-            continue
-        groups = _about(level, group, drive, point.stream(i, 5))
-        ours = Estimate(
-            float(groups.mean()),
-            float(groups.std(ddof=1)) / math.sqrt(_GROUPS),
-            0,
-            _GROUPS - 1,
-        )
-        scores.append(
-            point.score(_PROGRAMME[1], ours, Estimate(variance, off2, 0), off2)
-        )
+        scores += _score_end(sized, end, _PROGRAMME, ((i, 3), (i, 4), (i, 5)))
     return scores
+
+
+def _vaguer(exact: Estimate, bound: float) -> Estimate:
+    """The same value with a larger error."""
+    return dataclasses.replace(exact, stderr=(exact.stderr or 0.0) + bound)
 
 
 def _many(pilot: Array) -> bool:
@@ -416,7 +403,7 @@ def _about(level: float, group: Ensemble, drive: Drive | Programme, seed: int) -
     return np.asarray((variances + (forces - level) ** 2)[:, 1])
 
 
-def hazards(point: Point) -> Found:
+def hazards(point: Point, plan: Suite) -> Found:
     """Integrated hazards at breaking against Exp(1), censored at each contact's own
     threshold, two ways.
 
@@ -515,70 +502,65 @@ _INTEGRATED: dict[type, Callable[[Reduced, Array, Array], Array]] = {
 }
 
 
-def fluctuating(point: Point, count: int, ensembles: int) -> Found:
-    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles of
-    `count` contacts. Raises InputError where lives are too rare and too long to be
-    found."""
+def fluctuating(point: Point, plan: Suite) -> Found:
+    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles. Raises
+    InputError where lives are too rare and too long to be found."""
+    count, ensembles = plan.sizes[
+        point.number // (plan.points // plan.wide) % len(plan.sizes)
+    ]
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
     s = settled(ensemble, v)
     if s.stiffness == "sqrt" and s.aging.stiffens:
         return point.without(_FLUCTUATIONS, "no reference")
+    most = _MOST_LIVES * 2
     if shown.fluctuates:
-        count = min(count, 40_000 // ensembles)
+        count, most = min(count, 40_000 // ensembles), most / _DEAR**2
     means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)
     level, lag = known(means.friction), 0.5 * known(means.travel)
     shown = dataclasses.replace(shown, count=count)
-    if predicted_lives(shown, point.drive(lag)) * ensembles > (
-        2e8 / _DEAR**2 if shown.fluctuates else 2e8
-    ):
+    if predicted_lives(shown, point.drive(lag)) * ensembles > most:
         return point.without(_FLUCTUATIONS, "too many lives")
     exact = fluctuations(ensemble, point.drive(lag), points=2)
     # contacts that make the force in all ensembles together, and of these the share
     # that does after the lag
-    carry = (
-        count
-        * ensembles
-        * _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
-    )
+    carrying = _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
+    carry = count * ensembles * carrying
     square, product = (exact.covariance + (level - drag) ** 2).tolist()
-    of_squares = carry / _ENOUGH_SQUARES
-    enough = {
-        "mean": carry / _ENOUGH,
-        "variance": of_squares,
-        "covariance": of_squares * product / square,
-    }
-    at_once = point.drive(1e-6 * lag, "stationary")
-    group = dataclasses.replace(
-        shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS)
-    )
-    if enough["variance"] >= 1.0 and not _many(
-        _about(level, group, at_once, point.stream(1))
-    ):
-        enough["variance"] = enough["covariance"] = 0.0
-    if enough["mean"] < 1.0:
+    if carry < _ENOUGH:
         return point.without(_FLUCTUATIONS, "few contacts")
+    at_once = point.drive(1e-6 * lag, "stationary")
+    pilot = max(1, min(count * ensembles, _PILOT) // _GROUPS)
+    group = dataclasses.replace(shown, count=pilot)
+    of_squares = carry / _ENOUGH_SQUARES
+    if of_squares >= 1.0 and not _many(_about(level, group, at_once, point.stream(1))):
+        of_squares = 0.0
     forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
     first, second = (forces - level).T
-    held = (
-        _REL_ERROR * level if ensemble.self_consistent else 0.0
-    )  # what the error of C can do
+    # what the error of C can do
+    held = _REL_ERROR * level if ensemble.self_consistent else 0.0
+    off = math.hypot(held, means.friction.stderr or 0.0)
     scores: Found = []
-    (now, later), (now_off, later_off) = exact.covariance / count, exact.error / count
-    for kind, terms, value, error in (
-        ("mean", forces[:, 0], level, math.hypot(held, means.friction.stderr or 0.0)),
-        ("variance", first**2, float(now), float(now_off)),
-        ("covariance", first * second, float(later), float(later_off)),
+    for kind, enough, terms, value, error in (
+        ("mean", True, forces[:, 0], level, off),
+        ("variance", of_squares >= 1.0, first**2, *_over(exact, 0, count)),
+        (
+            "covariance",
+            of_squares * product >= square,
+            first * second,
+            *_over(exact, 1, count),
+        ),
     ):
-        if enough[kind] < 1.0:
+        if enough:
+            ours = mean_of(terms, ensembles)
+            scores.append(point.score(kind, ours, Estimate(value, error, 0), error))
+        else:
             scores += point.without((kind,), "few contacts")
-            continue
-        ours = Estimate(
-            float(terms.mean()),
-            float(terms.std(ddof=1)) / math.sqrt(ensembles),
-            ensembles,
-        )
-        scores.append(point.score(kind, ours, Estimate(value, error, 0), error))
     return scores
+
+
+def _over(exact: Fluctuations, row: int, count: int) -> tuple[float, float]:
+    """A covariance of the force of `count` contacts, and its error."""
+    return float(exact.covariance[row]) / count, float(exact.error[row]) / count
 
 
 def _forces(

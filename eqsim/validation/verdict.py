@@ -224,15 +224,10 @@ def validate(
     total = len(range(first, plan.points, step))
     found: Found = []
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
-        point = Point(
-            index,
-            ensemble,
-            wrong(ensemble) if wrong else ensemble,
-            v,
-            stream(seed, index),
-        )
-        found += compared(point, plan, seed, threads)
-        found += pulled.compared(point, plan)
+        shown = wrong(ensemble) if wrong else ensemble
+        own = stream(seed, index)
+        point = Point(index, ensemble, shown, v, own, seed, threads)
+        found += compared(point, plan) + pulled.compared(point, plan)
         if progress:
             progress(done, total)
     scores = [one for one in found if isinstance(one, Score)]
