@@ -18,7 +18,9 @@ FALLS = 1.0 / 400.0
 # second differences, in units of the density nearby, that rounding may make
 NOISE = 1e-11
 LARGEST = 1e100  # density in the place of an infinite one
-MOST = 64  # kinks that are kept, those of the largest second differences: a density with noise has them everywhere
+# kinks that are kept, those of the largest second differences: a density with noise has
+# them everywhere
+MOST = 64
 APART = 1e-9  # relative distance of kinks that are the same
 
 

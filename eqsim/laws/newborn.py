@@ -35,11 +35,11 @@ _NUMBERS = {
     "exponential": ("mean",),
     "normal": ("mean", "std"),
 }
-_LOST = 1e-9  # share of births that may be so stretched that hardly a threshold is above them
+# share of births that may be so stretched that hardly a threshold is above them
+_LOST = 1e-9
 _RAREST = 470.0  # -ln J_c of a threshold that counts as the greatest
-_FIRST_OCTAVE = (
-    -40
-)  # of stretches over the scale of the thresholds; below, hardly a threshold is passed
+# of stretches over the scale of the thresholds; below, hardly a threshold is passed
+_FIRST_OCTAVE = -40
 
 
 class _Stretch(NamedTuple):

@@ -33,11 +33,12 @@ NO_STEPS: Array = np.empty(0)
 # up to here a tail is integrated; beyond, it is continued as a power law
 RAREST = 500.0
 _TAIL_STEP = 25.0  # between the three thresholds that tell its power
-_PANEL = 4.0  # the longest panel of Gauss and Legendre: e^(p e/exponent - e) is smooth on this scale
-_FINEST_PANEL = (
-    2.0**-40
-)  # the shortest, next to the lower end of the integral, where integrands may have a kink
-_LEAST_DECAY = 1e-9  # of a moment's tail per e, below which rounding cannot tell it from a divergent one
+# the longest panel of Gauss and Legendre: e^(p e/exponent - e) is smooth on this scale
+_PANEL = 4.0
+# the shortest, next to the lower end of the integral, where integrands may have a kink
+_FINEST_PANEL = 2.0**-40
+# of a moment's tail per e, below which rounding cannot tell it from a divergent one
+_LEAST_DECAY = 1e-9
 _KNOWN_SHARE = 1e-6  # a J_c that is good to 1e-10 even if it is 1 less the distribution
 _ROUNDED = 1e-13  # relative, of sums and of logarithms of about 500
 _TAIL_NODES, _TAIL_WEIGHTS = special.roots_legendre(12)
@@ -192,9 +193,10 @@ class Gamma:
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         u = self.inverse_survival(e) / self.x_star
+        # J_c/P_c
         slope = 0.5 * np.exp(
             u**2 - e + special.gammaln(self.n + 1.0) - (2 * self.n + 1) * np.log(u)
-        )  # J_c/P_c
+        )
         return octave_table(FIRST_OCTAVE, u, slope)
 
 
@@ -349,9 +351,8 @@ class Smooth:
         with np.errstate(all="ignore"):
             slope = self.sf(xi) / self.pdf(xi)
         secant = np.gradient(xi, e)
-        slope = np.where(
-            np.isfinite(slope), slope, secant
-        )  # where the density vanishes: support ends, gaps
+        # where the density vanishes: support ends, gaps
+        slope = np.where(np.isfinite(slope), slope, secant)
         return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
 
     @functools.cached_property
@@ -380,9 +381,8 @@ class Smooth:
             self.inverse_survival(e) / self.scale,
         )
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
-        with np.errstate(
-            all="ignore"
-        ):  # powers of extreme thresholds may overflow, of laws without such a mean
+        # powers of extreme thresholds may overflow, of laws without such a mean
+        with np.errstate(all="ignore"):
             return [
                 float(
                     share
@@ -393,7 +393,9 @@ class Smooth:
             ]
 
 
-_SAME = 1e-6  # of the scale, how far a kink may be that is another; nearer to an infinite end a density is rounded
+# of the scale, how far a kink may be that is another; nearer to an infinite end a
+# density is rounded
+_SAME = 1e-6
 
 
 # Points between which the bins of a histogram are sought, in equal steps and in equal
@@ -444,9 +446,8 @@ class Distribution(Smooth):
     """
 
     def __init__(self, frozen: Any, breakpoints: Any = None) -> None:
-        from scipy import (
-            stats,
-        )  # takes long to import, but who has a distribution has imported it
+        # takes long to import, but who has a distribution has imported it
+        from scipy import stats
 
         try:
             least, scalar = frozen.ppf(0.0), np.ndim(frozen.pdf(1.0)) == 0
@@ -462,16 +463,14 @@ class Distribution(Smooth):
                 f"threshold distribution: its support begins at {least:g}; must be >= 0"
             )
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # a divergent integral is refused in our words
+            # a divergent integral is refused in our words
+            warnings.simplefilter("ignore")
             third = float(frozen.moment(3))
             second, self.mean = float(frozen.moment(2)), float(frozen.mean())
         low, high = frozen.support()
         self.support, self.scale = (float(low), float(high)), 1.0
-        if (
-            self._third_diverges()
-        ):  # formulas and quadratures of SciPy may give a finite number then
+        # formulas and quadratures of SciPy may give a finite number then
+        if self._third_diverges():
             third = math.inf
         require_number("threshold distribution: <xi^3>", third, above=0)
         self.scale, self.rms = self.mean, math.sqrt(second)
@@ -507,13 +506,8 @@ class Distribution(Smooth):
             for item in given
             for part in (item if isinstance(item, tuple) else (item,))
         ]
-        return (
-            1.0,
-            self._name,
-            *flat,
-            self.breakpoints,
-            self.cdf(self.breakpoints),
-        )  # a histogram's are all it has
+        # a histogram's are all it has
+        return (1.0, self._name, *flat, self.breakpoints, self.cdf(self.breakpoints))
 
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
@@ -628,9 +622,8 @@ def means_above(
     )
     half = 0.5 * np.diff(edges)
     nodes = edges[:-1, None] + half[:, None] * (1.0 + _TAIL_NODES)
-    with np.errstate(
-        all="ignore"
-    ):  # a value may vanish at x, or overflow where its mean diverges
+    # a value may vanish at x, or overflow where its mean diverges
+    with np.errstate(all="ignore"):
         terms = np.exp(log_terms(nodes.ravel())).reshape(-1, *nodes.shape)
         total = np.asarray(terms @ _TAIL_WEIGHTS @ half)
         error = _ROUNDED * total
@@ -687,9 +680,8 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     """
     low, high = (edge / law.scale for edge in law.support)
     left = np.maximum(x, low)[:, None]
-    e = np.exp(
-        np.linspace(-36.0, math.log(100.0), 400)
-    )  # only panels depend on this table
+    # only panels depend on this table
+    e = np.exp(np.linspace(-36.0, math.log(100.0), 400))
     xi = np.asarray(law.inverse_survival(e)) / law.scale
     rank = np.interp(left, xi, e)
     edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)

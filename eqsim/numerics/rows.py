@@ -25,13 +25,14 @@ def _shuffled(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
 
 def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
     """Columns of four vectors of four numbers."""
+    # of columns 0 and 2, and of 1 and 3
     halves = [
         [
             _shuffled(builder, rows[k], rows[k + 1], [n, n + 4, n + 2, n + 6])
             for k in (0, 2)
         ]
         for n in (0, 1)
-    ]  # of columns 0 and 2, and of 1 and 3
+    ]
     return [
         _shuffled(builder, first, last, [n, n + 1, n + 4, n + 5])
         for n in (0, 2)

@@ -17,9 +17,8 @@ from eqsim.numerics.compiled import kernel
 from eqsim.numerics.tables import Array
 
 _BITS = 30
-_PLACES = np.arange(
-    _BITS - 1, -1, -1, dtype=np.int32
-)  # of the bits of a number, the highest first
+# of the bits of a number, the highest first
+_PLACES = np.arange(_BITS - 1, -1, -1, dtype=np.int32)
 
 
 def _directions(dimensions: int) -> Array:
@@ -68,9 +67,8 @@ class Sobol(NamedTuple):
         needed = _directions(dimensions)[:, :, : (most - 1).bit_length()]
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
-        words[..., 1:] ^= words[
-            ..., :-1
-        ]  # points follow each other in the order of Gray
+        # points follow each other in the order of Gray
+        words[..., 1:] ^= words[..., :-1]
         return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32), words)
 
     def some(self, which: slice) -> "Sobol":

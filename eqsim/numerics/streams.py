@@ -15,7 +15,8 @@ import numpy as np
 from eqsim.numerics.compiled import routine
 
 TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
-STEADY = 2  # first purpose of a steady estimate; others are hashes of what it is an estimate of
+# first purpose of a steady estimate; others are hashes of what it is an estimate of
+STEADY = 2
 
 ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and more
 
@@ -66,12 +67,8 @@ def philox(
     c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any
 ) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
-    c1, c3, k0, k1 = (
-        c1 & _LOW,
-        c3 & _LOW,
-        k0 & _LOW,
-        k1 & _LOW,
-    )  # else the compiler multiplies 64 bits by 64 at first
+    # else the compiler multiplies 64 bits by 64 at first
+    c1, c3, k0, k1 = (c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW)
     for _ in range(10):
         p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
         c0, c1, c2, c3 = (

@@ -23,11 +23,11 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 NO_TABLE: Array = np.empty((0, 4))
 CELLS = 64
-_SHIFT = (
-    52 - 6
-)  # bits of the mantissa below those that number the 64 cells of an octave
+# bits of the mantissa below those that number the 64 cells of an octave
+_SHIFT = 52 - 6
 _FRACTION = (1 << _SHIFT) - 1
-_UNITS = 0x4330000000000000  # bits of 2^52, the last of which are those of an integer that is added
+# bits of 2^52, the last of which are those of an integer that is added
+_UNITS = 0x4330000000000000
 _BIAS = 1023 * CELLS  # of the IEEE exponent, in cells
 
 

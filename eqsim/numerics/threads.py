@@ -19,7 +19,8 @@ from eqsim.numerics.tables import Array
 Result = TypeVar("Result")
 
 NEVER = np.zeros(1, np.int64)  # a flag that nobody sets
-_PATIENCE = 0.3  # seconds; kernels look at their flag every few milliseconds, compilers never do
+# seconds; kernels look at their flag every few milliseconds, compilers never do
+_PATIENCE = 0.3
 _above = threading.local()  # `pool`: the threads among which the current one is
 
 
@@ -70,12 +71,8 @@ class ThreadPool(Executor):
                     del result
                 except BaseException as error:
                     future.set_exception(error)
-            del (
-                task,
-                future,
-                function,
-                arguments,
-            )  # not to keep results until the next task
+            # not to keep results until the next task
+            del (task, future, function, arguments)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:  # type: ignore[override]
         """Call a function in one of the threads."""

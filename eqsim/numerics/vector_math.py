@@ -17,19 +17,17 @@ import numpy as np
 
 from eqsim.numerics.compiled import fma, routine
 
-_LN2_HIGH, _LN2_LOW = (
-    6.93147180369123816490e-01,
-    1.90821492927058770002e-10,
-)  # their product with 2^11 is exact
+# their product with 2^11 is exact
+_LN2_HIGH, _LN2_LOW = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of sqrt(1/2)
-_SHIFT = (
-    1.5 * 2.0**52
-)  # added to a number below 2^51, leaves its nearest integer in the low bits
+# added to a number below 2^51, leaves its nearest integer in the low bits
+_SHIFT = 1.5 * 2.0**52
 _SHIFT_BITS = 0x4338000000000000
-_CUBE_BITS = (
-    4.0 / 3.0 * 1023.0 - 0.065
-) * 2.0**52  # of a first y^(-1/3), less than 4 % off
-FLAT = 400.0  # where exponents are cut: ln(1 + y) is ln y to rounding, and any factor fits before y overflows
+# of a first y^(-1/3), less than 4 % off
+_CUBE_BITS = (4.0 / 3.0 * 1023.0 - 0.065) * 2.0**52
+# where exponents are cut: ln(1 + y) is ln y to rounding, and any factor fits before y
+# overflows
+FLAT = 400.0
 _TAYLOR = tuple(1.0 / math.factorial(i) for i in range(14))
 _SINE = (  # of sin(pi z/2)/z in z^2: Chebyshev interpolation, 3e-16 off
     1.5707963267948963, -0.6459640975062232, 0.07969262624568337, -0.004681754131447062,

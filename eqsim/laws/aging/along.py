@@ -23,7 +23,9 @@ from eqsim.numerics.compiled import routine
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
-_ROUNDING = 2e-15  # of E over a xi^2, 9 units in the last place: of threshold, stretch and their difference
+# of E over a xi^2, 9 units in the last place: of threshold, stretch and their
+# difference
+_ROUNDING = 2e-15
 
 
 class _Path(NamedTuple):
@@ -97,14 +99,12 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
             or level < coarse
         )
         last = level >= _DEEPEST
+        # thresholds vanish at some x < 0, perhaps nearby
         fine = last or (
             abs(right - left) <= most
             and level >= coarse
             and smooth(law, c.age + x0, c.age + x1)
-            and now
-            <= _GROWN
-            * c.xi
-            * growth(law, c.age + x0)  # thresholds vanish at some x < 0, perhaps nearby
+            and now <= _GROWN * c.xi * growth(law, c.age + x0)
         )
         if seen and fine and not last:
             for quarter in range(1, 4):  # the barrier may rise and fall inside

@@ -33,8 +33,12 @@ from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
 
-_STANDSTILL = 1e-250  # displacement over threshold in which no rate varies, so that travel over velocity is time
-_MOST_N = 1000.0  # of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the newborn law
+# displacement over threshold in which no rate varies, so that travel over velocity is
+# time
+_STANDSTILL = 1e-250
+# of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the
+# newborn law
+_MOST_N = 1000.0
 
 
 def change2(final2: float, age: Any) -> Array:

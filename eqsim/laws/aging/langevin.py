@@ -11,7 +11,8 @@ from eqsim.errors import require_number
 from eqsim.laws.aging.base import Drift, stiffness_varies
 from eqsim.laws.stiffness import Springs
 
-MOST_ALPHA = 1e6  # relaxations while the contact slides x_*, or in a hold: steps, and time, grow with it
+# relaxations while the contact slides x_*, or in a hold: steps, and time, grow with it
+MOST_ALPHA = 1e6
 
 
 class _Numbers(NamedTuple):

@@ -87,6 +87,5 @@ def _end(law: Logarithmic, xi: float) -> float:
 @smooth.register(Logarithmic)
 @routine(inline=True)
 def _smooth(law: Logarithmic, x0: float, x1: float) -> bool:
-    return law.per_time * (x1 - x0) <= 2.0 * (
-        1.0 + law.per_time * x0
-    )  # ln(1 + x/(v t_c)) has an end at x = -v t_c
+    # ln(1 + x/(v t_c)) has an end at x = -v t_c
+    return law.per_time * (x1 - x0) <= 2.0 * (1.0 + law.per_time * x0)

@@ -47,10 +47,7 @@ class PooledThresholds:
         share, square = share[use], square[use]
         reach = np.array(
             [unit.inverse_survival(2.0**-56), unit.inverse_survival(520.0)]
-        ) * [
-            min(1, self.final),
-            max(1, self.final),
-        ]
+        ) * [min(1, self.final), max(1, self.final)]
         log_x = np.arange(
             math.log(max(reach[0], 1e-18)), math.log(reach[1]), 0.02 * max(width, 1e-3)
         )
@@ -77,9 +74,8 @@ class PooledThresholds:
         cells = (
             half * weights * np.exp(log_density(inner.ravel()).reshape(inner.shape))
         ).sum(axis=1)
-        below = np.exp(log_p[0]) / (2 * (n + 1)) + np.append(
-            0.0, np.cumsum(cells)
-        )  # a power of xi below the grid
+        # a power of xi below the grid
+        below = np.exp(log_p[0]) / (2 * (n + 1)) + np.append(0.0, np.cumsum(cells))
         above = np.exp(log_p[-1]) * (log_x[-1] - log_x[-2]) / (
             log_p[-2] - log_p[-1]
         ) + np.append(np.cumsum(cells[::-1])[::-1], 0.0)
@@ -97,11 +93,8 @@ class PooledThresholds:
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        return (
-            *self.newborn.declared,
-            "pooled",
-            self.final,
-        )  # `decay` is an estimate, which no stream may depend on
+        # `decay` is an estimate, which no stream may depend on
+        return (*self.newborn.declared, "pooled", self.final)
 
     def _log(self, x: Any) -> tuple[Array, Array]:
         """ln(x/scale) clipped to the splines, and by how much it was below."""
@@ -136,9 +129,8 @@ class PooledThresholds:
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
         log_e = np.log(np.asarray(e, float))
         inside = np.clip(log_e, *self._ranks)
-        below = np.minimum(log_e - inside, 0.0) / (
-            2 * (self.newborn.n + 1)
-        )  # a power of xi
+        # a power of xi
+        below = np.minimum(log_e - inside, 0.0) / (2 * (self.newborn.n + 1))
         return np.asarray(self.scale * np.exp(self._log_x(inside) + below))
 
     def table(self) -> Array:

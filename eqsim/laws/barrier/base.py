@@ -103,10 +103,8 @@ class Barrier(Law):
         """Distance xi - y above a stretch y at which E is about `exponent`, for
         contacts of the same a."""
         size = np.broadcast(exponent, y, a)
-        low, high = (
-            np.full(size.shape, -40.0),
-            np.full(size.shape, 20.0),
-        )  # ln of it over y
+        # ln of it over y
+        low, high = (np.full(size.shape, -40.0), np.full(size.shape, 20.0))
         for _ in range(20):
             middle = 0.5 * (low + high)
             gap = y * np.exp(middle)

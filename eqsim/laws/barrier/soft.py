@@ -270,17 +270,15 @@ def _onward(
     if (2.0 * z + 1.0) * ticks < 1e-4:
         s = _short(z, ticks)
     else:
-        s = (
-            math.log1p(2.0 * z * ticks) / (2.0 * z) if z > 1e-8 else ticks
-        )  # not less than it is
+        # not less than it is
+        s = math.log1p(2.0 * z * ticks) / (2.0 * z) if z > 1e-8 else ticks
         if s * (2.0 * z + s) < 1.0:
             for _ in range(5):  # Newton
                 s += (ticks - _ahead(z, s)) * math.exp(-s * (2.0 * z + s))
         else:
             level = log_ticks + math.log1p(D * math.exp(-log_ticks))
-            e = max(
-                1.0, level + 0.5 * math.log(4.0 * (z * z + max(level, 1.0)))
-            )  # s^2 + 2 z s
+            # s^2 + 2 z s
+            e = max(1.0, level + 0.5 * math.log(4.0 * (z * z + max(level, 1.0))))
             for _ in range(6):  # Newton
                 end = math.sqrt(z * z + e)
                 D = _dawson(c.hazard_table, end)

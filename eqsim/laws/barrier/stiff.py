@@ -49,9 +49,8 @@ class Stiff(Numbers, Barrier):
         c = np.asarray(a * xi**2, float)
         # exp(-c gap^1.5) - exp(-c) = exp(-c gap^1.5) (1 - exp(-c (1 - gap^1.5)))
         with np.errstate(divide="ignore"):  # x = xi
-            gap15 = -np.expm1(
-                1.5 * np.log1p(-x / xi)
-            )  # 1 - (1 - x/xi)^1.5 without cancellation
+            # 1 - (1 - x/xi)^1.5 without cancellation
+            gap15 = -np.expm1(1.5 * np.log1p(-x / xi))
             return (
                 math.log(2 / 3)
                 - np.log(a * xi)
@@ -69,15 +68,15 @@ class Stiff(Numbers, Barrier):
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         c = (a * xi**2)[:, None]
+        # 1 - (1 - x/xi)^1.5
         spent = (
             np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w)
             / c
-        )  # 1 - (1 - x/xi)^1.5
+        )
         spent = np.minimum(spent, 1.0)
         q = (1.0 - spent) ** (2.0 / 3.0)
-        return np.asarray(
-            xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q)
-        )  # 1 - q without cancellation
+        # 1 - q without cancellation
+        return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))
 
 
 @routine(inline=True)
@@ -173,9 +172,8 @@ def _mean_rate(
         return 0.0
     per_length = (near * near + near * far + far * far) / (left + before)
     fall = whole * (length / xi) * per_length  # of E
-    mean = (
-        -math.expm1(-fall) / fall if fall > 0.0 else 1.0
-    )  # of exp(-E), over its greatest value
+    # of exp(-E), over its greatest value
+    mean = -math.expm1(-fall) / fall if fall > 0.0 else 1.0
     return math.exp(law.log_w - whole * left) * mean * per_length / 1.5
 
 
