@@ -567,7 +567,10 @@ def test_help_of_everything():
         assert "its [fit] section" in shown
         assert "the [sweep] table" in shown
         assert all(f" {command} " in shown for command in COMMANDS)
-    assert "A02ab (Fig. 4)" in words(call("figures", "--help").output)
+    assert (
+        "python -m analysis.figures A01 --quick`"
+        in call("figures", "A01", "--quick").stderr
+    )
     assert "1e10" in call("run", "--help").output
     assert call("--version").stdout == f"eqsim {importlib.metadata.version('eqsim')}\n"
 
@@ -610,7 +613,7 @@ def test_mixed_units_are_doubted(command, tmp_path):
 
 def test_words_of_tables_are_explained():
     """One word for a difference in standard errors, and two for two kinds of errors."""
-    for command in ("run", "steady", "validate", "sweep", "figures"):
+    for command in ("run", "steady", "validate", "sweep"):
         assert "z: difference from the expected value in standard errors" in words(
             call(command, "-h").output
         )
@@ -712,7 +715,7 @@ def test_the_bar_tells_of_compiling_that_takes_time(monkeypatch, capsys, least, 
     "words",
     [
         "run RUN --out", "sweep RUN --out", "reference RUN --transient --out", "stability RUN --out",
-        "fluctuations RUN --out", "validate --out", "figures --out", "fit RUN --out", "export RUN --out",
+        "fluctuations RUN --out", "validate --out", "fit RUN --out", "export RUN --out",
         "plot RUN --out", "run", "info", "replay", "export", "plot", "fit RUN --out x --data",
         "fit RUN --out x --compare", "design RUN --for a --fit",
     ],

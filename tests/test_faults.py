@@ -32,6 +32,11 @@ from eqsim.io import storage
 from eqsim.sweeps.workers import Processes
 
 EQSIM = "from eqsim.__main__ import main; main()"
+# from the folder of the repository, where `analysis` is found
+FIGURES = (
+    f"import sys; sys.path.insert(0, {str(Path(__file__).parent.parent)!r}); "
+    "sys.argv.remove('figures'); from analysis.figures.__main__ import main; main()"
+)
 EAGER = (  # rows reach the disk at once
     "import eqsim.sweeps.scheduler as s, eqsim.sweeps.store as t; t._FLUSH_ROWS = 3; s._BATCH_SECONDS = 0.1; "
     + EQSIM
@@ -73,9 +78,10 @@ def run_file(tmp_path):
     return path
 
 
-def start(*args, code=EQSIM, limit=lambda: None, **options):
+def start(*args, code=None, limit=lambda: None, **options):
     """A command in a process group of its own, as a terminal or a batch system starts
     it."""
+    code = code or (FIGURES if args[:1] == ("figures",) else EQSIM)
 
     def ready():
         signal.signal(

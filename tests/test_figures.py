@@ -11,11 +11,12 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from eqsim_figures import NAMES, a01, a02, a02ab, a04, a05, check, compute, make
-from eqsim_figures.common import Curve
 from typer.testing import CliRunner
 
-from eqsim.cli.app import app
+from analysis.figures import a01, a02, a02ab, a04, a05
+from analysis.figures.command import app
+from analysis.figures.common import Curve
+from analysis.figures.compute import NAMES, check, compute, make
 from eqsim.estimate import Estimate
 
 
@@ -98,7 +99,7 @@ def test_exponents_are_those_of_a_power_law():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_curves_are_named_once_and_cover_both_ensembles(name):
-    curves = import_module(f"eqsim_figures.{name.lower()}").curves()
+    curves = import_module(f"analysis.figures.{name.lower()}").curves()
     assert len({curve.name for curve in curves}) == len(curves)
     assert {curve.ensemble.disorder for curve in curves} == {"annealed", "quenched"}
     assert sum(len(curve.points) for curve in curves) >= 20
@@ -166,7 +167,7 @@ def test_quick_is_quick(name):
     half a second each."""
     curves = [
         curve.thinned()
-        for curve in import_module(f"eqsim_figures.{name.lower()}").curves()
+        for curve in import_module(f"analysis.figures.{name.lower()}").curves()
         if curve.points
     ]
     slow = [
@@ -189,9 +190,9 @@ def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
         with ThreadPoolExecutor(1) as pool:
             yield SimpleNamespace(executor=pool)
 
-    monkeypatch.setattr("eqsim_figures._compute", stub)
+    monkeypatch.setattr("analysis.figures.compute._compute", stub)
     monkeypatch.setattr(
-        "eqsim_figures.as_completed", iter
+        "analysis.figures.compute.as_completed", iter
     )  # in the order of the paper, also if all is done by then
     monkeypatch.setattr("eqsim.sweeps.workers.Workers.fixed_pool", here)
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)

@@ -153,9 +153,7 @@ def test_every_package_is_installed():
         ".".join(path.parent.relative_to(ROOT).parts)
         for path in (ROOT / "eqsim").rglob("__init__.py")
     }
-    assert sorted(PROJECT["tool"]["setuptools"]["packages"]) == sorted(
-        found | {"eqsim_figures"}
-    )
+    assert sorted(PROJECT["tool"]["setuptools"]["packages"]) == sorted(found)
     folders = {path.parent for path in (ROOT / "eqsim").rglob("*.py")}
     assert all((folder / "__init__.py").exists() for folder in folders)
 

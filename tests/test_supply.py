@@ -52,7 +52,6 @@ def test_dependencies_are_used_and_declared():
     )  # imported where it is asked for
     assert found - declared - optional <= set(sys.stdlib_module_names) | {
         "eqsim",
-        "eqsim_figures",
         "analysis",
     }
 
@@ -152,7 +151,7 @@ def test_wheel_needs_no_source(tmp_path):
     where = call(
         python,
         "-c",
-        "import eqsim, eqsim_figures; print(eqsim.__file__, eqsim_figures.__file__)",
+        "import eqsim; print(eqsim.__file__)",
         cwd=tmp_path,
     )
     assert all(Path(path).is_relative_to(site) for path in where.split())
@@ -168,7 +167,6 @@ def test_wheel_needs_no_source(tmp_path):
         cwd=tmp_path,
     )
     assert (tmp_path / "found" / "trajectory.parquet").exists()
-    call(eqsim, "figures", "--help", cwd=tmp_path)
 
 
 @pytest.mark.long

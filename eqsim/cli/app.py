@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any, NoReturn, cast
 
 import typer
@@ -68,15 +69,6 @@ def _fail(message: str, code: int) -> NoReturn:
     raise typer.Exit(code)
 
 
-app = typer.Typer(
-    cls=_Commands,
-    help="Stochastic earthquake-model simulator of multi-contact friction.",
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
 def _version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
@@ -85,7 +77,6 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _top(
     version: Annotated[
         bool,
@@ -97,14 +88,46 @@ def _top(
     """What belongs to no command."""
 
 
-for command in (
-    simulate.run, simulate.steady, simulate.reference, fluctuations.fluctuations, stability.stability,
-    check.validate, survey.sweep, fit.fit, fit.design, describe.info, survey.plot, survey.figures,
-    check.replay, check.export, describe.material,
-):  # fmt: skip
-    app.command(epilog=escape("\n\n".join(WORDS.get(command.__name__, ()))))(
-        grouped(command)
+def new_app() -> typer.Typer:
+    """A command line without commands."""
+    made = typer.Typer(
+        cls=_Commands,
+        help="Stochastic earthquake-model simulator of multi-contact friction.",
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
     )
+    made.callback()(_top)
+    return made
+
+
+def register(app: typer.Typer, command: Callable[..., None], **settings: Any) -> None:
+    """Make a function a command."""
+    words = WORDS.get(command.__name__, ())
+    app.command(epilog=escape("\n\n".join(words)), **settings)(grouped(command))
+
+
+app = new_app()
+for command in (
+    simulate.run,
+    simulate.steady,
+    simulate.reference,
+    fluctuations.fluctuations,
+    stability.stability,
+    check.validate,
+    survey.sweep,
+    fit.fit,
+    fit.design,
+    describe.info,
+    survey.plot,
+    check.replay,
+    check.export,
+    describe.material,
+):
+    register(app, command)
+# it says where figures are made, whatever is asked for
+_ANY_OPTION = {"ignore_unknown_options": True}
+register(app, survey.figures, context_settings=_ANY_OPTION)
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """Commands that check and hand on results: validate, replay, export."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +13,7 @@ from eqsim.errors import InputError, require_integer
 
 if TYPE_CHECKING:
     from eqsim.validation.verdict import Verdict
-    from eqsim.workflows.replay import Replay
+    from eqsim.workflows.replay import Repeat, Replay
 
 _OUT = Path("runs/out/validation")
 _CSV = "Of several tables their folder. Default: NAME.csv beside NAME.parquet, DIR.csv beside the folder of a sweep."
@@ -113,10 +113,21 @@ def replay(
 ) -> None:
     """Run again what made a file, from its provenance alone, and compare bit by bit;
     exit code 1 if they differ."""
+    report_replay(path, cores(threads), shown)
+
+
+def report_replay(
+    path: Path,
+    workers: int,
+    shown: Shown,
+    others: "Mapping[str, Repeat] | None" = None,
+) -> None:
+    """Replay a table and say where the two differ; `others` repeat what programs beside
+    this one have written. Raises Exit if they differ."""
     from eqsim.workflows.replay import replay as repeat
 
     with shown.bar("repeating", "units") as progress:
-        found = repeat(path, workers=cores(threads), progress=progress)
+        found = repeat(path, workers=workers, progress=progress, others=others)
     shown.report({**asdict(found), "same": found.same}, notes=_compared(path, found))
     if not found.same:
         raise Exit(1)

@@ -3,7 +3,7 @@
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Exit, Option
 
@@ -18,7 +18,6 @@ from eqsim.cli.options import (
 )
 from eqsim.errors import InputError, require_integer
 from eqsim.io import signals
-from eqsim.paper import ARTICLE, FIGURES, figure
 
 if TYPE_CHECKING:
     from eqsim.sweeps.scheduler import Summary
@@ -183,71 +182,11 @@ def plot(
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])
 
 
-_Names = Argument(
-    metavar="NAME",
-    help=f"Of {', '.join(map(figure, FIGURES))}, by name or number. Default: all.",
-)
-_FIGURES = Path("runs/out/figures")
+_Asked = Argument(metavar="NAME", help="Figures and options, for that command.")
 
 
-def figures(
-    names: Annotated[list[str] | None, _Names] = None,
-    out: Annotated[
-        Path, Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")
-    ] = _FIGURES,
-    quick: Annotated[
-        bool,
-        Option("--quick", help="Few points: coarse, under a minute of one core each."),
-    ] = False,
-    workers: Processes = None,
-    *,
-    shown: Shown,
-) -> None:
-    """The figures of Braun and Peyrard (2011) recomputed, with simulated contacts on
-    them; minutes for all."""
-    from eqsim_figures import check, make
-
-    from eqsim.io import storage
-    from eqsim.sweeps.workers import Workers
-
-    wanted = check(names or [])
-    count = cores() if workers is None else workers
-    require_integer("--workers", count, 1, 1024)
-    storage.check_folder(out)
-    made: list[Any] = []
-    try:
-        with (
-            Workers(count).fixed_pool() as pool,
-            shown.bar("computing", "points") as progress,
-        ):
-            for one in make(
-                wanted, out, quick=quick, executor=pool.executor, progress=progress
-            ):
-                made.append(one)
-    except KeyboardInterrupt:
-        signals.acknowledge()
-        finished = ", ".join(one.name for one in made)
-        raise KeyboardInterrupt(
-            f"finished in {out}/: {finished}" if made else ""
-        ) from None
-    made.sort(key=lambda one: wanted.index(one.name))
-    shown.report(
-        {"out": str(out), "figures": [one._asdict() for one in made]},
-        title="figures: simulated contacts against the master equation of their ensemble",
-        columns=("", "Fig.", "curves", "estimates", "largest |z|", "chi-square p"),
-        rows=[
-            (
-                f.name,
-                str(FIGURES[f.name]),
-                str(f.curves),
-                str(f.particles),
-                f"{f.largest:.2f}",
-                f"{f.p:.2g}",
-            )
-            for f in made
-        ],
-        notes=[
-            f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and .parquet",
-            f"Fig.: of {ARTICLE}",
-        ],
-    )
+def figures(asked: Annotated[list[str] | None, _Asked] = None) -> None:
+    """Say where the figures of Braun and Peyrard (2011) are made: in a clone of the
+    repository, by python -m analysis.figures."""
+    call = " ".join(["python -m analysis.figures", *(asked or [])])
+    raise InputError(f"figures: are made in a clone of the repository, by `{call}`")

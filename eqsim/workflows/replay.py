@@ -4,7 +4,7 @@ bit."""
 import dataclasses
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,9 @@ from eqsim.workflows.run import Progress, RunResult, run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
 Table = Any  # a pandas DataFrame, or columns by name
+# Makes a table again, from its provenance, the table, threads or processes, and
+# progress.
+Repeat = Callable[[dict[str, Any], Table, int, Progress], Table]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +56,11 @@ class Replay:
 
 
 def replay(
-    path: Path, *, workers: int = 1, progress: Progress = lambda *_: None
+    path: Path,
+    *,
+    workers: int = 1,
+    progress: Progress = lambda *_: None,
+    others: Mapping[str, Repeat] | None = None,
 ) -> Replay:
     """Repeat the call that made a Parquet file, and compare.
 
@@ -66,6 +73,9 @@ def replay(
         Threads or processes.
     progress : callable, optional
         `progress(done, total)`.
+    others : mapping, optional
+        How to repeat what programs beside this one have written, by the name of the
+        command.
 
     Returns
     -------
@@ -76,13 +86,12 @@ def replay(
     InputError
         If the file is none of eqsim's, or what made it cannot be repeated.
     """
-    table, origin = _read(path)
+    known = {**_REPEAT, **(others or {})}
+    table, origin = _read(path, known)
     import pandas as pd
 
     try:
-        again = pd.DataFrame(
-            _REPEAT[origin["command"]](origin, table, workers, progress)
-        )
+        again = pd.DataFrame(known[origin["command"]](origin, table, workers, progress))
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -100,7 +109,7 @@ def replay(
     )  # fmt: skip
 
 
-def _read(path: Path) -> tuple[Table, dict[str, Any]]:
+def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, dict[str, Any]]:
     """The table of a file, and its provenance."""
     import pyarrow
     from pyarrow import parquet as pq
@@ -111,7 +120,7 @@ def _read(path: Path) -> tuple[Table, dict[str, Any]]:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    known = ", ".join(f"`eqsim {name}`" for name in _REPEAT)
+    known = ", ".join(f"`eqsim {name}`" for name in repeat)
     origin: Any = {}
     try:
         table = pq.read_table(pyarrow.BufferReader(content))
@@ -119,7 +128,7 @@ def _read(path: Path) -> tuple[Table, dict[str, Any]]:
         sound = isinstance(origin["settings"], dict) and isinstance(
             origin["versions"], dict
         )
-        if sound and origin["command"] in _REPEAT:
+        if sound and origin["command"] in repeat:
             return table.to_pandas(), origin
     except (
         pyarrow.ArrowException,
@@ -130,6 +139,11 @@ def _read(path: Path) -> tuple[Table, dict[str, Any]]:
         RecursionError,
     ):
         sound = False
+    if sound and origin["command"] == "figures":
+        raise InputError(
+            f"{path}: holds a figure of the paper; "
+            "`python -m analysis.figures --replay` makes it again"
+        )
     if sound and isinstance(origin["command"], str):
         raise InputError(
             f"{path}: was written by `eqsim {origin['command']}`; only tables of {known} can be replayed"
@@ -260,24 +274,11 @@ def _sweep(
     return again.rename(columns={other: name for name, other in old.items()})
 
 
-def _figures(
-    origin: dict[str, Any], _: Table, workers: int, progress: Progress
-) -> Table:
-    from eqsim_figures import tabulate
-
-    name, quick = origin["settings"]["figure"], origin["settings"]["quick"]
-    with Workers(workers).fixed_pool() as pool:
-        return dict(
-            tabulate([name], quick=quick, executor=pool.executor, progress=progress)
-        )[name]
-
-
-_REPEAT: dict[str, Callable[[dict[str, Any], Table, int, Progress], Table]] = {
+_REPEAT: dict[str, Repeat] = {
     "run": _run,
     "fluctuations": _fluctuations,
     "reference": _reference,
     "stability": _stability,
     "validate": _validate,
     "sweep": _sweep,
-    "figures": _figures,
 }
