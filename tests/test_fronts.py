@@ -19,7 +19,7 @@ def test_second_integral(y):
             for n in range(1, int(60 + 5 * np.exp(y)))
         )
         exact = mp.fsum(terms)
-    found = fronts.table_of_w()[round((y - fronts._FIRST) * fronts._PER_UNIT), 0]
+    found = fronts.table_of_w()[round((y - fronts.W_BEGINS) * fronts.W_PER_UNIT), 0]
     assert found == pytest.approx(float(exact), rel=1e-13, abs=0)
 
 

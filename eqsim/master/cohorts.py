@@ -1,10 +1,12 @@
-"""Contacts born at one time after another along a drive in segments: the kernel of
-`master.programme` for contacts that heat does not break, or all at the same rate
-(annealed); `master.fronts` has the others.
+"""Contacts born at one time after another along a drive in segments: the kernels of
+`master.programme` and `master.slider`.
 
-A cohort is the births of a step, spread evenly over it in time and displacement. What
-it has undergone is the greatest
-|x|/g so far, of which the law of thresholds says how many it has broken mechanically, and a thermal survival.
+A cohort is the births of a step, spread evenly over it in time and displacement, or
+several of these joined. There are two kinds of contacts. Those that heat does not
+break, or all at the same rate (annealed), are `Pooled`, and stand here: what a cohort
+has undergone is the greatest |x|/g so far, of which the law of thresholds says how many
+it has broken mechanically, and a thermal survival. `master.fronts` has the others. What
+is the same of both is here: starts, births, which cohorts are joined, and sums.
 """
 
 import math
@@ -19,6 +21,8 @@ from eqsim.numerics.vector_math import exp, exp_less_one
 
 # Cohorts with a smaller pinned share are dropped.
 NEGLIGIBLE_SHARE = 1e-15
+# Share of the whole time between births of about the same age.
+_AT_ONCE = 1e-11
 
 
 class Pool(NamedTuple):
@@ -43,12 +47,14 @@ class Growth(NamedTuple):
     varies: bool
 
 
-class Contacts(NamedTuple):
-    """Contacts for kernels: thresholds, their growth, and delays."""
+class Pooled(NamedTuple):
+    """Contacts for kernels that all have the same hazard: thresholds, their growth,
+    delays, and no `nodes`, which are thresholds that have hazards of their own."""
 
     pool: Pool
     growth: Growth
     delay: Waits
+    nodes: Array
 
 
 # What becomes of a cohort at the end of a step: it goes on, is dropped, or is joined to
@@ -137,75 +143,105 @@ class Step(NamedTuple):
     X1: float
 
 
-# -----------------------------------------------------------------------------------------------------------
-# cohorts
-
 # A row of a structured array, whose fields are attributes in kernels.
 Row = Any
 
-# A cohort. Its births are those of a step, of which `first` and `last` mean the first
-# and the last one, and `mean` the mean over contacts that are pinned. `weakest` is the
-# greatest |x|/g so far, below which no threshold at birth is left; `unbroken` are
-# births less those that heat broke, whatever their threshold; `pinned` is the share of
-# all contacts that is pinned and of this cohort, and `stiffness` and `stiffness2` are
+# A cohort. `first`, `last` and `mean` are those of its first birth, of its last one,
+# and of the mean over its contacts. `weakest` is the greatest |x|/g so far, below which
+# no threshold at birth is left. `births` are those of the cohort, less what heat has
+# broken of pooled contacts, whatever their threshold. `pinned` is the share of all
+# contacts that is pinned and of this cohort, and `stiffness` and `stiffness2` are
 # E[k_i/k; pinned] and E[(k_i/k)^2; pinned].
-_BIRTHS = "X_first X_last X_mean t_first t_last t_mean"
-_LEFT = "weakest_first weakest_last unbroken pinned stiffness stiffness2"
-COHORT = np.dtype(
-    [(field, np.float64) for field in f"{_BIRTHS} {_LEFT}".split()], align=True
-)
+_FIELDS = """X_first X_last X_mean t_first t_last t_mean weakest_first weakest_last
+    births pinned stiffness stiffness2"""
+COHORT = np.dtype([(field, np.float64) for field in _FIELDS.split()], align=True)
+
+
+class Scratch(NamedTuple):
+    """For each node, arrays (nodes,): ln z at the older and the newer edge of a cohort;
+    and of births, the share that is left, its age and square age, and z of a part of
+    them before."""
+
+    older: Array
+    newer: Array
+    share: Array
+    age: Array
+    age2: Array
+    before: Array
 
 
 class Population(NamedTuple):
-    """All cohorts, an array (rows,) of COHORT, and the rows in use, from the oldest
-    cohort on, and then the others."""
+    """All cohorts, an array (rows,) of COHORT; the integrated hazard z of nodes at their
+    first births, shape (rows, nodes); and the rows in use, from the oldest cohort on,
+    and then the others."""
 
     cohorts: Array
+    z: Array
     order: Array
+    scratch: Scratch
+
+
+@routine
+def empty(nodes: int, rows: int) -> Population:
+    """A population of none, with so many rows."""
+    order, lines = np.zeros(rows, np.int64), np.zeros((6, nodes))
+    for i in range(rows):
+        order[i] = i
+    scratch = Scratch(lines[0], lines[1], lines[2], lines[3], lines[4], lines[5])
+    return Population(np.zeros(rows, COHORT), np.zeros((rows, nodes)), order, scratch)
+
+
+@routine
+def with_room(population: Population, rows: int) -> Population:
+    """A copy that has so many rows."""
+    larger = empty(population.z.shape[1], rows)
+    for i in range(population.order.size):
+        larger.order[i] = population.order[i]
+        larger.cohorts[i] = population.cohorts[i]
+        copy(population.z[i], larger.z[i])
+    return larger
+
+
+@routine(inline=True)
+def copy(values: Array, to: Array) -> None:
+    """Copy an array; `to[:] = values` takes long to compile."""
+    for k in range(values.size):
+        to[k] = values[k]
 
 
 @routine(inline=True)
 def grown_by(growth: Growth, age: float) -> float:
     """The factor by which thresholds have grown at an age."""
-    if growth.values.size == 0:
+    values = growth.values
+    if values.size == 0:
         return 1.0
     if age <= growth.first:
-        return (
-            growth.newborn
-            + (growth.values[0] - growth.newborn) * max(age, 0.0) / growth.first
-        )
-    steps = min(
-        math.log(age / growth.first) * growth.per_ratio, growth.values.size - 1.000001
-    )
-    i = int(steps)
-    return growth.values[i] + (steps - i) * (growth.values[i + 1] - growth.values[i])
+        share = max(age, 0.0) / growth.first
+        return growth.newborn + (values[0] - growth.newborn) * share
+    place = math.log(age / growth.first) * growth.per_ratio
+    place = min(place, values.size - 1.000001)
+    i = int(place)
+    return values[i] + (place - i) * (values[i + 1] - values[i])
+
+
+@routine(inline=True)
+def _up_to(pool: Pool, power: int, y: float) -> tuple[float, float]:
+    """E[(k_i/k)^p; xi > y], and its integral from 0 to y."""
+    i = search(pool.y, y, True) - 1
+    if i >= pool.y.size - 1:
+        return 0.0, pool.total[power, pool.y.size - 1]
+    u, left = y - pool.y[i], pool.above[power, i]
+    slope = (pool.above[power, i + 1] - left) / (pool.y[i + 1] - pool.y[i])
+    return left + slope * u, pool.total[power, i] + u * (left + 0.5 * slope * u)
 
 
 @routine
 def _pooled(pool: Pool, power: int, low: float, high: float) -> float:
     """E[(k_i/k)^p; xi > y] in the mean over low < y < high."""
-    i = search(pool.y, high, True) - 1
-    if i >= pool.y.size - 1:
-        above, top = 0.0, pool.total[power, pool.y.size - 1]
-    else:
-        u = high - pool.y[i]
-        slope = (pool.above[power, i + 1] - pool.above[power, i]) / (
-            pool.y[i + 1] - pool.y[i]
-        )
-        above = pool.above[power, i] + slope * u
-        top = pool.total[power, i] + u * (pool.above[power, i] + 0.5 * slope * u)
+    above, top = _up_to(pool, power, high)
     if high - low <= 1e-9 * high:
         return above
-    i = search(pool.y, low, True) - 1
-    if i >= pool.y.size - 1:
-        return 0.0
-    u = low - pool.y[i]
-    slope = (pool.above[power, i + 1] - pool.above[power, i]) / (
-        pool.y[i + 1] - pool.y[i]
-    )
-    return (
-        top - pool.total[power, i] - u * (pool.above[power, i] + 0.5 * slope * u)
-    ) / (high - low)
+    return (top - _up_to(pool, power, low)[1]) / (high - low)
 
 
 @routine(inline=True)
@@ -224,45 +260,21 @@ def _log_pooled_rate(pool: Pool, x: float) -> float:
 
 
 @routine
-def _hazard(contacts: Contacts, dt: float, x0: float, x1: float) -> float:
+def _hazard(pool: Pool, dt: float, x0: float, x1: float) -> float:
     """Integrated hazard in a step between two stretches."""
-    low, high = (
-        -_log_pooled_rate(contacts.pool, x0),
-        -_log_pooled_rate(contacts.pool, x1),
-    )
+    low, high = -_log_pooled_rate(pool, x0), -_log_pooled_rate(pool, x1)
     return dt * mean_exponential(low, high) if min(low, high) < 700.0 else 0.0
 
 
 @routine
-def _weigh(contacts: Contacts, cohort: Row, age: float) -> None:
+def _weigh(contacts: Pooled, cohort: Row, age: float) -> None:
     """Find what of a cohort is pinned."""
     g = grown_by(contacts.growth, age) if contacts.growth.varies else 1.0
     low = min(cohort.weakest_first, cohort.weakest_last)
     high = max(cohort.weakest_first, cohort.weakest_last)
-    cohort.pinned = cohort.unbroken * _pooled(contacts.pool, 0, low, high)
-    cohort.stiffness = cohort.unbroken * _pooled(contacts.pool, 1, low, high) * g
-    cohort.stiffness2 = cohort.unbroken * _pooled(contacts.pool, 2, low, high) * g * g
-
-
-@routine(inline=True)
-def _strained(growth: Growth, weakest: float, x: float, age: float) -> float:
-    """The greatest |x|/g so far, once a contact of this age has stretch x."""
-    return max(weakest, abs(x) / grown_by(growth, age))
-
-
-@routine
-def _advance(contacts: Contacts, cohort: Row, step: Step) -> None:
-    """Carry a cohort over a step."""
-    first, last = cohort.weakest_first, cohort.weakest_last
-    cohort.weakest_first = _strained(
-        contacts.growth, first, step.X1 - cohort.X_first, step.t1 - cohort.t_first
-    )
-    cohort.weakest_last = _strained(
-        contacts.growth, last, step.X1 - cohort.X_last, step.t1 - cohort.t_last
-    )
-    before, after = abs(step.X0 - cohort.X_mean), abs(step.X1 - cohort.X_mean)
-    cohort.unbroken *= exp(-_hazard(contacts, step.t1 - step.t0, before, after))
-    _weigh(contacts, cohort, step.t1 - cohort.t_mean)
+    cohort.pinned = cohort.births * _pooled(contacts.pool, 0, low, high)
+    cohort.stiffness = cohort.births * _pooled(contacts.pool, 1, low, high) * g
+    cohort.stiffness2 = cohort.births * _pooled(contacts.pool, 2, low, high) * g * g
 
 
 class Ages(NamedTuple):
@@ -278,204 +290,112 @@ class Ages(NamedTuple):
 def ages_of_survivors(hazard: float) -> Ages:
     """Ages of those left where the integrated hazard grows evenly with age up to
     `hazard`."""
-    rest = 1.0 / (exp(hazard) - 1.0) if hazard > 0.02 else 0.0
-    age = 1.0 / hazard - rest if hazard > 0.02 else 0.5 - hazard / 12.0
-    age2 = (
-        2.0 / hazard**2 - (1.0 + 2.0 / hazard) * rest
-        if hazard > 0.02
-        else 1.0 / 3.0 - hazard / 12.0
-    )
+    age, age2 = 0.5 - hazard / 12.0, 1.0 / 3.0 - hazard / 12.0
+    if hazard > 0.02:
+        rest = 1.0 / (exp(hazard) - 1.0)
+        age = 1.0 / hazard - rest
+        age2 = 2.0 / hazard**2 - (1.0 + 2.0 / hazard) * rest
     return Ages(mean_exponential(0.0, hazard), age, age2)
 
 
+# What contacts of a kind have of their own, who are the first argument: here of pooled
+# ones.
+
+
+@by_law(makes_arrays=True)
+def bear(contacts: Any, population: Population, row: int, step: Step) -> None:
+    """Treat the births of a step, of one contact in all, as one birth at its end;
+    `_born` has begun the cohort."""
+    cohort, dt = population.cohorts[row], step.t1 - step.t0
+    hazard = _hazard(contacts.pool, dt, 0.0, abs(step.X1 - step.X0))
+    left = ages_of_survivors(min(hazard, 700.0))
+    cohort.births = left.share
+    _weigh(contacts, cohort, 0.5 * dt)
+    # as if all were at the middle, and spread evenly
+    cohort.stiffness *= 2.0 * left.age
+    cohort.stiffness2 *= 3.0 * left.age2
+
+
+@by_law(makes_arrays=True)
+def carry(contacts: Any, population: Population, row: int, step: Step) -> None:
+    """Find what of a cohort is pinned after a step; those born later come before."""
+    cohort = population.cohorts[row]
+    before, after = abs(step.X0 - cohort.X_mean), abs(step.X1 - cohort.X_mean)
+    cohort.births *= exp(-_hazard(contacts.pool, step.t1 - step.t0, before, after))
+    _weigh(contacts, cohort, step.t1 - cohort.t_mean)
+
+
+# the bookkeeping of both kinds
+
+
+@routine(inline=True)
+def _strain(contacts: Any, step: Step, X: float, t: float) -> float:
+    """|x|/g at the end of a step of contacts born at X and t."""
+    return abs(step.X1 - X) / grown_by(contacts.growth, step.t1 - t)
+
+
 @routine
-def _bear(contacts: Contacts, cohort: Row, step: Step) -> None:
-    """Treat the births of a step as one birth at its end."""
-    dt, x = step.t1 - step.t0, abs(step.X1 - step.X0)
+def _born(contacts: Any, population: Population, row: int, step: Step) -> Row:
+    """Begin a cohort with the births of a step, of one contact in all."""
+    cohort = population.cohorts[row]
     cohort.X_first = step.X0
     cohort.X_last = step.X1
     cohort.X_mean = 0.5 * (step.X0 + step.X1)
     cohort.t_first = step.t0
     cohort.t_last = step.t1
     cohort.t_mean = 0.5 * (step.t0 + step.t1)
-    cohort.weakest_first = x / grown_by(contacts.growth, dt)
+    cohort.weakest_first = _strain(contacts, step, step.X0, step.t0)
     cohort.weakest_last = 0.0
-    left = ages_of_survivors(min(_hazard(contacts, dt, 0.0, x), 700.0))
-    cohort.unbroken = left.share
-    _weigh(contacts, cohort, 0.5 * dt)
-    cohort.stiffness *= (
-        2.0 * left.age
-    )  # as if all were at the middle, and spread evenly
-    cohort.stiffness2 *= 3.0 * left.age2
-
-
-@routine(inline=True)
-def noted(choices: Choices, m: int, i: int, fate: int) -> None:
-    """Keep the fate of cohort i in step m, if there is room."""
-    if not choices.given and m + 1 < choices.first.size:
-        index = choices.first[m] + i
-        if index < choices.fates.size:
-            choices.fates[index] = fate
-        choices.first[m + 1] = index + 1
-
-
-@routine(inline=True)
-def densities_alike(first: float, second: float) -> bool:
-    """Whether two numbers have the same sign, and differ by a factor 2 at most."""
-    return not (
-        first * second < 0.0
-        or abs(first) > 2.0 * abs(second)
-        or abs(second) > 2.0 * abs(first)
-    )
+    cohort.births = 1.0
+    bear(contacts, population, row, step)
+    return cohort
 
 
 @routine
-def _alike(contacts: Contacts, path: Path, older: Row, newer: Row, now: float) -> bool:
-    """Whether two cohorts may be joined: of the same direction and about as dense in X,
-    and together not too wide in X, as thresholds have grown, in |x|/g and in time per
-    age."""
-    widest = max(older.weakest_first, newer.weakest_last) - min(
-        older.weakest_first, newer.weakest_last
-    )
-    if (
-        newer.t_last - older.t_first > path.share * (now - newer.t_last)
-        or widest > path.width
-    ):
-        return False
-    if abs(newer.X_last - older.X_first) > path.width * grown_by(
-        contacts.growth, now - newer.t_last
-    ):
-        return False
-    first = (older.X_last - older.X_first) * newer.pinned
-    return densities_alike(first, (newer.X_last - newer.X_first) * older.pinned)
-
-
-@routine
-def _join(older: Row, newer: Row) -> None:
-    """Join a cohort to the one before."""
-    both = older.pinned + newer.pinned
-    older.X_mean = (older.pinned * older.X_mean + newer.pinned * newer.X_mean) / both
-    older.t_mean = (older.pinned * older.t_mean + newer.pinned * newer.t_mean) / both
-    older.X_last = newer.X_last
-    older.t_last = newer.t_last
-    older.weakest_last = newer.weakest_last
-    older.unbroken += newer.unbroken
-    older.pinned += newer.pinned
-    older.stiffness += newer.stiffness
-    older.stiffness2 += newer.stiffness2
-
-
-@routine(inline=True)
-def _broken_by(path: Path, breaks: Array, last: int, t: float, rate: float) -> float:
-    """Breaks up to a time, not after edge `last`, from `rate` per unit time before 0."""
-    if t <= 0.0:
-        return rate * t
-    i = min(search(path.t, t, True), last) - 1
-    return breaks[i] + (breaks[i + 1] - breaks[i]) * (t - path.t[i]) / (
-        path.t[i + 1] - path.t[i]
-    )
-
-
-@routine(inline=True)
-def _due_births(
-    delay: Waits, path: Path, history: History, m: int, rate: float
-) -> tuple[float, float]:
-    """Births of step m: those of contacts that are detached already, and the breaks per
-    unit time in the step times which those that break in it."""
-    tau, t0, t1 = delay.mean, path.t[m - 1], path.t[m]
-    dt, detached = t1 - t0, 1.0 - history.pinned[m - 1]
-    if tau == 0.0:
-        return 0.0, dt
-    if delay.random > 0.0:
-        return -detached * math.expm1(-dt / tau), dt + tau * math.expm1(-dt / tau)
-    until = _broken_by(path, history.breaks, m - 1, min(t1 - tau, t0), rate)
-    return until - _broken_by(path, history.breaks, m - 1, t0 - tau, rate), max(
-        dt - tau, 0.0
-    )
-
-
-@routine(inline=True)
-def births_in(
-    delay: Waits,
-    path: Path,
-    history: History,
-    m: int,
-    rate: float,
-    pinned: float,
-    newborn: float,
-) -> float:
-    """Note the breaks of step m and return its births: `pinned` is left of those that
-    were pinned before, and the share `newborn` of the births."""
-    dt = path.t[m] - path.t[m - 1]
-    due, later = _due_births(delay, path, history, m, rate)
-    broken = 1.0 - newborn
-    breaks = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
-    history.breaks[m] = history.breaks[m - 1] + breaks * dt
-    return due + breaks * later
+def _carried(contacts: Any, population: Population, row: int, step: Step) -> Row:
+    """Carry a cohort over a step, after all that were born later."""
+    cohort = population.cohorts[row]
+    first = _strain(contacts, step, cohort.X_first, cohort.t_first)
+    last = _strain(contacts, step, cohort.X_last, cohort.t_last)
+    cohort.weakest_first = max(cohort.weakest_first, first)
+    cohort.weakest_last = max(cohort.weakest_last, last)
+    carry(contacts, population, row, step)
+    return cohort
 
 
 @routine(inline=True)
 def _scale(cohort: Row, births: float) -> None:
     """Make a cohort of one contact one of `births`."""
-    cohort.unbroken *= births
+    cohort.births *= births
     cohort.pinned *= births
     cohort.stiffness *= births
     cohort.stiffness2 *= births
 
 
 @routine
-def numbered(rows: int) -> Array:
-    """The numbers of all rows."""
-    order = np.zeros(rows, np.int64)
-    for i in range(rows):
-        order[i] = i
-    return order
-
-
-# what kernels ask of contacts of any kind, which are the first argument, or of their
-# population
-
-
-@by_law(makes_arrays=True)
-def empty(contacts: Any, rows: int) -> Any:
-    """A population of none, with so many rows."""
-    return Population(np.zeros(rows, COHORT), numbered(rows))
-
-
-@by_law(makes_arrays=True)
-def with_room(population: Any, rows: int) -> Any:
-    """A copy that has so many rows."""
-    cohorts, order = np.zeros(rows, COHORT), numbered(rows)
-    for i in range(population.order.size):
-        order[i] = population.order[i]
-        cohorts[i] = population.cohorts[i]
-    return Population(cohorts, order)
-
-
-@by_law(makes_arrays=True)
-def begin(contacts: Any, path: Path, population: Any) -> tuple[int, float]:
+def begin(contacts: Any, path: Path, population: Population) -> tuple[int, float]:
     """Fill a population with what there is at first: contacts all born now, or a steady
     state, that is one life in steps, each of which is there at the same time; returns
     how many cohorts, and births per unit time before."""
     if path.cohorts == 0:
-        population.cohorts[0].unbroken = 1.0
-        _weigh(contacts, population.cohorts[0], 0.0)
+        _born(contacts, population, 0, Step(0.0, 0.0, 0.0, 0.0))
         return 1, 0.0
-    dt, cycle, count = path.width / path.velocity, contacts.delay.mean, 0
-    step = Step(-dt, -path.width, 0.0, 0.0)
+    dt, count = path.width / path.velocity, 0
+    step, cycle = Step(-dt, -path.width, 0.0, 0.0), contacts.delay.mean
     for i in range(path.cohorts):
-        cohort = population.cohorts[i]
         if i == 0:
-            _bear(contacts, cohort, step)
+            cohort = _born(contacts, population, 0, step)
         else:
             population.cohorts[i] = population.cohorts[i - 1]
+            copy(population.z[i - 1], population.z[i])
+            cohort = population.cohorts[i]
             cohort.X_first -= path.width
             cohort.X_last -= path.width
             cohort.X_mean -= path.width
             cohort.t_first -= dt
             cohort.t_last -= dt
             cohort.t_mean -= dt
-            _advance(contacts, cohort, step)
+            _carried(contacts, population, i, step)
         cycle += cohort.pinned * dt
         count += 1
         if cohort.pinned < NEGLIGIBLE_SHARE and not path.choices.given:
@@ -486,11 +406,110 @@ def begin(contacts: Any, path: Path, population: Any) -> tuple[int, float]:
     return count, 1.0 / cycle
 
 
-@by_law(makes_arrays=True)
+@routine(inline=True)
+def _broken_by(path: Path, breaks: Array, last: int, t: float, rate: float) -> float:
+    """Breaks up to a time, not after edge `last`, from `rate` per unit time before 0."""
+    if t <= 0.0:
+        return rate * t
+    i = min(search(path.t, t, True), last) - 1
+    share = (t - path.t[i]) / (path.t[i + 1] - path.t[i])
+    return breaks[i] + (breaks[i + 1] - breaks[i]) * share
+
+
+@routine(inline=True)
+def _due_births(
+    delay: Waits, path: Path, history: History, m: int, rate: float
+) -> tuple[float, float]:
+    """Births of step m: those of contacts that are detached already, and the breaks per
+    unit time in the step times which those that break in it."""
+    tau, t0, t1 = delay.mean, path.t[m - 1], path.t[m]
+    dt = t1 - t0
+    if tau == 0.0:
+        return 0.0, dt
+    if delay.random > 0.0:
+        ending = math.expm1(-dt / tau)
+        return -(1.0 - history.pinned[m - 1]) * ending, dt + tau * ending
+    until = _broken_by(path, history.breaks, m - 1, min(t1 - tau, t0), rate)
+    before = _broken_by(path, history.breaks, m - 1, t0 - tau, rate)
+    return until - before, max(dt - tau, 0.0)
+
+
+@routine(inline=True)
+def _births_in(
+    contacts: Any,
+    path: Path,
+    history: History,
+    m: int,
+    rate: float,
+    pinned: float,
+    newborn: float,
+) -> float:
+    """Note the breaks of step m and return its births: `pinned` is left of those that
+    were pinned before, and the share `newborn` of the births."""
+    dt = path.t[m] - path.t[m - 1]
+    due, later = _due_births(contacts.delay, path, history, m, rate)
+    broken = 1.0 - newborn
+    breaks = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
+    history.breaks[m] = history.breaks[m - 1] + breaks * dt
+    return due + breaks * later
+
+
+@routine(inline=True)
+def _weight(contacts: Any, cohort: Row) -> float:
+    """What the means of a cohort are over: those pinned, or births where it is one of
+    the neighbours that share edges, as then none may be left in their midst."""
+    return cohort.births if contacts.nodes.size else cohort.pinned
+
+
+@routine
+def _alike(contacts: Any, path: Path, older: Row, newer: Row, now: float) -> bool:
+    """Whether two cohorts may be joined: of the same direction and about as dense in X,
+    and together not too wide in X, as thresholds have grown, in |x|/g and in time per
+    age."""
+    age = now - newer.t_last
+    if newer.t_last - older.t_first > path.share * age + _AT_ONCE:
+        return False
+    if abs(older.weakest_first - newer.weakest_last) > path.width:
+        return False
+    if abs(newer.X_last - older.X_first) > path.width * grown_by(contacts.growth, age):
+        return False
+    first = (older.X_last - older.X_first) * _weight(contacts, newer)
+    second = (newer.X_last - newer.X_first) * _weight(contacts, older)
+    factor = abs(first) <= 2.0 * abs(second) and abs(second) <= 2.0 * abs(first)
+    return first * second >= 0.0 and factor
+
+
+@routine
+def _join(contacts: Any, older: Row, newer: Row) -> None:
+    """Join a cohort to the one before."""
+    first, second = _weight(contacts, older), _weight(contacts, newer)
+    share = second / (first + second) if first + second > 0.0 else 0.5
+    older.X_mean += share * (newer.X_mean - older.X_mean)
+    older.t_mean += share * (newer.t_mean - older.t_mean)
+    older.X_last = newer.X_last
+    older.t_last = newer.t_last
+    older.weakest_last = newer.weakest_last
+    older.births += newer.births
+    older.pinned += newer.pinned
+    older.stiffness += newer.stiffness
+    older.stiffness2 += newer.stiffness2
+
+
+@routine(inline=True)
+def _note(choices: Choices, m: int, i: int, fate: int) -> None:
+    """Keep the fate of cohort i in step m, if there is room."""
+    if not choices.given and m + 1 < choices.first.size:
+        index = choices.first[m] + i
+        if index < choices.fates.size:
+            choices.fates[index] = fate
+        choices.first[m + 1] = index + 1
+
+
+@routine
 def advance_all(
     contacts: Any,
     path: Path,
-    population: Any,
+    population: Population,
     history: History,
     m: int,
     count: int,
@@ -500,39 +519,37 @@ def advance_all(
     is births per unit time before the path began; returns how many cohorts there are
     now."""
     step, pinned = Step(path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), 0.0
-    for i in range(count):
-        cohort = population.cohorts[population.order[i]]
-        _advance(contacts, cohort, step)
-        pinned += cohort.pinned
-    new = population.cohorts[population.order[count]]
-    _bear(contacts, new, step)
-    _scale(new, births_in(contacts.delay, path, history, m, rate, pinned, new.pinned))
+    cohorts, order = population.cohorts, population.order
+    new = _born(contacts, population, order[count], step)
+    for i in range(count - 1, -1, -1):
+        pinned += _carried(contacts, population, order[i], step).pinned
+    _scale(new, _births_in(contacts, path, history, m, rate, pinned, new.pinned))
     kept = 0
-    for i in range(
-        count + 1
-    ):  # drop cohorts that are gone, and join those that hardly differ
-        j, fate = population.order[i], KEPT
-        cohort, before = (
-            population.cohorts[j],
-            population.cohorts[population.order[max(kept - 1, 0)]],
-        )
+    # drop cohorts that are gone, and join those that hardly differ
+    for i in range(count + 1):
+        j, fate = order[i], KEPT
+        cohort, before = cohorts[j], cohorts[order[max(kept - 1, 0)]]
+        # of neighbours that share edges only the first may go
+        droppable = contacts.nodes.size == 0 or (kept == 0 and i < count)
         if path.choices.given:
             fate = path.choices.fates[path.choices.first[m] + i]
-        elif cohort.pinned < NEGLIGIBLE_SHARE:
+        elif cohort.pinned < NEGLIGIBLE_SHARE and droppable:
             fate = DROPPED
-        elif kept > 1 and _alike(contacts, path, before, cohort, path.t[m]):
+        elif kept > 0 and _alike(contacts, path, before, cohort, path.t[m]):
             fate = JOINED
-        noted(path.choices, m, i, fate)
+        _note(path.choices, m, i, fate)
         if fate == JOINED:
-            _join(before, cohort)
+            _join(contacts, before, cohort)
         if fate == KEPT:
-            population.order[i], population.order[kept] = population.order[kept], j
+            order[i], order[kept] = order[kept], j
             kept += 1
     return kept
 
 
-@by_law(makes_arrays=True)
-def observe(population: Any, count: int, X: float, history: History, m: int) -> float:
+@routine
+def observe(
+    population: Population, count: int, X: float, history: History, m: int
+) -> float:
     """Add up the force, the pinned share and the mean square of a population at edge m;
     returns the stiffness of all pinned contacts."""
     stiffness = 0.0
@@ -549,8 +566,9 @@ def observe(population: Any, count: int, X: float, history: History, m: int) -> 
 @kernel
 def march(contacts: Any, path: Path) -> History:
     """Follow contacts along a path."""
-    rows, population = np.zeros((4, path.t.size)), empty(contacts, 256 + path.cohorts)
+    rows = np.zeros((4, path.t.size))
     history = History(rows[0], rows[1], rows[2], rows[3])
+    population = empty(contacts.nodes.size, 256 + path.cohorts)
     count, rate = begin(contacts, path, population)
     observe(population, count, path.X[0], history, 0)
     for m in range(1, path.t.size):

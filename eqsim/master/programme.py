@@ -37,11 +37,11 @@ from eqsim.master.annealed import hazard_rate
 from eqsim.master.cohorts import (
     NO_CHOICES,
     Choices,
-    Contacts,
     Growth,
     History,
     Path,
     Pool,
+    Pooled,
     march,
 )
 from eqsim.master.fronts import Fronts, Strata, table_of_w
@@ -128,8 +128,8 @@ def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
     return edge, threshold(inner), share / share.sum()
 
 
-def _strata(contacts: Reduced, strata: int) -> Strata:
-    """Strata of quenched contacts; of a discrete law its thresholds, or groups of them
+def _strata(contacts: Reduced, strata: int) -> tuple[Array, Strata]:
+    """Nodes and strata of quenched contacts; of a discrete law its thresholds, or groups of them
     where there are many."""
     powers, index = np.arange(3)[:, None], np.arange(strata)
     if contacts.law.steps.size:
@@ -146,15 +146,8 @@ def _strata(contacts: Reduced, strata: int) -> Strata:
         index = np.arange(share.shape[0])
         parts = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
         low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
-    return Strata(
-        left,
-        right,
-        parts,
-        parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy(),
-        nodes,
-        low,
-        high,
-    )
+    above = parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy()
+    return nodes, Strata(left, right, parts, above, low, high)
 
 
 def _pool(contacts: Reduced, cells: int) -> Pool:
@@ -355,15 +348,15 @@ class Numerics(NamedTuple):
     before: float
     growth: Growth
 
-    def contacts(self, fine: float) -> Contacts | Fronts:
+    def contacts(self, fine: float) -> Pooled | Fronts:
         """For kernels, `fine` times as many strata or cells."""
         ensemble, delay = self.ensemble, self.ensemble.delay.for_kernels()
         if not ensemble.barrier.thermal or ensemble.annealed:
-            return Contacts(_pool(ensemble, round(fine * _CELLS)), self.growth, delay)
-        strata = _strata(ensemble, round(fine * _STRATA))
-        return Fronts(
-            strata, self.growth, ensemble.barrier, ensemble.springs, delay, table_of_w()
-        )
+            pool = _pool(ensemble, round(fine * _CELLS))
+            return Pooled(pool, self.growth, delay, NO_STEPS)
+        nodes, strata = _strata(ensemble, round(fine * _STRATA))
+        laws = ensemble.barrier, ensemble.springs, delay
+        return Fronts(nodes, strata, self.growth, *laws, table_of_w())
 
     def path(
         self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES

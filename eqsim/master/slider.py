@@ -8,8 +8,8 @@ The force of all contacts is what the renewal equation in two times says of X so
 
 all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of
 all pinned contacts and rho (without heat, per dX) or r (with heat, per dt) what breaks
-and births added in the last step; without a mass X has a closed form then, with one
-forces are balanced in the middle of the step. Steps are so short that dX and what this
+and births added in the last step, for which X is found by an implicit Runge-Kutta
+method (the engine has closed forms). Steps are so short that dX and what this
 estimate misses, of F and of the pinned fraction, are small; two accuracies, the second
 with steps about half as long, give the result and its error, and a third one where that
 takes few steps.
@@ -66,6 +66,12 @@ _FARTHER = 10.0
 _WORSE = 30.0
 # Cohorts whose fates there is room for, in the mean over steps.
 _FATES = 128
+# A piece of a step in units of the time of the motion, and pieces at most where that is
+# stable: faster motions have ended within a step.
+_PIECE = 0.0625
+_PIECES = 24
+# Times of the motion in a step beyond which what runs away is taken to be at infinity.
+_RUNAWAY = 30.0
 # The shortest step over the whole time: more than rounding.
 _RESOLVED = 1e-13
 # The first step over the whole time.
@@ -122,6 +128,14 @@ class Balance(NamedTuple):
     rho: float
 
 
+class Motion(NamedTuple):
+    """What resists the motion of the slider in a step."""
+
+    mass: float
+    damping: float
+    stiffness: float
+
+
 class Slide(NamedTuple):
     """Result at the edges of steps, arrays (edges,): what contacts do, the displacement
     of the stage and the velocity of the slider; how many edges there are; and whether
@@ -135,39 +149,55 @@ class Slide(NamedTuple):
     complete: bool
 
 
-@routine(inline=True)
-def _relaxed(
-    net: float, gain: float, stiffness: float, damping: float, dt: float
-) -> float:
-    """Displacement after dt of what obeys damping X' = net + gain t - stiffness X, from
-    X = 0."""
-    if damping == 0.0:
-        return (net + gain * dt) / stiffness if stiffness > 0.0 else math.inf
-    w = -stiffness * dt / damping
-    if w > 700.0:
-        return math.inf
-    first = math.expm1(w) / w if abs(w) > 1e-5 else 1.0 + 0.5 * w
-    second = (first - 1.0) / w if abs(w) > 1e-3 else 0.5 + w / 6.0 + w * w / 24.0
-    return dt / damping * (net * first + gain * dt * second)
+@routine
+def moved(
+    motion: Motion, net: float, gain: float, V: float, dt: float
+) -> tuple[float, float]:
+    """Displacement and velocity after dt of what obeys, from X = 0 and X' = V,
+
+        mass X'' + damping X' = net + gain t - stiffness X;
+
+    infinite where nothing holds it. Solved by the method Radau IIA of two stages (L-stable
+    and of third order; Hairer and Wanner, 1996, table IV.5.5), in pieces beside which the
+    motion is slow; the engine has closed forms, which its first guess is built on."""
+    mass, damping, stiffness = motion
+    slow = damping + math.sqrt(mass * abs(stiffness))
+    fast = abs(stiffness) * dt
+    if stiffness <= 0.0 and (fast > _RUNAWAY * slow or damping + mass == 0.0):
+        return math.inf, math.inf
+    pieces = 1
+    if slow > 0.0:
+        most = _PIECES if stiffness > 0.0 else math.inf
+        pieces = math.ceil(max(min(fast / (_PIECE * slow), most), 1.0))
+    h, X = dt / pieces, 0.0
+    inertia, spring = mass / h, stiffness * h
+    # of both stages, in the velocities v1 and v2 at h/3 and h
+    a11 = damping + 1.5 * inertia + 5.0 / 12.0 * spring
+    a12 = 0.5 * inertia - spring / 12.0
+    a21 = 0.75 * spring - 4.5 * inertia
+    a22 = damping + 2.5 * inertia + 0.25 * spring
+    for piece in range(pieces):
+        force = net + gain * piece * h - stiffness * X
+        f1 = force + gain * h / 3.0 + 2.0 * inertia * V
+        f2 = force + gain * h - 2.0 * inertia * V
+        determinant = a11 * a22 - a12 * a21
+        v1 = (f1 * a22 - f2 * a12) / determinant
+        V = (f2 * a11 - f1 * a21) / determinant
+        X += h * (0.75 * v1 + 0.25 * V)
+    return X, V if mass > 0.0 else X / dt
 
 
 @routine(inline=True)
 def _estimate(spring: Spring, b: Balance, r: float, dt: float) -> tuple[float, float]:
     """Displacement in a step, infinite where nothing holds the slider, and the velocity
     then, where breaks and births change F by r per time."""
-    stiffness, damping = (
-        spring.stiffness + b.stiffness + b.rho,
-        spring.damping + spring.drag * (1.0 - b.pinned),
+    motion = Motion(
+        mass=spring.mass,
+        damping=spring.damping + spring.drag * (1.0 - b.pinned),
+        stiffness=spring.stiffness + b.stiffness + b.rho,
     )
-    net, gain = spring.stiffness * b.stretch - b.force, spring.stiffness * b.speed - r
-    if spring.mass == 0.0:
-        dX = _relaxed(net, gain, stiffness, damping, dt)
-        return dX, dX / dt
-    theta = 0.5 if dt * dt * (spring.stiffness + b.stiffness) < spring.mass else 1.0
-    inertia = spring.mass / (theta * dt * dt)
-    held = inertia + damping / dt + 0.5 * stiffness
-    dX = (net + 0.5 * gain * dt + inertia * b.V * dt) / held if held > 0.0 else math.inf
-    return dX, b.V + (dX / dt - b.V) / theta
+    net = spring.stiffness * b.stretch - b.force
+    return moved(motion, net, spring.stiffness * b.speed - r, b.V, dt)
 
 
 @kernel
@@ -187,7 +217,7 @@ def pull(
         (6, t.size)
     )  # as arrays of their own they take ten times as long, longer than a short solve
     history, Y, velocity = History(rows[0], rows[1], rows[2], rows[3]), rows[4], rows[5]
-    population = empty(contacts, 256 + path.cohorts)
+    population = empty(contacts.nodes.size, 256 + path.cohorts)
     count, rate = begin(contacts, path, population)
     stiffness = observe(population, count, X[0], history, 0)
     Y[0], velocity[0] = spring.stretch, spring.velocity
