@@ -435,7 +435,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
 
     path = small / "one" / "sweep.parquet"
     content, table = path.read_bytes(), pq.read_table(path)
-    assert storage.from_parquet(content, table.schema).equals(table)
+    assert storage.from_parquet(content).equals(table)
     chunks = pq.ParquetFile(path).metadata.row_group(0)
     column = chunks.column(table.column_names.index("friction"))
     begin, end = (
@@ -446,7 +446,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
     for _ in range(40):
         bad = bytearray(content)
         bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
-        found = storage.from_parquet(bytes(bad), table.schema)
+        found = storage.from_parquet(bytes(bad))
         assert found is None or found.equals(
             table
         )  # some bits of a page's header mean nothing
