@@ -84,10 +84,11 @@ class Workers:
         where = "--workers" if self.dask is None else f"--dask {self.dask}"
         with self.pool() as found:
             found.check()
-            lost: tuple[type[BaseException], ...] = found.lost
+            lost: tuple[type[BaseException], ...]
+            lost = (*found.lost, OSError, CancelledError)
             try:
                 yield found
-            except (*lost, OSError, CancelledError) as error:
+            except lost as error:
                 if isinstance(error, OSError) and self.dask is None:
                     raise
                 said = ": ".join(filter(None, (type(error).__name__, str(error))))
