@@ -9,10 +9,10 @@ from eqsim.io import signals
 
 def main() -> None:
     """Entry point of the `eqsim` command."""
-    gc.set_threshold(
-        50_000, 20, 20
-    )  # imports and compilers make many objects that stay, and are searched in vain
-    atexit.register(gc.freeze)  # nor is all of it to be searched once more at the end
+    # Imports and compilers make many objects that stay, and are searched in vain, also
+    # at the end.
+    gc.set_threshold(50_000, 20, 20)
+    atexit.register(gc.freeze)
     with signals.interruptible():
         from eqsim.cli.app import main as command
 

@@ -35,9 +35,8 @@ class _Brief(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         if abs(x) < 10**20:
             return repr(x)
-        digits = math.floor(
-            abs(x).bit_length() * math.log10(2.0)
-        )  # Python prints no more than some thousand
+        # Python itself prints some thousand digits at most.
+        digits = math.floor(abs(x).bit_length() * math.log10(2.0))
         return f"{'-' if x < 0 else ''}about 1e{digits}"
 
 
@@ -88,36 +87,24 @@ def require_number(
 ) -> None:
     """Raise InputError unless `value` is a finite real number greater than `above`, not
     less than `least` and not more than `most`."""
-    allowed = "a finite number"
-    if above is not None:
-        allowed += f" > {above:g}"
-    if least is not None:
-        allowed += f", >= {least:g}" if above is not None else f" >= {least:g}"
-    if math.isfinite(most):
-        allowed += f" and <= {most:g}"
-    try:
-        ok = type(value).__hash__ is not None and math.isfinite(
-            value
-        )  # an array of one number is none
-        ok = (
-            ok
-            and (above is None or value > above)
-            and (least is None or value >= least)
-            and value <= most
-        )
+    lower = [] if above is None else [f" > {above:g}"]
+    lower += [] if least is None else [f" >= {least:g}"]
+    upper = f" and <= {most:g}" if math.isfinite(most) else ""
+    try:  # what cannot be hashed, such as an array of one number, is no number
+        ok = type(value).__hash__ is not None and math.isfinite(value)
+        ok = ok and (above is None or value > above)
+        ok = ok and (least is None or value >= least) and value <= most
     except (TypeError, OverflowError):
         ok = False
     if not ok:
+        allowed = f"a finite number{','.join(lower)}{upper}"
         raise InputError(f"{field} = {shown(value)}: must be {allowed}")
 
 
 def require_integer(field: str, value: int, least: int, most: int) -> None:
     """Raise InputError unless `value` is an integer in [least, most]."""
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int)
-        or not least <= value <= most
-    ):
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    if not whole or not least <= value <= most:
         raise InputError(
             f"{field} = {shown(value)}: must be an integer from {least} to {most}"
         )
@@ -126,7 +113,5 @@ def require_integer(field: str, value: int, least: int, most: int) -> None:
 def require_choice(field: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise InputError unless `value` is one of `allowed`."""
     if value not in allowed:
-        raise InputError(
-            f"{field} = {shown(value)}: must be one of "
-            + ", ".join(f'"{a}"' for a in allowed)
-        )
+        listed = ", ".join(f'"{name}"' for name in allowed)
+        raise InputError(f"{field} = {shown(value)}: must be one of {listed}")

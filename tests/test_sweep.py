@@ -398,12 +398,21 @@ def test_a_table_names_all_libraries_that_made_it(small, tmp_path, monkeypatch):
 
 
 def test_columns_have_a_version():
-    """Rows whose columns are not those of the schema are computed again: a folder is
-    refused before, by its version. Where columns change, `SCHEMA` is raised, and their
-    digest entered here."""
+    """A folder is refused by its version. Where columns change, `SCHEMA` is raised, and
+    their digest entered here."""
     columns = {2: "f12a4c59b11c92e1"}
     names = [f"{field.name} {field.type}" for field in schema(RunFile())]
     assert hashlib.sha256(" ".join(names).encode()).hexdigest()[:16] == columns[SCHEMA]
+
+
+def test_rows_with_other_columns_are_refused_and_kept(small, tmp_path):
+    shutil.copytree(small / "one", tmp_path / "o")
+    path = tmp_path / "o" / "sweep.parquet"
+    pq.write_table(table_of(tmp_path / "o"), path)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"sweep.parquet: has other columns than"):
+        sweep(plan_of(GRID), tmp_path / "o")
+    assert path.read_bytes() == before
 
 
 def test_damaged_parts_are_named_and_computed_again(small, tmp_path):
@@ -435,7 +444,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
 
     path = small / "one" / "sweep.parquet"
     content, table = path.read_bytes(), pq.read_table(path)
-    assert storage.from_parquet(content, table.schema).equals(table)
+    assert storage.from_parquet(content).equals(table)
     chunks = pq.ParquetFile(path).metadata.row_group(0)
     column = chunks.column(table.column_names.index("friction"))
     begin, end = (
@@ -446,7 +455,7 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
     for _ in range(40):
         bad = bytearray(content)
         bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
-        found = storage.from_parquet(bytes(bad), table.schema)
+        found = storage.from_parquet(bytes(bad))
         assert found is None or found.equals(
             table
         )  # some bits of a page's header mean nothing

@@ -16,11 +16,16 @@ from eqsim.errors import InputError
 from eqsim.io.signals import undone
 
 # What the folder of a sweep holds (`eqsim.sweeps.store`).
-# all rows, in the order of the grid, once all are computed
-SWEEP_TABLE = "sweep.parquet"
+SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are there
 SWEEP_MANIFEST = "_sweep.json"  # what was asked for
 SWEEP_PARTS = "parts"  # rows that are computed while others are not
 SWEEP_HIDDEN = "_parts"  # the same folder from just before the table gets its name
+
+
+def sweep_parts(folder: Path) -> list[Path]:
+    """The files that hold the rows of an unfinished sweep."""
+    folders = (folder / name for name in (SWEEP_PARTS, SWEEP_HIDDEN))
+    return sorted(path for one in folders for path in one.glob("*.parquet"))
 
 
 def sweep_files(folder: Path) -> list[Path] | None:
@@ -29,21 +34,14 @@ def sweep_files(folder: Path) -> list[Path] | None:
     sweep's."""
     if not (folder / SWEEP_MANIFEST).exists():
         return None
-    parts = [
-        path
-        for name in (SWEEP_PARTS, SWEEP_HIDDEN)
-        for path in (folder / name).glob("*.parquet")
-    ]
-    return [*folder.glob(SWEEP_TABLE)] or sorted(parts)
+    return [*folder.glob(SWEEP_TABLE)] or sweep_parts(folder)
 
 
 def versions() -> dict[str, str]:
-    """Of everything that numbers depend on."""
+    """Versions of everything that numbers depend on."""
     packages = ("eqsim", "numpy", "numba", "scipy")
-    return {
-        "python": platform.python_version(),
-        **{name: metadata.version(name) for name in packages},
-    }
+    known = {name: metadata.version(name) for name in packages}
+    return {"python": platform.python_version(), **known}
 
 
 def provenance(
@@ -56,11 +54,10 @@ def provenance(
     """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run
     file as it stood and the folder its paths are relative to, every setting in force
     (an infinite one as "Infinity"), versions."""
-    settings = json.loads(json.dumps(settings), parse_constant=str)
     known = {
         "command": command,
         "run_file": run_file,
-        "settings": settings,
+        "settings": json.loads(json.dumps(settings), parse_constant=str),
         "seed": seed,
         "versions": versions(),
     }
@@ -116,27 +113,24 @@ def as_parquet(table: Any, checksums: bool = True) -> bytes:
     return buffer.getvalue()
 
 
-def from_parquet(content: bytes, schema: Any) -> Any:
-    """The pyarrow table of a Parquet file with checksums; None if it is damaged or its
-    columns are not those of `schema`."""
+def from_parquet(content: bytes) -> Any:
+    """The pyarrow table of a Parquet file with checksums; None if it is damaged."""
     import pyarrow
     from pyarrow import parquet as pq
 
     try:
-        table = pq.read_table(
+        return pq.read_table(
             pyarrow.BufferReader(content), page_checksum_verification=True
         )
     except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
         return None
-    return table if table.schema.equals(schema) else None
 
 
 def check_folder(folder: Path) -> None:
     """Raise InputError unless files can be written to `folder` (made by then or not);
     leaves no trace."""
-    present = next(
-        path for path in (folder, *folder.absolute().parents) if os.path.lexists(path)
-    )
+    parents = (folder, *folder.absolute().parents)
+    present = next(path for path in parents if os.path.lexists(path))
     if not present.is_dir():
         raise InputError(f"--out {folder}: {present} is not a folder")
     try:

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 
 _LONG = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
-_FILE_WIDTH, _LEAST_TEXT = (
-    100,
-    24,
-)  # of a table that no terminal shows; of a column of text
+_FILE_WIDTH = 100  # of a table that no terminal shows
+_LEFT = ("", "group", "meaning", "unit")  # columns of words, which begin at the left
 
 
 @dataclass(frozen=True)
@@ -42,6 +40,7 @@ class Report:
                 print(line)
 
     def _table(self) -> None:
+        """Print the table; no word and no number is cut, and it may be too wide."""
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
@@ -49,54 +48,18 @@ class Report:
         console, rows = Console(), [tuple(row) for row in self.rows]
         if not console.is_terminal and "COLUMNS" not in os.environ:
             console.width = _FILE_WIDTH
-        widths = _widths(self.columns, rows, console.width)
-        console.width = max(console.width, _total(widths))
         table = Table()
-        for column, width in zip(self.columns, widths, strict=True):
-            justify: Any = (
-                "left" if column in ("", "group", "meaning", "unit") else "right"
+        for name, *cells in zip(self.columns, *rows, strict=True):
+            words = " ".join([name, *cells]).split()
+            table.add_column(
+                Text(name),
+                justify="left" if name in _LEFT else "right",
+                min_width=max(map(len, words), default=0),
+                no_wrap=not any(" " in text for text in (name, *cells)),
             )
-            table.add_column(Text(column), justify=justify, width=width)
         for row in rows:
             table.add_row(*map(Text, row))
-        console.print(Text(self.title, style="bold"), table)
-
-
-def _widths(
-    columns: Sequence[str], rows: Sequence[Sequence[str]], room: int
-) -> list[int]:
-    """Of the columns of a table in so much room. Where it is scarce heads break, then
-    meanings, then other cells, all of them at spaces: no word and no number is cut, and
-    a table may be too wide."""
-    words = [
-        max(map(len, " ".join(parts).split()), default=0)
-        for parts in zip(columns, *rows, strict=True)
-    ]
-    cells = [max(map(len, parts), default=0) for parts in zip(*rows, strict=True)] or [
-        0
-    ] * len(columns)
-    heads = [max(map(len, column.split()), default=0) for column in columns]
-    widths = [
-        max(cell, len(column)) for cell, column in zip(cells, columns, strict=True)
-    ]
-    texts = [max(word, _LEAST_TEXT) for word in words]
-    unbroken = [max(both) for both in zip(cells, heads, strict=True)]
-    meant = [
-        text if column == "meaning" else width
-        for text, column, width in zip(texts, columns, unbroken, strict=True)
-    ]
-    for least in (unbroken, meant, words):
-        for place in sorted(
-            range(len(widths)), key=lambda place: least[place] - widths[place]
-        ):
-            spare = max(widths[place] - least[place], 0)
-            widths[place] -= min(spare, max(_total(widths) - room, 0))
-    return widths
-
-
-def _total(widths: Sequence[int]) -> int:
-    """How wide a table with such columns is."""
-    return sum(width + 3 for width in widths) + 1
+        console.print(Text(self.title, style="bold"), table, crop=False)
 
 
 def value_and_error(estimate: "Estimate") -> str:
@@ -108,11 +71,9 @@ def relative_error(estimate: "Estimate") -> str:
     """Standard error over value."""
     if estimate.diverges:
         return "none"
-    return (
-        "exact"
-        if not estimate.stderr or not estimate.value
-        else f"{abs(estimate.stderr / estimate.value):.1e}"
-    )
+    if not estimate.stderr or not estimate.value:
+        return "exact"
+    return f"{abs(estimate.stderr / estimate.value):.1e}"
 
 
 def score(z: float | None) -> str:
@@ -130,7 +91,8 @@ def count(number: float) -> str:
 
 def lives(number: int, seconds: float, of: str = "") -> str:
     """How many were simulated, and how fast."""
-    return f"{count(number)} lives{of} in {seconds:.2f} s ({count(number / max(seconds, 1e-9))}/s)"
+    speed = count(number / max(seconds, 1e-9))
+    return f"{count(number)} lives{of} in {seconds:.2f} s ({speed}/s)"
 
 
 def duration(seconds: float) -> str:
@@ -158,9 +120,8 @@ def announcing(
             begin = now
             if speed and total > max(largest, _LONG * speed):
                 largest = total
-                note(
-                    f"about {duration(total / speed)} to go: {count(total)} lives at {count(speed)}/s"
-                )
+                needed, pace = duration(total / speed), f"{count(speed)}/s"
+                note(f"about {needed} to go: {count(total)} lives at {pace}")
         elif now > begin:
             speed = done / (now - begin)
         progress(done, total)
@@ -173,7 +134,13 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
     """A progress bar on the terminal's standard error, for `progress(done, total)`; it
     tells when kernels are compiled for longer than a moment."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
     from rich.text import Text
 
     console = Console(stderr=True)
@@ -189,28 +156,26 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
                 return super().render(task)
             return Text("compiling kernels, once for these laws")
 
+    class Rate(ProgressColumn):
+        def render(self, task: Any) -> Any:
+            return Text(f"{count(task.speed or 0.0)} {unit}/s")
+
     shown = Progress(
-        Doing("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]} " + unit + "/s"),
-        TimeRemainingColumn(), console=console, transient=True, speed_estimate_period=3600.0,
-    )  # fmt: skip
-    task = shown.add_task(title, total=None, rate="0")
-    begin: list[float] = []
+        Doing("{task.description}"),
+        BarColumn(),
+        Rate(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        speed_estimate_period=3600.0,
+    )
+    task = shown.add_task(title, total=None)
 
     def progress(done: int, total: float) -> None:
-        now = time.perf_counter()
-        if done == 0:
-            begin.clear()
-        elif not begin:
-            begin.append(now)
-        speed = done / (now - begin[0]) if begin and now > begin[0] else 0.0
-        description = title if unit == "lives" else f"{title} {done}/{total:.0f}"
-        shown.update(
-            task,
-            completed=done,
-            total=total,
-            description=description,
-            rate=count(speed),
-        )
+        if done == 0:  # an attempt begins
+            shown.reset(task)
+        text = title if unit == "lives" else f"{title} {done}/{total:.0f}"
+        shown.update(task, completed=done, total=total, description=text)
 
     with shown:
         yield progress

@@ -2,7 +2,6 @@
 with an identity and a seed."""
 
 import hashlib
-import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -56,11 +55,13 @@ class Plan:
         self.file, self.folder = file, folder
         if file.drive.file is not None:
             raise InputError(
-                "drive.file: a sweep has columns for the segments of a drive.programme only"
+                "drive.file: a sweep has columns for the segments of a drive.programme "
+                "only"
             )
         if file.elastic is not None and isinstance(file.elastic.blocks, list):
+            blocks = shown(file.elastic.blocks)
             raise InputError(
-                f"elastic.blocks = {shown(file.elastic.blocks)}: a sweep has a column for chains only"
+                f"elastic.blocks = {blocks}: a sweep has a column for chains only"
             )
         self.axes = _axes(file.sweep, folder, file)
         self.size = math.prod(len(axis) for axis in self.axes)
@@ -70,13 +71,12 @@ class Plan:
         self.ids = known or [self._checked(index) for index in range(self.size)]
         seen: dict[str, int] = {}
         for index, point_id in enumerate(self.ids):
-            if seen.setdefault(point_id, index) != index:
-                same = ", ".join(
-                    f"{key} = {shown(value)}"
-                    for key, value in self.changes(index).items()
-                )
+            first = seen.setdefault(point_id, index)
+            if first != index:
+                pairs = self.changes(index).items()
+                same = ", ".join(f"{key} = {shown(value)}" for key, value in pairs)
                 raise InputError(
-                    f"sweep: points {seen[point_id] + 1} and {index + 1} are the same ({same})"
+                    f"sweep: points {first + 1} and {index + 1} are the same ({same})"
                 )
 
     @property
@@ -91,9 +91,8 @@ class Plan:
             ensemble, _ = point.ensemble(self.folder), point.driven(self.folder)
             point.check_output()
         except InputError as error:
-            raise InputError(
-                f"sweep, point {index + 1} of {self.size}: {error}"
-            ) from None
+            where = f"sweep, point {index + 1} of {self.size}"
+            raise InputError(f"{where}: {error}") from None
         return identity(point, ensemble)
 
     def changes(self, index: int) -> dict[str, Any]:
@@ -129,22 +128,22 @@ def _axes(
         if key == "file":
             axes.append(_points_file(folder, spec, file))
         elif key == "zip":
-            axes += [
-                _zipped(group, file)
-                for group in (spec if isinstance(spec, list) else [spec])
-            ]
+            groups = spec if isinstance(spec, list) else [spec]
+            axes += [_zipped(group, file) for group in groups]
         else:
             axes.append([{key: value} for value in _axis(key, spec, file)])
     if not axes:
         raise InputError(
-            'sweep: the run file needs a [sweep] table, for example "drive.velocity" = [0.1, 1.0]'
+            "sweep: the run file needs a [sweep] table, for example "
+            '"drive.velocity" = [0.1, 1.0]'
         )
-    for one, other in itertools.combinations(axes, 2):
-        both = {key for row in one for key in row} & {
-            key for row in other for key in row
-        }
-        if both:
-            raise InputError(f"sweep.{min(both)}: is in two axes; must be in one")
+    known: set[str] = set()
+    for axis in axes:
+        changed = {key for row in axis for key in row}
+        if known & changed:
+            both = min(known & changed)
+            raise InputError(f"sweep.{both}: is in two axes; must be in one")
+        known |= changed
     return axes
 
 
@@ -152,18 +151,17 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     """Axes that advance together."""
     if not isinstance(group, dict) or not group:
         raise InputError(
-            'sweep.zip: must be tables of axes of equal length, zip = [{ "KEY" = [...], ... }]'
+            "sweep.zip: must be tables of axes of equal length, "
+            'zip = [{ "KEY" = [...], ... }]'
         )
-    values = {name: _axis(name, part, file) for name, part in entries(group)}
-    if len({len(part) for part in values.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(part)}" for name, part in values.items())
+    values = {name: _axis(name, spec, file) for name, spec in entries(group)}
+    if len({len(axis) for axis in values.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(axis)}" for name, axis in values.items())
         raise InputError(
             f"sweep.zip: its axes must have equal lengths; found {lengths}"
         )
-    return [
-        dict(zip(values, row, strict=True))
-        for row in zip(*values.values(), strict=True)
-    ]
+    rows = zip(*values.values(), strict=True)
+    return [dict(zip(values, row, strict=True)) for row in rows]
 
 
 def swept(file: RunFile, folder: Path) -> set[str]:
@@ -193,42 +191,40 @@ def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         yield from parts(key, value)
 
 
+def _refuse_unknown(key: str, file: RunFile) -> None:
+    """Raise InputError, with the nearest key, unless a key can change."""
+    if key not in keys(file):
+        at(file, {key: 0})
+
+
 def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
     """The values of one key: a list, { log = [first, last, count] } or { linear =
     [first, last, count] }."""
     with under("sweep"):
-        at(
-            file, {} if key in keys(file) else {key: 0}
-        )  # an unknown key is refused with the nearest
+        _refuse_unknown(key, file)
     if isinstance(spec, list) and spec:
         return spec
     form = next(iter(spec), "") if isinstance(spec, dict) and len(spec) == 1 else ""
     if form not in ("log", "linear"):
-        forms = "a list of values, { log = [first, last, count] } or { linear = [first, last, count] }"
-        raise InputError(f"sweep.{key} = {shown(spec)}: must be {forms}")
+        raise InputError(
+            f"sweep.{key} = {shown(spec)}: must be a list of values, "
+            "{ log = [first, last, count] } or { linear = [first, last, count] }"
+        )
     name, ends = f"sweep.{key}.{form}", spec[form]
     if not isinstance(ends, list) or len(ends) != 3:
         raise InputError(f"{name} = {shown(ends)}: must be [first, last, count]")
     if keys(file)[key] is str:
         raise InputError(f"{name}: this key holds text; must be a list of values")
     first, last, count = ends
+    lower = {"above": 0.0} if form == "log" else {"least": -1e100}
     for value in (first, last):
-        require_number(
-            name,
-            value,
-            **({"above": 0.0} if form == "log" else {"least": -1e100}),
-            most=1e100,
-        )
+        require_number(name, value, **lower, most=1e100)
     whole = int(count) if isinstance(count, float) and count.is_integer() else count
     require_integer(f"{name}, count", whole, 2, MOST_POINTS)
-    inner = (np.geomspace if form == "log" else np.linspace)(
-        float(first), float(last), whole
-    )[1:-1]
-    values = [
-        first,
-        *(float(f"{x:.12g}") for x in inner),
-        last,
-    ]  # 0.1 is 0.1, on any grid and any machine
+    spaced = np.geomspace if form == "log" else np.linspace
+    inner = spaced(float(first), float(last), whole)[1:-1]
+    # Twelve digits: 0.1 is 0.1, on any grid and any machine.
+    values = [first, *(float(f"{x:.12g}") for x in inner), last]
     return [round(x) for x in values] if keys(file)[key] is int else values
 
 
@@ -238,15 +234,12 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
     import pyarrow
     from pyarrow import parquet as pq
 
+    wanted = "a Parquet file whose columns are keys"
     if not isinstance(name, str):
-        raise InputError(
-            f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys"
-        )
+        raise InputError(f"sweep.file = {shown(name)}: must be the name of {wanted}")
     path = path_of("sweep.file", folder, name)
     if not path.is_file():
-        raise InputError(
-            f"sweep.file = {path}: is not a file; must be a Parquet file whose columns are keys"
-        )
+        raise InputError(f"sweep.file = {path}: is not a file; must be {wanted}")
     try:
         rows = pq.read_table(path).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:
@@ -257,7 +250,7 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
         raise InputError(f"sweep.file = {path}: has no rows; must have one a point")
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
-            at(file, {} if key in keys(file) else {key: 0})
+            _refuse_unknown(key, file)
     return [
         {key: value for key, value in row.items() if value is not None} for row in rows
     ]
@@ -272,11 +265,8 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     law = ensemble.thresholds
     if isinstance(law, Table):
         values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    del (
-        values["thresholds.column"],
-        values["thresholds.scale"],
-        values["thresholds.quantity"],
-    )
+    for name in ("column", "scale", "quantity"):
+        del values[f"thresholds.{name}"]
     text = json.dumps([values, seed, RESULTS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -39,22 +39,27 @@ agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from eqsim.engine import steady as steady_engine
+from eqsim.engine.elastic import elastic_trajectory
+from eqsim.engine.records import SegmentRecord, SliderTrajectory, shown_by
+from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import OBSERVABLES, Averages, Estimate, known, z_score
+from eqsim.estimate import OBSERVABLES, Averages, Estimate, z_score
 from eqsim.io.runfile import RunFile, keys
 from eqsim.io.units import Quantity
+from eqsim.master.avalanche_sizes import missed_by_few, size_law
+from eqsim.master.steady import reference
+from eqsim.master.transient import transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.plan import Task
 
-if TYPE_CHECKING:
-    from eqsim.engine.records import SegmentRecord, SliderTrajectory
-
 SCHEMA = 2
-_SHOWN = ("end", "peak", "at", "direct", "evolution", "memory")  # of a segment
+_OF_SEGMENT = ("end", "peak", "at")  # observables of any segment
+_OF_STEP = ("direct", "evolution", "memory")  # and of a velocity step
 
 
 @dataclass(frozen=True)
@@ -83,58 +88,31 @@ def schema(file: RunFile) -> Any:
     """The pyarrow schema of the dataset of a run file's sweep."""
     import pyarrow as pa
 
-    number, integer, text, truth = pa.float64(), pa.int64(), pa.string(), pa.bool_()
+    number, integer, text = pa.float64(), pa.int64(), pa.string()
+    others = {"dof": integer, "reliable": pa.bool_()}
+    exact = ("reference", "reference_error", "z")
+
+    def columns(name: str, *ends: str) -> dict[str, Any]:
+        return {name: number} | {
+            f"{name}_{end}": others.get(end, number) for end in ("stderr", *ends)
+        }
+
     types = {float: number, int: integer, str: text}
     fields = {"id": text, **{key: types[kind] for key, kind in keys(file).items()}}
     fields |= {"kind": text, "status": text, "message": text}
     for name in OBSERVABLES:
-        fields |= {
-            name: number,
-            f"{name}_stderr": number,
-            f"{name}_dof": integer,
-            f"{name}_reliable": truth,
-        }
-        fields |= {
-            f"{name}_reference": number,
-            f"{name}_reference_error": number,
-            f"{name}_z": number,
-        }
+        fields |= columns(name, "dof", "reliable", *exact)
     for one in _quantities(file, Ensemble()):
-        fields |= {
-            one.column: number,
-            f"{one.column}_stderr": number,
-            f"{one.column}_reference": number,
-        }
+        fields |= columns(one.column, "reference")
     for name in ("size", "single") if file.elastic else ():
-        fields |= {
-            name: number,
-            f"{name}_stderr": number,
-            f"{name}_reference": number,
-            f"{name}_z": number,
-        }
+        fields |= columns(name, "reference", "z")
     if file.drive.stage:
-        fields |= {
-            "slips": integer,
-            "period": number,
-            "period_stderr": number,
-            "drop": number,
-            "drop_stderr": number,
-        }
+        fields |= {"slips": integer, **columns("period"), **columns("drop")}
     for index in range(0 if file.drive.stage else len(file.drive.programme or [])):
-        for name in (f"segment_{index}_{shown}" for shown in _SHOWN):
-            fields |= {
-                name: number,
-                f"{name}_stderr": number,
-                f"{name}_reference": number,
-            }
-            fields |= {f"{name}_reference_error": number, f"{name}_z": number}
-    fields |= {
-        "reference_method": text,
-        "lives": integer,
-        "seed": integer,
-        "seconds": number,
-        "eqsim_version": text,
-    }
+        for name in (*_OF_SEGMENT, *_OF_STEP):
+            fields |= columns(f"segment_{index}_{name}", *exact)
+    fields |= {"reference_method": text, "lives": integer, "seed": integer}
+    fields |= {"seconds": number, "eqsim_version": text}
     return pa.schema(list(fields.items()))
 
 
@@ -148,13 +126,12 @@ def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, floa
     point that failed."""
     if row.get("friction") is None or not _quantities(file, Ensemble()):
         return {}
-    found = {}
-    for one in _quantities(file, file.ensemble(folder)):
-        for end in ("", "_stderr", "_reference"):
-            value = row.get(f"friction{end}")
-            if value is not None:
-                found[one.column + end] = value * one.factor
-    return found
+    return {
+        one.column + end: row[f"friction{end}"] * one.factor
+        for one in _quantities(file, file.ensemble(folder))
+        for end in ("", "_stderr", "_reference")
+        if row.get(f"friction{end}") is not None
+    }
 
 
 def compute(
@@ -162,9 +139,6 @@ def compute(
 ) -> list[dict[str, Any]]:
     """What a worker does: the columns of some points that are found by computing.
     Raises InputError if this worker's results are not of `version`."""
-    from eqsim.engine import trajectory  # noqa: F401  # imported before any point is timed
-    from eqsim.master import steady  # noqa: F401
-
     if version != RESULTS_VERSION:
         raise InputError(
             f"a worker runs other code (results version {RESULTS_VERSION}, not {version})"
@@ -175,14 +149,15 @@ def compute(
 def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     begin = time.perf_counter()
     try:
-        if isinstance(task.drive, Programme):
-            row = _programme(task, task.drive, asked, threads)
-        elif task.drive.elastic:
-            row = _elastic(task, task.drive, asked, threads)
+        if isinstance(drive := task.drive, Programme):
+            row = _programme(task, drive, asked, threads)
+        elif drive.elastic:
+            row = _elastic(task, drive, asked, threads)
+        elif asked.transient:
+            found = trajectory(task.ensemble, drive, **_options(task, asked, threads))
+            row = _columns(found.averages, found.lives, [])
         else:
-            row = (_transient if asked.transient else _steady)(
-                task, task.drive, asked, threads
-            )
+            row = _steady(task, drive, asked, threads)
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -191,11 +166,19 @@ def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     return {**row, "seconds": time.perf_counter() - begin}
 
 
-def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
-    from eqsim.engine.steady import steady
-    from eqsim.master.steady import reference
+def _options(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+    """Arguments that all trajectories take."""
+    return {
+        "points": task.points,
+        "replicas": task.replicas,
+        "seed": task.seed,
+        "threads": threads,
+        "max_lives": asked.max_lives,
+    }
 
-    found = steady(
+
+def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
+    found = steady_engine.steady(
         task.ensemble,
         drive,
         rel_error=asked.rel_error,
@@ -203,169 +186,128 @@ def _steady(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, A
         threads=threads,
         max_lives=asked.max_lives,
     )
-    problems = (
-        [] if found.reached else [f"relative error {asked.rel_error:g} was not reached"]
-    )
-    row = _columns(found, found.lives, problems)
+    missed = f"relative error {asked.rel_error:g} was not reached"
+    row = _columns(found, found.lives, [] if found.reached else [missed])
     try:
         exact = reference(task.ensemble, drive)
     except InputError as error:
-        return row | {
-            "message": "; ".join(
-                filter(None, (row["message"], f"no reference: {error}"))
-            )
-        }
+        return row | _no_reference(row, error)
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= {
-            f"{name}_reference": level.value,
-            f"{name}_reference_error": level.stderr,
-            f"{name}_z": None,
-        }
-        if level.value is None:
-            continue
-        row[f"{name}_z"] = z_score(
-            found.averages()[name], known(level), level.stderr or 0.0
-        )
+        row |= _beside(name, found.averages()[name], level)
     return row
-
-
-def _transient(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
-    from eqsim.engine.trajectory import trajectory
-
-    found = trajectory(
-        task.ensemble, drive, points=task.points, replicas=task.replicas, seed=task.seed, threads=threads,
-        max_lives=asked.max_lives,
-    )  # fmt: skip
-    return _columns(found.averages, found.lives, [])
 
 
 def _elastic(task: Task, drive: Drive, asked: Asked, threads: int) -> dict[str, Any]:
-    from eqsim.engine.elastic import elastic_trajectory
-    from eqsim.master.avalanche_sizes import missed_by_few, size_law
-    from eqsim.master.steady import reference
-
-    found = elastic_trajectory(
-        task.ensemble, drive, points=task.points, replicas=task.replicas, seed=task.seed, threads=threads,
-        max_lives=asked.max_lives,
-    )  # fmt: skip
-    exact, e = reference(task.ensemble, replace(drive, elastic=None)), found.friction
-    doubtful = not (e.reliable and found.size.reliable)
+    ensemble, blocks = task.ensemble, drive.elastic
+    assert blocks
+    found = elastic_trajectory(ensemble, drive, **_options(task, asked, threads))
+    exact, friction = reference(ensemble, replace(drive, elastic=None)), found.friction
+    reliable = friction.reliable and found.size.reliable
     row: dict[str, Any] = {
-        "lives": found.lives, "status": "unreliable" if doubtful else "ok", "reference_method": exact.method,
-        "message": "the second half is too short, or not steady" if doubtful else None,
-        "friction": e.value, "friction_stderr": e.stderr, "friction_dof": e.dof, "friction_reliable": e.reliable,
-        "friction_reference": exact.friction.value, "friction_reference_error": exact.friction.stderr,
-        "friction_z": z_score(e, known(exact.friction), exact.friction.stderr or 0.0),
-    }  # fmt: skip
-    elastic = drive.elastic
-    assert elastic
-    for name, estimate in (("size", found.size), ("single", found.single)):
-        row |= {name: estimate.value, f"{name}_stderr": estimate.stderr}
-    if (
-        task.ensemble.thresholds.steps.size
-    ):  # equal thresholds break together: no law is known
+        "lives": found.lives,
+        "status": "ok" if reliable else "unreliable",
+        "message": None if reliable else "the second half is too short, or not steady",
+        "reference_method": exact.method,
+        **_estimated("friction", friction),
+        **_beside("friction", friction, exact.friction),
+        **_estimated("size", found.size),
+        **_estimated("single", found.single),
+    }
+    law = ensemble.thresholds
+    if law.steps.size:  # equal thresholds break together: no law of sizes is known
         return row
-    single = float(size_law(task.ensemble.thresholds, elastic.load, 1)[0])
-    contacts = elastic.contacts_per_block(task.ensemble.count)
-    few = missed_by_few(task.ensemble.thresholds, elastic.load, contacts)
-    laws = (
-        ("size", found.size, elastic.mean_size, few.mean),
-        ("single", found.single, single, few.single),
-    )
-    for name, estimate, law, missed in laws:
-        row |= {
-            f"{name}_reference": law,
-            f"{name}_z": z_score(estimate, law, abs(missed)),
-        }
-    return row
+    few = missed_by_few(law, blocks.load, blocks.contacts_per_block(ensemble.count))
+    single = float(size_law(law, blocks.load, 1)[0])
+    size = Estimate(blocks.mean_size, abs(few.mean), 0)
+    row |= _beside("size", found.size, size)
+    return row | _beside("single", found.single, Estimate(single, abs(few.single), 0))
 
 
 def _programme(
     task: Task, programme: Programme, asked: Asked, threads: int
 ) -> dict[str, Any]:
-    from eqsim.engine.records import SliderTrajectory, shown_by
-    from eqsim.engine.trajectory import trajectory
-    from eqsim.master.transient import transient
-
-    found = trajectory(
-        task.ensemble, programme, points=task.points, replicas=task.replicas, seed=task.seed, threads=threads,
-        max_lives=asked.max_lives,
-    )  # fmt: skip
+    found = trajectory(task.ensemble, programme, **_options(task, asked, threads))
     row: dict[str, Any] = {"lives": found.lives, "status": "ok", "message": None}
     if not found.force_reliable:
-        row |= {
-            "status": "unreliable",
-            "message": "error bars of forces cannot be trusted",
-        }
+        said = "error bars of forces cannot be trusted"
+        row |= {"status": "unreliable", "message": said}
     if isinstance(found, SliderTrajectory):
         return row | _slips(found)
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, task.points)
-        exact = shown_by(
-            programme, programme.grid(task.points), means.force, means.force_error
-        )
+        grid = programme.grid(task.points)
+        exact = shown_by(programme, grid, means.force, means.force_error)
         row["reference_method"] = "renewal equation in two times"
     except InputError as error:
-        row["message"] = "; ".join(
-            filter(None, (row["message"], f"no reference: {error}"))
-        )
+        row |= _no_reference(row, error)
     for index, segment in enumerate(found.segments):
-        for shown in _SHOWN:
-            name, ours = f"segment_{index}_{shown}", _shown(segment, shown)
-            level = _shown(exact[index], shown) if exact else None
-            if ours:
-                row |= {name: ours.value, f"{name}_stderr": ours.stderr}
-            if ours and level and level.value is not None:
-                row |= {
-                    f"{name}_reference": level.value,
-                    f"{name}_reference_error": level.stderr,
-                }
-                row[f"{name}_z"] = z_score(ours, level.value, level.stderr or 0.0)
+        levels = _of_segment(exact[index]) if exact else {}
+        for name, ours in _of_segment(segment).items():
+            row |= _estimated(f"segment_{index}_{name}", ours)
+            if name in levels:
+                row |= _beside(f"segment_{index}_{name}", ours, levels[name])
     return row
 
 
-def _slips(found: "SliderTrajectory") -> dict[str, Any]:
+def _slips(found: SliderTrajectory) -> dict[str, Any]:
     """How a slider that a stage pulls slips; its forces are not asked for."""
     period, drop = found.period, found.drop
-    problem = None if period.reliable or period.n == drop.n == 0 else "few slips"
+    few = not period.reliable and not period.n == drop.n == 0
     return {
-        "status": "unreliable" if problem else "ok",
-        "message": problem,
+        "status": "unreliable" if few else "ok",
+        "message": "few slips" if few else None,
         "slips": len(found.slips),
-        "period": period.value,
-        "period_stderr": period.stderr,
-        "drop": drop.value,
-        "drop_stderr": drop.stderr,
+        **_estimated("period", period),
+        **_estimated("drop", drop),
     }
 
 
-def _shown(segment: "SegmentRecord", name: str) -> Estimate | None:
-    """An observable of a segment, of a velocity step if it is one."""
-    return getattr(
-        segment if name in ("end", "peak", "at") else segment.step, name, None
-    )
+def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
+    """The observables of a segment, and of a velocity step if it is one."""
+    found = {name: getattr(segment, name) for name in _OF_SEGMENT}
+    found |= {name: getattr(segment.step, name, None) for name in _OF_STEP}
+    return {name: estimate for name, estimate in found.items() if estimate}
 
 
 def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:
     """Columns of estimates, and what is wrong with them besides `problems`."""
     row: dict[str, Any] = {"lives": lives}
+    doubtful = []
     for name, e in averages.averages().items():
-        row |= {
-            name: e.value,
-            f"{name}_stderr": e.stderr,
-            f"{name}_dof": e.dof,
-            f"{name}_reliable": e.reliable,
-        }
-    every = averages.averages().items()
-    doubtful = ", ".join(
-        name for name, estimate in every if not (estimate.reliable or estimate.diverges)
-    )
-    problems = [f"error bars of {doubtful} cannot be trusted"] * bool(
-        doubtful
-    ) + problems
-    return row | {
-        "status": "unreliable" if problems else "ok",
-        "message": "; ".join(problems) or None,
+        row |= _estimated(name, e)
+        doubtful += [name] * (not (e.reliable or e.diverges))
+    if doubtful:
+        said = f"error bars of {', '.join(doubtful)} cannot be trusted"
+        problems = [said, *problems]
+    row["status"] = "unreliable" if problems else "ok"
+    return row | {"message": "; ".join(problems) or None}
+
+
+def _no_reference(row: dict[str, Any], error: InputError) -> dict[str, str]:
+    """The message of a row without a reference."""
+    said = (row["message"], f"no reference: {error}")
+    return {"message": "; ".join(filter(None, said))}
+
+
+def _estimated(name: str, e: Estimate) -> dict[str, Any]:
+    """Columns of an estimate; the schema leaves out those that it has not."""
+    return {
+        name: e.value,
+        f"{name}_stderr": e.stderr,
+        f"{name}_dof": e.dof,
+        f"{name}_reliable": e.reliable,
+    }
+
+
+def _beside(name: str, ours: Estimate, level: Estimate) -> dict[str, Any]:
+    """Columns of a reference, and how far our estimate is from it."""
+    z = None
+    if level.value is not None:
+        z = z_score(ours, level.value, level.stderr or 0.0)
+    return {
+        f"{name}_reference": level.value,
+        f"{name}_reference_error": level.stderr,
+        f"{name}_z": z,
     }

@@ -1,9 +1,7 @@
 """Sweeps over grids of points: batches of points go to workers, and their rows to a
 resumable Parquet dataset."""
 
-import dataclasses
 import functools
-import math
 import statistics
 import time
 from collections import Counter, deque
@@ -15,6 +13,7 @@ from concurrent.futures import (
     Future,
     wait,
 )
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +27,16 @@ from eqsim.sweeps.store import Store
 from eqsim.sweeps.workers import Pool, Workers
 
 _FLUSH_SECONDS = 5.0
-_BATCH_SECONDS, _MOST_BATCH = (
-    0.25,
-    64,
-)  # a batch of points that a worker computes: as long as this, as many as that
+_BATCH_SECONDS = 0.25  # that a worker takes for a batch of points
+_MOST_BATCH = 64  # points of a batch
+_FIRST_BATCH = 2  # points of a batch before any is timed; its first one may compile
 _LOSSES = 3  # so many workers may die at a point before it is given up
 
 Progress = Callable[[int, int], None]
 Note = Callable[[str], None]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Summary:
     """How a sweep ended: numbers of points by status, found on disk and computed now,
     seconds since the start and summed over the points computed now, the failed points
@@ -93,29 +91,20 @@ def sweep(
     """
     begin = time.perf_counter()
     asked, note = asked or Asked(), note or (lambda _: None)
-    with (
-        (workers or Workers()).pool() as pool
-    ):  # before there is a folder: a cluster that does not answer leaves none
+    # Workers come before the folder: a cluster that does not answer leaves none.
+    with (workers or Workers()).pool() as pool:
         store = Store(out, plan, asked)
         if opened:
             opened(store)
         try:
             for path in store.damaged:
                 note(f"{path} is damaged; its points are computed again")
-            pending = [
-                index for index in range(plan.size) if plan.ids[index] not in store.done
-            ]
+            pending = [i for i, name in enumerate(plan.ids) if name not in store.done]
             resumed = plan.size - len(pending)
             sizes = " x ".join(str(len(axis)) for axis in plan.axes)
-            note(
-                f"{plan.size} points ({sizes})"
-                + (f", {resumed} of them on disk" if resumed else "")
-            )
-            seconds = (
-                Scheduler(store, pool, asked, progress, note).run(pending)
-                if pending
-                else 0.0
-            )
+            known = f", {resumed} of them on disk" if resumed else ""
+            note(f"{plan.size} points ({sizes}){known}")
+            seconds = Scheduler(store, pool, asked, progress, note).run(pending)
             table = store.compact()
         except BaseException:
             signals.acknowledge()
@@ -137,13 +126,25 @@ def sweep(
         if status == "failed"
     ]
     return Summary(
-        plan.size, count["ok"], count["unreliable"], count["failed"], resumed, len(pending),
-        time.perf_counter() - begin, seconds, failures, store.damaged,
-    )  # fmt: skip
+        points=plan.size,
+        ok=count["ok"],
+        unreliable=count["unreliable"],
+        failed=count["failed"],
+        resumed=resumed,
+        computed=len(pending),
+        seconds=time.perf_counter() - begin,
+        point_seconds=seconds,
+        failures=failures,
+        damaged=store.damaged,
+    )
 
 
 class Scheduler:
-    """Hands batches of points to workers and their rows to the store."""
+    """Hands batches of points to workers and their rows to the store.
+
+    When a worker dies its points are tried again, each alone. A point that is alone
+    with every one of `_LOSSES` deaths is to blame, and fails.
+    """
 
     def __init__(
         self,
@@ -158,56 +159,47 @@ class Scheduler:
             compute, asked=asked, threads=pool.threads, version=RESULTS_VERSION
         )
         self.progress = progress or (lambda *_: None)
+        self.pending: deque[int] = deque()
         self.running: dict[Future[Any], list[int]] = {}
-        self.suspects: deque[int] = (
-            deque()
-        )  # of having killed a worker; each of these goes alone
+        self.suspects: deque[int] = deque()  # points that may have killed a worker
         self.losses: Counter[int] = Counter()
         self.deaths, self.done, self.seconds = 0, 0, 0.0
-        self.recent: deque[float] = deque(maxlen=64)  # seconds a point took
+        self.recent: deque[float] = deque(maxlen=64)  # seconds that points took
 
     def run(self, pending: list[int]) -> float:
-        """Compute all; the seconds that points took, summed."""
-        queue, total, timed = self._probe(pending), len(pending), False
-        while queue or self.running or self.suspects:
-            if self.suspects and not self.running:
+        """Compute all points; returns the seconds they took, summed."""
+        total, told = len(pending), False
+        # Points from all over the grid are first, to tell how long it will take.
+        first = pending[:: max(1, total // (2 * _FIRST_BATCH * self.pool.slots()))]
+        self.pending = deque([*first, *sorted({*pending} - {*first})])
+        while self.pending or self.running or self.suspects:
+            if not self.suspects:
+                self._fill()
+            elif not self.running:
                 self._submit([self.suspects.popleft()])
-            elif timed and not self.suspects:
-                self._fill(queue)
             self._collect()
             self.store.flush(older=_FLUSH_SECONDS)
-            if not timed and not self.running:
-                timed = True
-                if self.recent and queue:
-                    mean, slots = statistics.fmean(self.recent), self.pool.slots()
-                    needed = duration(mean * len(queue) / slots)
-                    self.note(
-                        f"about {needed} to go: {duration(mean)} a point, {slots} workers"
-                    )
+            slots = self.pool.slots()
+            if not told and self.pending and len(self.recent) >= slots:
+                told, mean = True, statistics.fmean(self.recent)
+                needed = duration(mean * len(self.pending) / slots)
+                self.note(
+                    f"about {needed} to go: {duration(mean)} a point, {slots} workers"
+                )
             self.progress(self.done, total)
         return self.seconds
 
-    def _probe(self, pending: list[int]) -> deque[int]:
-        """Submit batches of two from all over the grid, of which the second is timed;
-        the points that are left."""
-        probes = min(self.pool.slots(), 8, -(-len(pending) // 4))
-        chosen = pending[:: -(-len(pending) // (2 * probes))]
-        for start in range(0, len(chosen), 2):
-            self._submit(chosen[start : start + 2])
-        return deque(index for index in pending if index not in chosen)
-
-    def _fill(self, queue: deque[int]) -> None:
-        """Two batches for every worker."""
+    def _fill(self) -> None:
+        """Submit two batches for every worker, smaller ones at the end of a sweep."""
         slots = self.pool.slots()
-        while queue and len(self.running) < 2 * slots:
-            longest = max(self.recent, default=math.inf)
-            share = -(
-                -len(queue) // (2 * slots)
-            )  # the last batches of a sweep are small
-            batch = max(
-                1, min(int(_BATCH_SECONDS / max(longest, 1e-9)), _MOST_BATCH, share)
-            )
-            self._submit([queue.popleft() for _ in range(min(batch, len(queue)))])
+        while self.pending and len(self.running) < 2 * slots:
+            batch = _FIRST_BATCH
+            if self.recent:
+                fitting = int(_BATCH_SECONDS / max(1e-9, *self.recent))
+                share = -(-len(self.pending) // (2 * slots))
+                batch = max(1, min(fitting, share, _MOST_BATCH))
+            count = min(batch, len(self.pending))
+            self._submit([self.pending.popleft() for _ in range(count)])
 
     def _submit(self, batch: list[int]) -> None:
         tasks = [self.plan.task(index) for index in batch]
@@ -236,9 +228,8 @@ class Scheduler:
             self.deaths = 0
             for index, row in zip(batch, rows, strict=True):
                 self._finish(index, row)
-            self.recent.extend(
-                row["seconds"] for row in rows[1:] or rows
-            )  # a first one may compile and tabulate
+            # The first point of a batch may compile and tabulate.
+            self.recent.extend(row["seconds"] for row in rows[1:] or rows)
         if broken:
             self._died()
 
@@ -248,17 +239,14 @@ class Scheduler:
         self.seconds += row["seconds"]
 
     def _lost(self, batch: list[int], alone: bool) -> None:
-        """Try again, each point on its own; one that is alone with every death is to
-        blame."""
+        """Put the points of a batch whose worker died among the suspects."""
         for index in batch:
             self.losses[index] += alone
-            if self.losses[index] >= _LOSSES:
-                message = f"{_LOSSES} workers died at this point (not enough memory?)"
-                self._finish(
-                    index, {"status": "failed", "message": message, "seconds": 0.0}
-                )
-            else:
+            if self.losses[index] < _LOSSES:
                 self.suspects.append(index)
+                continue
+            said = f"{_LOSSES} workers died at this point (not enough memory?)"
+            self._finish(index, {"status": "failed", "message": said, "seconds": 0.0})
 
     def _died(self) -> None:
         self.deaths += 1

@@ -41,38 +41,35 @@ class Store:
 
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
-        self.out, self.plan, self.kind = (
-            out,
-            plan,
-            "transient" if asked.transient else "steady",
-        )
-        if plan.file.elastic is not None:
-            self.kind = "transient"
-        if plan.file.drive.programme is not None or plan.file.drive.stage is not None:
+        self.out, self.plan, file = out, plan, plan.file
+        if file.drive.programme is not None or file.drive.stage is not None:
             self.kind = "programme"
-        theirs = () if (out / SWEEP_MANIFEST).exists() else self._foreign(out)
-        if theirs:  # the folder is read as one table
-            name = theirs[0].name
+        else:
+            averaged = asked.transient or file.elastic is not None
+            self.kind = "transient" if averaged else "steady"
+        theirs = [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS]
+        theirs += storage.sweep_parts(out)
+        # The folder is read as one table. Without a manifest this is no sweep's, or
+        # that of a sweep whose manifest is lost.
+        if theirs and not (out / SWEEP_MANIFEST).exists():
             raise InputError(
-                f"--out {out}: holds files of another origin, {name}; must be a folder of its own"
+                f"--out {out}: holds files of another origin, {theirs[0].name}; "
+                "must be a folder of its own"
             )
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
         try:
             self._agree(asked)
             (out / SWEEP_PARTS).mkdir(exist_ok=True)
-            for unfinished in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
-                shutil.rmtree(
-                    unfinished
-                ) if unfinished.is_dir() else unfinished.unlink()
-            settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
+            for path in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()  # unfinished
+            settings = {"sweep": file.model_dump(), **dataclasses.asdict(asked)}
             origin = storage.provenance(
-                "sweep", settings, plan.file.text, plan.file.output.seed, plan.folder
+                "sweep", settings, file.text, file.output.seed, plan.folder
             )
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
-            self.schema = schema(plan.file).with_metadata(
-                {"eqsim": storage.to_json(origin)}
-            )
+            metadata = {"eqsim": storage.to_json(origin)}
+            self.schema = schema(file).with_metadata(metadata)
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
             self.damaged: list[str] = []
@@ -82,18 +79,9 @@ class Store:
             raise
         self.flushed = time.monotonic()
 
-    @staticmethod
-    def _foreign(out: Path) -> list[Path]:
-        """What a folder holds that is no sweep's, or that of a sweep whose manifest is
-        lost."""
-        return [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS] + [
-            *out.glob("*parts/*.parquet")
-        ]
-
     def _locked(self) -> int:
-        handle = os.open(
-            self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666
-        )  # modulo umask: the folder may be a group's
+        # Permissions modulo umask: the folder may be a group's.
+        handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             import fcntl
 
@@ -111,28 +99,24 @@ class Store:
         """Release the folder."""
         os.close(self.lock)
 
-    def _agree(self, asked: Asked) -> None:
-        """Note what is asked for, or compare it with what was."""
-        plan, path = self.plan, self.out / SWEEP_MANIFEST
-        names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
-        now = {key: repr(value) for key, value in parameters(plan.file).items()}
+    def _asked(self, asked: Asked) -> dict[str, str]:
+        """All that the rows depend on, by name."""
+        file = self.plan.file
+        found = {**parameters(file), **dataclasses.asdict(asked)}
         for section in ("units", "interface"):
-            now |= {
-                f"{section}.{key}": repr(value)
-                for key, value in getattr(plan.file, section)
-                if value
-            }
-        now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
-        now |= {
-            f"content of {name}": _digest((plan.folder / str(name)).read_bytes())
-            for name in names
-        }
-        now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
-        now |= {
-            "schema": str(SCHEMA),
-            _VERSION: str(RESULTS_VERSION),
-            "order of axes": repr([*plan.file.sweep]),
-        }
+            pairs = getattr(file, section)
+            found |= {f"{section}.{key}": value for key, value in pairs if value}
+        found |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
+        found["order of axes"] = [*file.sweep]
+        texts = {key: repr(value) for key, value in found.items()}
+        for name in {file.thresholds.file, file.sweep.get("file")} - {None}:
+            content = (self.plan.folder / str(name)).read_bytes()
+            texts[f"content of {name}"] = _digest(content)
+        return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}
+
+    def _agree(self, asked: Asked) -> None:
+        """Note what is asked for, or compare it with what was. Raises InputError."""
+        plan, path, now = self.plan, self.out / SWEEP_MANIFEST, self._asked(asked)
         if not path.exists():
             manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}
             storage.save(path, json.dumps(manifest, indent=2).encode())
@@ -147,41 +131,44 @@ class Store:
             ) from None
         if _VERSION in changed:
             raise InputError(
-                f"--out {self.out}: was begun by another version of eqsim (results version {before.get(_VERSION)}, "
-                f"not {RESULTS_VERSION}); finish it with that one, or use another folder, in which all points are "
+                f"--out {self.out}: was begun by another version of eqsim (results "
+                f"version {before.get(_VERSION)}, not {RESULTS_VERSION}); finish it "
+                "with that one, or use another folder, in which all points are "
                 "computed anew; `eqsim export` and `eqsim plot` read this one as it is"
             )
         if changed:
-            pairs = [
-                (key, str(before.get(key, "absent")), now.get(key, "absent"))
-                for key in changed
-            ]
             listed = "; ".join(
-                f"{key} was {then[:80]}, is {here[:80]}" for key, then, here in pairs
+                f"{key} was {str(before.get(key, 'absent'))[:80]}, "
+                f"is {now.get(key, 'absent')[:80]}"
+                for key in changed
             )
             raise InputError(
                 f"--out {self.out}: holds another sweep, use another folder: {listed}"
             )
 
     def _load(self) -> None:
-        """The rows on disk; what is damaged is noted and removed."""
+        """Read the rows on disk; note and remove damaged files. Raises InputError for
+        rows with other columns."""
         final = self.out / SWEEP_TABLE
-        self.complete, self.parts = False, []
-        parts = [
-            *(self.out / SWEEP_PARTS).glob("*.parquet"),
-            *(self.out / SWEEP_HIDDEN).glob("*.parquet"),
-        ]
-        for path in [*self.out.glob(SWEEP_TABLE), *sorted(parts)]:
+        self.parts = storage.sweep_parts(self.out)
+        self.complete = final.exists()
+        for path in [final] * self.complete + self.parts:
             content = path.read_bytes()
             whole = path == final or path.stem == f"part-{_digest(content)}"
-            table = storage.from_parquet(content, self.schema) if whole else None
+            table = storage.from_parquet(content) if whole else None
             if table is None:
                 self.damaged.append(str(path))
-                path.unlink()
-                continue
-            self.tables.append(table)
-            self.parts += [path] * (path != final)
-            self.complete |= path == final
+            elif not table.schema.equals(self.schema):
+                raise InputError(
+                    f"{path}: has other columns than this version of eqsim writes; "
+                    "use another folder"
+                )
+            else:
+                self.tables.append(table)
+        for path in map(Path, self.damaged):
+            path.unlink()
+        self.parts = [path for path in self.parts if path.exists()]
+        self.complete = final.exists()
         self.done = self._on_disk()
 
     def _on_disk(self) -> set[str]:
@@ -191,22 +178,15 @@ class Store:
 
     def add(self, index: int, row: dict[str, Any]) -> None:
         """Keep the row of a point; it reaches the disk with `flush`."""
-        point_id = self.plan.ids[index]
+        point_id, point = self.plan.ids[index], self.plan.at(index)
         known = {
             "id": point_id,
             "seed": seed_of(point_id),
             "kind": self.kind,
             "eqsim_version": _version(),
         }
-        point = self.plan.at(index)
-        self.rows.append(
-            {
-                **parameters(point),
-                **row,
-                **physical(point, self.plan.folder, row),
-                **known,
-            }
-        )
+        at_interface = physical(point, self.plan.folder, row)
+        self.rows.append({**parameters(point), **row, **at_interface, **known})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -238,43 +218,32 @@ class Store:
 
         self.flush()
         table = pa.concat_tables(self.tables)
-        place = dict(
-            zip(
-                reversed(table["id"].to_pylist()),
-                reversed(range(len(table))),
-                strict=True,
-            )
-        )  # the first
-        table = table.take(
-            [place[point_id] for point_id in self.plan.ids]
-        ).combine_chunks()
+        rows = reversed([*enumerate(table["id"].to_pylist())])
+        first = {point_id: row for row, point_id in rows}
+        table = table.take([first[name] for name in self.plan.ids]).combine_chunks()
         if self.parts or not self.complete:
-            table = table.replace_schema_metadata(
-                {"eqsim": storage.to_json(self._origin())}
-            )
+            metadata = {"eqsim": storage.to_json(self._origin())}
+            table = table.replace_schema_metadata(metadata)
             content = storage.as_parquet(table)
             self._hide()
             storage.save(self.out / SWEEP_TABLE, content)
-        for folder in (self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN):
-            for path in folder.glob("*.parquet"):
-                path.unlink()
+        for path in storage.sweep_parts(self.out):
+            path.unlink()
+        for name in (SWEEP_PARTS, SWEEP_HIDDEN):
             with suppress(OSError):
-                folder.rmdir()
+                (self.out / name).rmdir()
         return table
 
     def _origin(self) -> dict[str, Any]:
         """The provenance of the first rows, with all versions that rows were computed
         with."""
         every = [json.loads(table.schema.metadata[b"eqsim"]) for table in self.tables]
-        names = every[0]["versions"]
         used = {
             name: sorted({origin["versions"][name] for origin in every})
-            for name in names
+            for name in every[0]["versions"]
         }
-        return {
-            **every[0],
-            "versions": {name: ", ".join(known) for name, known in used.items()},
-        }
+        versions = {name: ", ".join(known) for name, known in used.items()}
+        return {**every[0], "versions": versions}
 
     def _hide(self) -> None:
         """Take the parts out of the dataset, at once unless some are hidden since an

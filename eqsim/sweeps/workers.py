@@ -1,5 +1,4 @@
-"""Who computes: worker processes of this machine, or those of a dask.distributed
-cluster."""
+"""Who computes: threads or processes of this machine, or a dask.distributed cluster."""
 
 import json
 import logging
@@ -28,11 +27,8 @@ from eqsim.errors import InputError, require_package
 from eqsim.io.signals import deferred
 from eqsim.numerics.threads import ThreadPool
 
-_ONE_THREAD = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-)  # sums must not depend on cores
+# Workers have one thread for linear algebra: sums must not depend on the cores.
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 
@@ -57,8 +53,7 @@ class Workers:
     def pool(self) -> Iterator["Pool"]:
         """The workers, for as long as the block takes; ended at once if it is broken
         off. Raises InputError."""
-        own = Processes if self.count else Here
-        found: Pool = own(self.count) if self.dask is None else Cluster(self.dask)
+        found = self._started()
         found.threads = self.threads
         try:
             yield found
@@ -67,10 +62,15 @@ class Workers:
             raise
         found.close(hurry=False)
 
+    def _started(self) -> "Pool":
+        if self.dask is not None:
+            return Cluster(self.dask)
+        return Processes(self.count) if self.count else Here()
+
     @contextmanager
     def executor(self) -> Iterator[Executor | None]:
-        """That of a `fixed_pool`, or None for a single worker, which is this process.
-        Raises InputError."""
+        """The executor of a `fixed_pool`, or None for a single worker, which is this
+        process. Raises InputError."""
         if self.count == 1:
             yield None
             return
@@ -84,11 +84,8 @@ class Workers:
         where = "--workers" if self.dask is None else f"--dask {self.dask}"
         with self.pool() as found:
             found.check()
-            lost: tuple[type[BaseException], ...] = (
-                *found.lost,
-                OSError,
-                CancelledError,
-            )
+            lost: tuple[type[BaseException], ...]
+            lost = (*found.lost, OSError, CancelledError)
             try:
                 yield found
             except lost as error:
@@ -100,53 +97,62 @@ class Workers:
                 ) from None
 
 
-class _Executor(ProcessPoolExecutor):
-    """Its workers, started as work comes, inherit that signals wait: Ctrl-C goes to all
-    processes of a terminal, and one that is still starting would answer with a
-    traceback. What is submitted cannot be cancelled: when workers are killed, the
-    thread that manages them stumbles over what is, and the process may never end."""
-
-    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
-        with deferred():
-            future = super().submit(*args, **kwargs)
-        future.cancel = lambda: False  # type: ignore[method-assign]
-        return future
-
-
-class Processes:
-    """Worker processes of this machine; `lost` is what the executor raises when one
-    dies."""
+class Pool:
+    """Workers behind an `executor`, which raises one of `lost` when a worker dies."""
 
     executor: Executor
-    lost: tuple[type[Exception], ...] = (BrokenExecutor, MemoryError)
-    threads = 1  # of each
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self.others = set(multiprocessing.active_children())
-        self.environment = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update(
-            dict.fromkeys(_ONE_THREAD, "1")
-        )  # read by the libraries of workers when they start
-        self.renew()
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor, MemoryError)
+    threads = 1  # of each worker
 
     def slots(self) -> int:
-        """How many can work at once."""
-        return self.count
+        """Count the workers that can compute at once."""
+        return 1
 
     def check(self) -> None:
         """Raise InputError unless workers are there now, all with this version of
         eqsim."""
 
     def renew(self) -> None:
-        """Replace those that died."""
-        with deferred():
-            self.executor = _Executor(
-                self.count, multiprocessing.get_context("spawn"), initializer=_enlist
-            )
+        """Replace workers that died."""
 
     def close(self, hurry: bool) -> None:
-        """End them, in a hurry whatever they are doing."""
+        """End the workers, in a hurry whatever they are doing."""
+        raise NotImplementedError
+
+
+class Here(Pool):
+    """This process itself, in a thread of its own."""
+
+    def __init__(self) -> None:
+        self.executor: ThreadPool = ThreadPool(1)
+
+    def close(self, hurry: bool) -> None:
+        if hurry:
+            self.executor.abandon()
+        else:
+            self.executor.shutdown()
+
+
+class Processes(Pool):
+    """Worker processes of this machine."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.others = set(multiprocessing.active_children())
+        self.environment = {name: os.environ.get(name) for name in _ONE_THREAD}
+        # Libraries of workers read these when they start.
+        os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+        self.renew()
+
+    def slots(self) -> int:
+        return self.count
+
+    def renew(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        with deferred():
+            self.executor = _Executor(self.count, context, initializer=_enlist)
+
+    def close(self, hurry: bool) -> None:
         if hurry:
             for child in set(multiprocessing.active_children()) - self.others:
                 child.kill()
@@ -158,35 +164,24 @@ class Processes:
                 os.environ[name] = value
 
 
-class Here:
-    """This process itself, in a thread of its own."""
+class _Executor(ProcessPoolExecutor):
+    """A process pool that can be interrupted and killed.
 
-    lost: tuple[type[Exception], ...] = (MemoryError,)
-    threads = 1
+    Its workers start as work comes, and inherit that signals wait: Ctrl-C goes to all
+    processes of a terminal, and one that is still starting would answer with a
+    traceback. What is submitted cannot be cancelled: when workers are killed, Python
+    3.11 stumbles over a cancelled future, and the process may never end.
+    """
 
-    def __init__(self, _: int) -> None:
-        self.executor = ThreadPool(1)
-
-    def slots(self) -> int:
-        """How many can work at once."""
-        return 1
-
-    def check(self) -> None:
-        """It is there."""
-
-    def renew(self) -> None:
-        """It does not die."""
-
-    def close(self, hurry: bool) -> None:
-        """Wait for what is under way, in a hurry for a moment only."""
-        if hurry:
-            self.executor.abandon()
-        else:
-            self.executor.shutdown()
+    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+        with deferred():
+            future = super().submit(*args, **kwargs)
+        future.cancel = lambda: False  # type: ignore[method-assign]
+        return future
 
 
 def _enlist() -> None:
-    """A worker leaves Ctrl-C to its parent, and does not outlive it."""
+    """Make a worker leave Ctrl-C to its parent, and not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
@@ -200,37 +195,28 @@ def _enlist() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-class Cluster:
-    """The workers of a dask.distributed cluster, as `Processes`; `address` of its
-    scheduler, or of a scheduler file."""
-
-    executor: Executor
-    lost: tuple[type[Exception], ...]
-    threads = 1
+class Cluster(Pool):
+    """The workers of a dask.distributed cluster, which replaces those that die;
+    `address` of its scheduler, or of a scheduler file."""
 
     def __init__(self, address: str) -> None:
         distributed = require_package("dask", "distributed")
-        self.address = address
         self.lost = (distributed.KilledWorker, MemoryError)
-        where = address
+        self.option, where = f"--dask {address}", address
         if Path(address).is_file():
             with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
                 where = str(json.loads(Path(address).read_bytes())["address"])
         if not re.fullmatch(_ADDRESS, where):
             raise InputError(
-                f"--dask {address}: must be HOST:PORT of a scheduler or a file in which one wrote its address"
+                f"{self.option}: must be HOST:PORT of a scheduler or a file in which "
+                "one wrote its address"
             )
-        logging.getLogger("distributed.client").setLevel(
-            logging.CRITICAL
-        )  # a lost cluster is told in one line
+        # A lost cluster is told in one line.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
-            self.client = distributed.Client(
-                address=where, timeout=15, set_as_default=False
-            )
+            self.client = distributed.Client(where, timeout=15, set_as_default=False)
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise InputError(
-                f"--dask {address}: no scheduler answers ({error})"
-            ) from None
+            raise InputError(f"{self.option}: no scheduler answers ({error})") from None
         self.executor = self.client.get_executor(pure=False)
         self.counted, self.known = -math.inf, 0
 
@@ -240,30 +226,23 @@ class Cluster:
             self.counted, self.known = now, sum(self.client.nthreads().values())
         return max(1, self.known)
 
-    def renew(self) -> None:
-        pass  # a cluster replaces its own workers
-
     def check(self) -> None:
+        ours = version("eqsim")
         try:
             self.client.wait_for_workers(1, timeout=10)
-            found = {
-                str(number) for number in self.client.run(version, "eqsim").values()
-            }
+            found = set(map(str, self.client.run(version, "eqsim").values()))
         except PackageNotFoundError:
             raise InputError(
-                f"--dask {self.address}: eqsim is not installed on its workers"
+                f"{self.option}: eqsim is not installed on its workers"
             ) from None
         except OSError:
-            raise InputError(f"--dask {self.address}: it has no workers") from None
-        if found != {version("eqsim")}:
-            listed = ", ".join(sorted(found))
+            raise InputError(f"{self.option}: it has no workers") from None
+        if found != {ours}:
+            theirs = ", ".join(sorted(found))
             raise InputError(
-                f"--dask {self.address}: its workers have eqsim {listed}, not {version('eqsim')}"
+                f"{self.option}: its workers have eqsim {theirs}, not {ours}"
             )
 
     def close(self, hurry: bool) -> None:
         self.executor.shutdown(wait=not hurry)
         self.client.close(timeout=0.5 if hurry else 5)
-
-
-Pool = Processes | Here | Cluster

@@ -79,10 +79,8 @@ def sweep(
     from pyarrow import parquet as pq
 
     bar = terminal.bar("sweeping", progress is not True, "points")
-    with (
-        bar as shown_on,
-        tempfile.TemporaryDirectory() if out is None else nullcontext(out) as folder,
-    ):
+    kept = tempfile.TemporaryDirectory() if out is None else nullcontext(out)
+    with bar as shown_on, kept as folder:
         told = progress if callable(progress) else shown_on
         found = scheduler.sweep(
             plan, Path(folder), asked=asked, workers=Workers(workers), progress=told
@@ -100,19 +98,16 @@ def _with_grid(file: RunFile, grid: dict[str, Any]) -> RunFile:
     """The run file with other axes. Raises InputError."""
     if not isinstance(grid, dict):
         raise InputError(
-            f'grid = {shown(grid)}: must be values by key, such as {{"drive.velocity": [0.1, 1.0]}}'
+            f"grid = {shown(grid)}: must be values by key, such as "
+            '{"drive.velocity": [0.1, 1.0]}'
         )
-
-    def plain(values: Any) -> Any:
-        return (
-            np.asarray(values).tolist()
-            if isinstance(values, (np.ndarray, tuple, range))
-            else values
-        )
-
     content = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
-    found = check(
-        {**content, "sweep": {key: plain(values) for key, values in grid.items()}}
-    )
+    content["sweep"] = {
+        key: np.asarray(values).tolist()
+        if isinstance(values, (np.ndarray, tuple, range))
+        else values
+        for key, values in grid.items()
+    }
+    found = check(content)
     found._folder, found._text = file._folder, file._text
     return found
