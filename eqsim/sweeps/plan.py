@@ -6,7 +6,6 @@ import itertools
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +36,6 @@ class Plan:
     Parameters
     ----------
     file : RunFile
-    folder : Path
-        Where the run file's paths start.
     ids : list of str, optional
         Identities from an earlier plan, of which seeds are made, in the order of the
         grid, the last axis fastest. Default: digests of parameters and
@@ -50,19 +47,18 @@ class Plan:
         For a table, or a point of it, that cannot be used.
     """
 
-    def __init__(
-        self, file: RunFile, folder: Path, ids: list[str] | None = None
-    ) -> None:
-        self.file, self.folder = file, folder
-        if file.drive.file is not None:
+    def __init__(self, file: RunFile, ids: list[str] | None = None) -> None:
+        self.file = file
+        if file["drive.file"] is not None:
             raise InputError(
                 "drive.file: a sweep has columns for the segments of a drive.programme only"
             )
-        if file.elastic is not None and isinstance(file.elastic.blocks, list):
+        elastic = file["elastic"]
+        if elastic is not None and isinstance(elastic["blocks"], list):
             raise InputError(
-                f"elastic.blocks = {shown(file.elastic.blocks)}: a sweep has a column for chains only"
+                f"elastic.blocks = {shown(elastic['blocks'])}: a sweep has a column for chains only"
             )
-        self.axes = _axes(file.sweep, folder, file)
+        self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
             raise InputError(f"sweep: has {self.size} points; at most {MOST_POINTS}")
@@ -88,8 +84,7 @@ class Plan:
         """The identity of a point that can be computed."""
         try:
             point = self.at(index)
-            ensemble, _ = point.ensemble(self.folder), point.driven(self.folder)
-            point.check_output()
+            ensemble, _ = point.ensemble, point.drive
         except InputError as error:
             raise InputError(
                 f"sweep, point {index + 1} of {self.size}: {error}"
@@ -113,21 +108,19 @@ class Plan:
         point = self.at(index)
         return Task(
             seed_of(self.ids[index]),
-            point.ensemble(self.folder),
-            point.driven(self.folder),
+            point.ensemble,
+            point.drive,
             point.output.points,
             point.output.replicas,
         )
 
 
-def _axes(
-    sweep: dict[str, Any], folder: Path, file: RunFile
-) -> list[list[dict[str, Any]]]:
+def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
     """The axes of a [sweep] table: lists of what to change. Raises InputError."""
     axes = []
-    for key, spec in entries(sweep):
+    for key, spec in entries(file.sweep):
         if key == "file":
-            axes.append(_points_file(folder, spec, file))
+            axes.append(_points_file(spec, file))
         elif key == "zip":
             axes += [
                 _zipped(group, file)
@@ -166,9 +159,9 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     ]
 
 
-def swept(file: RunFile, folder: Path) -> set[str]:
+def swept(file: RunFile) -> set[str]:
     """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
-    return _everywhere(_axes(file.sweep, folder, file))
+    return _everywhere(_axes(file))
 
 
 def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
@@ -232,7 +225,7 @@ def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
     return [round(x) for x in values] if keys(file)[key] is int else values
 
 
-def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]:
+def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     """Explicit points, one per row of a Parquet file; null: as in the run file. Raises
     InputError."""
     import pyarrow
@@ -242,7 +235,7 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
         raise InputError(
             f"sweep.file = {shown(name)}: must be the name of a Parquet file whose columns are keys"
         )
-    path = path_of("sweep.file", folder, name)
+    path = path_of("sweep.file", file.folder, name)
     if not path.is_file():
         raise InputError(
             f"sweep.file = {path}: is not a file; must be a Parquet file whose columns are keys"

@@ -38,13 +38,12 @@ agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, Estimate, known, z_score
 from eqsim.io.runfile import RunFile, keys
-from eqsim.io.units import Quantity
+from eqsim.io.units import Quantity, quantities
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
@@ -105,14 +104,14 @@ def schema(file: RunFile) -> Any:
             f"{one.column}_stderr": number,
             f"{one.column}_reference": number,
         }
-    for name in ("size", "single") if file.elastic else ():
+    for name in ("size", "single") if file["elastic"] else ():
         fields |= {
             name: number,
             f"{name}_stderr": number,
             f"{name}_reference": number,
             f"{name}_z": number,
         }
-    if file.drive.stage:
+    if file["drive.stage"]:
         fields |= {
             "slips": integer,
             "period": number,
@@ -120,7 +119,9 @@ def schema(file: RunFile) -> Any:
             "drop": number,
             "drop_stderr": number,
         }
-    for index in range(0 if file.drive.stage else len(file.drive.programme or [])):
+    for index in range(
+        0 if file["drive.stage"] else len(file["drive.programme"] or [])
+    ):
         for name in (f"segment_{index}_{shown}" for shown in _SHOWN):
             fields |= {
                 name: number,
@@ -140,16 +141,17 @@ def schema(file: RunFile) -> Any:
 
 def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
     """What friction is at the interface, where there are averages."""
-    return () if file.drive.programme or file.drive.stage else file.quantities(ensemble)
+    programmed = file["drive.programme"] or file["drive.stage"]
+    return () if programmed else quantities(ensemble, file.units, file.interface)
 
 
-def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, float]:
+def physical(file: RunFile, row: dict[str, Any]) -> dict[str, float]:
     """The columns of a point that say what its friction is at the interface; none of a
     point that failed."""
     if row.get("friction") is None or not _quantities(file, Ensemble()):
         return {}
     found = {}
-    for one in _quantities(file, file.ensemble(folder)):
+    for one in _quantities(file, file.ensemble):
         for end in ("", "_stderr", "_reference"):
             value = row.get(f"friction{end}")
             if value is not None:

@@ -46,9 +46,12 @@ class Store:
             plan,
             "transient" if asked.transient else "steady",
         )
-        if plan.file.elastic is not None:
+        if plan.file["elastic"] is not None:
             self.kind = "transient"
-        if plan.file.drive.programme is not None or plan.file.drive.stage is not None:
+        if (
+            plan.file["drive.programme"] is not None
+            or plan.file["drive.stage"] is not None
+        ):
             self.kind = "programme"
         theirs = () if (out / SWEEP_MANIFEST).exists() else self._foreign(out)
         if theirs:  # the folder is read as one table
@@ -65,9 +68,13 @@ class Store:
                 shutil.rmtree(
                     unfinished
                 ) if unfinished.is_dir() else unfinished.unlink()
-            settings = {"sweep": plan.file.model_dump(), **dataclasses.asdict(asked)}
+            settings = {"sweep": plan.file.settings, **dataclasses.asdict(asked)}
             origin = storage.provenance(
-                "sweep", settings, plan.file.text, plan.file.output.seed, plan.folder
+                "sweep",
+                settings,
+                plan.file.text,
+                plan.file.output.seed,
+                plan.file.folder,
             )
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
             self.schema = schema(plan.file).with_metadata(
@@ -114,17 +121,17 @@ class Store:
     def _agree(self, asked: Asked) -> None:
         """Note what is asked for, or compare it with what was."""
         plan, path = self.plan, self.out / SWEEP_MANIFEST
-        names = {plan.file.thresholds.file, plan.file.sweep.get("file")} - {None}
+        names = {plan.file["thresholds.file"], plan.file.sweep.get("file")} - {None}
         now = {key: repr(value) for key, value in parameters(plan.file).items()}
         for section in ("units", "interface"):
             now |= {
                 f"{section}.{key}": repr(value)
-                for key, value in getattr(plan.file, section)
+                for key, value in plan.file.settings[section].items()
                 if value
             }
         now |= {f"sweep.{key}": repr(value) for key, value in entries(plan.file.sweep)}
         now |= {
-            f"content of {name}": _digest((plan.folder / str(name)).read_bytes())
+            f"content of {name}": _digest((plan.file.folder / str(name)).read_bytes())
             for name in names
         }
         now |= {key: repr(value) for key, value in dataclasses.asdict(asked).items()}
@@ -203,7 +210,7 @@ class Store:
             {
                 **parameters(point),
                 **row,
-                **physical(point, self.plan.folder, row),
+                **physical(point, row),
                 **known,
             }
         )
