@@ -68,71 +68,19 @@ _BLOCKS = Annotated[Any, BeforeValidator(_whole_numbers)]
 def _keys_of(kind: Any, *names: str) -> dict[str, Any]:
     """Keys that are fields of a dataclass, all or some: type and default, as pydantic
     takes them. Choices are texts here: the dataclass refuses others."""
-    known, hints, found = (
-        {one.name: one for one in fields(kind)},
-        typing.get_type_hints(kind),
-        {},
-    )
-    for name in names or known:
-        parts = (
-            typing.get_args(hints[name])
-            if isinstance(hints[name], types.UnionType)
-            else (hints[name],)
-        )
-        first = str if typing.get_origin(parts[0]) is Literal else parts[0]
-        kept: Any = _WHOLE if first is int else first
-        default = known[name].default
-        found[name] = (
-            kept | None if type(None) in parts else kept,
-            ... if default is MISSING else default,
-        )
-    return found
-
-
-_Number = float | None
-_Text = str | None
-_LAW_NUMBERS = dict.fromkeys(
-    key for law in THRESHOLDS for key in threshold_parameters(law)
-)
-# Where the keys of each section land. `contacts`, `viscosity` and `disorder` are fields
-# of Ensemble itself.
-_SECTIONS: dict[str, dict[str, Any]] = {
-    "contacts": _keys_of(Ensemble, "count", "stiffness", "stiffness_law"),
-    # the law of that name (`laws.named.THRESHOLDS`), or a `Table`
-    "thresholds": {
-        "law": (Literal[(*THRESHOLDS, "table")], "gamma"),
-        **dict.fromkeys(_LAW_NUMBERS, (_Number, None)),
-        "file": (_Text, None),
-        "column": (_Text, None),
-        "scale": (_Number, None),
-        "quantity": (Literal["stretch", "force"] | None, None),
-    },
-    # kelvin, instead of kT
-    "thermal": {"temperature": (_Number, None), **_keys_of(Thermal)},
-    "newborn": _keys_of(Newborn),
-    # a run file has to say x_star_final where the rule takes it
-    "aging": {**_keys_of(Aging), "x_star_final": (_Number, None)},
-    "delay": _keys_of(Delay),
-    "viscosity": _keys_of(Ensemble, "eta"),
-    # a Drive, or a Programme of segments or of a recorded file
-    "drive": {
-        **_keys_of(Drive, "velocity", "distance", "start"),
-        "velocity": (_Number, None),
-        "programme": (list[Any] | None, None),
-        "file": (_Text, None),
-        "stage": (Any, None),
-    },
-    "elastic": {**_keys_of(Elastic), "blocks": (_BLOCKS, ...)},
-    "output": _keys_of(Output),
-    "units": _keys_of(Units),
-    "interface": _keys_of(Interface),
-}
-_STAGE = _keys_of(Stage)
-# `hold` is the time of a segment of velocity 0
-_SEGMENT = {**_keys_of(Segment), "velocity": (_Number, None), "hold": (_Number, None)}
-_SEGMENT = {
-    name: _SEGMENT[name] for name in ("velocity", "hold", "distance", "time", "points")
-}
+    hints, keys = typing.get_type_hints(kind), {}
+    for one in fields(kind):
+        if names and one.name not in names:
+            continue
+        hint = hints[one.name]
+        optional = isinstance(hint, types.UnionType) and type(None) in hint.__args__
+        first = hint.__args__[0] if isinstance(hint, types.UnionType) else hint
+        if typing.get_origin(first) is Literal:
+            first = str
+        checked: Any = _WHOLE if first is int else first
+        default = ... if one.default is MISSING else one.default
+        keys[one.name] = (checked | None if optional else checked, default)
+    return keys
 
 
 def _schema(name: str, keys: dict[str, Any]) -> Any:
@@ -141,32 +89,61 @@ def _schema(name: str, keys: dict[str, Any]) -> Any:
     return pydantic.create_model(name, __config__=config, **keys)
 
 
-_SCHEMAS = {
-    name: _schema(name, keys) for name, keys in _SECTIONS.items() if name != "drive"
-}
-_SCHEMAS["drive"] = _schema(
-    "drive",
-    {
-        **_SECTIONS["drive"],
+_NUMBER = (float | None, None)
+_TEXT = (str | None, None)
+_STAGE = _keys_of(Stage)
+# `hold` is the time of a segment that does not move
+_SEGMENT = {"velocity": _NUMBER, "hold": _NUMBER} | _keys_of(
+    Segment, "distance", "time", "points"
+)
+# Where the keys of each section land; `disorder` is a field of Ensemble, too.
+_SECTIONS: dict[str, dict[str, Any]] = {
+    "contacts": _keys_of(Ensemble, "count", "stiffness", "stiffness_law"),
+    # the law of that name (`laws.named.THRESHOLDS`), or a `Table`
+    "thresholds": {
+        "law": (Literal[(*THRESHOLDS, "table")], "gamma"),
+        **{key: _NUMBER for law in THRESHOLDS for key in threshold_parameters(law)},
+        "file": _TEXT,
+        "column": _TEXT,
+        "scale": _NUMBER,
+        "quantity": (Literal["stretch", "force"] | None, None),
+    },
+    # kelvin, instead of kT
+    "thermal": {"temperature": _NUMBER, **_keys_of(Thermal)},
+    "newborn": _keys_of(Newborn),
+    # a run file has to say x_star_final where the rule takes it
+    "aging": {**_keys_of(Aging), "x_star_final": _NUMBER},
+    "delay": _keys_of(Delay),
+    "viscosity": _keys_of(Ensemble, "eta"),
+    # a Drive, or a Programme of segments or of a recorded file
+    "drive": {
+        **_keys_of(Drive, "velocity", "distance", "start"),
+        "velocity": _NUMBER,
         "programme": (list[_schema("segment", _SEGMENT)] | None, None),  # type: ignore[misc]
+        "file": _TEXT,
         "stage": (_schema("stage", _STAGE) | None, None),
     },
-)
-_CONTENT = _schema(
-    "run file",
-    {
+    "elastic": {**_keys_of(Elastic), "blocks": (_BLOCKS, ...)},
+    "output": _keys_of(Output),
+    "units": _keys_of(Units),
+    "interface": _keys_of(Interface),
+}
+
+
+def _content() -> Any:
+    """A pydantic model of a whole run file; [elastic] is there or not."""
+    keys = {
         "title": (Annotated[str, pydantic.Field(max_length=200)], ""),
         **_keys_of(Ensemble, "disorder"),
-        **{
-            name: (_SCHEMAS[name] | None, None)
-            if name == "elastic"
-            else (_SCHEMAS[name], _SCHEMAS[name]())
-            for name in _SECTIONS
-        },
-        "sweep": (dict[str, Any], {}),
-        "fit": (dict[str, Any], {}),  # `fitting.section`
-    },
-)
+    }
+    for name, section in _SECTIONS.items():
+        schema = _schema(name, section)
+        keys[name] = (schema | None, None) if name == "elastic" else (schema, schema())
+    return _schema("run file", {**keys, "sweep": _TABLE, "fit": _TABLE})
+
+
+_TABLE: Any = (dict[str, Any], {})  # read by `sweeps.plan` and by `fitting.section`
+CONTENT = _content()
 
 
 @dataclass(frozen=True)
@@ -686,7 +663,7 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     for name in ("sweep", "fit"):
         _check_plain(name, data.get(name))
     try:
-        content = _CONTENT.model_validate(data)
+        content = CONTENT.model_validate(data)
     except pydantic.ValidationError as error:
         raise InputError(_explain(error)) from None
     given = content.model_dump(exclude_unset=True, exclude_none=True)
@@ -765,7 +742,7 @@ def _nearest(location: list[str]) -> str:
     here = list(inside.get(".".join(sections[:2]), ()))
     if here:
         return meant(last, here) or "known here: " + ", ".join(here)
-    known = _CONTENT.model_fields if not sections else _SECTIONS.get(sections[0], ())
+    known = CONTENT.model_fields if not sections else _SECTIONS.get(sections[0], ())
     here = list(known)
     elsewhere = [
         f"{name}.{key}"
