@@ -17,7 +17,6 @@ import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -104,7 +103,7 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
         "",
     )
     found = problem_of(
-        file, Path("."), fit, table, parameters_of(file, fit), *scales_of(fit, [""])
+        file, fit, table, parameters_of(file, fit), *scales_of(fit, [""])
     )
     exact = found.given(found.start)
     return replace(found, value=exact, sigma=NOISE * exact)
@@ -171,7 +170,7 @@ def record() -> Problem:
         [], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time
     )
     found = record_problem(
-        file, Path("."), fit, table, parameters_of(file, fit), scales_of(fit, [""])
+        file, fit, table, parameters_of(file, fit), scales_of(fit, [""])
     )
     found = settled(found, found.start)
     return replace(

@@ -213,6 +213,11 @@ class OfTrajectory:
     trajectory: Any
     exact: Any = (None, "")
 
+    @property
+    def folder(self) -> Any:
+        """The folder in which paths in the run file start."""
+        return self.file.folder
+
     def to_pandas(self) -> Any:
         """A DataFrame of the trajectory."""
         return self.trajectory.to_pandas()

@@ -153,7 +153,7 @@ def test_run_json_and_replicas(run_file, tmp_path):
     summary = json.loads(result.stdout)
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["seed"] == 3
-    other = steady(load(run_file).ensemble(run_file.parent), Drive(0.1), seed=3)
+    other = steady(load(run_file).ensemble, Drive(0.1), seed=3)
     assert summary["steady"]["friction"] == other.friction.as_dict()
     table = pq.read_table(out / "trajectory.parquet")
     assert "force_replica_std" in table.column_names

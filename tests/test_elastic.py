@@ -772,7 +772,7 @@ def test_a_stage_and_workers_are_refused(path, tmp_path):
     programme = [{"velocity": 1.0, "distance": 1.0}]
     section = {"blocks": 2, "coupling": 1.0, "drive_stiffness": 1.0}
     with pytest.raises(InputError, match=r"drive\.programme: not allowed with"):
-        check({"drive": {"programme": programme}, "elastic": section}).driven(tmp_path)
+        _ = check({"drive": {"programme": programme}, "elastic": section}).drive
 
 
 # ---- materials ----

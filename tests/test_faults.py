@@ -398,7 +398,7 @@ def long_table(folder):
     file = eqsim.load(folder.parent / "a.toml", {"contacts.count": 300_000_000})
     folder.mkdir()
     content = storage.parquet(
-        {"X": [0.0]}, storage.provenance("run", file.model_dump(), RUN, 1, folder)
+        {"X": [0.0]}, storage.provenance("run", file.settings, RUN, 1, folder)
     )
     (folder / "trajectory.parquet").write_bytes(content)
 

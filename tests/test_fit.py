@@ -3,6 +3,7 @@ its intervals are right."""
 
 import json
 import math
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -206,7 +207,7 @@ def test_particles(folder):
     """The committed data of simulated contacts, 24 points to about 1 %: every key
     within 4 standard deviations of what made them, and a fit that is not rejected."""
     path = Path(__file__).parent.parent / "runs" / "fit-synthetic.toml"
-    problem = prepare(load(path), path.parent, None, False).problem
+    problem = prepare(load(path), None, False).problem
     found = minimise(problem, problem.start)
     truth = np.array([math.log(0.1), 0.0, math.log(2.0), math.log(3.0)])
     sd = np.sqrt(np.diag(covariance(problem.jacobian(found.u))))
@@ -324,7 +325,7 @@ def test_compared_and_rejected(folder):
 def test_priors(folder):
     """A prior far tighter than the data is the answer, to a tenth of its width."""
     file = load(folder / "run.toml")
-    content = file.model_dump(exclude_unset=True)
+    content = deepcopy(file.given)
     content["fit"]["free"]["thermal.kT"]["prior"] = {"normal": [math.log(0.3), 1e-3]}
     found = fit(check(content), folder, starts=1)
     assert math.log(found.values["thermal.kT"]) == pytest.approx(
@@ -423,10 +424,10 @@ def test_symmetries_are_refused_by_name(tmp_path, name):
         }
     )
     with pytest.raises(InputError) as error:
-        prepare(file, tmp_path, None, False)
+        prepare(file, None, False)
     assert said in str(error.value)
     assert "--allow-degenerate" in str(error.value)
-    assert prepare(file, tmp_path, None, True).warnings
+    assert prepare(file, None, True).warnings
 
 
 @pytest.mark.parametrize(
@@ -461,7 +462,7 @@ def test_symmetries_leave_every_prediction(powers, aging):
             ]
             changed = at(
                 file, {key: known[key] * factor ** powers[key] for key in keys}
-            ).ensemble(Path("."))
+            ).ensemble
             return (
                 factor ** powers.get("fit.scale", 0)
                 * curve(changed, VELOCITIES).friction
@@ -491,7 +492,7 @@ def test_what_is_no_symmetry_is_not_refused(tmp_path, free, data):
         "fit": {"data": "data.csv", "noise": {"relative": 0.05}},
     }
     content["fit"] |= {"scale": scale, "free": bounds(*free)}
-    prepared = prepare(check(content), tmp_path, None, free == ALL[:3])
+    prepared = prepare(check(content, tmp_path), None, free == ALL[:3])
     assert len(prepared.warnings) == (free == ALL[:3])
 
 
@@ -627,7 +628,7 @@ def test_public_name():
 
 def test_starts_are_spread(folder):
     """Within the bounds, the run file's first, and named by the seed."""
-    problem = prepare(load(folder / "run.toml"), folder, None, False).problem
+    problem = prepare(load(folder / "run.toml"), None, False).problem
     every = np.array(starts(problem, 8, 1))
     np.testing.assert_array_equal(every[0], problem.start)
     assert np.all((every >= problem.low) & (every <= problem.high))
@@ -644,7 +645,7 @@ def test_intervals_cover(folder):
     probability below 1e-3, and intervals at a tenth of the level miss more often than 7
     times but with a probability of 1e-6."""
     file = load(folder / "run.toml")
-    problem = prepare(file, folder, None, False).problem
+    problem = prepare(file, None, False).problem
     truth = np.log([TRUTH["kT"], TRUTH["scale"]])
     exact = problem.given(truth)
     misses = {1.0: 0, 0.1: 0}

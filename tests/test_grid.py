@@ -17,12 +17,12 @@ from eqsim.sweeps.plan import Plan, seed_of
 BASE = 'title = "small"\n[contacts]\ncount = 500\nstiffness_law = "uniform"\n[drive]\nvelocity = 0.1\ndistance = 5.0\n'
 
 
-def file_of(text):
-    return check(tomllib.loads(text))
+def file_of(text, folder=Path()):
+    return check(tomllib.loads(text), folder)
 
 
 def plan_of(text, folder=Path()):
-    return Plan(file_of(text), folder)
+    return Plan(file_of(text, folder))
 
 
 def grid(table, base=BASE, folder=Path()):

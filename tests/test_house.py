@@ -427,5 +427,5 @@ def test_committed_run_files_are_valid(path):
 
     file = load(path)
     assert file.title
-    assert file.ensemble(path.parent).count > 0
-    assert file.driven(path.parent)
+    assert file.ensemble.count > 0
+    assert file.drive

@@ -141,16 +141,16 @@ SECTION = {"rule": "logarithmic", "beta": 0.05, "cutoff_time": 0.1}
 )
 def test_run_file_refuses(section, message, tmp_path):
     with pytest.raises(InputError, match=message):
-        runfile.check({"aging": section}).ensemble(tmp_path)
+        _ = runfile.check({"aging": section}).ensemble
 
 
 def test_run_file(tmp_path):
     """Keys, their place among the parameters of a sweep's point, and what does without
     a rule."""
     file = runfile.check({"aging": SECTION})
-    assert file.ensemble(tmp_path).aging == aging()
+    assert file.ensemble.aging == aging()
     changed = runfile.at(file, {"aging.beta": 0.1, "aging.cutoff_time": 2.0})
-    assert changed.ensemble(tmp_path).aging == aging(0.1, 2.0)
+    assert changed.ensemble.aging == aging(0.1, 2.0)
     known = runfile.parameters(changed)
     assert (
         known["aging.beta"],
@@ -158,7 +158,7 @@ def test_run_file(tmp_path):
         known["aging.x_star_final"],
     ) == (0.1, 2.0, None)
     assert runfile.keys()["aging.beta"] is runfile.keys()["aging.cutoff_time"] is float
-    assert not runfile.at(file, {"aging.rule": "none"}).ensemble(tmp_path).aging.active
+    assert not runfile.at(file, {"aging.rule": "none"}).ensemble.aging.active
 
 
 def test_numbers():

@@ -421,7 +421,7 @@ def test_a_material_from_a_file(tmp_path):
             path, "--toml", "--temperature", 350, "--disorder", "annealed"
         ).stdout,
     )
-    assert file.ensemble(tmp_path) == granite.ensemble(350.0, disorder="annealed")
+    assert file.ensemble == granite.ensemble(350.0, disorder="annealed")
     path.write_text(GRANITE.replace('name = "granite"\n', ""))
     assert material_of(path).stdout.startswith("mine at")
 
@@ -591,14 +591,14 @@ def test_committed_run_files(name, velocity, disorder):
         material, velocity=velocity, disorder=disorder
     )
     file = load(path)
-    ensemble, drive = file.ensemble(RUNS), file.driven(RUNS)
+    ensemble, drive = file.ensemble, file.drive
     assert ensemble == material.ensemble(disorder=disorder)
     assert drive.velocity == velocity
     assert drive.distance == pytest.approx(20 * material.x_star, rel=1e-14, abs=0)
     assert not re.search(
         r"0{9}[1-9]|9{9}", "".join(lines)
     )  # 0.4, not 0.39999999999999997
-    velocities = [point["drive.velocity"] for point in Plan(file, RUNS).axes[0]]
+    velocities = [point["drive.velocity"] for point in Plan(file).axes[0]]
     assert len(velocities) == 21
     assert (
         velocities[0]
@@ -634,15 +634,13 @@ def test_run_file_text_loads_to_the_same_numbers(tmp_path, delay, aging):
             film, temperature, disorder=disorder, stiffness_law="sqrt", count=123
         )
         file = stored(tmp_path, text)
-        assert file.ensemble(tmp_path) == film.ensemble(
+        assert file.ensemble == film.ensemble(
             temperature, disorder=disorder, stiffness_law="sqrt", count=123
         )
         v_star = film.crossover_velocity()  # at room temperature
-        assert file.driven(RUNS).velocity == pytest.approx(v_star, rel=1e-14, abs=0)
+        assert file.drive.velocity == pytest.approx(v_star, rel=1e-14, abs=0)
         assert film.name in file.title
-    assert stored(tmp_path, text.replace("kT = ", "kT = 1")).ensemble(
-        tmp_path
-    ) != file.ensemble(tmp_path)
+    assert stored(tmp_path, text.replace("kT = ", "kT = 1")).ensemble != file.ensemble
 
 
 def test_friction_depends_on_the_temperature_of_run_files(tmp_path):
@@ -652,13 +650,12 @@ def test_friction_depends_on_the_temperature_of_run_files(tmp_path):
         stored(tmp_path, run_file_text(STEEL, kelvin, disorder="annealed"))
         for kelvin in (77.0, 400.0)
     )
-    assert cold.driven(RUNS) == warm.driven(RUNS)
+    assert cold.drive == warm.drive
     values = [
-        reference(file.ensemble(tmp_path), file.driven(RUNS)).friction.value
-        for file in (cold, warm)
+        reference(file.ensemble, file.drive).friction.value for file in (cold, warm)
     ]
     assert values[0] > 1.1 * values[1]
-    assert stored(tmp_path, run_file_text(STEEL, 0.0)).driven(RUNS) == warm.driven(RUNS)
+    assert stored(tmp_path, run_file_text(STEEL, 0.0)).driven(RUNS) == warm.drive
 
 
 # ---- bad input ----

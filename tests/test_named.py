@@ -363,7 +363,7 @@ def test_run_files_know_every_law(tmp_path):
         file = check(
             {"thresholds": {"law": law.name, **given}, "drive": {"velocity": 0.1}}
         )
-        assert file.ensemble(tmp_path).thresholds == law
+        assert file.ensemble.thresholds == law
         known = parameters(file)
         assert {
             key.removeprefix("thresholds."): value
@@ -371,7 +371,7 @@ def test_run_files_know_every_law(tmp_path):
             if value is not None
         }.items() >= given.items()
     short = check({"thresholds": {"law": "weibull", "shape": 2.0}})
-    assert short.ensemble(tmp_path).thresholds == Weibull(2.0, 1.0)
+    assert short.ensemble.thresholds == Weibull(2.0, 1.0)
     assert parameters(short)["thresholds.x_star"] == 1.0
     assert threshold_parameters("table") == {}
     assert list(THRESHOLDS) == [
@@ -443,7 +443,7 @@ def test_run_files_know_every_law(tmp_path):
 )
 def test_bad_run_files(tmp_path, given, message):
     with pytest.raises(InputError) as caught:
-        check({"thresholds": given}).ensemble(tmp_path)
+        _ = check({"thresholds": given}).ensemble
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 

@@ -250,7 +250,7 @@ def test_outputs_of_a_run(tmp_path):
 )
 def test_bad_outputs(given, message):
     with pytest.raises(InputError) as caught:
-        check({"drive": {"velocity": 0.1}, **given}).check_output()
+        check({"drive": {"velocity": 0.1}, **given})
     assert str(caught.value).startswith(message)
 
 
@@ -259,7 +259,7 @@ def test_bad_outputs(given, message):
 
 
 def sample_of(tmp_path, text, **more):
-    return run_fluctuations(check(text), tmp_path, points=11, lives=2e5, **more)
+    return run_fluctuations(check(text, tmp_path), points=11, lives=2e5, **more)
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,7 @@ def test_run_tells_it(tmp_path):
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "out" / "a" / "summary.json").read_text())
     peak, exact = summary["peak"], summary["peak"]["exact"]
-    contacts = load(path).ensemble(tmp_path)
+    contacts = load(path).ensemble
     known = first_peak(contacts, 0.1)
     assert (exact["X"], exact["force"]) == (known.X.value, known.force.value)
     level = reference(contacts, Drive(0.1)).friction.value

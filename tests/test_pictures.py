@@ -139,8 +139,8 @@ def test_exact_curves(tmp_path):
         if label == "time":
             path.write_text(steps)
         file = load(path, changes)
-        columns = curve(file, tmp_path)
-        figure = curve_picture(file, path, columns)
+        columns = curve(file)
+        figure = curve_picture(file, path.stem, columns)
         labels = [axes.get_ylabel() for axes in figure.axes]
         assert labels[0] == "friction  $F / (N k)$\n[length unit of the run file]"
         (line,) = figure.axes[0].lines

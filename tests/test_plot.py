@@ -404,7 +404,7 @@ def test_an_unfinished_sweep_is_read_whole(tmp_path):
     run.write_text(
         "[sweep]\n'drive.velocity' = [0.1, 1.0, 10.0]\n[drive]\nvelocity = 3.0\n"
     )
-    plan, asked = Plan(load(run), tmp_path), Asked(rel_error=0.1)
+    plan, asked = Plan(load(run)), Asked(rel_error=0.1)
     store = Store(tmp_path / "s", plan, asked)
     store.add(1, {"friction": 0.5, "status": "ok"})
     store.flush()
@@ -412,12 +412,12 @@ def test_an_unfinished_sweep_is_read_whole(tmp_path):
     assert pd.read_parquet(tmp_path / "s")["friction"].tolist() == [0.5]
     assert read_sweep(tmp_path / "s").unfinished == "1 of 3 points so far"
     run.write_text(run.read_text().replace("3.0", "4.0"))
-    again = Store(tmp_path / "s", Plan(load(run), tmp_path), asked)
+    again = Store(tmp_path / "s", Plan(load(run)), asked)
     assert again.done == {plan.ids[1]}
     again.close()
     run.write_text(run.read_text() + "[thermal]\nkT = 1.0\n")
     with pytest.raises(ValueError, match="holds another sweep"):
-        Store(tmp_path / "s", Plan(load(run), tmp_path), asked)
+        Store(tmp_path / "s", Plan(load(run)), asked)
 
 
 def test_partitioned_folders(tmp_path):

@@ -270,7 +270,7 @@ def identities():
     """Of the points of the committed sweep: a sweep begun on one machine continues on
     another."""
     path = Path(__file__).parent.parent / "runs" / "sweep.toml"
-    return Plan(load(path), path.parent).ids
+    return Plan(load(path)).ids
 
 
 def elsewhere(processor, what, names):

@@ -270,4 +270,4 @@ def test_run_files_of_the_repository(tmp_path):
         file = load(
             __import__("pathlib").Path(__file__).parent.parent / "runs" / f"{name}.toml"
         )
-        assert isinstance(file.driven(tmp_path), Programme)
+        assert isinstance(file.drive, Programme)

@@ -4,6 +4,7 @@ correlated errors."""
 import json
 import math
 import re
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,9 +56,9 @@ def test_prediction_is_the_mean_field(folder):
     """With its correction within the errors that both solves quote, and three times
     nearer than coarse steps."""
     file = load(folder / "run.toml")
-    exact = transient(file.ensemble(folder), file.driven(folder), 81)
+    exact = transient(file.ensemble, file.drive, 81)
     write(folder, np.ones(exact.t.size), exact.t)
-    forward = prepare(file, folder, None, False).problem.forward
+    forward = prepare(file, None, False).problem.forward
     coarse, _ = forward.predict({})
     better, error = forward.corrected({}).predict({})
     assert np.all(np.abs(better - exact.force) <= error + exact.force_error)
@@ -67,10 +68,10 @@ def test_prediction_is_the_mean_field(folder):
 def test_machine_stiffness_is_that_of_the_stage(folder):
     """K = scale kappa_s."""
     file = load(folder / "run.toml")
-    plain = prepare(file, folder, None, False).problem
-    content = file.model_dump(exclude_unset=True)
+    plain = prepare(file, None, False).problem
+    content = deepcopy(file.given)
     content["fit"]["record"]["machine_stiffness"] = 0.5 * 3.0
-    given = prepare(check(content), folder, None, False).problem
+    given = prepare(check(content, folder), None, False).problem
     assert not given.linear[1]
     assert plain.linear[1]
     np.testing.assert_array_equal(
@@ -85,7 +86,7 @@ def test_truth_is_recovered(folder):
     deviations, not rejected, and the correlation of neighbours within three of its
     standard errors, .09 for 81 points."""
     file = load(folder / "run.toml")
-    exact = transient(file.ensemble(folder), file.driven(folder), 81)
+    exact = transient(file.ensemble, file.drive, 81)
     force = 2.0 * np.interp(TIMES, exact.t, exact.force) + 0.01 * (TIMES - 2.5)
     write(folder, force + 0.003 * markov(0.6, 1, TIMES.size))
     found = fit(file, folder, starts=1)
@@ -106,7 +107,7 @@ def test_whitened_errors_are_independent(folder):
     """1000 points of correlation .8: whitened they have none (to .1, 3 standard
     errors), and a variance of 1 (to .15); the effective number is that of the mean, n
     (1 - rho)/(1 + rho)."""
-    problem = prepare(load(folder / "run.toml"), folder, None, False).problem
+    problem = prepare(load(folder / "run.toml"), None, False).problem
     r = markov(0.8, 3, 1000)
     w = replace(problem, correlation=np.full(999, 0.8)).white(r)
     assert abs(w[1:] @ w[:-1]) / 1000 < 0.1
@@ -129,7 +130,7 @@ def test_whitened_errors_are_independent(folder):
 def test_likelihood_of_correlated_errors(folder):
     """-2 ln L of whitened residuals is that of a normal law with their covariance
     matrix."""
-    problem = prepare(load(folder / "run.toml"), folder, None, False).problem
+    problem = prepare(load(folder / "run.toml"), None, False).problem
     rho = np.full(80, 0.5)
     noisy = replace(
         problem,
@@ -193,7 +194,7 @@ BAD = {
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input(folder, name):
     section, data, said = BAD[name]
-    content = load(folder / "run.toml").model_dump(exclude_unset=True)
+    content = load(folder / "run.toml").given
     content["fit"] |= section
     if name == "no programme":
         content["drive"] = {"velocity": 1.0}
@@ -208,7 +209,7 @@ def test_the_committed_record():
     path = ROOT / "runs" / "fit-velocity-step.toml"
     file = load(path)
     assert section_of(file).record.machine_stiffness == 1.6e-3
-    prepared = prepare(file, path.parent, None, False)
+    prepared = prepare(file, None, False)
     assert prepared.table.time.size == 215
     text = (path.parent / "p655-velocity-steps.csv").read_text()
     assert "BSD-3-Clause" in text
@@ -220,7 +221,7 @@ def test_correlated_errors_are_not_independent(folder):
     """20 records with errors of correlation .7: taken for independent ones, 95 %
     intervals of beta miss the truth more often than whitened ones, which miss at most 5
     times (more by chance in 3 of 10 000 cases)."""
-    problem = prepare(load(folder / "run.toml"), folder, None, False).problem
+    problem = prepare(load(folder / "run.toml"), None, False).problem
     truth = np.array([math.log(0.05), 0.0, 0.0])
     exact = problem.given(truth)
     misses = {"whitened": 0, "independent": 0}
@@ -282,7 +283,7 @@ def test_warm_records_have_intervals():
     steps, those of solves that choose their own do not; and chi-square rises along a
     profile as the covariance of these derivatives says, to 10 %."""
     file = load(ROOT / "runs" / "fit-basalt-step.toml")
-    problem = prepare(file, ROOT / "runs", None, False).problem
+    problem = prepare(file, None, False).problem
     smooth = settled(problem, problem.start)
     smooth = replace(smooth, value=smooth.given(smooth.start))
     stage = [one.key for one in problem.parameters].index("drive.stage.stiffness")

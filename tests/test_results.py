@@ -144,8 +144,8 @@ def test_run_files_know_where_they_are(tmp_path, monkeypatch):
     (tmp_path / "run.toml").write_text(text)
     monkeypatch.chdir("/")
     file = load(str(tmp_path / "run.toml"), {"drive.velocity": 0.2})
-    assert file.ensemble().thresholds.mean == 1.5
-    assert file.driven() == Drive(0.2, 9.0)
+    assert file.ensemble.thresholds.mean == 1.5
+    assert file.drive == Drive(0.2, 9.0)
     assert file.folder == tmp_path
     assert run(str(tmp_path / "run.toml")).trajectory.X[-1] == 9.0
     with pytest.raises(InputError, match=r"nowhere\.toml: cannot be read"):

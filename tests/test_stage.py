@@ -140,10 +140,9 @@ def test_sweep(path, tmp_path):
     ],
 )
 def test_refused(section, said, tmp_path):
+    drive = {"velocity": 0.1, "distance": 1.0, "stage": section}
     with pytest.raises(InputError) as refusal:
-        check({"drive": {"velocity": 0.1, "distance": 1.0, "stage": section}}).driven(
-            tmp_path
-        )
+        _ = check({"drive": drive}).drive
     assert said in str(refusal.value)
 
 

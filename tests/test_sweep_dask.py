@@ -30,7 +30,7 @@ def table_of(folder):
 @pytest.fixture(scope="module")
 def exact(tmp_path_factory):
     folder = tmp_path_factory.mktemp("exact")
-    sweep(Plan(check(RUN), folder), folder, workers=Workers(2))
+    sweep(Plan(check(RUN)), folder, workers=Workers(2))
     return table_of(folder)
 
 
@@ -45,7 +45,7 @@ def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_pat
     ) as cluster:
         address = cluster.scheduler_address
         found = sweep(
-            Plan(check(RUN), tmp_path), tmp_path / "calm", workers=Workers(dask=address)
+            Plan(check(RUN)), tmp_path / "calm", workers=Workers(dask=address)
         )
         assert found.ok == 48
         assert table_of(tmp_path / "calm").equals(exact)
@@ -62,7 +62,7 @@ def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(exact, tmp_pat
                 assert done < total
 
         found = sweep(
-            Plan(check(RUN), tmp_path),
+            Plan(check(RUN)),
             tmp_path / "killed",
             workers=Workers(dask=address),
             progress=progress,
@@ -83,7 +83,7 @@ def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
         InputError, match=r"--dask tcp://nowhere:1: no scheduler answers"
     ):
         sweep(
-            Plan(check(RUN), tmp_path),
+            Plan(check(RUN)),
             tmp_path / "o",
             workers=Workers(dask="tcp://nowhere:1"),
         )
@@ -93,7 +93,7 @@ def test_without_the_package_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install \"eqsim\[dask\]\""):
         sweep(
-            Plan(check(RUN), tmp_path),
+            Plan(check(RUN)),
             tmp_path / "o",
             workers=Workers(dask="tcp://nowhere:1"),
         )

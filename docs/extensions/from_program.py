@@ -18,7 +18,7 @@ from typer.models import ArgumentInfo
 
 from eqsim import OBSERVABLES, api
 from eqsim.cli.app import app as command_line
-from eqsim.io.runfile import RunFile
+from eqsim.io.runfile import CONTENT
 from eqsim.laws.aging import RULES
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import DELAYS
@@ -74,6 +74,8 @@ def parts(annotation: Any) -> list[Any]:
         return [part for one in typing.get_args(annotation) for part in parts(one)]
     if typing.get_origin(annotation) is list:
         return [annotation, *parts(typing.get_args(annotation)[0])]
+    if typing.get_origin(annotation) is typing.Annotated:
+        return parts(typing.get_args(annotation)[0])
     return [annotation]
 
 
@@ -179,7 +181,7 @@ class RunFileKeys(FromProgram):
         self.env.note_dependency(str(MEANINGS))
         known: set[str] = set()
         described: set[str] = set()
-        for section, fields in sections(RunFile).items():
+        for section, fields in sections(CONTENT).items():
             if not fields:
                 continue
             here = meanings.get(section or "top", {})

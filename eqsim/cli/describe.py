@@ -28,7 +28,7 @@ def info(
     """Dimensionless groups and regime of a run file, without simulating it."""
     file = changes.load(path)
     cores(threads)
-    ensemble, drive = file.ensemble(path.parent), file.driven(path.parent)
+    ensemble, drive = file.ensemble, file.drive
     from eqsim.engine.trajectory import predicted_lives
     from eqsim.io.units import scales
     from eqsim.model.reduced import groups
@@ -37,7 +37,7 @@ def info(
         groups(ensemble, drive),
         predicted_lives(ensemble, drive, file.output.replicas),
     )
-    found += scales(ensemble, file.in_units(), file.of_interface())
+    found += scales(ensemble, file.units, file.interface)
     shown.doubt(ensemble, drive)
     rows = [
         (g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning)
@@ -45,7 +45,7 @@ def info(
     ]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
-        title=file.headline(ensemble, path.stem),
+        title=file.headline(path.stem),
         columns=("group", "value", "meaning"),
         rows=[*rows, ("lives", terminal.count(lives), "predicted for `eqsim run`")],
         notes=[NOTE],

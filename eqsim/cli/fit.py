@@ -72,14 +72,12 @@ def fit(
     other = None if options.compare is None else load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         found = fitting.fit(
-            file, path.parent, data=options.data, starts=options.starts, workers=count,
+            file, data=options.data, starts=options.starts, workers=count,
             allow_degenerate=options.allow_degenerate, keep=out, progress=progress,
         )  # fmt: skip
         rival = None
         if options.compare is not None and other is not None:
-            rival = fitting.compared(
-                found, other, options.compare.parent, options.starts
-            )
+            rival = fitting.compared(found, other, options.starts)
     files = report.write(found, out, path.stem)
     lines, sampled = list(report.remarks(found)), None
     if options.posterior:
@@ -154,7 +152,7 @@ def design(
     from eqsim.fitting import design as designing
 
     found = designing.design(
-        file, path.parent, options.fitted, options.key, options.count,
+        file, options.fitted, options.key, options.count,
         options.limits("velocity"), options.limits("temperature"),
     )  # fmt: skip
     data = {**found._asdict(), "steps": [step._asdict() for step in found.steps]}

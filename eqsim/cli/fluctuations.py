@@ -43,14 +43,12 @@ def fluctuations(
         storage.check_folder(out)
     from eqsim.workflows.fluctuations import run_fluctuations
 
-    found = run_fluctuations(
-        file, path.parent, lag=lag, points=points, lives=lives, threads=count
-    )
+    found = run_fluctuations(file, lag=lag, points=points, lives=lives, threads=count)
     notes = list(_remarks(found))
     if out is not None:
         storage.publish(out, found.files(path.stem))
         notes.append(f"{out}/: {', '.join(found.names)}")
-    title = file.headline(found.ensemble, path.stem)
+    title = file.headline(path.stem)
     shown.report(
         found.summary(), title=title, columns=_COLUMNS, rows=_rows(found), notes=notes
     )

@@ -88,9 +88,7 @@ class Changes:
         changes = {key: value for key, (value, _) in self.given().items()}
         from eqsim.io.runfile import load
 
-        file = load(path, changes)
-        file.check_output()
-        return file
+        return load(path, changes)
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,6 @@ def run(
     with shown.bar("simulating", "lives") as progress:
         result = simulate(
             file,
-            path.parent,
             threads=count,
             workers=workers,
             max_lives=max_lives,
@@ -93,7 +92,7 @@ def run(
     shown.doubt(result.ensemble, result.drive)
     shown.report(
         result.summary(),
-        title=file.headline(result.ensemble, folder.name),
+        title=file.headline(folder.name),
         **_table(result),
         notes=[
             *_remarks(result, "workers" if workers else "threads"),
@@ -115,14 +114,14 @@ def _table(result: "RunResult | ProgrammeResult | ElasticResult") -> dict[str, A
     if isinstance(result, ElasticResult):
         return {"columns": _COUPLED, "rows": _coupled(result)}
     if isinstance(result, RunResult):
-        rows = result.file.rows(result.ensemble, result.trajectory.averages)
+        rows = result.file.rows(result.trajectory.averages)
         return {
             "columns": (*_AVERAGES[:3], *_unit(rows), _AVERAGES[3]),
             "rows": _averages(result),
         }
     if isinstance(result, SliderResult):
         return {"columns": _SLIPS, "rows": _slips(result)}
-    shown = result.file.preferred(result.ensemble, result.trajectory.segments[0].peak)
+    shown = result.file.preferred(result.trajectory.segments[0].peak)
     columns = _SEGMENTS
     if shown:
         unit = f" [{shown.unit}]" * bool(shown.unit)
@@ -225,7 +224,7 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
 
     steady = result.steady.averages()
     averages = result.trajectory.averages
-    for name, row in result.file.rows(result.ensemble, averages):
+    for name, row in result.file.rows(averages):
         estimate = getattr(averages, name)
         without = estimate.value is None or estimate.diverges
         z = "none" if without else terminal.score(difference(estimate, steady[name]))
@@ -235,8 +234,8 @@ def _averages(result: "RunResult") -> Iterator[tuple[str, ...]]:
         yield row.label, *both, *row.unit, z
     if result.peak is None:
         return
-    quantity = result.file.preferred(result.ensemble, result.peak.force)
-    length = result.file.rows(result.ensemble, averages)[0][1].unit
+    quantity = result.file.preferred(result.peak.force)
+    length = result.file.rows(averages)[0][1].unit
     forces = (
         Row("peak_force", (quantity.unit,), quantity)
         if quantity
@@ -344,8 +343,8 @@ def steady(
     error."""
     file = changes.load(path)
     ensemble, drive, count = (
-        file.ensemble(path.parent),
-        file.constant(path.parent),
+        file.ensemble,
+        file.constant_drive,
         cores(threads),
     )
     from eqsim.engine.steady import steady as estimate_steady
@@ -365,16 +364,16 @@ def steady(
     )
     found, levels = result.averages(), exact.averages() if exact else {}
     values = {name: levels[name].value if exact else None for name in found}
-    z, rows = _scores(found, levels), file.rows(ensemble, result)
+    z, rows = _scores(found, levels), file.rows(result)
     shown.report(
         {
             **{name: estimate.as_dict() for name, estimate in found.items()},
             **{"lives": result.lives, "seed": result.seed, "reached": result.reached},
             **({"divergence": ensemble.divergence} if ensemble.divergence else {}),
             **{"reference": values, "z": {name: z.get(name) for name in found}},
-            **file.physical(ensemble, result.friction, values["friction"]),
+            **file.physical(result.friction, values["friction"]),
         },
-        title=file.headline(ensemble, path.stem),
+        title=file.headline(path.stem),
         columns=("", "contacts", *_unit(rows), "relative error", "reference", "z"),
         rows=[
             (row.label, terminal.value_and_error(row.of(found[name])), *row.unit,
@@ -439,21 +438,21 @@ def reference(
     if transient or closure:
         _curve(path, file, closure, out, pictured(format_), shown)
         return
-    ensemble = file.ensemble(path.parent)
+    ensemble = file.ensemble
     from eqsim.master.steady import reference as solve
 
-    result = solve(ensemble, file.constant(path.parent), variance=shown.json)
+    result = solve(ensemble, file.constant_drive, variance=shown.json)
     shown.doubt(ensemble)
-    found, rows = {**result.averages(), "f_k": result.f_k}, file.rows(ensemble, result)
+    found, rows = {**result.averages(), "f_k": result.f_k}, file.rows(result)
     errors = {name: estimate.stderr for name, estimate in found.items()}
     shown.report(
         {
             **{name: estimate.value for name, estimate in found.items()},
             **{"error": errors, "method": result.method},
             **({"divergence": ensemble.divergence} if ensemble.divergence else {}),
-            **file.physical(ensemble, result.friction),
+            **file.physical(result.friction),
         },
-        title=file.headline(ensemble, path.stem),
+        title=file.headline(path.stem),
         columns=("", "value", *_unit(rows), "error"),
         rows=[
             (
@@ -490,14 +489,14 @@ def _curve(
     folder = None if shown.json and out is None else results_folder(path, out)
     if folder is not None:
         storage.check_folder(folder)
-    columns, notes = curve(file, path.parent, closure=closure), []
+    columns, notes = curve(file, closure=closure), []
     if folder is not None:
         name = "closure" if closure else "transient"
         origin = storage.provenance(
-            "reference", file.model_dump(), file.text, file.output.seed, path.parent
+            "reference", file.settings, file.text, file.output.seed, path.parent
         )
         files = {f"{name}.parquet": storage.parquet(columns, origin)}
-        files |= pictures(name, curve_picture(file, path, columns), formats)
+        files |= pictures(name, curve_picture(file, path.stem, columns), formats)
         storage.publish(folder, files)
         said = f"{folder}/: {', '.join(files)}, {len(columns['X'])} rows"
         notes = ["columns end in _error: bound of the solver's", said]

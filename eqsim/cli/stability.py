@@ -50,7 +50,7 @@ def stability(
         storage.check_folder(out)
     from eqsim.master import stability as solve
 
-    pulled = solve.pulled_by(file.ensemble(path.parent), file.driven(path.parent))
+    pulled = solve.pulled_by(file.ensemble, file.drive)
     with shown.bar("kicks and stiffnesses", "runs") as progress:
         found = solve.stability(
             pulled.ensemble,
@@ -69,12 +69,12 @@ def stability(
                 pulled, velocities, critical=steady, progress=progress
             )
         origin = storage.provenance(
-            "stability", file.model_dump(), file.text, file.output.seed, path.parent
+            "stability", file.settings, file.text, file.output.seed, path.parent
         )
         from eqsim.estimate import Estimate
         from eqsim.io.plots import caption
 
-        said = caption(file, pulled.ensemble, Estimate(None, None, 0), path.stem)
+        said = caption(file, Estimate(None, None, 0), path.stem)
         names = _publish(out, found, borders, said, origin)
         notes.append(f"{out}/: {', '.join(names)}")
     shown.report(

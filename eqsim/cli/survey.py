@@ -68,7 +68,7 @@ def sweep(
     from eqsim.sweeps import plan, rows, scheduler, workers
 
     given = changes.given()
-    for key in sorted(given.keys() & plan.swept(file, path.parent)):
+    for key in sorted(given.keys() & plan.swept(file)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
     asked = rows.Asked(options.rel_error, max_lives, options.transient)
@@ -77,9 +77,9 @@ def sweep(
     )
     stores: list[Store] = []
     try:
-        points = plan.Plan(file, path.parent)
+        points = plan.Plan(file)
         first = points.at(0)
-        shown.doubt(first.ensemble(path.parent), first.driven(path.parent))
+        shown.doubt(first.ensemble, first.drive)
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(
                 points, out, asked=asked, workers=who, progress=progress, note=shown.note,

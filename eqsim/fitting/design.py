@@ -63,7 +63,6 @@ def expected(jacobian: Array, index: int) -> float:
 
 def design(
     file: RunFile,
-    folder: Path,
     fitted: Path,
     key: str,
     count: int = 4,
@@ -75,7 +74,7 @@ def design(
 
     Parameters
     ----------
-    file, folder : RunFile, Path
+    file : RunFile
         With the [fit] section that was fitted.
     fitted : Path
         Folder of that fit.
@@ -97,7 +96,7 @@ def design(
         If the folder holds no fit of these data, or the key is not free.
     """
     require_integer("next", count, 1, 1000)
-    prepared = prepare(file, folder, None, True)
+    prepared = prepare(file, None, True)
     problem = prepared.problem
     keys = [one.key for one in problem.parameters]
     if key not in keys:
@@ -205,9 +204,7 @@ def _rows(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
         )
         for a, b in zip(v, T, strict=True)
     ]
-    there = SteadyForward(
-        forward.file, forward.folder, rows, np.arange(v.size), ["friction"] * v.size
-    )
+    there = SteadyForward(forward.file, rows, np.arange(v.size), ["friction"] * v.size)
     first = int(np.flatnonzero(force)[0])
     free = problem.scale_of[first]
     blank = Problem(

@@ -72,8 +72,6 @@ class FitResult:
     Attributes
     ----------
     file : RunFile
-    folder : Path
-        That paths in it are relative to.
     fit : Fit
         Its [fit] section.
     problem : Problem
@@ -99,7 +97,6 @@ class FitResult:
     """
 
     file: RunFile
-    folder: Path
     fit: Fit
     problem: Problem
     table: Table
@@ -114,6 +111,11 @@ class FitResult:
     warnings: tuple[str, ...]
     seed: int
     correlation: Correlation | None = None
+
+    @property
+    def folder(self) -> Path:
+        """The folder in which paths in the run file start."""
+        return self.file.folder
 
     @property
     def values(self) -> dict[str, float]:
@@ -182,14 +184,12 @@ class Prepared(NamedTuple):
     warnings: list[str]
 
 
-def prepare(
-    file: RunFile, folder: Path, data: Path | None, allow_degenerate: bool
-) -> Prepared:
+def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepared:
     """Read and check what a fit needs. Raises InputError."""
     section = section_of(file)
     free = parameters_of(file, section)
-    table = _measured(file, folder, section, data)
-    file.ensemble(folder)
+    table = _measured(file, section, data)
+    _ = file.ensemble
     scales, _ = scales_of(section, table.sets)
     if scales and not any(
         name in ("friction", "force_std") for name in table.observable
@@ -205,42 +205,43 @@ def prepare(
     warnings = symmetry.check(
         symmetry.refused(file, loose, bool(scales), seen), allow_degenerate
     )
-    problem = _problem(file, folder, section, table)
+    problem = _problem(file, section, table)
     return Prepared(section, table, problem, warnings)
 
 
-def _measured(file: RunFile, folder: Path, section: Fit, data: Path | None) -> Table:
+def _measured(file: RunFile, section: Fit, data: Path | None) -> Table:
     """The measurements. Raises InputError."""
     if section.record is not None:
         return read_record(
-            data or path_of("fit.record.file", folder, section.record.file), section
+            data or path_of("fit.record.file", file.folder, section.record.file),
+            section,
         )
     if data is None and section.data is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
     table = read_table(
-        data or path_of("fit.data", folder, str(section.data)), file, section
+        data or path_of("fit.data", file.folder, str(section.data)), file, section
     )
     _check_drive(file, table)
-    _check_rows(file, folder, table)
+    _check_rows(file, table)
     return table
 
 
-def _problem(file: RunFile, folder: Path, section: Fit, table: Table) -> Problem:
+def _problem(file: RunFile, section: Fit, table: Table) -> Problem:
     """Of a table or a record. Raises InputError."""
     free, scales = parameters_of(file, section), scales_of(section, table.sets)
     if table.time is not None:
-        return record_problem(file, folder, section, table, free, scales)
-    return problem_of(file, folder, section, table, free, *scales)
+        return record_problem(file, section, table, free, scales)
+    return problem_of(file, section, table, free, *scales)
 
 
 def _check_drive(file: RunFile, table: Table) -> None:
     """Raise InputError unless every measurement has a velocity, and it is constant."""
     for name in ("programme", "file", "stage"):
-        if getattr(file.drive, name) is not None:
+        if file[f"drive.{name}"] is not None:
             raise InputError(
                 f"drive.{name}: not allowed with fit.data, a table of steady observables"
             )
-    if file.drive.velocity is None and not all(
+    if file["drive.velocity"] is None and not all(
         "drive.velocity" in dict(row.changes) for row in table.rows
     ):
         raise InputError(
@@ -248,16 +249,16 @@ def _check_drive(file: RunFile, table: Table) -> None:
         )
 
 
-def _check_rows(file: RunFile, folder: Path, table: Table) -> None:
+def _check_rows(file: RunFile, table: Table) -> None:
     """Raise InputError, with the line, for a row whose values no ensemble or drive can
     have."""
-    file.ensemble(folder)  # what the run file itself has wrong is not a row's fault
+    _ = file.ensemble  # what the run file itself has wrong is not a row's fault
     for changes, line in {
         row.changes: row.line for row in reversed(table.rows)
     }.items():
         try:
             there = at(file, dict(changes))
-            there.ensemble(folder), there.constant(folder)
+            _ = there.ensemble, there.constant_drive
         except InputError as error:
             raise InputError(f"fit.data, line {line}: {error}") from None
 
@@ -308,11 +309,8 @@ def fit(
     """
     require_integer("starts", starts, 1, 1000)
     require_integer("workers", workers, 1, 1024)
-    file = opened(file)
-    folder = file.folder if folder is None else Path(folder)
-    prepared = prepare(
-        file, folder, None if data is None else Path(data), allow_degenerate
-    )
+    file = opened(file, folder)
+    prepared = prepare(file, None if data is None else Path(data), allow_degenerate)
     problem = prepared.problem
     every = estimate.starts(problem, starts, file.output.seed)
     estimate.check_starts(problem, every)
@@ -325,7 +323,6 @@ def fit(
         )
         result = _fitted(
             file,
-            folder,
             prepared._replace(warnings=warnings),
             every,
             (executor, kept),
@@ -342,7 +339,7 @@ def _identity(file: RunFile, prepared: Prepared, every: list[Array]) -> str:
     parts = [
         release,
         str(RESULTS_VERSION),
-        file.model_dump_json(),
+        storage.to_json(file.settings),
         prepared.table.sha256,
     ]
     digest = hashlib.sha256(" ".join(parts).encode() + np.array(every).tobytes())
@@ -366,7 +363,6 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
 
 def _fitted(
     file: RunFile,
-    folder: Path,
     prepared: Prepared,
     every: list[Array],
     computed: tuple[Executor | None, Kept],
@@ -462,7 +458,7 @@ def _fitted(
         estimate.ladder([one.key for one in parameters], problem.unitless(jacobian))
     )
     return FitResult(
-        file, folder, section, problem, table, best, intervals, goodness(problem, best.u), rungs, covariance,
+        file, section, problem, table, best, intervals, goodness(problem, best.u), rungs, covariance,
         tuple(minima), pairs, floor, tuple(warnings), file.output.seed, correlation,
     )  # fmt: skip
 
@@ -522,7 +518,7 @@ def derived(result: FitResult) -> dict[str, float]:
     changes = {
         key: value for key, value in values.items() if not key.startswith("fit.")
     }
-    ensemble = at(result.file, changes).ensemble(result.folder)
+    ensemble = at(result.file, changes).ensemble
     scale = next(
         (value for key, value in values.items() if key.startswith("fit.scale")),
         result.problem.fixed_scale,
@@ -530,7 +526,7 @@ def derived(result: FitResult) -> dict[str, float]:
     unit = ensemble.thresholds.scale
     found = {"F0 = N k x_*": scale * unit}
     if ensemble.thermal.kT > 0:
-        kelvin = result.file.in_units().kelvin(ensemble.thermal.kT)
+        kelvin = result.file.units.kelvin(ensemble.thermal.kT)
         if kelvin is not None:
             found["T of kT (K)"] = kelvin
         found |= {
@@ -552,7 +548,7 @@ def derived(result: FitResult) -> dict[str, float]:
     return {name: float(value) for name, value in found.items()}
 
 
-def compared(result: FitResult, other: RunFile, folder: Path, starts: int) -> Goodness:
+def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
     """How well another model describes the same measurements with the same errors.
     Raises InputError."""
     section = section_of(other)
@@ -562,7 +558,6 @@ def compared(result: FitResult, other: RunFile, folder: Path, starts: int) -> Go
         )
     problem = _problem(
         other,
-        folder,
         section.model_copy(update={"loss": result.fit.loss}),
         result.table,
     )

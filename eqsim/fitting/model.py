@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -51,7 +50,6 @@ class SteadyForward:
     """Steady observables at the rows of a table, all velocities of an ensemble at once."""
 
     file: RunFile
-    folder: Path
     rows: Sequence[Row]
     row: Array
     observable: Sequence[str]
@@ -75,7 +73,7 @@ class SteadyForward:
     def velocity(self, index: int, file: RunFile) -> float:
         """Of a measurement. Raises InputError."""
         v = dict(self.rows[self.row[index]].changes).get(
-            "drive.velocity", file.drive.velocity
+            "drive.velocity", file["drive.velocity"]
         )
         if v is None:
             raise InputError(
@@ -90,8 +88,8 @@ class SteadyForward:
         for rest, heat, members in self.groups:
             file = at(self.file, {**changes, **rest})
             if heat != 1.0:
-                file = at(file, {"thermal.kT": file.thermal.kT * heat})
-            ensemble = file.ensemble(self.folder)
+                file = at(file, {"thermal.kT": file["thermal.kT"] * heat})
+            ensemble = file.ensemble
             v = np.array([self.velocity(index, file) for index in members])
             names = [self.observable[index] for index in members]
             here = np.array([name in AVERAGES for name in names])
@@ -419,7 +417,6 @@ def _least(columns: Array, target: Array, low: Array, high: Array) -> Array:
 
 def problem_of(
     file: RunFile,
-    folder: Path,
     fit: Fit,
     table: Table,
     free: list[Parameter],
@@ -437,14 +434,14 @@ def problem_of(
     )
     spread = names == "force_std"
     return Problem(
-        SteadyForward(file, folder, table.rows, table.row, table.observable),
+        SteadyForward(file, table.rows, table.row, table.observable),
         [*free, *scales],
         table.value,
         table.sigma,
         np.where(force, of_set, -1),
         fixed,
         spread,
-        None if scales else float(file.contacts.count),
-        file.contacts.stiffness,
+        None if scales else float(file["contacts.count"]),
+        file["contacts.stiffness"],
         loss=fit.loss,
     )

@@ -138,7 +138,7 @@ def fit_figure(result: "FitResult", title: str) -> Figure:
         limit = max(3.0, 1.15 * np.abs(r[names == name]).max())
         below.set(ylim=(-limit, limit), ylabel="residual\n[standard errors]")
         speed, time = (
-            axis(name, result.file.in_units()) for name in ("drive.velocity", "time")
+            axis(name, result.file.units) for name in ("drive.velocity", "time")
         )
         below.set_xlabel(
             speed if moving else "measurement" if table.time is None else time
@@ -195,9 +195,7 @@ def _curve(
     rest = tuple(change for change in like.changes if change[0] != "drive.velocity")
     rows = [like._replace(changes=(*rest, ("drive.velocity", float(v)))) for v in fine]
     names = [forward.observable[members[0]]] * fine.size
-    there = SteadyForward(
-        forward.file, forward.folder, rows, np.arange(fine.size), names
-    )
+    there = SteadyForward(forward.file, rows, np.arange(fine.size), names)
     ones = np.ones(fine.size)
     many = Problem(
         there, problem.parameters, ones, ones, np.full(fine.size, problem.scale_of[members[0]]), problem.fixed_scale,
@@ -210,7 +208,7 @@ def _curve(
 def profiles_figure(result: "FitResult", title: str) -> Figure:
     """Chi-square over each parameter with all others at their best, and the levels of
     the intervals."""
-    parameters, units = result.problem.parameters, result.file.in_units()
+    parameters, units = result.problem.parameters, result.file.units
     wide = min(3, len(parameters))
     tall = -(-len(parameters) // wide)
     figure = Figure(figsize=(4.0 * wide, 0.6 + 3.0 * tall), layout="constrained")

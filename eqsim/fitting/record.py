@@ -112,7 +112,6 @@ class RecordForward:
     """
 
     file: RunFile
-    folder: Path
     time: Array
     machine_stiffness: float | None
     fixed_scale: float
@@ -179,7 +178,7 @@ class RecordForward:
                 if not key.startswith("fit.")
             },
         )
-        ensemble, programme = file.ensemble(self.folder), file.driven(self.folder)
+        ensemble, programme = file.ensemble, file.drive
         if not isinstance(programme, Programme):
             raise InputError("drive.programme: is required with fit.record")
         if self.machine_stiffness is not None:
@@ -212,7 +211,6 @@ class RecordForward:
 
 def record_problem(
     file: RunFile,
-    folder: Path,
     fit: Fit,
     table: Table,
     free: list[Parameter],
@@ -227,9 +225,7 @@ def record_problem(
         raise InputError(
             "fit.free.drive.stage.stiffness: not allowed with fit.record.machine_stiffness"
         )
-    forward = RecordForward(
-        file, folder, table.time, fit.record.machine_stiffness, scales[1]
-    )
+    forward = RecordForward(file, table.time, fit.record.machine_stiffness, scales[1])
     ones = np.ones(table.time.size)
     known = {"fit.offset": ones, "fit.drift": table.time - table.time.mean()}
     nuisance = {one.key: known[one.key] for one in free if one.key in known}
@@ -240,8 +236,8 @@ def record_problem(
     )
     return Problem(
         forward, ordered, table.value - _fixed(fit, nuisance, known), table.sigma, np.zeros(ones.size, int), scales[1],
-        np.zeros(ones.size, bool), None if scales[0] else float(file.contacts.count), file.contacts.stiffness, nuisance,
-        fit.loss, step=_ROUGH,
+        np.zeros(ones.size, bool), None if scales[0] else float(file["contacts.count"]),
+        file["contacts.stiffness"], nuisance, fit.loss, step=_ROUGH,
     )  # fmt: skip
 
 

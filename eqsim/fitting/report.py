@@ -16,7 +16,7 @@ from eqsim.fitting.fit import REJECTED, FitResult, Goodness, derived
 from eqsim.fitting.posterior import Posterior
 from eqsim.fitting.profiles import WIDE
 from eqsim.io import storage
-from eqsim.io.runfile import at
+from eqsim.io.runfile import at, copied
 
 _DRAWN = ("posterior.parquet", "posterior.png")
 COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
@@ -141,7 +141,7 @@ def write(result: FitResult, out: Path, title: str = "") -> list[str]:
 
     file, title = result.file, result.file.title or title
     origin = storage.provenance(
-        "fit", file.model_dump(), file.text, result.seed, result.folder
+        "fit", file.settings, file.text, result.seed, file.folder
     )
     files = {
         "fit.json": storage.to_json(summary(result)).encode(),
@@ -166,7 +166,7 @@ def write_posterior(
     from eqsim.io.style import saved
 
     origin = storage.provenance(
-        "fit", result.file.model_dump(), result.file.text, result.seed, result.folder
+        "fit", result.file.settings, result.file.text, result.seed, result.folder
     )
     picture = pictures.posterior_figure(sampled, result.file.title or title)
     content = dict(
@@ -191,9 +191,9 @@ def run_toml(result: FitResult, out: Path) -> str:
     }
     file = at(result.file, changes)
     if (
-        file.drive.velocity is None
-        and file.drive.programme is None
-        and file.drive.file is None
+        file["drive.velocity"] is None
+        and file["drive.programme"] is None
+        and file["drive.file"] is None
     ):
         given = [
             dict(result.table.rows[row].changes).get("drive.velocity")
@@ -205,9 +205,7 @@ def run_toml(result: FitResult, out: Path) -> str:
                 file,
                 {"drive.velocity": float(f"{math.exp(np.mean(np.log(known))):.6g}")},
             )
-    data = file.model_dump(
-        exclude={"sweep", "fit"}, exclude_unset=True, exclude_none=True
-    )
+    data = copied(file.given)
     for section in ("thresholds", "drive"):
         name = data.get(section, {}).get("file")
         if name is not None:

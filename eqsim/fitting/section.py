@@ -264,7 +264,7 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
 
 def _check_effect(file: RunFile, key: str, field: str) -> None:
     """Raise InputError for a key that the laws of the run file do not know."""
-    law, rule = file.thresholds.law, file.aging.rule
+    law, rule = file["thresholds.law"], file["aging.rule"]
     if key == "thermal.temperature":
         raise InputError(f"{field}: must be thermal.kT, to which it is proportional")
     if key.startswith("thresholds.") and key.partition(".")[

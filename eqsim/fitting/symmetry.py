@@ -73,9 +73,9 @@ def _scalings(
         for key, value in parameters(file).items()
         if isinstance(value, float)
     }
-    if file.thresholds.law == "table":
+    if file["thresholds.law"] == "table":
         values["thresholds.x_star"] = 1.0  # its length is known
-    aging = file.aging.rule
+    aging = file["aging.rule"]
     if aging == "none":
         values |= {
             "aging.rate": 0.0,
@@ -85,7 +85,7 @@ def _scalings(
     elif aging == "logarithmic":
         values |= {"aging.rate": 0.0, "aging.x_star_final": 0.0}
     moving = {one.key for one in free} | ({"fit.scale"} if scaled else set())
-    fixed_kT = not file.thermal.kT and "thermal.kT" not in moving
+    fixed_kT = not file["thermal.kT"] and "thermal.kT" not in moving
     if fixed_kT:
         values["thermal.attempt_frequency"] = 0.0
     held = [
@@ -137,12 +137,12 @@ def _null(rows: Array) -> list[Array]:
 def _limits(
     file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]
 ) -> Iterator[str]:
-    by_key, law = {one.key: one for one in free}, file.thresholds.law
-    cold = not file.thermal.kT and "thermal.kT" not in by_key
+    by_key, law = {one.key: one for one in free}, file["thresholds.law"]
+    cold = not file["thermal.kT"] and "thermal.kT" not in by_key
     for key in ("thermal.attempt_frequency",) if cold else ():
         if key in by_key:
             yield f"{key}: has no effect at thermal.kT = 0"
-    rule, annealed = file.aging.rule, file.disorder == "annealed"
+    rule, annealed = file["aging.rule"], file["disorder"] == "annealed"
     for key in by_key:
         if key in ("drive.distance", "drive.stage.tolerance"):
             yield f"{key}: has no effect on a steady observable"
@@ -158,7 +158,9 @@ def _limits(
         ]
         level = bool(others)
         if rule == "none":
-            level &= file.delay.time == 0 or len(others) == 2 or "delay.time" in by_key
+            level &= (
+                file["delay.time"] == 0 or len(others) == 2 or "delay.time" in by_key
+            )
         elif annealed:
             level &= "aging.rate" in by_key
         else:
@@ -174,7 +176,7 @@ def _limits(
     if (
         annealed
         and law in ("gamma", "delta")
-        and file.thermal.barrier == "soft"
+        and file["thermal.barrier"] == "soft"
         and not measured & _UNSEEN
     ):
         yield from _regimes(file, by_key)

@@ -1,6 +1,5 @@
 """Pictures of runs."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from eqsim.io.runfile import RunFile
     from eqsim.master.stability import Stability
     from eqsim.master.transient import Fluctuations, Transient
-    from eqsim.model.ensemble import Ensemble
     from eqsim.validation import Validation
 
 # velocities of the stage, from which on those of slips need a logarithmic axis
@@ -93,13 +91,11 @@ class Caption(NamedTuple):
         right.set_ylabel(with_unit(text, plain(self.quantity.unit)))
 
 
-def caption(
-    file: "RunFile", ensemble: "Ensemble", friction: Estimate, name: str = ""
-) -> Caption:
+def caption(file: "RunFile", friction: Estimate, name: str = "") -> Caption:
     """Of a run file whose friction is about so large; `name` if it has no title."""
-    units = file.in_units()
+    ensemble, units = file.ensemble, file.units
     return Caption(
-        file.title or name, described(ensemble, units, tex=True), units, file.preferred(ensemble, friction),
+        file.title or name, described(ensemble, units, tex=True), units, file.preferred(friction),
         ensemble.count, file.output.replicas,
     )  # fmt: skip
 
@@ -356,16 +352,11 @@ def curve_figure(columns: dict[str, Array], along: str, caption: Caption) -> Fig
     return figure
 
 
-def curve_picture(file: "RunFile", path: Path, columns: dict[str, Array]) -> Figure:
-    """The exact curve of a run file at `path`, titled with its name unless it has a
-    title."""
-    ensemble, moves = (
-        file.ensemble(path.parent),
-        isinstance(file.driven(path.parent), Drive),
-    )
+def curve_picture(file: "RunFile", name: str, columns: dict[str, Array]) -> Figure:
+    """The exact curve of a run file, titled with its `name` unless it has a title."""
     level = Estimate(float(columns["force"][-1]), None, 0)
-    said = caption(file, ensemble, level, path.stem)
-    return curve_figure(columns, "X" if moves else "t", said)
+    along = "X" if isinstance(file.drive, Drive) else "t"
+    return curve_figure(columns, along, caption(file, level, name))
 
 
 @styled

@@ -1,21 +1,24 @@
-"""Run files: TOML in, checked, turned into an Ensemble and a Drive.
+"""Run files: TOML in, an Ensemble and a Drive out.
 
-Structure and types are checked here; what a value may be is known to the law it belongs
-to. `workflows.run` simulates what comes out, and `model.reduced` makes it
-dimensionless.
+The keys of a section are fields of the model's dataclasses, which have their types,
+defaults and limits (`_SECTIONS` says where each key lands). Here names and types are
+checked, and whether keys that are given go together.
 """
 
 import functools
 import math
 import tomllib
+import types
+import typing
 from collections.abc import Callable, Iterator
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import pydantic
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
-from pydantic.fields import FieldInfo
+from pydantic import BeforeValidator
 
 from eqsim.errors import (
     NOT_NEGATIVE,
@@ -37,17 +40,15 @@ from eqsim.laws.named import THRESHOLDS, law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
-from eqsim.model.drive import (
-    MOST_SERIES,
-    Drive,
-    Programme,
-    Segment,
-    Stage,
-    check_output,
-    require_drive,
-)
+from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
-from eqsim.model.ensemble import Ensemble
+from eqsim.model.ensemble import Disorder, Ensemble
+
+Result = TypeVar("Result")
+_DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
+_LONGEST = 10_000_000  # characters of a run file
+# Keys whose text may be any word, also "Infinity".
+_FREE_TEXT = ("title", "file", "column")
 
 
 def _whole(value: Any) -> Any:
@@ -55,353 +56,223 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Result = TypeVar("Result")
-Whole = Annotated[int, BeforeValidator(_whole)]
-_DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
-_FREE_TEXT = (
-    "title",
-    "file",
-    "column",
-)  # keys whose text may be any word, also "Infinity"
-_LONGEST = 10_000_000  # characters of a run file
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class Contacts(_Section):
-    count: Whole = 100_000
-    stiffness: float = 1.0
-    stiffness_law: str = "sqrt"
-
-
-if TYPE_CHECKING:
-    LawName = str
-else:
-    LawName = Literal[(*THRESHOLDS, "table")]
-
-
-class Thresholds(_Section):
-    law: LawName = "gamma"
-    n: float | None = None
-    x_star: float | None = None
-    sigma: float | None = None
-    shape: float | None = None
-    std: float | None = None
-    low: float | None = None
-    high: float | None = None
-    exponent: float | None = None
-    file: str | None = None
-    column: str | None = None
-    scale: float | None = None
-    quantity: Literal["stretch", "force"] | None = None
-
-
-class ThermalSection(_Section):
-    temperature: Annotated[
-        float | None, Field(description="kelvin, instead of kT; takes [units] of SI")
-    ] = None
-    kT: float = 0.0  # b = k x_*^2/(2 kT): `Ensemble.b`; field b of a barrier
-    # log_w: `model.reduced._barrier`; field log_w of a barrier
-    attempt_frequency: float = 1.0
-    barrier: str = "soft"
-
-
-class AgingSection(_Section):
-    rule: str = "none"
-    # 4 D x_*i/(v x_*f^2): `Aging.alpha`; field alpha of a law of aging
-    rate: float = 0.0
-    x_star_final: float | None = None
-    beta: float | None = None
-    cutoff_time: float | None = None
-
-
-class NewbornSection(_Section):
-    law: str = "unstressed"
-    of: str = "length"
-    stretch: float | None = None
-    low: float | None = None
-    high: float | None = None
-    mean: float | None = None
-    std: float | None = None
-
-
-class DelaySection(_Section):
-    time: float = 0.0  # v tau/x_*: `Delay.reduced`; `laws.delay.Waits.mean` in kernels
-    law: str = "fixed"
-
-
-class Viscosity(_Section):
-    eta: float = 0.0
-
-
-class SegmentSection(_Section):
-    velocity: float | None = None
-    hold: float | None = None
-    distance: float | None = None
-    time: float | None = None
-    points: Whole | None = None
-
-    def segment(self) -> Segment:
-        """Raises InputError."""
-        if (self.velocity is None) == (self.hold is None):
-            raise InputError(
-                "velocity: a segment has either a velocity or a hold, the time for which nothing moves"
-            )
-        if self.hold is not None:
-            for name in ("distance", "time"):
-                if getattr(self, name) is not None:
-                    raise InputError(
-                        f"{name} = {shown(getattr(self, name))}: not allowed with hold, which is a time"
-                    )
-            require_number("hold", self.hold, **POSITIVE)
-        return Segment(
-            self.velocity or 0.0,
-            self.distance,
-            self.time if self.hold is None else self.hold,
-            self.points,
-        )
-
-
-class StageSection(_Section):
-    stiffness: float
-    damping: float = 0.0
-    mass: float = 0.0
-    preload: float | None = None
-    tolerance: float = 1e-4
-
-
-class DriveSection(_Section):
-    velocity: float | None = None
-    distance: float | None = None
-    start: str = "fresh"
-    programme: list[SegmentSection] | None = None
-    file: str | None = None
-    stage: StageSection | None = None
-
-
 def _whole_numbers(value: Any) -> Any:
     """One number of blocks, or two."""
-    return (
-        [_whole(part) for part in value] if isinstance(value, list) else _whole(value)
-    )
+    return list(map(_whole, value)) if isinstance(value, list) else _whole(value)
 
 
-class ElasticSection(_Section):
-    blocks: Annotated[Any, BeforeValidator(_whole_numbers)]
-    coupling: float
-    drive_stiffness: float
-    edges: str = "open"
+_WHOLE = Annotated[int, BeforeValidator(_whole)]
+_BLOCKS = Annotated[Any, BeforeValidator(_whole_numbers)]
 
 
-class Output(_Section):
-    points: Whole = 2001
-    # `numerics.streams.key`; words of every draw, `numerics.streams.philox`
-    seed: Whole = 1
-    replicas: Whole = 1
-    series: bool = False
-    breaks: bool = False
+def _keys_of(kind: Any, *names: str) -> dict[str, Any]:
+    """Keys that are fields of a dataclass, all or some: type and default, as pydantic
+    takes them. Choices are texts here: the dataclass refuses others."""
+    hints, keys = typing.get_type_hints(kind), {}
+    for one in fields(kind):
+        if names and one.name not in names:
+            continue
+        hint = hints[one.name]
+        optional = isinstance(hint, types.UnionType) and type(None) in hint.__args__
+        first = hint.__args__[0] if isinstance(hint, types.UnionType) else hint
+        if typing.get_origin(first) is Literal:
+            first = str
+        checked: Any = _WHOLE if first is int else first
+        default = ... if one.default is MISSING else one.default
+        keys[one.name] = (checked | None if optional else checked, default)
+    return keys
 
 
-class UnitsSection(_Section):
-    length: Annotated[
-        str,
-        Field(
-            description='"nm", "um", ...: known units of SI, or any label, such as "x_*"'
-        ),
-    ] = ""
-    time: Annotated[str, Field(description='"s", "ms", "min", ..., or any label')] = ""
-    force: Annotated[
-        str,
-        Field(
-            description='"N", "nN", ..., or any label; kT is in units of force times length'
-        ),
-    ] = ""
+def _schema(name: str, keys: dict[str, Any]) -> Any:
+    """A pydantic model that checks names and types of these keys."""
+    config = pydantic.ConfigDict(extra="forbid", strict=True, frozen=True)
+    return pydantic.create_model(name, __config__=config, **keys)
 
 
-class InterfaceSection(_Section):
-    area: Annotated[float | None, Field(description="apparent area (length^2)")] = None
-    contacts_per_area: Annotated[
-        float | None,
-        Field(
-            description="1/length^2; with an area the interface has their product of contacts, else contacts.count"
-        ),
-    ] = None
-    normal_load: Annotated[
-        float | None, Field(description="force on all contacts of the interface")
-    ] = None
-    normal_stress: Annotated[
-        float | None,
-        Field(
-            description="force/length^2, instead of normal_load; takes an area or contacts_per_area"
-        ),
-    ] = None
+_NUMBER = (float | None, None)
+_TEXT = (str | None, None)
+_STAGE = _keys_of(Stage)
+# `hold` is the time of a segment that does not move
+_SEGMENT = {"velocity": _NUMBER, "hold": _NUMBER} | _keys_of(
+    Segment, "distance", "time", "points"
+)
+# Where the keys of each section land; `disorder` is a field of Ensemble, too.
+_SECTIONS: dict[str, dict[str, Any]] = {
+    "contacts": _keys_of(Ensemble, "count", "stiffness", "stiffness_law"),
+    # the law of that name (`laws.named.THRESHOLDS`), or a `Table`
+    "thresholds": {
+        "law": (Literal[(*THRESHOLDS, "table")], "gamma"),
+        **{key: _NUMBER for law in THRESHOLDS for key in threshold_parameters(law)},
+        "file": _TEXT,
+        "column": _TEXT,
+        "scale": _NUMBER,
+        "quantity": (Literal["stretch", "force"] | None, None),
+    },
+    # kelvin, instead of kT
+    "thermal": {"temperature": _NUMBER, **_keys_of(Thermal)},
+    "newborn": _keys_of(Newborn),
+    # a run file has to say x_star_final where the rule takes it
+    "aging": {**_keys_of(Aging), "x_star_final": _NUMBER},
+    "delay": _keys_of(Delay),
+    "viscosity": _keys_of(Ensemble, "eta"),
+    # a Drive, or a Programme of segments or of a recorded file
+    "drive": {
+        **_keys_of(Drive, "velocity", "distance", "start"),
+        "velocity": _NUMBER,
+        "programme": (list[_schema("segment", _SEGMENT)] | None, None),  # type: ignore[misc]
+        "file": _TEXT,
+        "stage": (_schema("stage", _STAGE) | None, None),
+    },
+    "elastic": {**_keys_of(Elastic), "blocks": (_BLOCKS, ...)},
+    "output": _keys_of(Output),
+    "units": _keys_of(Units),
+    "interface": _keys_of(Interface),
+}
 
 
-class RunFile(_Section):
-    """A checked run file; the defaults are the contract. `text` is what was read, and
-    what was changed then."""
+def _content() -> Any:
+    """A pydantic model of a whole run file; [elastic] is there or not."""
+    keys = {
+        "title": (Annotated[str, pydantic.Field(max_length=200)], ""),
+        **_keys_of(Ensemble, "disorder"),
+    }
+    for name, section in _SECTIONS.items():
+        schema = _schema(name, section)
+        keys[name] = (schema | None, None) if name == "elastic" else (schema, schema())
+    return _schema("run file", {**keys, "sweep": _TABLE, "fit": _TABLE})
 
-    title: Annotated[str, Field(max_length=200)] = ""
-    disorder: str = "quenched"
-    contacts: Contacts = Contacts()
-    thresholds: Thresholds = Thresholds()
-    thermal: ThermalSection = ThermalSection()
-    newborn: NewbornSection = NewbornSection()
-    aging: AgingSection = AgingSection()
-    delay: DelaySection = DelaySection()
-    viscosity: Viscosity = Viscosity()
-    drive: DriveSection = DriveSection()
-    elastic: ElasticSection | None = None
-    output: Output = Output()
-    units: UnitsSection = UnitsSection()
-    interface: InterfaceSection = InterfaceSection()
-    sweep: dict[str, Any] = {}
-    fit: dict[str, Any] = {}  # `fitting.section`
-    _text: str = PrivateAttr("")
-    _folder: Path = PrivateAttr(Path())
+
+_TABLE: Any = (dict[str, Any], {})  # read by `sweeps.plan` and by `fitting.section`
+CONTENT = _content()
+
+
+@dataclass(frozen=True)
+class RunFile:
+    """A checked run file.
+
+    Attributes
+    ----------
+    given : dict
+        The content of the file, as it would be written again.
+    settings : dict
+        The same with the default of every key, None where there is none.
+    text : str
+        What was read, and what was changed then.
+    folder : Path
+        Where paths in the file start.
+    """
+
+    given: dict[str, Any]
+    settings: dict[str, Any] = field(repr=False)
+    text: str = field(default="", repr=False, compare=False)
+    folder: Path = field(default=Path(), repr=False, compare=False)
+
+    def __getitem__(self, key: str) -> Any:
+        """The value of a "section.key" with its default filled in, None if it has none."""
+        return functools.reduce(_part, key.split("."), self.settings)
 
     @property
-    def text(self) -> str:
-        return self._text
+    def title(self) -> str:
+        """Shown above tables and pictures."""
+        return str(self.settings["title"])
 
-    def in_units(self) -> Units:
+    @property
+    def sweep(self) -> dict[str, Any]:
+        """The content of [sweep]."""
+        return dict(self.settings["sweep"])
+
+    @property
+    def fit(self) -> dict[str, Any]:
+        """The content of [fit]."""
+        return dict(self.settings["fit"])
+
+    @cached_property
+    def units(self) -> Units:
         """The units of its numbers. Raises InputError."""
         with under("units"):
-            return Units(**self.units.model_dump())
+            return Units(**self.settings["units"])
 
-    def of_interface(self) -> Interface:
+    @cached_property
+    def interface(self) -> Interface:
         """What the contacts stand for. Raises InputError."""
         with under("interface"):
-            return Interface(**self.interface.model_dump())
+            return Interface(**self.settings["interface"])
 
-    def quantities(self, ensemble: Ensemble) -> tuple[Quantity, ...]:
-        """What friction is as a force, a shear stress and a coefficient, as far as that
-        is known."""
-        return quantities(ensemble, self.in_units(), self.of_interface())
-
-    def physical(
-        self, ensemble: Ensemble, friction: Estimate, reference: float | None = None
-    ) -> dict[str, Any]:
-        """For JSON: friction, and that of the reference, as `quantities` under the key
-        "physical", if any is known."""
-        found = {
-            one.name: one.as_dict(friction, reference)
-            for one in self.quantities(ensemble)
-        }
-        return {"physical": found} if found else {}
-
-    def headline(self, ensemble: Ensemble, name: str) -> str:
-        """Of a table: the title, or `name` without one, and what is simulated."""
-        return f"{self.title or name}: {described(ensemble, self.in_units())}"
-
-    def labels(self, x: str) -> dict[str, str]:
-        """Labels of the axes of a picture of the force against `x`, a column of a
-        trajectory, in its units."""
-        return of_trajectory(x, self.in_units())
-
-    def preferred(self, ensemble: Ensemble, friction: Estimate) -> Quantity | None:
-        """That of `quantities` which says most, a coefficient before a stress before a
-        force, in a unit fit for `friction`; None if none is known."""
-        found = self.quantities(ensemble)
-        return found[-1].near(friction.value or 0.0) if found else None
-
-    def rows(self, ensemble: Ensemble, averages: Averages) -> list[tuple[str, Row]]:
-        """As in `units.rows_of`."""
-        return rows_of(averages, self.in_units(), self.quantities(ensemble))
-
-    def heated(self) -> "RunFile":
-        """With the kT that belongs to thermal.temperature, if that is given. Raises
-        InputError."""
-        given = self.thermal
-        if given.temperature is None:
-            return self
-        with under("thermal"):
-            kT = self.in_units().energy(given.temperature)
-            if given.kT and not math.isclose(given.kT, kT, rel_tol=1e-12, abs_tol=0.0):
-                raise InputError(_two_temperatures(given.temperature))
-        warm = given.model_copy(update={"kT": kT})
-        warm.model_fields_set.discard(
-            "kT"
-        )  # it follows, also where the temperature changes
-        return self.model_copy(update={"thermal": warm})
+    @cached_property
+    def output(self) -> Output:
+        """How a run is recorded. Raises InputError."""
+        with under("output"):
+            output = Output(**self.settings["output"])
+        for name in ("series", "breaks"):
+            if getattr(output, name) and self["elastic"]:
+                raise InputError(
+                    f"output.{name}: not with [elastic], which writes every block and avalanche"
+                )
+        if output.breaks and not self.constant:
+            raise InputError(
+                "output.breaks: breaks are listed at a constant drive.velocity only"
+            )
+        return output
 
     @property
-    def folder(self) -> Path:
-        """Where it was read from, and the paths in it start."""
-        return self._folder
+    def constant(self) -> bool:
+        """Whether it moves at a constant velocity, without a programme, file or stage."""
+        drive = self.settings["drive"]
+        return all(drive[name] is None for name in ("programme", "file", "stage"))
 
-    def ensemble(self, folder: Path | None = None) -> Ensemble:
-        """The contacts; the path of a threshold table is relative to `folder`, by
-        default that of the run file. Raises InputError."""
-        folder = self.folder if folder is None else folder
+    @cached_property
+    def ensemble(self) -> Ensemble:
+        """The contacts. Raises InputError."""
+        laws = self._laws()
+        with under("contacts"):
+            return Ensemble(**laws, **self.settings["contacts"])
+
+    def _laws(self) -> dict[str, Any]:
+        """Arguments of `Ensemble` but for those of [contacts]."""
+        given, disorder = self.given, self["disorder"]
         with under("thermal"):
+            known = self.settings["thermal"]
             thermal = Thermal(
-                self.thermal.kT, self.thermal.attempt_frequency, self.thermal.barrier
+                **{name: known[name] for name in known if name != "temperature"}
             )
         with under("delay"):
-            delay = Delay(self.delay.time, self.delay.law)
-        law = self._threshold_law(folder)
-        require_choice("disorder", self.disorder, ("quenched", "annealed"))
-        given, final = self.aging.model_fields_set, self.aging.x_star_final
-        if (
-            given and "rule" not in given
-        ):  # contacts that do not age would be a surprise
-            rules = ", ".join(f'"{rule}"' for rule in RULES)
-            raise InputError(
-                f'aging.rule: is required with {min(given)}; must be {rules} or "none"'
-            )
+            delay = Delay(**self.settings["delay"])
+        law = self._threshold_law()
+        require_choice("disorder", disorder, typing.get_args(Disorder))
+        # contacts that do not age, or are born unstressed, would be a surprise
+        _require_law("aging.rule", given, (*RULES, "none"))
         with under("aging"):
-            rule, beta, cutoff_time = (
-                self.aging.rule,
-                self.aging.beta,
-                self.aging.cutoff_time,
-            )
-            aging = Aging(
-                rule,
-                self.aging.rate,
-                1.0 if final is None else final,
-                beta,
-                cutoff_time,
-            )
-            aging.check_keys(
-                {key for key in given if getattr(self.aging, key) is not None}
-            )
-            aging.check(law, self.disorder)
-            if final is None and rule != "none" and "x_star_final" in RULES[rule].keys:
-                raise InputError(
-                    f'x_star_final: is required with rule = "{aging.rule}"'
-                )
+            chosen = {k: v for k, v in self.settings["aging"].items() if v is not None}
+            aging = Aging(**chosen)
+            aging.check_keys(set(given.get("aging", ())))
+            aging.check(law, disorder)
+            rule = aging.rule
+            if (
+                "x_star_final" not in chosen
+                and rule != "none"
+                and "x_star_final" in RULES[rule].keys
+            ):
+                raise InputError(f'x_star_final: is required with rule = "{rule}"')
         with under("viscosity"):
-            require_number("eta", self.viscosity.eta, **NOT_NEGATIVE)
-        given = self.newborn.model_fields_set
-        if given and "law" not in given:  # contacts born unstressed would be a surprise
-            laws = ", ".join(f'"{law}"' for law in LAWS)
-            raise InputError(
-                f'newborn.law: is required with {min(given)}; must be {laws} or "unstressed"'
-            )
+            require_number("eta", self["viscosity.eta"], **NOT_NEGATIVE)
+        _require_law("newborn.law", given, (*LAWS, "unstressed"))
         with under("newborn"):
-            newborn = Newborn(**self.newborn.model_dump())
-            newborn.check(law, self.disorder, aging.active)
-        many = self.contacts
-        with under("contacts"):
-            return Ensemble(
-                count=many.count,
-                stiffness=many.stiffness,
-                stiffness_law=many.stiffness_law,  # type: ignore[arg-type]  # checked there
-                thresholds=law,
-                thermal=thermal,
-                delay=delay,
-                aging=aging,
-                disorder=self.disorder,  # type: ignore[arg-type]
-                eta=self.viscosity.eta,
-                newborn=newborn,
-            )
+            newborn = Newborn(**self.settings["newborn"])
+            newborn.check(law, disorder, aging.active)
+        return {
+            "thresholds": law,
+            "thermal": thermal,
+            "delay": delay,
+            "aging": aging,
+            "newborn": newborn,
+            "disorder": disorder,
+            "eta": self["viscosity.eta"],
+        }
 
-    def _threshold_law(self, folder: Path) -> ThresholdLaw:
-        law, tabled = self.thresholds.law, ("file", "column", "scale", "quantity")
-        given = self.thresholds.model_dump(exclude={"law"}, exclude_none=True)
+    def _threshold_law(self) -> ThresholdLaw:
+        known = self.settings["thresholds"]
+        law, tabled = known["law"], ("file", "column", "scale", "quantity")
+        given = {k: v for k, v in known.items() if k != "law" and v is not None}
         allowed = tabled if law == "table" else threshold_parameters(law)
         for key, value in given.items():
             if key not in allowed:
@@ -415,121 +286,173 @@ class RunFile(_Section):
             raise InputError('thresholds.file: is required with law = "table"')
         scale = given.get("scale", 1.0)
         require_number("thresholds.scale", scale, **POSITIVE)
-        found = read_thresholds(
-            path_of("thresholds.file", folder, given["file"]),
-            given.get("column"),
-            scale,
-        )
+        path = path_of("thresholds.file", self.folder, given["file"])
+        found = read_thresholds(path, given.get("column"), scale)
         if given.get("quantity") != "force":
             return found
-        require_number("contacts.stiffness", self.contacts.stiffness, **POSITIVE)
+        contacts = self.settings["contacts"]
+        require_number("contacts.stiffness", contacts["stiffness"], **POSITIVE)
         force = found.steps  # f = k_i xi, with k_i = k sqrt(f/<f>) under the sqrt law
-        stretch = (
-            force
-            if self.contacts.stiffness_law == "uniform"
-            else np.sqrt(force * force.mean())
-        )
+        uniform = contacts["stiffness_law"] == "uniform"
+        stretch = force if uniform else np.sqrt(force * force.mean())
         with under("thresholds"):
-            return Table(stretch / self.contacts.stiffness)
+            return Table(stretch / contacts["stiffness"])
 
-    def driven(self, folder: Path | None = None) -> Drive | Programme:
-        """How the slider moves; the path of a recorded drive is relative to `folder`,
-        by default that of the run file. Raises InputError."""
-        given, folder = self.drive, self.folder if folder is None else folder
-        if (
-            given.programme is not None
-            or given.file is not None
-            or given.stage is not None
-        ):
-            return self._programme(folder)
-        if given.velocity is None:
+    @cached_property
+    def drive(self) -> Drive | Programme:
+        """How the slider moves. Raises InputError."""
+        given = self.settings["drive"]
+        if not self.constant:
+            return self._programme()
+        if given["velocity"] is None:
             raise InputError("drive.velocity: is required")
         elastic = None
-        if self.elastic is not None:
+        if self["elastic"] is not None:
             with under("elastic"):
-                elastic = Elastic(**self.elastic.model_dump())
+                elastic = Elastic(**self["elastic"])
         with under("drive"):
-            return Drive(given.velocity, given.distance, given.start, elastic)  # type: ignore[arg-type]  # checked there
+            return Drive(given["velocity"], given["distance"], given["start"], elastic)
 
-    def constant(self, folder: Path | None = None) -> Drive:
-        """How it moves where only a constant velocity has an answer. Raises InputError."""
-        return require_drive(self.driven(folder))
+    @property
+    def constant_drive(self) -> Drive:
+        """The drive, where only a constant velocity has an answer. Raises InputError."""
+        return require_drive(self.drive)
 
-    def _programme(self, folder: Path) -> Programme:
-        given = self.drive
-        if self.elastic is not None:
+    def _programme(self) -> Programme:
+        given = self.settings["drive"]
+        programme, file, stage = (
+            given[name] for name in ("programme", "file", "stage")
+        )
+        if self["elastic"] is not None:
             name = next(
                 name
                 for name in ("programme", "file", "stage")
-                if getattr(given, name) is not None
+                if given[name] is not None
             )
             raise InputError(
                 f"drive.{name}: not allowed with [elastic], whose plate moves at drive.velocity"
             )
-        if given.programme is not None and given.file is not None:
+        if programme is not None and file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
-        alone = given.programme is None and given.file is None
-        if given.distance is not None and not alone:
+        alone = programme is None and file is None
+        if given["distance"] is not None and not alone:
             raise InputError(
-                f"drive.distance = {given.distance!r}: not allowed with a programme or file"
+                f"drive.distance = {given['distance']!r}: not allowed with a programme or file"
             )
-        if alone and given.velocity is None:
+        if alone and given["velocity"] is None:
             raise InputError("drive.velocity: is required")
-        stage, segments = None, []
+        pulled_by, segments = None, []
         with under("drive"):
-            if given.stage is not None:
+            if stage is not None:
                 with under("stage"):
-                    stage = Stage(**given.stage.model_dump())
-            if given.file is not None:
-                segments = read_drive(path_of("file", folder, given.file))
+                    pulled_by = Stage(**stage)
+            if file is not None:
+                segments = read_drive(path_of("file", self.folder, file))
             elif alone:
-                distance = (
-                    200.0 * self._threshold_law(folder).mean
-                    if given.distance is None
-                    else given.distance
-                )
-                segments = [Segment(given.velocity or 0.0, distance)]
-            for index, section in enumerate(given.programme or []):
+                distance = given["distance"]
+                if distance is None:
+                    distance = 200.0 * self._threshold_law().mean
+                segments = [Segment(given["velocity"], distance)]
+            for index, section in enumerate(programme or []):
                 with under(f"programme.{index}"):
-                    segments.append(section.segment())
-            return Programme(tuple(segments), given.start, given.velocity, stage)  # type: ignore[arg-type]  # checked there
+                    segments.append(_segment(**section))
+            return Programme(
+                tuple(segments), given["start"], given["velocity"], pulled_by
+            )
 
-    def check_output(self) -> None:
-        """Raise InputError unless the size and seed of a recording can be used."""
-        output = self.output
-        with under("output"):
-            check_output(output.points, output.seed, output.replicas)
-        if output.series and output.replicas == 1:
-            raise InputError(
-                "output.series: writes the force of every replica; needs output.replicas of 2 or more"
-            )
-        if output.series and output.replicas * output.points > MOST_SERIES:
-            size = f"output.replicas x output.points = {output.replicas * output.points:.3g}"
-            raise InputError(
-                f"output.series: {size}; at most {MOST_SERIES:.0e} forces are kept"
-            )
-        for name, asked in (("series", output.series), ("breaks", output.breaks)):
-            if asked and self.elastic is not None:
+    def with_changes(self, changes: dict[str, Any]) -> "RunFile":
+        """The run file of one point, without [sweep] and [fit].
+
+        Parameters
+        ----------
+        changes : dict
+            Values by "section.key": {"thermal.kT": 0.1}.
+
+        Returns
+        -------
+        RunFile
+
+        Raises
+        ------
+        InputError
+            For a key that there is not, and a value that has not its type.
+        """
+        data, known = copied(self.given, without=("sweep", "fit")), keys(self)
+        _without_alternatives(data, changes)
+        for key, value in changes.items():
+            if key not in known:
+                first = dict.fromkeys(one.split(".")[0] for one in known)
+                hint = meant(key, known) or "there are " + ", ".join(first)
                 raise InputError(
-                    f"output.{name}: not with [elastic], which writes every block and avalanche"
+                    f"{key}: is not a key that can change from point to point; {hint}"
                 )
-        constant = (
-            self.drive.programme is None
-            and self.drive.file is None
-            and self.drive.stage is None
+            *sections, last = key.split(".")
+            place: Any = data
+            for name in sections:
+                listed = isinstance(place, list)
+                place = place[int(name)] if listed else place.setdefault(name, {})
+            place[last] = value
+        return check(data, self.folder)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What friction is as a force, a shear stress and a coefficient, as far as that
+        is known."""
+        return quantities(self.ensemble, self.units, self.interface)
+
+    def physical(
+        self, friction: Estimate, reference: float | None = None
+    ) -> dict[str, Any]:
+        """For JSON: friction, and that of the reference, as `quantities` under the key
+        "physical", if any is known."""
+        found = {one.name: one.as_dict(friction, reference) for one in self.quantities}
+        return {"physical": found} if found else {}
+
+    def headline(self, name: str) -> str:
+        """The title of a table, or `name` without one, and what is simulated."""
+        return f"{self.title or name}: {described(self.ensemble, self.units)}"
+
+    def labels(self, x: str) -> dict[str, str]:
+        """Labels of the axes of a picture of the force against `x`, a column of a
+        trajectory, in its units."""
+        return of_trajectory(x, self.units)
+
+    def preferred(self, friction: Estimate) -> Quantity | None:
+        """The one of `quantities` that says most, a coefficient before a stress before a
+        force, in a unit fit for `friction`; None if none is known."""
+        found = self.quantities
+        return found[-1].near(friction.value or 0.0) if found else None
+
+    def rows(self, averages: Averages) -> list[tuple[str, Row]]:
+        """Rows of a table of averages (`units.rows_of`)."""
+        return rows_of(averages, self.units, self.quantities)
+
+
+def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None:
+    """Raise InputError if a section has keys, but not the one that names its law."""
+    section, name = key.split(".")
+    there = given.get(section) or {}
+    if there and name not in there:
+        *more, last = (f'"{law}"' for law in laws)
+        allowed = ", ".join(more) + f" or {last}"
+        raise InputError(f"{key}: is required with {min(there)}; must be {allowed}")
+
+
+def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
+    """A segment of a run file. Raises InputError."""
+    if (velocity is None) == (hold is None):
+        raise InputError(
+            "velocity: a segment has either a velocity or a hold, the time for which nothing moves"
         )
-        if output.breaks and not constant:
+    if hold is None:
+        return Segment(velocity, **more)
+    for name in ("distance", "time"):
+        if more[name] is not None:
             raise InputError(
-                "output.breaks: breaks are listed at a constant drive.velocity only"
+                f"{name} = {shown(more[name])}: not allowed with hold, which is a time"
             )
-
-
-_KINDS = {name: field.annotation for name, field in RunFile.model_fields.items()}
-_SECTIONS = {
-    name: kind
-    for name, kind in _KINDS.items()
-    if isinstance(kind, type) and issubclass(kind, BaseModel)
-}
+    require_number("hold", hold, **POSITIVE)
+    return Segment(0.0, **{**more, "time": hold})
 
 
 _PAIRS = (
@@ -540,7 +463,7 @@ _ALTERNATIVES = {one: other for pair in _PAIRS for one, other in (pair, pair[::-
 
 
 def _two_temperatures(temperature: float) -> str:
-    return f"temperature = {shown(temperature)}: not allowed with kT; give one of them"
+    return f"thermal.temperature = {shown(temperature)}: not allowed with kT; give one of them"
 
 
 def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None:
@@ -550,6 +473,13 @@ def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None
         section, name = _ALTERNATIVES[key].split(".")
         if _ALTERNATIVES[key] not in changes and isinstance(data.get(section), dict):
             data[section].pop(name, None)
+
+
+def copied(data: Any, without: tuple[str, ...] = ()) -> Any:
+    """A copy of the content of a run file `without` some of its keys."""
+    if isinstance(data, dict):
+        return {key: copied(part) for key, part in data.items() if key not in without}
+    return [copied(part) for part in data] if isinstance(data, list) else data
 
 
 def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
@@ -566,9 +496,9 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     Returns
     -------
     RunFile
-        Its sections are attributes (`file.output.seed`); `file.ensemble()` are the
-        contacts and `file.driven()` is the drive, as `steady` and `trajectory` take
-        them.
+        `file.ensemble` and `file.drive` are the contacts and the drive, as `steady` and
+        `trajectory` take them; `file.output`, `file.units` and `file.interface` are the
+        other sections, and `file["thermal.kT"]` is the value of a key.
 
     Raises
     ------
@@ -606,13 +536,9 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     if (
         isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys()
     ):  # even if kT is 0
-        raise InputError("thermal." + _two_temperatures(heat["temperature"]))
-    file = check(data)
-    file._folder = path.parent
-    file._text = text + "".join(
-        f"# --set {key}={value!r}\n" for key, value in changes.items()
-    )
-    return file
+        raise InputError(_two_temperatures(heat["temperature"]))
+    text += "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
+    return replace(check(data, path.parent), text=text)
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
@@ -627,11 +553,13 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         raise InputError(f"{path}: is not valid TOML: {error}") from None
 
 
-def opened(file: RunFile | Path | str) -> RunFile:
-    """A run file, read if it is the path of one. Raises InputError."""
+def opened(file: RunFile | Path | str, folder: Path | str | None = None) -> RunFile:
+    """A run file, read if it is the path of one; paths in it start in its own folder or
+    in `folder`. Raises InputError."""
     if not isinstance(file, (RunFile, Path, str)):
         raise InputError(f"file = {shown(file)}: must be a run file or the path of one")
-    return file if isinstance(file, RunFile) else load(file)
+    file = file if isinstance(file, RunFile) else load(file)
+    return file if folder is None else replace(file, folder=Path(folder))
 
 
 def _read(path: Path) -> str:
@@ -654,69 +582,57 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
     `interface`, and the type of its values: float, int or str. Given a `file`, also
     those that its programme, stage or coupled blocks have, such as
     drive.programme.1.hold."""
-    known = dict(_keys())
-    if file and file.elastic:
-        kinds: dict[str, type] = {"blocks": int, "edges": str}
+    known = dict(_PARAMETERS)
+    if file and file["elastic"]:
         known |= {
-            f"elastic.{name}": kinds.get(name, float)
-            for name in ElasticSection.model_fields
+            f"elastic.{name}": _kind(one) for name, one in _SECTIONS["elastic"].items()
         }
-    if file and file.drive.stage:
-        known |= {f"drive.stage.{name}": float for name in StageSection.model_fields}
-    for index, segment in enumerate((file.drive.programme if file else None) or []):
-        for name, value in segment:
-            if value is not None:
-                known[f"drive.programme.{index}.{name}"] = (
-                    int if name == "points" else float
-                )
+    if file and file["drive.stage"]:
+        known |= {f"drive.stage.{name}": float for name in _STAGE}
+    for index, segment in enumerate((file["drive.programme"] if file else None) or []):
+        known |= {
+            f"drive.programme.{index}.{name}": _kind(_SEGMENT[name])
+            for name, value in segment.items()
+            if value is not None
+        }
     return known
 
 
-@functools.cache
-def _keys() -> dict[str, type]:
+def _kind(key: Any) -> type:
+    """The type of a key's values; a choice is text."""
+    annotation = key[0]
+    if annotation is _BLOCKS:
+        return int
+    parts = (
+        typing.get_args(annotation)
+        if not isinstance(annotation, type)
+        else (annotation,)
+    )
+    while typing.get_origin(parts[0]) is Annotated:
+        parts = typing.get_args(parts[0])
+    return parts[0] if isinstance(parts[0], type) else str
 
-    def kind(field: FieldInfo) -> type:
-        first, *_ = get_args(field.annotation) or (
-            field.annotation,
-        )  # of float | None; of a Literal it is text
-        return first if isinstance(first, type) else str
 
-    labels = ("units", "interface")  # no parameters: averages do not depend on them
-    others = {"title", "sweep", "fit", "elastic", *_SECTIONS}
-    known = {
-        name: kind(field)
-        for name, field in RunFile.model_fields.items()
-        if name not in others
-    }
-    for name, section in _SECTIONS.items():
-        if name in labels:
-            continue
-        fields = {
-            key: field
-            for key, field in section.model_fields.items()
-            if key not in ("programme", "stage")
-        }
-        fields = {
-            key: field for key, field in fields.items() if field.annotation is not bool
-        }  # what is written
-        known |= {f"{name}.{key}": kind(field) for key, field in fields.items()}
-    return known
+# [elastic] is there or not; averages do not depend on units and interface, nor on what
+# is written.
+_PARAMETERS: dict[str, type] = {"disorder": str} | {
+    f"{name}.{key}": _kind(one)
+    for name, section in _SECTIONS.items()
+    if name not in ("elastic", "units", "interface")
+    for key, one in section.items()
+    if one[0] is not bool and f"{name}.{key}" not in ("drive.programme", "drive.stage")
+}
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in:
     equal settings, equal dicts."""
-    data = file.model_dump()
-    found: dict[str, Any] = {
-        key: functools.reduce(_part, key.split("."), data) for key in keys(file)
-    }
-    for key, default in threshold_parameters(file.thresholds.law).items():
+    found = {key: file[key] for key in keys(file)}
+    for key, default in threshold_parameters(file["thresholds.law"]).items():
         if found[f"thresholds.{key}"] is None:
             found[f"thresholds.{key}"] = default
-    return {
-        key: value + 0.0 if isinstance(value, float) else value
-        for key, value in found.items()
-    }  # no -0.0
+    # no -0.0
+    return {k: v + 0.0 if isinstance(v, float) else v for k, v in found.items()}
 
 
 def _part(data: Any, name: str) -> Any:
@@ -724,35 +640,10 @@ def _part(data: Any, name: str) -> Any:
     return data[int(name)] if isinstance(data, list) else data[name]
 
 
-def at(file: RunFile, changes: dict[str, Any]) -> RunFile:
-    """The run file of one point of its sweep, with `changes` ("section.key": value).
-    Raises InputError."""
-    data = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
-    known = keys(file)
-    _without_alternatives(data, changes)
-    for key, value in changes.items():
-        if key not in known:
-            hint = meant(key, known) or "there are " + ", ".join(
-                dict.fromkeys(one.split(".")[0] for one in known)
-            )
-            raise InputError(
-                f"{key}: is not a key that can change from point to point; {hint}"
-            )
-        *sections, last = key.split(".")
-        place: Any = data
-        for name in sections:
-            place = (
-                place[int(name)]
-                if isinstance(place, list)
-                else place.setdefault(name, {})
-            )
-        place[last] = value
-    found = check(data)
-    found._folder = file.folder
-    return found
+at = RunFile.with_changes
 
 
-def stored(settings: dict[str, Any]) -> RunFile:
+def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
     """A run file as it was in force, from the provenance of a table, infinite rates
     included. Raises InputError."""
 
@@ -763,20 +654,40 @@ def stored(settings: dict[str, Any]) -> RunFile:
             return [restored(content, name) for content in value]
         return math.inf if value == "Infinity" and name not in _FREE_TEXT else value
 
-    return check(restored(settings))
+    return check(restored(settings), Path(folder))
 
 
-def check(data: dict[str, Any]) -> RunFile:
-    """A run file from its content. Raises InputError with one line that names the
-    field."""
+def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
+    """A run file from its content; paths in it start in `folder`. Raises InputError with
+    one line that names the field."""
     for name in ("sweep", "fit"):
         _check_plain(name, data.get(name))
     try:
-        file = RunFile.model_validate(data)
+        content = CONTENT.model_validate(data)
     except pydantic.ValidationError as error:
         raise InputError(_explain(error)) from None
-    file.of_interface(), file.in_units()
-    return file.heated()
+    given = content.model_dump(exclude_unset=True, exclude_none=True)
+    given |= {name: data[name] for name in ("sweep", "fit") if data.get(name)}
+    file = RunFile(given, content.model_dump(), folder=folder)
+    _heat(file)
+    _ = file.units, file.interface, file.output
+    return file
+
+
+def _heat(file: RunFile) -> None:
+    """Put in the kT that belongs to thermal.temperature, if that is given: it is not
+    itself given, and follows where the temperature changes. Raises InputError."""
+    thermal = file.settings["thermal"]
+    if thermal["temperature"] is None:
+        return
+    with under("thermal"):
+        kT = file.units.energy(thermal["temperature"])
+    if thermal["kT"] and not math.isclose(
+        thermal["kT"], kT, rel_tol=1e-12, abs_tol=0.0
+    ):
+        raise InputError(_two_temperatures(thermal["temperature"]))
+    thermal["kT"] = kT
+    file.given["thermal"].pop("kT", None)
 
 
 def _check_plain(field: str, content: Any) -> None:
@@ -822,22 +733,23 @@ def _explain(error: pydantic.ValidationError) -> str:
 
 def _nearest(location: list[str]) -> str:
     """Which key may have been meant, here or in another section."""
-    section, last = (
-        RunFile if len(location) == 1 else _SECTIONS.get(location[0]),
-        location[-1],
-    )
-    for name, part in (("programme", SegmentSection), ("stage", StageSection)):
-        if location[:2] == ["drive", name]:
-            return meant(last, part.model_fields) or "known here: " + ", ".join(
-                part.model_fields
-            )
-    if len(location) > 1 and location[0] == "elastic":
-        return meant(last, ElasticSection.model_fields) or "known here: " + ", ".join(
-            ElasticSection.model_fields
-        )
-    here = list(section.model_fields) if section else []
-    others = [(name, kind) for name, kind in _SECTIONS.items() if kind != section]
-    elsewhere = [f"{name}.{key}" for name, kind in others for key in kind.model_fields]
+    *sections, last = location
+    inside = {
+        "drive.programme": _SEGMENT,
+        "drive.stage": _STAGE,
+        "elastic": _SECTIONS["elastic"],
+    }
+    here = list(inside.get(".".join(sections[:2]), ()))
+    if here:
+        return meant(last, here) or "known here: " + ", ".join(here)
+    known = CONTENT.model_fields if not sections else _SECTIONS.get(sections[0], ())
+    here = list(known)
+    elsewhere = [
+        f"{name}.{key}"
+        for name, section in _SECTIONS.items()
+        if [name] != sections and name != "elastic"
+        for key in section
+    ]
     same = [
         key
         for key in here + elsewhere

@@ -44,22 +44,21 @@ _REFERENCES = ("friction", "pinned", "break_stretch")
 
 
 class Sweep(NamedTuple):
-    """The points of a sweep, one a row, the run file they came from and the folder of
-    its paths, if they are known, and how many points there will be."""
+    """The points of a sweep, one a row, the run file they came from, if it is known,
+    and how many points there will be."""
 
     table: Points
     file: RunFile | None = None
-    folder: Path = Path()
     planned: int | None = None
 
     @property
     def units(self) -> Units:
-        return self.file.in_units() if self.file else Units()
+        return self.file.units if self.file else Units()
 
     @property
     def fractions(self) -> bool:
         """Whether stretches of the newborn are fractions of their thresholds."""
-        return self.file is not None and self.file.newborn.of == "threshold"
+        return self.file is not None and self.file["newborn.of"] == "threshold"
 
     @property
     def unfinished(self) -> str:
@@ -111,11 +110,11 @@ def read_sweep(folder: Path) -> Sweep:
         raise InputError(
             f"{folder}: holds no point yet" + (f", of {planned}" if planned else "")
         )
-    file, place = None, Path()
+    file = None
     with suppress(InputError, ValueError, KeyError, TypeError):
         origin = json.loads((found.schema.metadata or {})[b"eqsim"])
-        file, place = stored(origin["settings"]["sweep"]), Path(origin["folder"])
-    return Sweep(table, file, place, planned)
+        file = stored(origin["settings"]["sweep"], origin["folder"])
+    return Sweep(table, file, planned)
 
 
 def select(table: Points, where: dict[str, str]) -> Points:
@@ -520,19 +519,21 @@ def _averages(
     """What a column is by the master equation at a row's parameters, at some velocities
     or the row's own. Raises InputError where it is not known, or takes long."""
     file = _point(sweep, row, more)
-    if file.elastic or file.drive.stage or file.drive.programme:
+    if file["elastic"] or file["drive.stage"] or file["drive.programme"]:
         raise InputError("no steady state at constant velocity")
-    ensemble = file.ensemble(sweep.folder)
+    ensemble = file.ensemble
     if (
         ensemble.newborn.active
         or ensemble.aging.active
         or ensemble.thresholds.steps.size
     ):
         raise InputError("these laws are solved one velocity at a time")
-    found = curve(ensemble, [file.drive.velocity] if velocities is None else velocities)
+    found = curve(
+        ensemble, [file["drive.velocity"]] if velocities is None else velocities
+    )
     if y in _REFERENCES:
         return np.asarray(getattr(found, y))
-    for one in file.quantities(ensemble):
+    for one in file.quantities:
         if one.name == y:
             return np.asarray(found.friction * one.factor)
     raise InputError(f"{y}: is not known along a curve")
@@ -552,7 +553,10 @@ def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
             if value is not None and value == value:
                 changes[key] = kind(value)
     changes |= more
-    if "thermal.temperature" in changes or sweep.file.thermal.temperature is not None:
+    if (
+        "thermal.temperature" in changes
+        or sweep.file["thermal.temperature"] is not None
+    ):
         changes.pop("thermal.kT", None)
     return at(sweep.file, changes)
 
@@ -561,11 +565,7 @@ def _quantity(sweep: Sweep, y: str, largest: float) -> Quantity | None:
     """A shear stress in a unit fit for it: `factor` times what the table holds."""
     if y != "shear_stress" or sweep.file is None:
         return None
-    known = [
-        one
-        for one in sweep.file.quantities(sweep.file.ensemble(sweep.folder))
-        if one.name == y
-    ]
+    known = [one for one in sweep.file.quantities if one.name == y]
     return known[0]._replace(factor=1.0).near(largest) if known else None
 
 
@@ -579,10 +579,8 @@ def _beside(sweep: Sweep, table: Points) -> Quantity | None:
     if sweep.file is None or several:
         return None
     with suppress(InputError):
-        ensemble = _point(sweep, table.iloc[0], {}).ensemble(sweep.folder)
-        return sweep.file.preferred(
-            ensemble, Estimate(float(table["friction"].abs().max()), None, 0)
-        )
+        largest = Estimate(float(table["friction"].abs().max()), None, 0)
+        return _point(sweep, table.iloc[0], {}).preferred(largest)
     return None
 
 

@@ -286,6 +286,50 @@ def require_drive(drive: Drive | Programme) -> Drive:
 MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
 
 
+@dataclass(frozen=True)
+class Output:
+    """How a run is recorded.
+
+    Parameters
+    ----------
+    points : int
+        Instants at which the force is recorded.
+    seed : int
+        Random seed.
+    replicas : int
+        Independent ensembles, over which the force is averaged.
+    series : bool
+        Whether the force of every replica is kept.
+    breaks : bool
+        Whether every break is listed.
+
+    Raises
+    ------
+    InputError
+        For a value out of range.
+    """
+
+    points: int = 2001
+    seed: int = 1
+    replicas: int = 1
+    series: bool = False
+    breaks: bool = False
+
+    def __post_init__(self) -> None:
+        check_output(self.points, self.seed, self.replicas)
+        if self.series and self.replicas == 1:
+            raise InputError(
+                "series: writes the force of every replica; needs output.replicas of 2 or more"
+            )
+        if self.series and self.replicas * self.points > MOST_SERIES:
+            size = (
+                f"output.replicas x output.points = {self.replicas * self.points:.3g}"
+            )
+            raise InputError(
+                f"series: {size}; at most {MOST_SERIES:.0e} forces are kept"
+            )
+
+
 def check_output(points: int, seed: int, replicas: int) -> None:
     """Raise InputError unless the size and seed of a recording can be used."""
     require_integer("points", points, 2, 2 * 10**7)

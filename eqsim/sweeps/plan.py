@@ -5,7 +5,6 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,8 +35,6 @@ class Plan:
     Parameters
     ----------
     file : RunFile
-    folder : Path
-        Where the run file's paths start.
     ids : list of str, optional
         Identities from an earlier plan, of which seeds are made, in the order of the
         grid, the last axis fastest. Default: digests of parameters and
@@ -49,21 +46,20 @@ class Plan:
         For a table, or a point of it, that cannot be used.
     """
 
-    def __init__(
-        self, file: RunFile, folder: Path, ids: list[str] | None = None
-    ) -> None:
-        self.file, self.folder = file, folder
-        if file.drive.file is not None:
+    def __init__(self, file: RunFile, ids: list[str] | None = None) -> None:
+        self.file = file
+        if file["drive.file"] is not None:
             raise InputError(
                 "drive.file: a sweep has columns for the segments of a drive.programme "
                 "only"
             )
-        if file.elastic is not None and isinstance(file.elastic.blocks, list):
-            blocks = shown(file.elastic.blocks)
+        elastic = file["elastic"]
+        if elastic is not None and isinstance(elastic["blocks"], list):
+            blocks = shown(elastic["blocks"])
             raise InputError(
                 f"elastic.blocks = {blocks}: a sweep has a column for chains only"
             )
-        self.axes = _axes(file.sweep, folder, file)
+        self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
             raise InputError(f"sweep: has {self.size} points; at most {MOST_POINTS}")
@@ -88,8 +84,7 @@ class Plan:
         """The identity of a point that can be computed."""
         try:
             point = self.at(index)
-            ensemble, _ = point.ensemble(self.folder), point.driven(self.folder)
-            point.check_output()
+            ensemble, _ = point.ensemble, point.drive
         except InputError as error:
             where = f"sweep, point {index + 1} of {self.size}"
             raise InputError(f"{where}: {error}") from None
@@ -112,21 +107,19 @@ class Plan:
         point = self.at(index)
         return Task(
             seed_of(self.ids[index]),
-            point.ensemble(self.folder),
-            point.driven(self.folder),
+            point.ensemble,
+            point.drive,
             point.output.points,
             point.output.replicas,
         )
 
 
-def _axes(
-    sweep: dict[str, Any], folder: Path, file: RunFile
-) -> list[list[dict[str, Any]]]:
+def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
     """The axes of a [sweep] table: lists of what to change. Raises InputError."""
     axes = []
-    for key, spec in entries(sweep):
+    for key, spec in entries(file.sweep):
         if key == "file":
-            axes.append(_points_file(folder, spec, file))
+            axes.append(_points_file(spec, file))
         elif key == "zip":
             groups = spec if isinstance(spec, list) else [spec]
             axes += [_zipped(group, file) for group in groups]
@@ -164,9 +157,9 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     return [dict(zip(values, row, strict=True)) for row in rows]
 
 
-def swept(file: RunFile, folder: Path) -> set[str]:
+def swept(file: RunFile) -> set[str]:
     """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
-    return _everywhere(_axes(file.sweep, folder, file))
+    return _everywhere(_axes(file))
 
 
 def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
@@ -228,7 +221,7 @@ def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
     return [round(x) for x in values] if keys(file)[key] is int else values
 
 
-def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]:
+def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     """Explicit points, one per row of a Parquet file; null: as in the run file. Raises
     InputError."""
     import pyarrow
@@ -237,7 +230,7 @@ def _points_file(folder: Path, name: Any, file: RunFile) -> list[dict[str, Any]]
     wanted = "a Parquet file whose columns are keys"
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of {wanted}")
-    path = path_of("sweep.file", folder, name)
+    path = path_of("sweep.file", file.folder, name)
     if not path.is_file():
         raise InputError(f"sweep.file = {path}: is not a file; must be {wanted}")
     try:

@@ -38,7 +38,6 @@ agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from eqsim.engine import steady as steady_engine
@@ -48,7 +47,7 @@ from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import OBSERVABLES, Averages, Estimate, z_score
 from eqsim.io.runfile import RunFile, keys
-from eqsim.io.units import Quantity
+from eqsim.io.units import Quantity, quantities
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
 from eqsim.master.transient import transient
@@ -104,11 +103,12 @@ def schema(file: RunFile) -> Any:
         fields |= columns(name, "dof", "reliable", *exact)
     for one in _quantities(file, Ensemble()):
         fields |= columns(one.column, "reference")
-    for name in ("size", "single") if file.elastic else ():
+    for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
-    if file.drive.stage:
+    pulled = file["drive.stage"]
+    if pulled:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
-    for index in range(0 if file.drive.stage else len(file.drive.programme or [])):
+    for index in range(0 if pulled else len(file["drive.programme"] or [])):
         for name in (*_OF_SEGMENT, *_OF_STEP):
             fields |= columns(f"segment_{index}_{name}", *exact)
     fields |= {"reference_method": text, "lives": integer, "seed": integer}
@@ -118,17 +118,18 @@ def schema(file: RunFile) -> Any:
 
 def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
     """What friction is at the interface, where there are averages."""
-    return () if file.drive.programme or file.drive.stage else file.quantities(ensemble)
+    programmed = file["drive.programme"] or file["drive.stage"]
+    return () if programmed else quantities(ensemble, file.units, file.interface)
 
 
-def physical(file: RunFile, folder: Path, row: dict[str, Any]) -> dict[str, float]:
+def physical(file: RunFile, row: dict[str, Any]) -> dict[str, float]:
     """The columns of a point that say what its friction is at the interface; none of a
     point that failed."""
     if row.get("friction") is None or not _quantities(file, Ensemble()):
         return {}
     return {
         one.column + end: row[f"friction{end}"] * one.factor
-        for one in _quantities(file, file.ensemble(folder))
+        for one in _quantities(file, file.ensemble)
         for end in ("", "_stderr", "_reference")
         if row.get(f"friction{end}") is not None
     }

@@ -70,7 +70,7 @@ def sweep(
     Parameters
     ----------
     plan : Plan
-        `Plan(file, folder)` of a run file with a [sweep] table.
+        `Plan(file)` of a run file with a [sweep] table.
     out : Path
         Folder of the dataset (`eqsim.sweeps.store`).
     asked, workers : optional

@@ -42,10 +42,10 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
         self.out, self.plan, file = out, plan, plan.file
-        if file.drive.programme is not None or file.drive.stage is not None:
+        if file["drive.programme"] is not None or file["drive.stage"] is not None:
             self.kind = "programme"
         else:
-            averaged = asked.transient or file.elastic is not None
+            averaged = asked.transient or file["elastic"] is not None
             self.kind = "transient" if averaged else "steady"
         theirs = [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS]
         theirs += storage.sweep_parts(out)
@@ -63,9 +63,9 @@ class Store:
             (out / SWEEP_PARTS).mkdir(exist_ok=True)
             for path in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()  # unfinished
-            settings = {"sweep": file.model_dump(), **dataclasses.asdict(asked)}
+            settings = {"sweep": file.settings, **dataclasses.asdict(asked)}
             origin = storage.provenance(
-                "sweep", settings, file.text, file.output.seed, plan.folder
+                "sweep", settings, file.text, file.output.seed, file.folder
             )
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
             metadata = {"eqsim": storage.to_json(origin)}
@@ -104,13 +104,13 @@ class Store:
         file = self.plan.file
         found = {**parameters(file), **dataclasses.asdict(asked)}
         for section in ("units", "interface"):
-            pairs = getattr(file, section)
+            pairs = file.settings[section].items()
             found |= {f"{section}.{key}": value for key, value in pairs if value}
         found |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
         found["order of axes"] = [*file.sweep]
         texts = {key: repr(value) for key, value in found.items()}
-        for name in {file.thresholds.file, file.sweep.get("file")} - {None}:
-            content = (self.plan.folder / str(name)).read_bytes()
+        for name in {file["thresholds.file"], file.sweep.get("file")} - {None}:
+            content = (file.folder / str(name)).read_bytes()
             texts[f"content of {name}"] = _digest(content)
         return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}
 
@@ -185,7 +185,7 @@ class Store:
             "kind": self.kind,
             "eqsim_version": _version(),
         }
-        at_interface = physical(point, self.plan.folder, row)
+        at_interface = physical(point, row)
         self.rows.append({**parameters(point), **row, **at_interface, **known})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:

@@ -2,7 +2,6 @@
 columns."""
 
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 from eqsim.io.runfile import RunFile
@@ -11,15 +10,13 @@ from eqsim.master.transient import transient
 from eqsim.numerics.tables import Array
 
 
-def curve(file: RunFile, folder: Path, *, closure: bool = False) -> dict[str, Array]:
+def curve(file: RunFile, *, closure: bool = False) -> dict[str, Array]:
     """The exact mean of a run (`master.transient`), or the closure of annealed contacts
     that age (`master.closure`).
 
     Parameters
     ----------
     file : RunFile
-    folder : Path
-        Where the paths in the run file start.
     closure : bool
 
     Returns
@@ -32,11 +29,11 @@ def curve(file: RunFile, folder: Path, *, closure: bool = False) -> dict[str, Ar
     InputError
         Where there is no such curve.
     """
-    ensemble, points = file.ensemble(folder), file.output.points
-    found: Any
-    if closure:
-        found = solve_closure(ensemble, file.constant(folder), points)
-    else:
-        found = transient(ensemble, file.driven(folder), points)
+    ensemble, points = file.ensemble, file.output.points
+    found: Any = (
+        solve_closure(ensemble, file.constant_drive, points)
+        if closure
+        else transient(ensemble, file.drive, points)
+    )
     every = {field.name: getattr(found, field.name) for field in fields(found)}
     return {name: column for name, column in every.items() if column is not None}

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ class ElasticResult(OfTrajectory):
     """Simulation of a run file with coupled blocks."""
 
     file: RunFile
-    folder: Path
     ensemble: Ensemble
     drive: Drive
     trajectory: ElasticTrajectory
@@ -77,7 +75,7 @@ class ElasticResult(OfTrajectory):
             "force_reliable": found.force_reliable,
             "reference": {name: exact.value for name, (_, exact) in averages.items()},
             **self.file.physical(
-                self.ensemble, averages["friction"][0], averages["friction"][1].value
+                averages["friction"][0], averages["friction"][1].value
             ),
             "z": {name: difference(*pair) for name, pair in averages.items()},
             "avalanches": len(found.avalanches["breaks"]),
@@ -101,9 +99,9 @@ class ElasticResult(OfTrajectory):
         file, found, elastic = self.file, self.trajectory, self.drive.elastic
         assert elastic
         exact = self.averages()["friction"][1]
-        said = caption(file, self.ensemble, exact, title)
+        said = caption(file, exact, title)
         origin = storage.provenance(
-            "run", file.model_dump(), file.text, file.output.seed, self.folder
+            "run", file.settings, file.text, file.output.seed, file.folder
         )
         return {
             "trajectory.parquet": storage.parquet(found.columns(), origin),
@@ -120,7 +118,6 @@ class ElasticResult(OfTrajectory):
 
 def run_elastic(
     file: RunFile,
-    folder: Path,
     drive: Drive,
     *,
     threads: int,
@@ -131,7 +128,7 @@ def run_elastic(
 
     Raises InputError.
     """
-    ensemble, output = file.ensemble(folder), file.output
+    ensemble, output = file.ensemble, file.output
     _, expected = check_elastic(
         ensemble, drive, output.points, output.seed, output.replicas, max_lives
     )
@@ -140,4 +137,4 @@ def run_elastic(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,
         max_lives=max_lives, progress=lambda lives: progress(lives, expected),
     )  # fmt: skip
-    return ElasticResult(file, folder, ensemble, drive, found)
+    return ElasticResult(file, ensemble, drive, found)

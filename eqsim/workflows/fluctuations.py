@@ -4,7 +4,6 @@ and of simulated contacts."""
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -52,7 +51,6 @@ class FluctuationsResult:
     simulated, and `reason` why."""
 
     file: RunFile
-    folder: Path
     ensemble: Ensemble
     exact: Fluctuations
     sample: Sample | None
@@ -126,10 +124,14 @@ class FluctuationsResult:
         from eqsim.io.plots import caption, fluctuations_figure
         from eqsim.io.style import saved
 
-        said = caption(self.file, self.ensemble, Estimate(None, None, 0), title)
-        settings = {"run": self.file.model_dump(), **self.asked}
+        said = caption(self.file, Estimate(None, None, 0), title)
+        settings = {"run": self.file.settings, **self.asked}
         origin = storage.provenance(
-            "fluctuations", settings, self.file.text, self.file.output.seed, self.folder
+            "fluctuations",
+            settings,
+            self.file.text,
+            self.file.output.seed,
+            self.file.folder,
         )
         contents = (
             storage.parquet(self.columns(), origin),
@@ -141,7 +143,6 @@ class FluctuationsResult:
 
 def run_fluctuations(
     file: RunFile,
-    folder: Path,
     *,
     lag: float | None = None,
     points: int = 101,
@@ -154,8 +155,6 @@ def run_fluctuations(
     Parameters
     ----------
     file : RunFile
-    folder : Path
-        Where the paths in it start.
     lag : float, optional
         Greatest lag (length); by default five mean cycles of pinned and detached.
     points : int
@@ -175,7 +174,7 @@ def run_fluctuations(
         Without a constant velocity, for contacts that there is no such theory of, and
         for values out of range.
     """
-    ensemble, drive = file.ensemble(folder), file.constant(folder)
+    ensemble, drive = file.ensemble, file.constant_drive
     require_number("--lives", lives, least=0.0, most=1e10)
     if lag is None:
         means = reference(ensemble, drive)
@@ -196,7 +195,7 @@ def run_fluctuations(
         except InputError as error:
             reason = str(error)
     asked = {"lag": lag, "points": points, "lives": lives}
-    return FluctuationsResult(file, folder, ensemble, exact, sample, reason, asked)
+    return FluctuationsResult(file, ensemble, exact, sample, reason, asked)
 
 
 def sampled(

@@ -178,8 +178,8 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
 def _run(
     origin: dict[str, Any], table: Table, workers: int, progress: Progress
 ) -> Table:
-    file, folder = stored(origin["settings"]), Path(origin["folder"])
-    result = run(file, folder, threads=workers, max_lives=1e300, progress=progress)
+    file = stored(origin["settings"], origin["folder"])
+    result = run(file, threads=workers, max_lives=1e300, progress=progress)
     found = result.trajectory
     if isinstance(found, ElasticTrajectory):
         return (
@@ -207,8 +207,7 @@ def _reference(
     origin: dict[str, Any], table: Table, _: int, progress: Progress
 ) -> Table:
     return curve(
-        stored(origin["settings"]),
-        Path(origin["folder"]),
+        stored(origin["settings"], origin["folder"]),
         closure="mean_threshold" in table,
     )
 
@@ -218,11 +217,10 @@ def _fluctuations(
 ) -> Table:
     from eqsim.workflows.fluctuations import run_fluctuations
 
-    file, asked = stored(origin["settings"]["run"]), origin["settings"]
+    asked = origin["settings"]
+    file = stored(asked["run"], origin["folder"])
     how = {name: asked[name] for name in ("lag", "points", "lives")}
-    return run_fluctuations(
-        file, Path(origin["folder"]), threads=workers, **how
-    ).columns()
+    return run_fluctuations(file, threads=workers, **how).columns()
 
 
 def _stability(
@@ -230,8 +228,8 @@ def _stability(
 ) -> Table:
     from eqsim.master.stability import border, pulled_by
 
-    file, folder = stored(origin["settings"]), Path(origin["folder"])
-    pulled = pulled_by(file.ensemble(folder), file.driven(folder))
+    file = stored(origin["settings"], origin["folder"])
+    pulled = pulled_by(file.ensemble, file.drive)
     critical = bool(table["critical_stiffness"].notna().any())
     return border(
         pulled, table["velocity"].tolist(), critical=critical, progress=progress
@@ -257,7 +255,7 @@ def _sweep(
     from pyarrow import parquet as pq
 
     settings = origin["settings"]
-    plan = Plan(stored(settings["sweep"]), Path(origin["folder"]), table["id"].tolist())
+    plan = Plan(stored(settings["sweep"], origin["folder"]), table["id"].tolist())
     if len(table) != plan.size:
         raise InputError(
             f"the table holds {len(table)} of the {plan.size} points of a sweep that was not finished; "

@@ -48,8 +48,6 @@ class RunResult(OfTrajectory):
     Attributes
     ----------
     file : RunFile
-    folder : Path
-        Where the paths in it start.
     ensemble : Ensemble
     drive : Drive
     steady : Steady
@@ -61,7 +59,6 @@ class RunResult(OfTrajectory):
     """
 
     file: RunFile
-    folder: Path
     ensemble: Ensemble
     drive: Drive
     steady: Steady
@@ -126,9 +123,7 @@ class RunResult(OfTrajectory):
                 name: estimate.as_dict()
                 for name, estimate in self.steady.averages().items()
             },
-            **self.file.physical(
-                self.ensemble, found.averages.friction, self.steady.friction.value
-            ),
+            **self.file.physical(found.averages.friction, self.steady.friction.value),
             **_how(found),
         }
 
@@ -148,7 +143,7 @@ class RunResult(OfTrajectory):
         """The force against displacement beside the exact mean and the steady value."""
         from eqsim.io.plots import caption, trajectory_figure
 
-        said = caption(self.file, self.ensemble, self.steady.friction, title)
+        said = caption(self.file, self.steady.friction, title)
         return trajectory_figure(self.trajectory, self.steady, self.exact[0], said)
 
 
@@ -157,7 +152,6 @@ class ProgrammeResult(OfTrajectory):
     """A run file with a programme that was simulated."""
 
     file: RunFile
-    folder: Path
     ensemble: Ensemble
     drive: Programme
     trajectory: ProgrammeTrajectory
@@ -207,7 +201,7 @@ class ProgrammeResult(OfTrajectory):
     def _physical(self) -> dict[str, Any]:
         """Of each quantity of the interface, what a force F/(N k) is multiplied by, and
         its unit."""
-        known = self.file.quantities(self.ensemble)
+        known = self.file.quantities
         return (
             {
                 "physical": {
@@ -233,7 +227,7 @@ class ProgrammeResult(OfTrajectory):
         return programme_figure(
             self.trajectory,
             self.exact[0],
-            caption(self.file, self.ensemble, largest, title),
+            caption(self.file, largest, title),
         )
 
 
@@ -261,7 +255,7 @@ class SliderResult(ProgrammeResult):
         return slider_figure(
             self.trajectory,
             self.exact[0],
-            caption(self.file, self.ensemble, largest, title),
+            caption(self.file, largest, title),
         )
 
     def files(
@@ -300,7 +294,7 @@ def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
 def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
     file = result.file
     return storage.provenance(
-        "run", file.model_dump(), file.text, file.output.seed, result.folder
+        "run", file.settings, file.text, file.output.seed, file.folder
     )
 
 
@@ -360,17 +354,15 @@ def run(
         If the run file cannot be simulated, if more than `max_lives` lives are
         predicted, or if a worker is lost.
     """
-    file = opened(file)
-    folder = file.folder if folder is None else folder
-    file.check_output()
-    ensemble, drive, output = file.ensemble(folder), file.driven(folder), file.output
+    file = opened(file, folder)
+    ensemble, drive, output = file.ensemble, file.drive, file.output
     if isinstance(drive, Drive) and drive.elastic:
         if workers:
             raise InputError(
                 "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
             )
         return run_elastic(
-            file, folder, drive, threads=threads, max_lives=max_lives, progress=progress
+            file, drive, threads=threads, max_lives=max_lives, progress=progress
         )
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
@@ -402,14 +394,14 @@ def run(
         )  # fmt: skip
         if isinstance(drive, Programme):
             kind = SliderResult if drive.stage else ProgrammeResult
-            return kind(file, folder, ensemble, drive, found)
+            return kind(file, ensemble, drive, found)
     assert level is not None
     listed = None
     if output.breaks:
         listed = breaks(
             ensemble, drive, seed=output.seed, replicas=output.replicas, threads=threads
         )
-    return RunResult(file, folder, ensemble, drive, level, found, listed)
+    return RunResult(file, ensemble, drive, level, found, listed)
 
 
 def if_any(solve: Callable[[], Result]) -> tuple[Result | None, str]:

@@ -4,6 +4,7 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from eqsim.errors import InputError, require_integer, shown
 from eqsim.io import terminal
-from eqsim.io.runfile import RunFile, at, check, opened
+from eqsim.io.runfile import RunFile, at, check, copied, opened
 from eqsim.sweeps import scheduler
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
@@ -75,7 +76,7 @@ def sweep(
     base = at(check({}), file) if isinstance(file, dict) else opened(file)
     if grid is not None:
         base = _with_grid(base, grid)
-    plan, asked = Plan(base, base.folder), Asked(rel_error, max_lives, transient)
+    plan, asked = Plan(base), Asked(rel_error, max_lives, transient)
     from pyarrow import parquet as pq
 
     bar = terminal.bar("sweeping", progress is not True, "points")
@@ -101,13 +102,14 @@ def _with_grid(file: RunFile, grid: dict[str, Any]) -> RunFile:
             f"grid = {shown(grid)}: must be values by key, such as "
             '{"drive.velocity": [0.1, 1.0]}'
         )
-    content = file.model_dump(exclude={"sweep", "fit"}, exclude_unset=True)
-    content["sweep"] = {
-        key: np.asarray(values).tolist()
-        if isinstance(values, (np.ndarray, tuple, range))
-        else values
-        for key, values in grid.items()
-    }
-    found = check(content)
-    found._folder, found._text = file._folder, file._text
-    return found
+
+    def plain(values: Any) -> Any:
+        return (
+            np.asarray(values).tolist()
+            if isinstance(values, (np.ndarray, tuple, range))
+            else values
+        )
+
+    axes = {key: plain(values) for key, values in grid.items()}
+    content = {**copied(file.given, without=("fit",)), "sweep": axes}
+    return replace(check(content, file.folder), text=file.text)
