@@ -25,6 +25,7 @@ from eqsim.errors import InputError, require_choice, require_number
 from eqsim.laws.law import Law
 from eqsim.laws.threshold import Gamma, ThresholdLaw, Thresholds, threshold_draw
 from eqsim.numerics.compiled import by_law, routine
+from eqsim.numerics.roots import Bracket, narrowed
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
 
@@ -442,12 +443,9 @@ def threshold_above(
     if ranks.shape[0] > 0:
         e = look_up(ranks, bound)
     else:  # by bisection in ln e
-        low, high = -54.0, 9.0
+        bracket, log2_e = Bracket(-54.0, 9.0), -22.5
         for _ in range(60):
-            middle = 0.5 * (low + high)
-            if look_up(thresholds.table, 2.0**middle) < bound:
-                low = middle
-            else:
-                high = middle
-        e = 2.0**high
+            excess = look_up(thresholds.table, 2.0**log2_e) - bound
+            bracket, log2_e = narrowed(bracket, log2_e, excess, math.nan)
+        e = 2.0**bracket.high
     return max(look_up(thresholds.table, e - log(u)), bound)

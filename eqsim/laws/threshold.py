@@ -21,6 +21,8 @@ from scipy import special
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.laws.kinks import density_kinks
 from eqsim.numerics.compiled import routine
+from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
 
@@ -41,7 +43,7 @@ _FINEST_PANEL = 2.0**-40
 _LEAST_DECAY = 1e-9
 _KNOWN_SHARE = 1e-6  # a J_c that is good to 1e-10 even if it is 1 less the distribution
 _ROUNDED = 1e-13  # relative, of sums and of logarithms of about 500
-_TAIL_NODES, _TAIL_WEIGHTS = special.roots_legendre(12)
+_TAIL_NODES, _TAIL_WEIGHTS = gauss_legendre(12)
 
 
 class ThresholdLaw(Protocol):
@@ -103,8 +105,21 @@ class ThresholdLaw(Protocol):
         discrete law."""
 
 
+class Continuous:
+    """What laws with a density that is smooth at all thresholds > 0 have in common."""
+
+    steps: Array = NO_STEPS
+    breakpoints: Array = NO_STEPS
+    support: tuple[float, float] = (0.0, math.inf)
+
+    @property
+    def kinks(self) -> Array:
+        """Thresholds > 0 where the density or its slope jumps: none."""
+        return NO_STEPS
+
+
 @dataclass(frozen=True)
-class Gamma:
+class Gamma(Continuous):
     """Gamma law of threshold forces, f_s ~ f^n exp(-f/f_*) (eq:pcf).
 
     Thresholds have the density P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2): xi^2/x_*^2
@@ -145,22 +160,6 @@ class Gamma:
     @property
     def rms(self) -> float:
         return self.x_star * math.sqrt(self.n + 1.0)
-
-    @property
-    def steps(self) -> Array:
-        return NO_STEPS
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return 0.0, math.inf
-
-    @property
-    def breakpoints(self) -> Array:
-        return NO_STEPS
-
-    @property
-    def kinks(self) -> Array:
-        return NO_STEPS
 
     def pdf(self, x: Any) -> Array:
         """P_c(x) (PxPf2, normalised)."""
@@ -312,13 +311,10 @@ class Table(_Discrete):
         return f"Table({self.steps.size} thresholds from {self.steps[0]:g} to {self.steps[-1]:g})"
 
 
-class Smooth:
-    """Properties that laws with a density share: their draws come from a table of the
+class Smooth(Continuous):
+    """What laws with any density have in common: draws come from a table of the
     quantile function."""
 
-    steps: Array = NO_STEPS
-    breakpoints: Array = NO_STEPS
-    support = (0.0, math.inf)
     scale: float
 
     @property
@@ -581,14 +577,12 @@ def rank_above(law: ThresholdLaw, x: float) -> float:
     share = float(law.sf(x * law.scale))
     if share > _KNOWN_SHARE:
         return -math.log(share)
-    low, high = -math.log(_KNOWN_SHARE), RAREST
-    while high - low > 1e-15 * high:
-        middle = 0.5 * (low + high)
-        if float(law.inverse_survival(middle)) < x * law.scale:
-            low = middle
-        else:
-            high = middle
-    return low
+
+    def below(e: Array) -> Array:
+        return np.asarray(law.inverse_survival(e) < x * law.scale)
+
+    low, high = np.array(-math.log(_KNOWN_SHARE)), np.array(RAREST)
+    return float(bisected(below, low, high, 60)[0])
 
 
 def means_above(
@@ -644,30 +638,12 @@ def means_above(
     )
 
 
-_SHARES = np.array(
-    [
-        1e-6,
-        1e-4,
-        2e-3,
-        0.01,
-        0.05,
-        0.15,
-        0.4,
-        0.8,
-        1.5,
-        2.5,
-        4.0,
-        6.0,
-        9.0,
-        13.0,
-        18.0,
-        25.0,
-        35.0,
-        50.0,
-    ]
-)
-
-
+# Ranks e above that of x where panels end: narrow ones next to x, then on the scale
+# of the law.
+_RANKS_ABOVE = np.array([
+    1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5,
+    2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0,
+])  # fmt: skip
 # Where panels end next to an infinite density at an end of the support: distances from
 # it over that of the median, or of the panels' own beginning.
 _TOWARDS_INFINITE = 0.25 ** np.arange(1.0, 16.0)
@@ -684,7 +660,7 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
     e = np.exp(np.linspace(-36.0, math.log(100.0), 400))
     xi = np.asarray(law.inverse_survival(e)) / law.scale
     rank = np.interp(left, xi, e)
-    edges = np.minimum(np.maximum(np.interp(rank + _SHARES, e, xi), left), high)
+    edges = np.minimum(np.maximum(np.interp(rank + _RANKS_ABOVE, e, xi), left), high)
     inside = [np.broadcast_to(law.kinks / law.scale, (left.size, law.kinks.size))]
     inside += [] if layer is None else [layer]
     with np.errstate(divide="ignore"):

@@ -4,8 +4,6 @@
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from eqsim.laws.aging.base import (
     Held,
     end,
@@ -20,8 +18,10 @@ from eqsim.laws.aging.base import (
 from eqsim.laws.barrier.base import height, prefactor, thermal
 from eqsim.laws.stiffness import Springs
 from eqsim.numerics.compiled import routine
+from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.roots import Bracket, narrowed, newton
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+_NODES, _WEIGHTS = gauss_legendre(10)
 _RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
 # of E over a xi^2, 9 units in the last place: of threshold, stretch and their
 # difference
@@ -118,23 +118,14 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
         if seen:
             whole = _hazard_in(c, z, width)
             if spent + whole >= clock:
-                # Newton for the hazard in part of the cell, in a bracket
-                low, high, part = 0.0, width, width * (clock - spent) / whole
+                bracket, part = Bracket(0.0, width), width * (clock - spent) / whole
                 for _ in range(60):
-                    found = _hazard_in(c, z, part)
-                    excess = spent + found - clock
-                    if excess > 0.0:
-                        high = part
-                    else:
-                        low = part
-                    rate = _rate(c, z + part)
-                    step = part - excess / rate if rate > 0.0 else 0.5 * (low + high)
-                    if not low <= step <= high:
-                        step = 0.5 * (low + high)
-                    if abs(step - part) <= 1e-13 * part or abs(excess) <= 1e-14 * clock:
-                        part = step
-                        break
+                    excess = spent + _hazard_in(c, z, part) - clock
+                    bracket, step = newton(bracket, part, excess, _rate(c, z + part))
+                    near = abs(step - part) <= 1e-13 * part
                     part = step
+                    if near or abs(excess) <= 1e-14 * clock:
+                        break
                 z += part
                 return top * z * (2.0 - z), clock
             spent += whole
@@ -204,15 +195,13 @@ def _excess(law: Any, contact: Held, moves: float, s: float) -> float:
 def _root(law: Any, contact: Held, moves: float, low: float, high: float) -> float:
     """Where the stretch reaches the threshold, between s where it is below and where it
     is not."""
+    bracket, s = Bracket(low, high), 0.5 * (low + high)
     for _ in range(200):
-        middle = 0.5 * (low + high)
-        if high - low <= 2e-16 * high:
+        if bracket.high - bracket.low <= 2e-16 * bracket.high:
             break
-        if _excess(law, contact, moves, middle) > 0.0:
-            low = middle
-        else:
-            high = middle
-    return high
+        excess = -_excess(law, contact, moves, s)
+        bracket, s = narrowed(bracket, s, excess, math.nan)
+    return bracket.high
 
 
 @routine

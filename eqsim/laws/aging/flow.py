@@ -19,6 +19,8 @@ from eqsim.laws.aging.base import (
 )
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import routine
+from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.roots import Bracket, newton
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 
 
@@ -65,7 +67,7 @@ def work_table(final2: float) -> Array:
     return octave_table(first, mean, (excess(t) - 2.0 * mean) / t)
 
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+_NODES, _WEIGHTS = gauss_legendre(10)
 
 
 @growth.register(Flow)
@@ -79,19 +81,15 @@ def flow_end(law: Flow, xi: float) -> float:
     """Where a threshold born as `xi` meets the stretch, by Newton's method kept inside
     a shrinking bracket."""
     final2, alpha = law.final2, law.alpha
-    low, high = xi * min(1.0, math.sqrt(final2)), xi * max(1.0, math.sqrt(final2))
-    x = high
+    bracket = Bracket(
+        xi * min(1.0, math.sqrt(final2)), xi * max(1.0, math.sqrt(final2))
+    )
+    x = bracket.high
     for _ in range(200):
         decay = math.exp(-alpha * x)
-        excess = xi * xi * (final2 - (final2 - 1.0) * decay) - x * x
-        if excess >= 0.0:
-            low = x
-        if excess <= 0.0:
-            high = x
-        slope = xi * xi * (final2 - 1.0) * alpha * decay - 2.0 * x
-        step = x - excess / slope if slope < 0.0 else low
-        if not low <= step <= high:
-            step = 0.5 * (low + high)
+        excess = x * x - xi * xi * (final2 - (final2 - 1.0) * decay)
+        slope = 2.0 * x - xi * xi * (final2 - 1.0) * alpha * decay
+        bracket, step = newton(bracket, x, excess, slope)
         if abs(step - x) <= 2e-16 * x:
             return step
         x = step

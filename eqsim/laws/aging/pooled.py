@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from scipy import interpolate
 
-from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, NO_STEPS, Gamma
+from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, Continuous, Gamma
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array, octave_edges, octave_table
 
 
-class PooledThresholds:
+class PooledThresholds(Continuous):
     """Thresholds of annealed contacts that age: Gamma(n, x_*(s)) with s ~ Exp(1) mean
     pinned times, that is
 
@@ -28,13 +29,9 @@ class PooledThresholds:
     """
 
     def __init__(self, newborn: Gamma, x_star_final: float, decay: float) -> None:
-        self.newborn, self.final, self.decay = (
-            newborn,
-            x_star_final / newborn.x_star,
-            decay,
-        )
-        self.scale, self.rms, self.steps = newborn.scale, newborn.rms, NO_STEPS
-        self.support, self.breakpoints, self.kinks = (0.0, math.inf), NO_STEPS, NO_STEPS
+        self.newborn, self.decay = newborn, decay
+        self.final = x_star_final / newborn.x_star
+        self.scale, self.rms = newborn.scale, newborn.rms
         n, unit = newborn.n, Gamma(newborn.n, 1.0)
         width = 1.0 / math.sqrt(newborn.n + 1.0)
         log_s = np.arange(-39.0, math.log(700.0), min(0.05, 0.2 * width))
@@ -68,7 +65,7 @@ class PooledThresholds:
         log_p = log_density(log_x)
         there = log_p > -560.0
         log_x, log_p = log_x[there], log_p[there]
-        nodes, weights = np.polynomial.legendre.leggauss(7)
+        nodes, weights = gauss_legendre(7)
         half = 0.5 * np.diff(log_x)[:, None]
         inner = log_x[:-1, None] + half * (1.0 + nodes)
         cells = (

@@ -11,11 +11,10 @@ hazard per unit displacement is (omega/v) r and its integral (omega/v) H, H(x) =
 r dy; a contact whose exponential clock shows c breaks where (omega/v) H(x) = c, or at
 xi if that comes first. Exponents reach 1e9, so everything is done in logarithms.
 
-A law is a NamedTuple of the numbers that kernels need, with NumPy's formulas as methods
-and bodies of the kernel routines below; `eqsim.laws.barrier` lists the laws. Every law
-has `exponent`, `log_hazard` and a body of `height`, and `log_prefactor` with a body of
-`prefactor` if p is not 1. From these the other routines follow numerically; bodies of
-their own, where there are closed forms, are faster.
+A law is a NamedTuple of the numbers that kernels need, with formulas as methods and
+bodies of the kernel routines below; `eqsim.laws.barrier` lists the laws. Every law has
+`exponent` and `log_hazard`, and `prefactor` if p is not 1. From these the other routines
+follow numerically; bodies of their own, where there are closed forms, are faster.
 """
 
 import math
@@ -26,9 +25,11 @@ import numpy as np
 from eqsim.errors import InputError
 from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
+from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.roots import Bracket, bisected, narrowed
 from eqsim.numerics.tables import NO_TABLE, Array
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_NODES, _WEIGHTS = gauss_legendre(8)
 _RANGE = 2.0  # of E in a cell, over which 8 nodes integrate exp(-E) to 1e-12
 # cells whose rate is e^40 times less than the largest at an end do not count
 _NEGLIGIBLE = 40.0
@@ -62,16 +63,37 @@ class Barrier(Law):
     b: float
     log_w: float
 
-    @classmethod
-    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
-        """E at stretch x of a contact of threshold xi, given gap = xi - x and total =
-        xi + x, which some callers know without cancellation."""
+    def __init_subclass__(cls) -> None:
+        """Compile the formulas of a law for kernels, too."""
+        super().__init_subclass__()
+        if not cls.thermal:
+            return
+        exponent = routine(inline=True)(cls.exponent)
+        factor = routine(inline=True)(cls.prefactor)
+
+        @height.register(cls)
+        def _height(law: Any, xi: float, x: float, a: float) -> Any:
+            return exponent(max(xi - x, 0.0), xi + x, xi, a)
+
+        @prefactor.register(cls)
+        def _prefactor(law: Any, xi: float, x: float) -> Any:
+            return factor(max(xi - x, 0.0), xi)  # a stretch may round to more
+
+    @staticmethod
+    def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:
+        """E at stretch x of a contact of threshold xi, numbers or arrays, given gap =
+        xi - x and total = xi + x, which some callers know without cancellation."""
         raise NotImplementedError
+
+    @staticmethod
+    def prefactor(gap: Any, xi: Any) -> Any:
+        """p; 1 unless a law says otherwise."""
+        return 1.0
 
     @classmethod
     def log_prefactor(cls, gap: Any, xi: Any) -> Any:
-        """ln p; 0 unless a law says otherwise."""
-        return 0.0
+        """ln p."""
+        return np.log(cls.prefactor(gap, xi))
 
     @classmethod
     def log_attempt(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
@@ -102,15 +124,14 @@ class Barrier(Law):
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         """Distance xi - y above a stretch y at which E is about `exponent`, for
         contacts of the same a."""
-        size = np.broadcast(exponent, y, a)
-        # ln of it over y
-        low, high = (np.full(size.shape, -40.0), np.full(size.shape, 20.0))
-        for _ in range(20):
-            middle = 0.5 * (low + high)
-            gap = y * np.exp(middle)
-            far = cls.exponent(gap, gap + 2 * y, y + gap, a) > exponent
-            low, high = np.where(far, low, middle), np.where(far, middle, high)
-        return np.asarray(y * np.exp(high))
+        shape = np.broadcast(exponent, y, a).shape
+
+        def below(log_ratio: Array) -> Array:
+            gap = y * np.exp(log_ratio)
+            return ~(cls.exponent(gap, gap + 2 * y, y + gap, a) > exponent)
+
+        low, high = np.full(shape, -40.0), np.full(shape, 20.0)
+        return np.asarray(y * np.exp(bisected(below, low, high, 20)[1]))
 
     @classmethod
     def layer(cls, x: float, a: float) -> float:
@@ -121,19 +142,14 @@ class Barrier(Law):
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         """About the stretch at which ln((omega/v) H) passes each of `levels`, shape (n,
         levels), of n contacts."""
-        low, high = (
-            np.full((xi.size, levels.size), -700.0),
-            np.zeros((xi.size, levels.size)),
-        )
-        for _ in range(20):
-            middle = 0.5 * (low + high)
-            early = (
-                self.log_hazard(xi[:, None] * np.exp(middle), xi[:, None], a[:, None])
-                + self.log_w
-                < levels
-            )
-            low, high = np.where(early, middle, low), np.where(early, high, middle)
-        return np.asarray(xi[:, None] * np.exp(high))
+        xi, a = xi[:, None], a[:, None]
+        low = np.full((xi.size, levels.size), -700.0)
+
+        def below(log_x: Array) -> Array:
+            reached = self.log_hazard(xi * np.exp(log_x), xi, a) + self.log_w
+            return np.asarray(reached < levels)
+
+        return np.asarray(xi * np.exp(bisected(below, low, np.zeros_like(low), 20)[1]))
 
     @classmethod
     def table(cls) -> Array:
@@ -294,23 +310,14 @@ def _carried(
     logarithm, in a bracket."""
     if _averaged(law, xi, stiffness, min(y, y + sign * most), most) * most <= clock:
         return most
-    low, high = 0.0, most
-    now = rate(law, xi, stiffness, y)
+    bracket, now = Bracket(0.0, most), rate(law, xi, stiffness, y)
     s = min(clock / now, most) if now > 0.0 else 0.5 * most
     for _ in range(200):
         spent = _averaged(law, xi, stiffness, min(y, y + sign * s), s) * s
-        if spent < clock:
-            low = s
-        else:
-            high = s
-        slope = s * rate(law, xi, stiffness, y + sign * s)
-        step = (
-            s * math.exp(spent / slope * math.log(clock / spent))
-            if slope > 0.0 and spent > 0.0
-            else -1.0
-        )
-        if not low <= step <= high:
-            step = 0.5 * (low + high)
+        slope, guess = s * rate(law, xi, stiffness, y + sign * s), math.nan
+        if slope > 0.0 and spent > 0.0:
+            guess = s * math.exp(spent / slope * math.log(clock / spent))
+        bracket, step = narrowed(bracket, s, spent - clock, guess)
         if abs(step - s) <= 1e-14 * s:
             break
         s = step
@@ -345,20 +352,16 @@ def stretches(
 
 
 def require_whole(name: str, law: Any) -> None:
-    """Raise InputError unless a barrier, listed as `name`, has all that every law
-    needs: NumPy's formulas, and kernel routines that say the same."""
-    xi, x, a = 2.0, 1.0, 0.7  # any contact
+    """Raise InputError unless a barrier, listed as `name`, has the formulas that every
+    law needs."""
     missing = [
-        method
-        for method in ("exponent", "log_hazard")
-        if getattr(type(law), method).__func__ is getattr(Barrier, method).__func__
+        formula
+        for formula in ("exponent", "log_hazard")
+        if not any(formula in vars(c) for c in type(law).__mro__ if c is not Barrier)
     ]
-    if height(law, xi, x, a) == math.inf:
-        missing.append("height")
-    if prefactor(law, xi, x) == 1.0 != math.exp(law.log_prefactor(xi - x, xi)):
-        missing.append("prefactor")
     if missing:
         raise InputError(
-            f'thermal.barrier = "{name}": the law {type(law).__name__} lacks {", ".join(missing)}; what every barrier '
-            "has is listed in eqsim/laws/barrier/base.py"
+            f'thermal.barrier = "{name}": the law {type(law).__name__} lacks '
+            f"{', '.join(missing)}; what every barrier has is listed in "
+            "eqsim/laws/barrier/base.py"
         )

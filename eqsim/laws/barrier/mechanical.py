@@ -5,15 +5,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.barrier.base import (
-    Barrier,
-    back,
-    mean_rate,
-    onward,
-    rate,
-    stretch,
-    thermal,
-)
+from eqsim.laws.barrier import base
+from eqsim.laws.barrier.base import Barrier
 from eqsim.numerics.tables import Array
 
 
@@ -28,8 +21,8 @@ class Mechanical(_Numbers, Barrier):
     __slots__ = ()
     thermal: ClassVar[bool] = False
 
-    @classmethod
-    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
+    @staticmethod
+    def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:
         return np.full(np.broadcast(gap, total, xi).shape, math.inf)
 
     @classmethod
@@ -37,39 +30,39 @@ class Mechanical(_Numbers, Barrier):
         return np.full(np.broadcast(x, xi).shape, -math.inf)
 
 
-@thermal.register(Mechanical)
+@base.thermal.register(Mechanical)
 def _no_heat(law: Any) -> bool:
     return False
 
 
-@stretch.register(Mechanical)
+@base.stretch.register(Mechanical)
 def _at_threshold(
     law: Any, table: Array, xi: float, stiffness: float, clock: float
 ) -> float:
     return xi
 
 
-@onward.register(Mechanical)
+@base.onward.register(Mechanical)
 def _up_to_threshold(
     law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> float:
     return xi - y
 
 
-@back.register(Mechanical)
+@base.back.register(Mechanical)
 def _back(
     law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> tuple[float, float]:
     return y, clock
 
 
-@mean_rate.register(Mechanical)
+@base.mean_rate.register(Mechanical)
 def _no_mean_rate(
     law: Any, table: Array, xi: float, stiffness: float, x: float, length: float
 ) -> float:
     return 0.0
 
 
-@rate.register(Mechanical)
+@base.rate.register(Mechanical)
 def _no_rate(law: Any, xi: float, stiffness: float, x: float) -> float:
     return 0.0

@@ -12,20 +12,10 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import special
 
-from eqsim.laws.barrier.base import (
-    Barrier,
-    Numbers,
-    back,
-    hazard,
-    height,
-    height_slope,
-    mean_rate,
-    onward,
-    rate,
-    stretch,
-    stretches,
-)
+from eqsim.laws.barrier import base
+from eqsim.laws.barrier.base import Barrier, Numbers
 from eqsim.numerics.compiled import routine
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import (
     Array,
     look_up,
@@ -42,9 +32,9 @@ class Soft(Numbers, Barrier):
     __slots__ = ()
     flat_out: ClassVar[float] = 1e16
 
-    @classmethod
-    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
-        return np.asarray(a * gap * total)
+    @staticmethod
+    def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:
+        return a * gap * total
 
     @classmethod
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
@@ -152,17 +142,12 @@ def _end(xi: float, per_root: float, z: float) -> float:
     return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
 
 
-@height.register(Soft)
-def _height(law: Soft, xi: float, x: float, a: float) -> float:
-    return a * max(xi - x, 0.0) * (xi + x)
-
-
-@height_slope.register(Soft)
+@base.height_slope.register(Soft)
 def _height_slope(law: Soft, xi: float, x: float, a: float) -> float:
     return 2.0 * a * xi
 
 
-@stretch.register(Soft)
+@base.stretch.register(Soft)
 def _stretch(
     law: Soft, table: Array, xi: float, stiffness: float, clock: float
 ) -> float:
@@ -171,7 +156,7 @@ def _stretch(
     return _end(xi, 1.0 / root, look_up(table, rank))
 
 
-@stretches.register(Soft)
+@base.stretches.register(Soft)
 def _stretches(
     law: Soft, table: Array, springs: Any, lives: Any, r: int, count: int
 ) -> None:
@@ -196,14 +181,14 @@ def _stretches(
         travel[r, i] = _end(threshold[r, i], per_root[i], rank[i])
 
 
-@hazard.register(Soft)
+@base.hazard.register(Soft)
 def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> float:
     a = law.b * stiffness
     per_dawson = look_up(table, max(math.sqrt(a) * x, _LEAST_Z))
     return math.exp(law.log_w - a * max(xi - x, 0.0) * (xi + x)) * x / per_dawson
 
 
-@mean_rate.register(Soft)
+@base.mean_rate.register(Soft)
 def _mean_rate(
     law: Soft, table: Array, xi: float, stiffness: float, x: float, length: float
 ) -> float:
@@ -215,21 +200,19 @@ def _mean_rate(
         0.25 * law.b * stiffness * length * length,
     )
     if p > 0.25 or q > 0.004:
-        end = hazard(law, table, xi, stiffness, x + length)
-        return (end - hazard(law, table, xi, stiffness, x)) / length
+        end = base.hazard(law, table, xi, stiffness, x + length)
+        return (end - base.hazard(law, table, xi, stiffness, x)) / length
     p2 = p * p
     mean = 1.0 + p2 * (1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 / 5040.0))
     mean += q * (1.0 / 3.0 + p2 * (0.1 + p2 / 168.0) + q * (0.1 + p2 / 28.0 + q / 42.0))
-    return rate(law, xi, stiffness, middle) * mean
+    return base.rate(law, xi, stiffness, middle) * mean
 
 
 # Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock
 # sqrt(a) exp(a (xi^2 - y^2)): I(z, s) = int_0^s exp(2 z t + t^2) dt = exp(s^2 + 2 z s)
 # D(z + s) - D(z) = T,   D Dawson's function     (derived)
 
-_NODES, _WEIGHTS = (
-    tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8)
-)
+_NODES, _WEIGHTS = (tuple(part.tolist()) for part in gauss_legendre(8))
 
 
 @routine(inline=True)
@@ -259,7 +242,7 @@ def _short(z: float, ticks: float) -> float:
     return ticks * (1.0 + ticks * (-z + ticks * (4.0 * z * z - 1.0) / 3.0))
 
 
-@onward.register(Soft)
+@base.onward.register(Soft)
 def _onward(
     law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> float:
@@ -287,7 +270,7 @@ def _onward(
     return min(s / root, xi - y)
 
 
-@back.register(Soft)
+@base.back.register(Soft)
 def _back(
     law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> tuple[float, float]:

@@ -11,20 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from eqsim.laws.barrier.base import (
-    Barrier,
-    Numbers,
-    back,
-    hazard,
-    height,
-    height_slope,
-    mean_rate,
-    onward,
-    path_step,
-    prefactor,
-    stretch,
-    stretches,
-)
+from eqsim.laws.barrier import base
+from eqsim.laws.barrier.base import Barrier, Numbers
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus, two_thirds_power
@@ -36,13 +24,13 @@ class Stiff(Numbers, Barrier):
     __slots__ = ()
     flat_out: ClassVar[float] = 1e18
 
-    @classmethod
-    def exponent(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
-        return np.asarray(a * xi**2 * (gap / xi) ** 1.5)
+    @staticmethod
+    def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:
+        return a * gap * np.sqrt(gap * xi)
 
-    @classmethod
-    def log_prefactor(cls, gap: Any, xi: Any) -> Any:
-        return 0.5 * np.log(gap / xi)
+    @staticmethod
+    def prefactor(gap: Any, xi: Any) -> Any:
+        return np.sqrt(gap / xi)
 
     @classmethod
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
@@ -101,29 +89,18 @@ def _end(xi: float, spent: float) -> float:
     return min(x, xi) if spent < 1.0 else xi
 
 
-@height.register(Stiff)
-def _height(law: Stiff, xi: float, x: float, a: float) -> float:
-    gap = max(xi - x, 0.0)
-    return a * gap * math.sqrt(gap * xi)
-
-
-@height_slope.register(Stiff)
+@base.height_slope.register(Stiff)
 def _height_slope(law: Stiff, xi: float, x: float, a: float) -> float:
     part = math.sqrt(max(xi - x, 1e-16 * xi) / xi)
     return a * xi * part * (1.5 + 0.5 * part * part)
 
 
-@prefactor.register(Stiff)
-def _prefactor(law: Stiff, xi: float, x: float) -> float:
-    return math.sqrt(max(xi - x, 0.0) / xi)  # a stretch may round to more
-
-
-@path_step.register(Stiff)
+@base.path_step.register(Stiff)
 def _path_step(law: Stiff) -> float:
     return 0.5  # the rate falls to 0 at the stretch, like a root
 
 
-@stretch.register(Stiff)
+@base.stretch.register(Stiff)
 def _stretch(
     law: Stiff, table: Array, xi: float, stiffness: float, clock: float
 ) -> float:
@@ -131,7 +108,7 @@ def _stretch(
     return _end(xi, _spent(xi, a, law.log_w, _odds(xi, a, law.log_w, clock)))
 
 
-@stretches.register(Stiff)
+@base.stretches.register(Stiff)
 def _stretches(
     law: Stiff, table: Array, springs: Any, lives: Any, r: int, count: int
 ) -> None:
@@ -146,7 +123,7 @@ def _stretches(
         travel[r, i] = _end(threshold[r, i], spent[i])
 
 
-@hazard.register(Stiff)
+@base.hazard.register(Stiff)
 def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> float:
     a = law.b * stiffness
     barrier = a * xi * xi
@@ -158,7 +135,7 @@ def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> 
     )
 
 
-@mean_rate.register(Stiff)
+@base.mean_rate.register(Stiff)
 def _mean_rate(
     law: Stiff, table: Array, xi: float, stiffness: float, x: float, length: float
 ) -> float:
@@ -177,7 +154,7 @@ def _mean_rate(
     return math.exp(law.log_w - whole * left) * mean * per_length / 1.5
 
 
-@onward.register(Stiff)
+@base.onward.register(Stiff)
 def _onward(
     law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> float:
@@ -192,7 +169,7 @@ def _onward(
     )
 
 
-@back.register(Stiff)
+@base.back.register(Stiff)
 def _back(
     law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> tuple[float, float]:
