@@ -18,7 +18,7 @@ from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal
 from eqsim.engine import avalanches
 from eqsim.engine.contacts import contacts
 from eqsim.engine.follow import follow
-from eqsim.engine.lanes import LANES, Lanes, Lives
+from eqsim.engine.lanes import LANES, idle_lanes
 from eqsim.engine.slider import Slider
 from eqsim.engine.steady import PlainSums
 from eqsim.master import slider
@@ -136,7 +136,7 @@ def test_kernels_end_when_they_are_told():
     c = contacts(Ensemble(), 0.1)
     for stop, travels in ((NEVER, True), (SET, False)):
         sums = PlainSums.empty(0, 0, 2, stop)
-        follow(c, sums, key(1, STEADY), 0, LANES, Lanes.empty(), Lives.empty(c))
+        follow(c, sums, 0, LANES, *idle_lanes(c, key(1, STEADY)))
         assert np.any(sums.parts()) == np.any(sums.travel) == travels
 
 
@@ -148,11 +148,9 @@ def test_avalanches_end_when_they_are_told(stop, breaks):
     ) as pulled:
         state = np.zeros(1, avalanches.STATE)
         state["stiffness"] = 1.0
-        queue = avalanches.queue_of(
-            *(pulled.population[name] for name in ("threshold", "stretch", "lives"))
-        )
+        queue = avalanches.queue_of(pulled.population)
         way, events = avalanches.Way(0.1, 40.0, stop), np.empty(1, avalanches.EVENT)
-        avalanches.load(pulled.laws, pulled.stream, 0, queue, state, way, events)
+        avalanches.load(pulled.laws, pulled.key, 0, queue, state, way, events)
     assert (state["breaks"][0] > 0) == breaks
 
 

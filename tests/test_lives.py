@@ -27,7 +27,7 @@ from eqsim import (
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.follow import follow
-from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives
+from eqsim.engine.lanes import LANES, ROUNDS, idle_lanes
 from eqsim.engine.langevin import STEP
 from eqsim.engine.programme import constant_drive
 from eqsim.engine.recorder import Run, Scales, moments
@@ -77,7 +77,7 @@ def side_by_side(ensemble, seed, ages=8):
     c, rows = contacts(ensemble, V), []
     for age in range(ages):
         sums = PlainSums.empty(0, age, age + 1, NEVER)
-        follow(c, sums, key(seed, STEADY), 0, LANES, Lanes.empty(), Lives.empty(c))
+        follow(c, sums, 0, LANES, *idle_lanes(c, key(seed, STEADY)))
         rows.append((sums.travel.sum(), sums.work.sum()))
     return np.array(rows).T
 

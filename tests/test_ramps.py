@@ -12,10 +12,11 @@ from eqsim import Aging, Delay, Ensemble, Thermal
 from eqsim.engine import recorder, segments
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import ROUNDS, Lanes, Lives
+from eqsim.engine.lanes import ROUNDS, Lives, idle_lanes
 from eqsim.engine.recorder import (
     Columns,
     Deposit,
+    Ramp,
     Recorder,
     Run,
     Scales,
@@ -27,6 +28,7 @@ from eqsim.engine.segments import Span
 from eqsim.engine.stationary import Fresh, extremes
 from eqsim.laws.aging.base import growth
 from eqsim.laws.stiffness import kappa
+from eqsim.numerics.streams import key
 
 leave, leave_ramp, average = (
     compiled(recorder.leave),
@@ -65,11 +67,9 @@ def scales(uniform, narrow=False):
 
 def empty(run, uniform=False, narrow=False, size=4):
     """A recorder of nothing yet, of up to `size` lives at once."""
-    total, index = Totals(run.points + 1, run.points, 1), np.zeros((8, size), np.int64)
+    total = Totals(run.points + 1, run.points, 1)
     found = Recorder.of(UNSTRESSED, run, scales(uniform, narrow), Fresh(), total)
-    return found._replace(
-        columns=Columns(*index[:7], np.ones(size, np.int64), index[7])
-    )
+    return found._replace(columns=Columns.empty(size))
 
 
 def lives(uniform, delayed, early=0.0):
@@ -177,7 +177,7 @@ def test_single_deposits(points, early):
     run, rows = Run(DISTANCE, points), lives(False, True, early)
     found = empty(run)
     for stiffness, born, broke, _ in rows:
-        leave_ramp(found, stiffness, born, born, broke)
+        leave_ramp(found, Ramp(stiffness, born, born, broke))
     compare(found, False, seen(rows, run))
 
 
@@ -278,7 +278,7 @@ def test_records_of_quarters():
     found = empty(run)
     for i, row in enumerate(rows):
         stiffness, born, broke, reborn = row
-        average(found, i % 3, stiffness, born, born, broke, reborn)
+        average(found, i % 3, Ramp(stiffness, born, born, broke), reborn)
     for batch in range(3):
         for quarter, low in enumerate((5.0, 7.5)):
             sums = in_window(found, batch, quarter)
@@ -312,7 +312,7 @@ def test_crossing_an_edge(edge, delay):
     is one of the second half; the life that crosses it is divided, and gathering begins
     anew. Without delay a contact is pinned all the time."""
     c, found = contacts(Ensemble(delay=Delay(delay)), 1.0), empty(Run(DISTANCE, 2))
-    lanes, lives, averaging, age = Lanes.empty(), Lives.empty(c), found.averaging, 3
+    (lanes, lives), averaging, age = idle_lanes(c, key(0, 0)), found.averaging, 3
     crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.3 + delay)
     stiffness, born, broke, reborn = crossing
     x = broke - born

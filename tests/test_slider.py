@@ -30,11 +30,10 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import (
     LANES,
     ROUNDS,
-    Lanes,
-    Lives,
     delay_after,
     draw_birth,
     draw_lives,
+    idle_lanes,
 )
 from eqsim.laws.aging.base import Held, spend
 from eqsim.master import slider
@@ -70,9 +69,9 @@ def pulled(ensemble, time, stage, points=41, velocity=0.1, **how):
 )
 def test_one_life_is_that_of_many(ensemble):
     c, stream = contacts(ensemble, 1.0), key(3, TRAJECTORY)
-    lanes, lives = Lanes.empty(), Lives.empty(c)
+    lanes, lives = idle_lanes(c, stream)
     lanes.contact[:], lanes.age[:] = np.arange(LANES) % 50, np.arange(LANES) // 50
-    compiled(draw_lives)(c.newborn, c, stream, lanes, lives, LANES)
+    compiled(draw_lives)(c.newborn, c, lanes, lives, LANES)
     for i in range(0, LANES, 5):
         for r in range(ROUNDS):
             life = stream, lanes.contact[i], ROUNDS * lanes.age[i] + r

@@ -26,13 +26,21 @@ from analysis.benchmarks import tuned
 from analysis.benchmarks.cases import CASES, QUICK, VELOCITY, Case, Sizes
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
-from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, carry_lives, draw_lives
+from eqsim.engine.lanes import (
+    LANES,
+    ROUNDS,
+    Lanes,
+    Lives,
+    carry_lives,
+    draw_lives,
+    idle_lanes,
+)
 from eqsim.engine.programme import constant_drive
 from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.stationary import Fresh
 from eqsim.engine.steady import PlainSums
 from eqsim.laws.barrier.base import thermal
-from eqsim.numerics.streams import TRAJECTORY, Key, fill_words, key
+from eqsim.numerics.streams import TRAJECTORY, fill_words, key
 from eqsim.numerics.threads import current_stop
 
 OUT = Path(__file__).parents[1] / "out"
@@ -57,32 +65,32 @@ numba_options: dict[str, Any] = {
 
 @numba.njit(**numba_options)
 def words_only(
-    c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int
+    c: Contacts, lanes: Lanes, lives: Lives, rounds: int
 ) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
         for _ in range(ROUNDS if thermal(c.barrier) else 1):
-            fill_words(key, lanes.contact, lanes.age, 0, lanes.words, LANES)
+            fill_words(lanes.key, lanes.contact, lanes.age, 0, lanes.words, LANES)
         for i in range(LANES):
             lanes.age[i] += 1
 
 
 @numba.njit(**numba_options)
 def drawn(
-    c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int
+    c: Contacts, lanes: Lanes, lives: Lives, rounds: int
 ) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
-        draw_lives(c.newborn, c, key, lanes, lives, LANES)
+        draw_lives(c.newborn, c, lanes, lives, LANES)
         for i in range(LANES):
             lanes.age[i] += 1
 
 
 @numba.njit(**numba_options)
 def broken(
-    c: Contacts, key: Key, lanes: Lanes, lives: Lives, rounds: int
+    c: Contacts, lanes: Lanes, lives: Lives, rounds: int
 ) -> None:  # pragma: no cover  # compiled
     for _ in range(rounds):
-        draw_lives(c.newborn, c, key, lanes, lives, LANES)
-        carry_lives(c.aging, c, key, lanes, lives, LANES)
+        draw_lives(c.newborn, c, lanes, lives, LANES)
+        carry_lives(c.newborn, c, lives, LANES)
         for i in range(LANES):
             lanes.age[i] += 1
 
@@ -93,16 +101,13 @@ def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
         contacts(case.ensemble(sizes.contacts), VELOCITY, None),
         key(1, TRAJECTORY),
     )
-    lanes, lives, rounds = (
-        Lanes.empty(),
-        Lives.empty(c),
-        max(1, sizes.scalar_lives // (ROUNDS * LANES)),
-    )
+    rounds = max(1, sizes.scalar_lives // (ROUNDS * LANES))
+    lanes, lives = idle_lanes(c, name)
     lanes.contact[:] = np.arange(LANES)
 
     def stripped(kernel: Any) -> Work:
         def work() -> int:
-            kernel(c, name, lanes, lives, rounds)
+            kernel(c, lanes, lives, rounds)
             return ROUNDS * LANES * rounds
 
         return work
@@ -119,7 +124,7 @@ def of_eqsim(case: Case, sizes: Sizes) -> dict[str, Work]:
 
     def steady() -> int:
         sums = PlainSums.empty(0, 0, rounds, current_stop())
-        follow(c, sums, name, 0, LANES, Lanes.empty(), Lives.empty(c))
+        follow(c, sums, 0, LANES, *idle_lanes(c, name))
         return ROUNDS * LANES * rounds
 
     bare = {"draw": words_only, "threshold": drawn, "break": broken}

@@ -1,5 +1,5 @@
-"""A stage that pulls infinitely slowly at T = 0: breaks one after another, and which of
-them make an avalanche.
+"""Breaks one after another, and their avalanches, behind a stage that pulls infinitely
+slowly at T = 0.
 
 Without heat, delay, damping and mass the slider is always in balance, kappa (Y - X) =
 F(X), or slips until it is. A contact breaks where X reaches X_birth + xi - y, with y
@@ -64,19 +64,19 @@ class Queue(NamedTuple):
 
 
 class Way(NamedTuple):
-    """Where the stage goes: stiffness of its spring, end, and a flag (1,) that stops
-    it."""
+    """Where the stage goes."""
 
-    stiffness: float
-    until: float
-    stop: Array
+    stiffness: float  # of its spring
+    until: float  # displacement at its end
+    stop: Array  # a flag (1,): anything but 0 ends the kernel
 
 
-def queue_of(threshold: Array, stretch: Array, lives: Array) -> Queue:
-    """Queue of contacts that are all pinned, with the slider at 0; arrays (contacts,)."""
-    position = threshold - stretch
+def queue_of(population: Array) -> Queue:
+    """Queue of contacts (`slider.CONTACT`), all pinned, with the slider at 0."""
+    position = population["threshold"] - population["stretch"]
     order = np.argsort(position, kind="stable")
-    return Queue(position[order], order, threshold.copy(), lives.copy())
+    threshold, lives = population["threshold"].copy(), population["lives"].copy()
+    return Queue(position[order], order, threshold, lives)
 
 
 def events_of(
@@ -98,8 +98,7 @@ def events_of(
 
 @routine
 def put_back(heap: Array, contacts: Array, position: float) -> None:
-    """Give the contact that is next another position, and restore the order of the
-    heap.
+    """Give the contact that is next another position, and restore the heap's order.
 
     `heap` holds positions and `contacts` which contact each belongs to.
     """
@@ -130,7 +129,7 @@ def _move(now: Any, x: float) -> None:
 
 @routine
 def _slip(now: Any, stiffness: float, x: float) -> None:
-    """Move the slider to x while the stage stands still, and note the energy set free."""
+    """Move the slider to x while the stage stands still, and note the energy lost."""
     x0 = now.X
     force = now.force
     _move(now, x)
@@ -197,9 +196,7 @@ def load(
                 event.distance = now.X - now.X_begun
                 rows += 1
                 now.size = 0
-            elif (
-                rest > now.X
-            ):  # the spring may begin with more force than contacts hold
+            elif rest > now.X:  # the spring begins with more force than contacts hold
                 _slip(now, way.stiffness, rest)
             target = min(needed, way.until)
             force = now.force

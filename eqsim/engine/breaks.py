@@ -15,7 +15,7 @@ from eqsim.engine.trajectory import check_run
 from eqsim.errors import InputError
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.results import Drawn, Result
@@ -104,7 +104,7 @@ def breaks(
             listed = BreakList(
                 distance, np.empty(size, BREAK), np.zeros(1, np.int64), current_stop()
             )
-            follow(c, listed, stream, first, last, *idle_lanes(c, stream))
+            follow(c, listed, first, last, *idle_lanes(c, stream))
             size = int(listed.number[0])
             if size <= listed.rows.size:
                 return listed.rows[:size]
@@ -166,7 +166,7 @@ class BreakList(NamedTuple):
 
 @admit.register(BreakList)
 def _admit(
-    recorder: BreakList, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int
+    recorder: BreakList, c: Contacts, lanes: Lanes, lane: int, contact: int
 ) -> bool:
     lanes.contact[lane] = contact
     lanes.age[lane] = 0
@@ -176,14 +176,7 @@ def _admit(
 
 @note_lives.register(BreakList)
 def _note_lives(
-    recorder: BreakList,
-    c: Contacts,
-    key: Key,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    active: int,
-    full: int,
+    recorder: BreakList, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     ended, position = False, lanes.position
     for i in range(active):

@@ -14,6 +14,7 @@ add up to the same bits of Y_j in any order. A run belongs to one thread; thread
 replicas.
 """
 
+import json
 import math
 import time
 from collections.abc import Callable
@@ -38,14 +39,19 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, interruptibly
 from eqsim.results import Drawn, Result
 
-_SEGMENT = 32  # blocks whose lowest threshold is a leaf of the tree
-_BATCHES = 16  # of the second half of a run, at most, whose scatter tells the error
+_LEAF = 32  # blocks whose lowest threshold is a leaf of the tree
+_MOST_BATCHES = 16  # of the second half of a run, whose scatter tells the error
 _SHORTEST_BATCH = 1.5  # displacement of the plate, in mean thresholds
-_ENOUGH = 8  # batches or replicas whose scatter tells the error of their mean
+_RELIABLE_FROM = 8  # batches or replicas whose scatter tells the error of their mean
 _BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
 _MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
 _MOST_AVALANCHES = 30_000_000  # of all replicas: some 2 GB of memory
 _ROUNDING = 6755399441055744.0  # 1.5 * 2^52, beside which only whole numbers are left
+
+# Why contacts and drives are refused.
+_BACKWARDS = "a contact born with more stretch than the last would move its block back"
+_CHANGES = "the response of blocks to a break would change with every break"
+_UNKNOWN = "the stationary state of coupled blocks is not known"
 
 # The run so far, and the avalanche that goes on.
 STATE = np.dtype(
@@ -91,7 +97,7 @@ class Blocks(NamedTuple):
     contact: Array  # (B, n), which ones
     xi: Array  # (B n,), thresholds of contacts
     lives: Array  # (B n,), that have been drawn
-    h: Array  # thresholds of blocks, with room to a multiple of `_SEGMENT`
+    h: Array  # thresholds of blocks, with room to a multiple of `_LEAF`
     births: Array  # (B,), sum over contacts of the positions of their births
     squares: Array  # (B,), of the squares of these
     breaks: Array  # (B,), so far
@@ -100,7 +106,7 @@ class Blocks(NamedTuple):
 
 
 class Response(NamedTuple):
-    """The response of all blocks to a break, on their lattice."""
+    """Displacements of all blocks after a break, on their lattice."""
 
     G: Array  # `Elastic.response`
     reach: Array  # of each row of G
@@ -132,55 +138,50 @@ def prepare(laws: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> 
             b.position[j, i] = b.xi[b.contact[j, i]]
         b.h[j] = b.position[j, 0]
     leaves = b.tree.size // 2
-    for segment in range(b.h.size // _SEGMENT):
-        begin = segment * _SEGMENT
-        b.tree[leaves + segment] = b.h[begin : begin + _SEGMENT].min()
+    for segment in range(b.h.size // _LEAF):
+        begin = segment * _LEAF
+        b.tree[leaves + segment] = b.h[begin : begin + _LEAF].min()
     for node in range(leaves - 1, 0, -1):
         b.tree[node] = min(b.tree[2 * node], b.tree[2 * node + 1])
 
 
-@routine(inline=True)
-def _push(
-    b: Blocks,
-    r: Response,
-    row: int,
-    begin: int,
-    end: int,
-    offset: int,
-    force: float,
-    first: int,
-) -> None:
-    """Move blocks first + begin to first + end of a row of the lattice, and mend the
-    tree.
+class Reached(NamedTuple):
+    """Blocks `begin` to `end` that a break moves; block k by G[row, offset + k]."""
 
-    The response of block first + k is `r.G[row, offset + k]`. Indices are unsigned, so
-    that numba does not look for ones that count from the end, and loops vectorise. Four
-    chains of minima do not wait for each other.
+    row: int
+    offset: int
+    begin: int
+    end: int
+
+
+@routine(inline=True)
+def _push(b: Blocks, r: Response, reached: Reached, force: float) -> None:
+    """Move blocks, and mend the tree.
+
+    Indices are unsigned, so that numba does not look for ones that count from the end,
+    and loops vectorise. Four chains of minima do not wait for each other.
     """
+    row, begin, end = reached.row, reached.begin, reached.end
     big = r.unit * _ROUNDING
-    start = np.uint64(first + begin)
-    shift = np.uint64(offset + begin)
+    start, shift = np.uint64(begin), np.uint64(reached.offset + begin)
     for k in range(np.uint64(end - begin)):
         b.h[start + k] -= (r.G[row, shift + k] * force + big) - big
     leaves = b.tree.size // 2
-    low = (first + begin) // _SEGMENT
-    high = (first + end - 1) // _SEGMENT
-    for segment in range(low, high + 1):
-        j = np.uint64(segment * _SEGMENT)
+    low, high = begin // _LEAF, (end - 1) // _LEAF
+    for leaf in range(low, high + 1):
+        j = np.uint64(leaf * _LEAF)
         m0 = b.h[j]
         m1 = b.h[j + np.uint64(1)]
         m2 = b.h[j + np.uint64(2)]
         m3 = b.h[j + np.uint64(3)]
-        for _ in range(np.uint64(1), np.uint64(_SEGMENT // 4)):
+        for _ in range(np.uint64(1), np.uint64(_LEAF // 4)):
             j += np.uint64(4)
             m0 = min(b.h[j], m0)
             m1 = min(b.h[j + np.uint64(1)], m1)
             m2 = min(b.h[j + np.uint64(2)], m2)
             m3 = min(b.h[j + np.uint64(3)], m3)
-        b.tree[leaves + segment] = min(min(m0, m1), min(m2, m3))
-    low = (leaves + low) // 2
-    high = (leaves + high) // 2
-    changed = True
+        b.tree[leaves + leaf] = min(min(m0, m1), min(m2, m3))
+    low, high, changed = (leaves + low) // 2, (leaves + high) // 2, True
     while changed and low > 0:
         changed = False
         for node in range(low, high + 1):
@@ -195,15 +196,12 @@ def _push(
 def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
     """Move all blocks after a drop of the force at `block`, which is divided by n k."""
     nx, ny = r.nx, r.ny
-    x = block % nx
-    y = block // nx
-    middle = r.G.shape[1] // 2
-    far = r.G.shape[0] // 2
+    x, y = block % nx, block // nx
+    far, middle = r.G.shape[0] // 2, r.G.shape[1] // 2
     around_x = nx if r.periodic else 2 * nx
     around_y = ny if r.periodic else 2 * ny
     for dy in range(-min(far, (around_y - 1) // 2), min(far, around_y // 2) + 1):
-        row = far + dy
-        line = y + dy
+        row, line = far + dy, y + dy
         if line < 0:
             line = line + ny if r.periodic else -1 - line
         elif line >= ny:
@@ -220,18 +218,17 @@ def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
                 begin = max(0, middle - right - offset)
                 end = min(nx, middle + left + 1 - offset)
             if begin < end:
-                _push(b, r, row, begin, end, offset, force, line * nx)
+                at = line * nx
+                _push(b, r, Reached(row, offset - at, at + begin, at + end), force)
 
 
 @routine(inline=True)
 def _lowest(b: Blocks) -> int:
-    """The block with the lowest threshold."""
-    leaves = b.tree.size // 2
-    lowest = b.tree[1]
-    node = 1
+    """Find the block with the lowest threshold."""
+    leaves, lowest, node = b.tree.size // 2, b.tree[1], 1
     while node < leaves:
         node = 2 * node if b.tree[2 * node] == lowest else 2 * node + 1
-    j = (node - leaves) * _SEGMENT
+    j = (node - leaves) * _LEAF
     while b.h[j] != lowest:
         j += 1
     return j
@@ -293,11 +290,10 @@ def load(
         now.breaks += 1
         now.released += xi
         now.work += 0.5 * xi * xi
-        drawn = draw_birth(
-            laws.newborn, laws, stream, first + contact, b.lives[contact]
-        ).threshold
-        b.xi[contact] = _rounded(drawn, r.unit)
-        b.lives[contact] += 1
+        lives, number = b.lives[contact], first + contact
+        born = draw_birth(laws.newborn, laws, stream, number, lives)
+        b.xi[contact] = _rounded(born.threshold, r.unit)
+        b.lives[contact] = lives + 1
         put_back(b.position[block], b.contact[block], position + b.xi[contact])
         b.h[block] += b.position[block, 0] - position
         _spread(b, r, block, xi / n)
@@ -383,45 +379,49 @@ def check_elastic(
     if elastic is None:
         raise InputError("drive.elastic: is required, the blocks that the plate pulls")
     elastic.contacts_per_block(ensemble.count)
-    thermal, aging = ensemble.thermal, ensemble.aging
-    refused = (
-        (thermal.kT * thermal.attempt_frequency > 0, f"thermal.kT = {thermal.kT!r}: must be 0", "heat needs time"),
-        (ensemble.delay.time > 0, f"delay.time = {ensemble.delay.time!r}: must be 0", "a delay needs time"),
-        (aging.active, f'aging.rule = "{aging.rule}": must be "none"', "aging needs time"),
-        (ensemble.newborn.active, f'newborn.law = "{ensemble.newborn.law}": must be "unstressed"',
-         "a contact born with more stretch than the last one broke with would move its block back"),
-        (ensemble.eta > 0, f"viscosity.eta = {ensemble.eta!r}: must be 0", "viscous force needs a velocity"),
-        (ensemble.stiffness_law != "uniform", f'contacts.stiffness_law = "{ensemble.stiffness_law}": must be "uniform"',
-         "the response of blocks to a break would change with every break"),
-        (drive.start != "fresh", f'drive.start = "{drive.start}": must be "fresh"',
-         "the stationary state of coupled blocks is not known"),
-    )  # fmt: skip
-    for wrong, said, why in refused:
+    thermal, delay, eta = ensemble.thermal, ensemble.delay.time, ensemble.eta
+    hot = thermal.kT * thermal.attempt_frequency > 0
+    aging, born, springs = ensemble.aging, ensemble.newborn, ensemble.stiffness_law
+    fresh = drive.start == "fresh"
+    refused = {
+        "thermal.kT": (hot, thermal.kT, 0, "heat needs time"),
+        "delay.time": (delay > 0, delay, 0, "a delay needs time"),
+        "aging.rule": (aging.active, aging.rule, "none", "aging needs time"),
+        "newborn.law": (born.active, born.law, "unstressed", _BACKWARDS),
+        "viscosity.eta": (eta > 0, eta, 0, "viscous force needs a velocity"),
+        "contacts.stiffness_law": (springs != "uniform", springs, "uniform", _CHANGES),
+        "drive.start": (not fresh, drive.start, "fresh", _UNKNOWN),
+    }
+    for name, (wrong, value, allowed, why) in refused.items():
         if wrong:
             raise InputError(
-                f"{said} with [elastic], whose blocks move quasi-statically at T = 0: {why}"
+                f"{name} = {json.dumps(value)}: must be {json.dumps(allowed)} with "
+                f"[elastic], whose blocks move quasi-statically at T = 0: {why}"
             )
     distance = drive.over(ensemble) / ensemble.thresholds.mean
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
     lives = ensemble.count * replicas * (1.0 + distance)
     if not lives <= max_lives:
         raise InputError(
-            f"this run needs about {lives:.3g} lives, more than max_lives = {max_lives:.3g}"
+            f"this run needs about {lives:.3g} lives, more than max_lives = "
+            f"{max_lives:.3g}"
         )
     if points * elastic.count * replicas > _MOST_RECORDS:
         raise InputError(
-            f"output.points = {points}: records of all blocks and replicas must be <= {_MOST_RECORDS:.0e} in number"
+            f"output.points = {points}: records of all blocks and replicas must be <= "
+            f"{_MOST_RECORDS:.0e} in number"
         )
     if lives / elastic.mean_size > _MOST_AVALANCHES:
         raise InputError(
-            f"this run has about {lives / elastic.mean_size:.3g} avalanches, more than {_MOST_AVALANCHES:.0e}; "
-            "fewer contacts.count or a shorter drive.distance has fewer"
+            f"this run has about {lives / elastic.mean_size:.3g} avalanches, more than "
+            f"{_MOST_AVALANCHES:.0e}; fewer contacts.count or a shorter drive.distance "
+            "has fewer"
         )
     return elastic, lives
 
 
 class _Totals(NamedTuple):
-    """Sums over blocks until the ends of batches, or in batches: arrays (..., batches)."""
+    """Sums over blocks until the ends of batches, or in batches, (..., batches)."""
 
     area: Array  # int F dX
     X: Array
@@ -440,7 +440,7 @@ class _Run(NamedTuple):
 
 
 class _Interface(NamedTuple):
-    """Contacts and blocks for kernels; lengths in units of the threshold law's scale."""
+    """Contacts and blocks for kernels; lengths in units of the threshold scale."""
 
     laws: Contacts
     stream: Key
@@ -451,18 +451,36 @@ class _Interface(NamedTuple):
     edges: Array  # of batches, levels
     pauses: Array  # levels at which a signal may stop the run
 
+    @classmethod
+    def of(
+        cls, ensemble: Ensemble, drive: Drive, elastic: Elastic, points: int, seed: int
+    ) -> "_Interface":
+        unit, mean = ensemble.thresholds.scale, ensemble.thresholds.mean
+        distance, count = drive.over(ensemble), ensemble.count
+        response = _response_of(elastic, distance / unit)
+        # Blocks follow a share of the plate's motion at once.
+        levels = np.linspace(0.0, distance / unit * (1.0 - elastic.load), points)
+        batches = int(
+            np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _MOST_BATCHES)
+        )
+        edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
+        between = math.ceil(count * distance / mean / _BETWEEN_PAUSES)
+        pauses = np.linspace(0.0, levels[-1], 1 + between)
+        laws, stream = contacts(ensemble, drive.velocity), key(seed, TRAJECTORY)
+        return cls(laws, stream, count, elastic, response, levels, edges, pauses)
+
 
 def _blocks_of(elastic: Elastic, n: int) -> Blocks:
-    """Blocks of n contacts each, to be prepared."""
+    """Make blocks of n contacts each, to be prepared."""
     B = elastic.count
-    segments = -(-B // _SEGMENT)
-    leaves = 1 << (segments - 1).bit_length()
+    filled = -(-B // _LEAF)  # leaves
+    leaves = 1 << (filled - 1).bit_length()
     return Blocks(
         position=np.empty((B, n)),
         contact=np.empty((B, n), np.int64),
         xi=np.empty(B * n),
         lives=np.empty(B * n, np.int64),
-        h=np.full(segments * _SEGMENT, math.inf),
+        h=np.full(filled * _LEAF, math.inf),
         births=np.zeros(B),
         squares=np.zeros(B),
         breaks=np.zeros(B, np.int64),
@@ -474,16 +492,14 @@ def _blocks_of(elastic: Elastic, n: int) -> Blocks:
 def _response_of(elastic: Elastic, distance: float) -> Response:
     """Response for a plate that moves by `distance`; 51 bits hold every position."""
     G = elastic.response()
-    middle = G.shape[1] // 2
-    reach = np.array(
-        [np.max(np.abs(np.flatnonzero(row) - middle), initial=0) for row in G]
-    )
+    from_middle = np.abs(np.arange(G.shape[1]) - G.shape[1] // 2)
+    reach = np.max(np.where(G != 0.0, from_middle, 0), axis=1)
     unit = 2.0 ** (math.ceil(math.log2(distance + 16.0)) - 51)
     return Response(G, reach, *elastic.shape, elastic.edges == "periodic", unit)
 
 
 def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) -> _Run:
-    """Follow a replica. `told` is called now and then with the number of breaks since."""
+    """Follow a replica. `told` gets the number of breaks since, now and then."""
     laws, stream, count, elastic, response, levels, edges, pauses = interface
     n = count // elastic.count
     first = replica * count
@@ -494,16 +510,14 @@ def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) 
     records, totals, events = [], [], []
     for level in np.unique(np.concatenate((levels, edges, pauses))):
         before = int(now["breaks"])
-        events.append(
-            events_of(EVENT, load, laws, stream, first, b, response, state, level)
-        )
+        loaded = laws, stream, first, b, response, state, level
+        events.append(events_of(EVENT, load, *loaded))
         told(int(now["breaks"]) - before)
         X = b.position[:, 0] - b.h[: elastic.count] + level
-        force = X - b.births / n
         if level in levels:
             record = np.empty(X.size, RECORD)
             record["X"] = X
-            record["force"] = force
+            record["force"] = X - b.births / n
             record["variance"] = np.maximum(b.squares / n - (b.births / n) ** 2, 0.0)
             record["breaks"] = b.breaks
             records.append(record)
@@ -527,17 +541,19 @@ def elastic_trajectory(
     max_lives: float = 1e10,
     progress: Callable[[int], None] | None = None,
 ) -> ElasticTrajectory:
-    """Simulate coupled blocks quasi-statically at T = 0 from a fresh start, break by
-    break.
+    """Simulate coupled blocks quasi-statically at T = 0, break by break.
+
+    A plate pulls them from a fresh start: all contacts pinned and unstretched.
 
     Parameters
     ----------
     ensemble : Ensemble
         N contacts of uniform stiffness at T = 0, without delay and aging.
     drive : Drive
-        Drive of the plate, with the blocks that it pulls; its velocity only tells time.
+        Drive of the plate over a distance (length), with the blocks that it pulls
+        (`drive.elastic`); its velocity (length/time) only tells time.
     points : int
-        Records, equidistant in D from 0.
+        Number of records, equidistant in the displacement D of the plate from 0.
     seed : int
         Seed of the random numbers.
     replicas : int
@@ -552,38 +568,43 @@ def elastic_trajectory(
     Returns
     -------
     ElasticTrajectory
+        Displacements and forces F/(N k) in the length unit of the thresholds, times in
+        that of the velocity.
 
     Raises
     ------
     InputError
         For contacts that heat or time breaks, contacts that cannot be divided among the
         blocks, arguments out of range, and more than `max_lives` predicted lives.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Elastic, Ensemble, elastic_trajectory
+    >>> ensemble = Ensemble(count=200, stiffness_law="uniform")
+    >>> chain = Elastic(blocks=20, coupling=1.0, drive_stiffness=0.5)
+    >>> drive = Drive(velocity=1.0, distance=5.0, elastic=chain)
+    >>> found = elastic_trajectory(ensemble, drive, points=11)
+    >>> found.D[-1], found.force.shape
+    (np.float64(5.0), (11,))
+    >>> int(found.avalanches["breaks"].sum()) + 200 == found.lives
+    True
     """
     elastic, _ = check_elastic(ensemble, drive, points, seed, replicas, max_lives)
-    unit, mean = ensemble.thresholds.scale, ensemble.thresholds.mean
-    distance = drive.over(ensemble)
-    share = 1.0 - elastic.load  # of the plate's motion that blocks follow at once
-    levels = np.linspace(0.0, distance / unit * share, points)
-    batches = int(np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _BATCHES))
-    edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
-    laws, count = contacts(ensemble, drive.velocity), ensemble.count
-    pauses = np.linspace(
-        0.0, levels[-1], 1 + math.ceil(count * distance / mean / _BETWEEN_PAUSES)
-    )
-    response = _response_of(elastic, distance / unit)
-    interface = _Interface(
-        laws, key(seed, TRAJECTORY), count, elastic, response, levels, edges, pauses
-    )
+    unit, count = ensemble.thresholds.scale, ensemble.count
+    interface = _Interface.of(ensemble, drive, elastic, points, seed)
     nothing = interface._replace(
-        contacts=elastic.count, levels=levels[:1], edges=edges[:0], pauses=pauses[:0]
+        contacts=elastic.count,
+        levels=interface.levels[:1],
+        edges=np.empty(0),
+        pauses=np.empty(0),
     )
     # Kernels are compiled here, so that seconds are those of the work.
     interruptibly(_simulate, nothing, 0, lambda _: None)
     begin = time.perf_counter()
     runs = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin
-    t = np.linspace(0.0, distance / drive.velocity, points)
-    D = np.linspace(0.0, distance, points)
+    D = np.linspace(0.0, drive.over(ensemble), points)
+    t = np.linspace(0.0, drive.over(ensemble) / drive.velocity, points)
     records = np.array([run.records for run in runs])
     X, force = (records[name].mean(axis=2) for name in ("X", "force"))  # over blocks
     X_std = force_std = None
@@ -593,17 +614,19 @@ def elastic_trajectory(
         stderr = force_std / math.sqrt(replicas)
     X, force = X.mean(axis=0), force.mean(axis=0)
     estimates = _estimates(runs, unit)
-    over = _transient_is_over(laws, X, (estimates[0].stderr or 0.0) / unit)
+    error = (estimates[0].stderr or 0.0) / unit
+    over = _transient_is_over(interface.laws, X, error)
     friction, size, single = (
         replace(one, reliable=one.reliable and over) for one in estimates
     )
+    share = 1.0 - elastic.load
     return ElasticTrajectory(
         D=D,
         t=t,
         X=X * unit,
         force=force * unit,
         force_stderr=stderr,
-        force_reliable=replicas >= _ENOUGH,
+        force_reliable=replicas >= _RELIABLE_FROM,
         force_replica_std=force_std,
         X_replica_std=X_std,
         friction=friction,
@@ -635,16 +658,15 @@ def _all(
         if progress:
             progress(lives)
 
+    def simulated(replica: int) -> _Run:
+        return _simulate(interface, replica, told)
+
     with ThreadPool(max(1, threads)) as pool:
-        return list(
-            pool.map(
-                lambda replica: _simulate(interface, replica, told), range(replicas)
-            )
-        )
+        return list(pool.map(simulated, range(replicas)))
 
 
 def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estimate]:
-    """Estimate friction (length), breaks per avalanche and fraction of single breaks."""
+    """Estimate friction (length), breaks per avalanche, fraction of single breaks."""
     batches = _Totals(*np.diff(np.stack([run.totals for run in runs], axis=1), axis=2))
     half = batches.X.shape[1] // 2
     breaks = int(batches.breaks.sum())
@@ -654,7 +676,7 @@ def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estim
 
     def over(numerator: Array, denominator: Array) -> Estimate:
         estimate = ratio(numerator.ravel(), denominator.ravel(), breaks)
-        reliable = estimate.reliable and numerator.size >= _ENOUGH
+        reliable = estimate.reliable and numerator.size >= _RELIABLE_FROM
         reliable = reliable and not drifts(halves(numerator), halves(denominator), 4.0)
         return replace(estimate, reliable=reliable)
 
@@ -666,8 +688,7 @@ def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estim
 
 
 def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
-    """Whether the start moves the friction of the second half by less than half its
-    error.
+    """Whether the start moves friction by less than half its error, in the second half.
 
     The answer is that for independent contacts, whose law is exact.
     """

@@ -1,5 +1,4 @@
-"""Lives of many contacts side by side: thresholds, births, clocks and delays drawn, and
-how far each is carried."""
+"""Lives of many contacts side by side: drawing them, and how far each is carried."""
 
 import math
 from typing import Any, NamedTuple
@@ -30,172 +29,128 @@ from eqsim.numerics.streams import (
 from eqsim.numerics.tables import Array, look_up_all
 from eqsim.numerics.vector_math import log
 
-LANES = 256  # contacts that advance together: their lives stay in the processor's first cache
-ROUNDS = 2  # lives of a contact that are drawn together: half of a Philox result serves one draw
+# Contacts that advance together: their lives stay in the processor's first cache.
+LANES = 256
+# Lives of a contact drawn together: half of a Philox result serves one draw.
+ROUNDS = 2
+# Lanes are used in such groups, so that no loop ends in a tail of single ones.
+_GROUP = 32
 
 # Numbers of the draws of a life: each has random numbers of its own.
 _THRESHOLD = 0  # and clock
 _DELAY = 1
 _FINE_THRESHOLD = 2  # and 3, of the second half
 _BIRTH = 4
-# after the life in which a stationary start finds a contact
-_DELAY_OF_THE_FIRST = 65535
+_DELAY_OF_THE_FIRST = 65535  # of the life in which a stationary start finds a contact
 
 
 class Lanes(NamedTuple):
-    """Contacts that advance together, arrays (LANES,).
+    """Contacts that advance together, arrays (LANES,)."""
 
-    Attributes
-    ----------
-    contact : ndarray of int
-    age : ndarray of int
-        How many times ROUNDS lives of it were drawn.
-    position : ndarray
-        Displacement at which its next life begins; infinite in idle lanes.
-    number : ndarray of int
-        Scratch: numbers of lives.
-    words : ndarray of uint64, shape (4, LANES)
-        Scratch: random bits.
-    """
-
-    contact: Array
-    age: Array
-    position: Array
-    number: Array
-    words: Array
-
-    @classmethod
-    def empty(cls) -> "Lanes":
-        """All lanes idle."""
-        contact, age, number = np.zeros((3, LANES), np.int64)
-        return cls(
-            contact,
-            age,
-            np.full(LANES, math.inf),
-            number,
-            np.zeros((4, LANES), np.uint64),
-        )
+    contact: Array  # their numbers
+    age: Array  # how many times ROUNDS lives of them were drawn
+    position: Array  # displacement at the next birth; infinite in idle lanes
+    number: Array  # scratch: numbers of lives
+    words: Array  # scratch: random bits, (4, LANES)
+    key: Key  # of their random numbers
 
 
 class Followed(NamedTuple):
-    """Random numbers and scratch of the paths of the lives in the lanes."""
+    """Contacts whose thresholds fluctuate, and scratch for their paths."""
 
     lanes: Lanes
-    key: Key
     walkers: langevin.Walkers
 
 
 class Lives(NamedTuple):
-    """The next lives of the contacts in the lanes, arrays (rounds, LANES).
+    """The next lives of the contacts in the lanes, arrays (rounds, LANES)."""
 
-    Attributes
-    ----------
-    threshold, birth, clock : ndarray
-        Threshold and stretch at birth, and what the exponential clock shows at
-        breaking: infinite without heat.
-    delay : ndarray
-        Between the break and the next birth.
-    stiffness : ndarray
-        k_i/k at birth.
-    travel : ndarray
-        From birth to breaking.
-    work : ndarray
-        Of fluctuating thresholds: int (k_i/k) x dx from birth to breaking.
-    root, per_root, rank : ndarray, shape (LANES,)
-        Scratch of laws.
-    row : ndarray of int, shape (LANES,)
-        Scratch of tables.
-    followed : Followed, or () where no threshold fluctuates
-    """
-
-    threshold: Array
-    birth: Array
-    clock: Array
-    delay: Array
-    stiffness: Array
-    travel: Array
-    work: Array
-    root: Array
-    per_root: Array
-    rank: Array
-    row: Array
-    followed: Any
+    threshold: Array  # at birth
+    birth: Array  # stretch at birth
+    clock: Array  # what the exponential clock shows at breaking: infinite without heat
+    delay: Array  # between the break and the next birth
+    stiffness: Array  # k_i/k at birth
+    travel: Array  # from birth to breaking
+    work: Array  # int (k_i/k) x dx from birth to breaking, of fluctuating thresholds
+    root: Array  # scratch of laws, (LANES,)
+    per_root: Array  # scratch of laws, (LANES,)
+    rank: Array  # scratch of laws, (LANES,)
+    row: Array  # scratch of tables, (LANES,)
+    followed: Any  # `Followed`, or () where no threshold fluctuates
 
     @classmethod
     def empty(cls, c: Contacts, followed: Any = (), rounds: int = ROUNDS) -> "Lives":
-        """Lives that clocks never end, of contacts born unstressed, as stiff as uniform
-        ones, with the mean delay."""
-        threshold, birth, clock, delay, stiffness, travel, work = np.zeros(
-            (7, rounds, LANES)
-        )
-        clock[:] = math.inf
-        delay[:] = c.delay.mean
-        stiffness[:] = c.springs.constant
-        root, per_root, rank = np.zeros((3, LANES))
-        drawn = threshold, birth, clock, delay
-        return cls(
-            *drawn,
-            stiffness,
-            travel,
-            work,
-            root,
-            per_root,
-            rank,
-            np.zeros(LANES, np.int64),
-            followed,
-        )
+        """Lives that clocks never end.
+
+        Contacts are born unstressed, as stiff as uniform ones, with the mean delay.
+        """
+        lives = np.zeros((7, rounds, LANES))
+        lives[2] = math.inf
+        lives[3] = c.delay.mean
+        lives[4] = c.springs.constant
+        scratch = *np.zeros((3, LANES)), np.zeros(LANES, np.int64)
+        return cls._make((*lives, *scratch, followed))
 
 
 def idle_lanes(c: Contacts, key: Key) -> tuple[Lanes, Lives]:
-    """Lanes for contacts, and their lives."""
-    lanes = Lanes.empty()
-    return lanes, Lives.empty(
-        c, Followed(lanes, key, langevin.Walkers.empty()) if c.aging.fluctuates else ()
-    )
+    """Make lanes for contacts, all idle, and their lives."""
+    contact, age, number = np.zeros((3, LANES), np.int64)
+    position, words = np.full(LANES, math.inf), np.zeros((4, LANES), np.uint64)
+    lanes = Lanes(contact, age, position, number, words, key)
+    paths = Followed(lanes, langevin.Walkers.empty()) if c.aging.fluctuates else ()
+    return lanes, Lives.empty(c, paths)
+
+
+@routine(inline=True)
+def padded(active: int) -> int:
+    """Number of lanes that kernels work on if so many are active."""
+    return min(LANES, (active + _GROUP - 1) // _GROUP * _GROUP)
 
 
 class Birth(NamedTuple):
-    """A life as it is drawn: threshold and stretch at birth, clock at breaking."""
+    """A life as it is drawn."""
 
     threshold: float
-    stretch: float
-    clock: float
+    stretch: float  # at birth
+    clock: float  # at breaking
 
 
-# --------------------------------------------------------------------------------------------------
-# drawing lives
+# ---- drawing lives ----
 
 
 @by_law
-def draw_lives(
-    law: Any, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int
-) -> None:
+def draw_lives(law: Any, c: Contacts, lanes: Lanes, lives: Lives, count: int) -> None:
     """Draw the next ROUNDS lives of the first `count` lanes, by the law of births."""
-    draw_unstressed(c.thresholds, bool(thermal(c.barrier)), key, lanes, lives, count)
+    draw_unstressed(c.thresholds, bool(thermal(c.barrier)), lanes, lives, count)
     if c.delay.random > 0.0:
-        draw_delays(c, key, lanes, lives, count)
+        draw_delays(c, lanes, lives, count)
 
 
 @draw_lives.register(Stretched)
 def _draw_stretched(
-    law: Stretched, c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int
+    law: Stretched, c: Contacts, lanes: Lanes, lives: Lives, count: int
 ) -> None:
     threshold, birth, clock = lives.threshold, lives.birth, lives.clock
     for r in range(ROUNDS):
         for i in range(count):
-            drawn = draw_birth(law, c, key, lanes.contact[i], ROUNDS * lanes.age[i] + r)
+            number = ROUNDS * lanes.age[i] + r
+            drawn = draw_birth(law, c, lanes.key, lanes.contact[i], number)
             threshold[r, i], birth[r, i], clock[r, i] = drawn
     if c.delay.random > 0.0:
-        draw_delays(c, key, lanes, lives, count)
+        draw_delays(c, lanes, lives, count)
 
 
 @routine(inline=True)
 def draw_unstressed(
-    law: Thresholds, heat: bool, key: Key, lanes: Lanes, lives: Lives, count: int
+    law: Thresholds, heat: bool, lanes: Lanes, lives: Lives, count: int
 ) -> None:
-    """Draw thresholds and, if heat breaks contacts, clocks. Half of a Philox result
-    serves one draw; without a clock the two halves are the thresholds of two lives."""
-    contact, age, number, words = lanes.contact, lanes.age, lanes.number, lanes.words
+    """Draw thresholds and, if heat breaks contacts, clocks.
+
+    Half of a Philox result serves one draw. Without a clock the two halves are the
+    thresholds of two lives.
+    """
+    key, contact, age = lanes.key, lanes.contact, lanes.age
+    number, words = lanes.number, lanes.words
     threshold, clock, rank = lives.threshold, lives.clock, lives.rank
     for r in range(ROUNDS):
         if heat or r == 0:
@@ -212,14 +167,10 @@ def draw_unstressed(
             if rough > 0:
                 for i in range(count):
                     if rank[i] < ROUGH:
-                        low, high = words[2 * half, i], words[2 * half + 1, i]
+                        draw, low = _FINE_THRESHOLD + half, words[2 * half, i]
+                        high = words[2 * half + 1, i]
                         rank[i] = fine_product(
-                            key,
-                            contact[i],
-                            number[i],
-                            _FINE_THRESHOLD + half,
-                            low,
-                            high,
+                            key, contact[i], number[i], draw, low, high
                         )
         else:
             for i in range(count):
@@ -238,8 +189,7 @@ def draw_unstressed(
 def draw_thresholds(
     law: Thresholds, u: Array, lives: Lives, r: int, count: int
 ) -> None:
-    """Fill the first `count` thresholds of round r from uniforms `u`, which are
-    overwritten."""
+    """Fill the first `count` thresholds of round r from uniforms, overwriting these."""
     threshold = lives.threshold
     if law.steps.size > 0:
         for i in range(count):
@@ -253,10 +203,10 @@ def draw_thresholds(
 
 
 @routine(inline=True)
-def draw_delays(c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -> None:
+def draw_delays(c: Contacts, lanes: Lanes, lives: Lives, count: int) -> None:
     """Draw the delays after the next ROUNDS lives, where they are random."""
     words, delay, law = lanes.words, lives.delay, c.delay
-    fill_words(key, lanes.contact, lanes.age, _DELAY, words, count)
+    fill_words(lanes.key, lanes.contact, lanes.age, _DELAY, words, count)
     for r in range(ROUNDS):
         for i in range(count):
             delay[r, i] = delay_draw(law, uniform(words[2 * r, i], words[2 * r + 1, i]))
@@ -264,8 +214,7 @@ def draw_delays(c: Contacts, key: Key, lanes: Lanes, lives: Lives, count: int) -
 
 @by_law
 def draw_birth(law: Any, c: Contacts, key: Key, contact: int, number: int) -> Birth:
-    """Draw life `number` of a contact, the same bits as by `draw_lives`, by the law of
-    births."""
+    """Draw life `number` of a contact as `draw_lives` does, by the law of births."""
     heat, turn, half = thermal(c.barrier), number // ROUNDS, number % ROUNDS
     row = number if heat else turn
     a, b, d, e = bits(key, contact, row, _THRESHOLD)
@@ -273,16 +222,12 @@ def draw_birth(law: Any, c: Contacts, key: Key, contact: int, number: int) -> Bi
     if c.thresholds.exponentials == 2:
         u = product(low, high)
         if u < ROUGH:
-            u = fine_product(
-                key, contact, row, _FINE_THRESHOLD + (0 if heat else half), low, high
-            )
+            draw = _FINE_THRESHOLD + (0 if heat else half)
+            u = fine_product(key, contact, row, draw, low, high)
     else:
         u = uniform(low, high)
-    xi = (
-        exponential_threshold(u)
-        if c.thresholds.exponentials > 0
-        else threshold_draw(c.thresholds, u)
-    )
+    direct = c.thresholds.exponentials > 0
+    xi = exponential_threshold(u) if direct else threshold_draw(c.thresholds, u)
     return Birth(xi, 0.0, -log(uniform(d, e)) if heat else math.inf)
 
 
@@ -292,16 +237,14 @@ def _draw_stretched_birth(
     law: Stretched, c: Contacts, key: Key, contact: int, number: int
 ) -> Birth:
     u, v = uniforms(key, contact, number, _THRESHOLD)
-    xi, y = newborn_draw(
-        law, c.thresholds, u, uniforms(key, contact, number, _BIRTH)[0]
-    )
+    rank = uniforms(key, contact, number, _BIRTH)[0]
+    xi, y = newborn_draw(law, c.thresholds, u, rank)
     return Birth(xi, law.sign * y, -math.log(v))
 
 
 @routine(inline=True)
 def delay_after(c: Contacts, key: Key, contact: int, number: int) -> float:
-    """Draw the delay after life `number` of a contact, the same bits as by
-    `draw_delays`."""
+    """Draw the delay after life `number` of a contact as `draw_delays` does."""
     if c.delay.random == 0.0:
         return c.delay.mean
     v, w = uniforms(key, contact, number // ROUNDS, _DELAY)
@@ -314,28 +257,25 @@ def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
     return delay_draw(c.delay, uniforms(key, contact, 0, _DELAY_OF_THE_FIRST)[0])
 
 
-# -------------------------------------------------------------------------------------------
-# where contacts break
+# ---- where contacts break ----
 
 
 @by_law
 def carry_lives(law: Any, c: Contacts, lives: Lives, count: int) -> None:
-    """Fill travel and stiffness of the first `count` lives of every round, by the law
-    of births."""
+    """Find travel and stiffness of the first `count` lanes, by the law of births."""
     for r in range(lives.threshold.shape[0]):
         break_lives(c.aging, c, lives, r, count)
 
 
 @carry_lives.register(Stretched)
 def _carry_stretched(law: Stretched, c: Contacts, lives: Lives, count: int) -> None:
-    threshold, stiffness = lives.threshold, lives.stiffness
-    birth, clock, carried = lives.birth, lives.clock, lives.travel
+    birth, clock = lives.birth, lives.clock
     for r in range(ROUNDS):
         for i in range(count):
-            stiffness[r, i] = kappa(c.springs, threshold[r, i])
-            carried[r, i] = travel(
-                c, threshold[r, i], stiffness[r, i], birth[r, i], clock[r, i]
-            )
+            xi = lives.threshold[r, i]
+            stiffness = kappa(c.springs, xi)
+            lives.stiffness[r, i] = stiffness
+            lives.travel[r, i] = travel(c, xi, stiffness, birth[r, i], clock[r, i])
 
 
 @break_lives.register(Langevin)
@@ -343,26 +283,18 @@ def _walk_lives(law: Langevin, c: Contacts, lives: Lives, r: int, count: int) ->
     lanes, number = lives.followed.lanes, lives.followed.lanes.number
     for i in range(count):
         number[i] = ROUNDS * lanes.age[i] + r
+    threshold = lives.threshold[r, :count]
+    carried, work = lives.travel[r], lives.work[r]
     paths = langevin.Paths(
-        lanes.contact,
-        number,
-        lives.threshold[r, :count],
-        lives.clock[r],
-        lives.travel[r],
-        lives.work[r],
+        lanes.contact, number, threshold, lives.clock[r], carried, work
     )
-    langevin.walk_all(
-        langevin.pinned(c),
-        lives.followed.key,
-        langevin.STEP,
-        paths,
-        lives.followed.walkers,
-    )
+    walkers = lives.followed.walkers
+    langevin.walk_all(langevin.pinned(c), lanes.key, langevin.STEP, paths, walkers)
 
 
 @by_law
 def life_work(law: Any, c: Contacts, lives: Lives, r: int, i: int) -> float:
-    """int (k_i/k) x dx of a life from birth to breaking, by the law of aging."""
+    """Integral of (k_i/k) x dx from birth to breaking, by the law of aging."""
     stiffness, carried = lives.stiffness[r, i], lives.travel[r, i]
     alone = work_of(law, c.aging_table, c.springs, stiffness, carried)
     return alone + stiffness * carried * lives.birth[r, i]

@@ -12,7 +12,6 @@ no sum can overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,104 +26,66 @@ from eqsim.numerics.compiled import routine
 from eqsim.numerics.rows import add_rows, take_rows
 from eqsim.numerics.tables import Array, search
 
-# independent groups whose scatter is the error of averages over the second half
-BATCHES = 64
-_LEAST_UNITS = (
+BATCHES = 64  # independent groups of contacts, whose scatter tells errors of averages
+_LEAST_FORCE = (
     2.0**10
-)  # the typical force in units of the last bit, far below any statistical error
-_LEAST_WORK = (
-    2.0**5
-)  # the mean work of a life in units of its own; laws so broad that it matters scatter far more
+)  # of a typical contact, in units of the last bit: far below noise
+# Mean work of a life in its units. Laws so broad that it matters scatter far more.
+_LEAST_WORK = 2.0**5
 _BITS = 62  # of a sum; the sign and one more are left
 _UNITS = 0x4330000000000000  # bits of 2^52
 _SHIFTED = 0x4338000000000000  # bits of 1.5 2^52
-_NARROW_FROM = 2 ** (
-    _BITS - 51
-)  # so many contacts leave numbers up to 2^51 each, where sums are up to 2^62
-
-# What a contact leaves at a point of the grid, with Y = -X0 where the slider would have
-# been pulled from: 1, kappa Y, (kappa Y)^2, kappa, kappa^2 and kappa^2 Y.
-DEPOSIT = np.dtype(
-    [
-        (name, np.int64)
-        for name in ("count", "force", "square", "slope", "slope2", "ramp2")
-    ]
-)
-# What it leaves in a quarter of the second half: int F dX, displacement while pinned
-# and in all, breaks, and stretch and travel at these.
-WINDOW = np.dtype(
-    [
-        (name, np.int64)
-        for name in ("area", "pinned", "elapsed", "breaks", "stretch", "travel")
-    ]
-)
+# So many contacts leave numbers up to 2^51 each, where sums are up to 2^62.
+_NARROW_FROM = 2 ** (_BITS - 51)
 
 
 class Deposit(NamedTuple):
-    """A number for each field of `DEPOSIT`, or an array of them."""
+    """What a life leaves at a point of the grid: numbers, or arrays of them.
 
-    count: Any
-    force: Any
-    square: Any
-    slope: Any
-    slope2: Any
-    ramp2: Any
+    Y = -X0, with X0 the displacement at which its spring would be slack.
+    """
+
+    count: Any  # 1
+    force: Any  # kappa Y
+    square: Any  # (kappa Y)^2
+    slope: Any  # kappa
+    slope2: Any  # kappa^2
+    ramp2: Any  # kappa^2 Y
 
 
 class Window(NamedTuple):
-    """A number for each field of `WINDOW`, or an array of them."""
+    """What lives leave in a quarter of the second half: numbers, or arrays of them."""
 
-    area: Any
-    pinned: Any
-    elapsed: Any
+    area: Any  # int F dX
+    pinned: Any  # displacement while pinned
+    elapsed: Any  # displacement
     breaks: Any
-    stretch: Any
-    travel: Any
+    stretch: Any  # sum over breaks
+    travel: Any  # sum over breaks
+
+
+DEPOSIT = np.dtype([(name, np.int64) for name in Deposit._fields])
+WINDOW = np.dtype([(name, np.int64) for name in Window._fields])
 
 
 class Run(NamedTuple):
-    """A segment at constant velocity, of which a drive at constant velocity is one.
+    """A segment at constant velocity, of which a drive at constant velocity is one."""
 
-    Attributes
-    ----------
-    length : float
-        Displacement of the slider, or in a hold time at the pace of another segment; in
-        units of the threshold law's scale.
-    points : int
-        Instants at which contacts are recorded, from the beginning on.
-    stationary : bool
-        Whether contacts are found in a steady state at the beginning.
-    averages : bool
-        Whether averages over the second half are taken; then lives are followed to
-        their ends.
-    batch_by_life : bool
-        Few contacts: whole lives, not contacts, are the independent samples of
-        averages.
-    moves : int
-        1 if the slider moves, 0 in a hold.
-    sign : float
-        Direction of X in which the slider moves; stretches are positive in it.
-    ratio : float
-        Pace over that of the segment before.
-    goes_on : bool
-        Whether a stationary start goes on at its own velocity.
-    last : bool
-        Whether no segment follows.
-    instants : ndarray, shape (points,)
-        Of a hold, from its beginning on.
-    """
-
+    # Displacement of the slider, or time in a hold at the pace of another segment; in
+    # units of the threshold law's scale.
     length: float
-    points: int
-    stationary: bool = False
-    averages: bool = True
-    batch_by_life: bool = False
-    moves: int = 1
-    sign: float = 1.0
-    ratio: float = 1.0
-    goes_on: bool = False
-    last: bool = True
-    instants: Array = np.empty(0)
+    points: int  # instants at which contacts are recorded, from the beginning on
+    stationary: bool = False  # contacts are found in a steady state at the beginning
+    averages: bool = True  # over the second half; lives are then followed to their ends
+    batch_by_life: bool = False  # few contacts: whole lives are the independent samples
+    moves: int = 1  # 0 in a hold
+    sign: float = (
+        1.0  # direction of motion; stretches along the segment are positive in it
+    )
+    ratio: float = 1.0  # pace over that of the segment before
+    goes_on: bool = False  # a stationary start goes on at its own velocity
+    last: bool = True  # no segment follows
+    instants: Array = np.empty(0)  # of a hold, (points,), from its beginning on
 
     @property
     def distance(self) -> float:
@@ -133,54 +94,46 @@ class Run(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How large what contacts leave may be: the largest stiffness over k, stretch and
-    stretch at birth, with a margin, the mean |work| over k and travel of typical lives,
-    and whether all are equally stiff."""
+    """How much contacts of a law may leave, and how much they typically do."""
 
-    stiffness: float
-    stretch: float
-    birth: float
-    typical_work: float
-    typical_stretch: float
-    alike: bool
+    stiffness: float  # the largest, over k, with a margin
+    stretch: float  # the largest, with a margin
+    birth: float  # the largest stretch at birth
+    typical_work: float  # mean |work| of a life, over k
+    typical_stretch: float  # mean travel of a life
+    alike: bool  # all contacts are equally stiff
 
     @property
     def typical_force(self) -> float:
-        """Over k."""
+        """Mean |work| over mean travel, over k."""
         return self.typical_work / self.typical_stretch
 
     @classmethod
     def of(cls, c: Contacts) -> "Extent":
         xi, x = extremes(c)
-        typical, birth = typical_lives(c), c.newborn.reach(xi)
-        stiffness, alike = (
-            c.springs.constant + c.springs.slope * xi,
-            c.springs.slope == 0.0,
-        )
-        work, travel = (
-            float(np.mean(np.abs(typical.work))),
-            float(np.mean(typical.travel)),
-        )
+        typical, birth, springs = typical_lives(c), c.newborn.reach(xi), c.springs
+        work = float(np.mean(np.abs(typical.work)))
+        travel = float(np.mean(typical.travel))
+        stiffness = springs.constant + springs.slope * xi
+        alike = springs.slope == 0.0
         return cls(stiffness, max(x, birth), birth, work, travel, alike)
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn what contacts leave, and replicas' forces, into integers;
-    whether all contacts are equally stiff, and whether they are so many that no deposit
-    of one exceeds 51 bits."""
+    """Powers of 2 that turn what contacts leave into integers."""
 
     deposits: Deposit
     windows: Window
-    replica: float
-    replica_square: float
-    uniform: bool
-    narrow: bool
+    replica: float  # of the force of a replica
+    replica_square: float  # of its square
+    uniform: bool  # all contacts are equally stiff
+    narrow: bool  # contacts are so many that no deposit of one exceeds 51 bits
 
     @classmethod
     def of(
         cls, c: Contacts, run: Run, contacts: int, replicas: int, drag: float
     ) -> "Scales":
-        """Scales `within` the extent of such contacts."""
+        """Scales for contacts that a segment finds or begins with."""
         return cls.within(Extent.of(c), run, contacts, replicas, drag)
 
     @classmethod
@@ -194,11 +147,11 @@ class Scales(NamedTuple):
         carried: float = 0.0,
         usual: float = 0.0,
     ) -> "Scales":
-        """The finest that no sum over all contacts can overflow, from the longest life
-        there can be, or the longest stretch that contacts are `carried` to the
-        beginning with; `usual` is a typical force of these.
+        """Find the finest scales with which no sum over all contacts can overflow.
 
-        Raises InputError if these are too coarse for the typical contact.
+        Bounds are those of the longest life, or of the stretch up to which contacts are
+        `carried` to the beginning; `usual` is a typical force of such contacts. Raises
+        InputError if these scales are too coarse for the typical contact.
         """
         strong, x, distance = lives.stiffness, lives.stretch, run.distance
         x = max(x if run.stationary else min(x, distance + lives.birth), carried)
@@ -208,59 +161,50 @@ class Scales(NamedTuple):
         def power(bounds: list[float], terms: int) -> list[float]:
             return (2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))).tolist()
 
-        square = (strong * reach) ** 2
-        deposits = Deposit(
-            *power(
-                [1.0, strong * reach, square, strong, strong**2, strong**2 * reach],
-                contacts,
-            )
-        )
-        windows = Window(
-            *power([force * reach, reach, reach, 1.0, reach, reach], contacts)
-        )
+        ramp, square = strong * reach, (strong * reach) ** 2
+        bounds = [1.0, ramp, square, strong, strong**2, strong**2 * reach]
+        deposits = Deposit(*power(bounds, contacts))
+        bounds = [force * reach, reach, reach, 1.0, reach, reach]
+        windows = Window(*power(bounds, contacts))
         typical = max(lives.typical_force, usual)
-        rough = (
-            lives.typical_work * windows.area <= _LEAST_WORK and usual == 0.0
-        )  # no areas along a programme
-        if rough or not typical * deposits.force > _LEAST_UNITS:
+        # No areas are added up along a programme.
+        rough = lives.typical_work * windows.area <= _LEAST_WORK and usual == 0.0
+        if rough or not typical * deposits.force > _LEAST_FORCE:
             raise InputError(
-                f"thresholds: the strongest of {contacts} contacts can carry {force / typical:.2g} times the typical "
-                "force, too much to add up in 64 bits; take fewer contacts or a narrower law"
+                f"thresholds: the strongest of {contacts} contacts can carry "
+                f"{force / typical:.2g} times the typical force, too much to add up in "
+                "64 bits; take fewer contacts or a narrower law"
             )
         most = max(force, drag)
-        replica, replica_square = power([most, most**2], replicas)
+        replica, square = power([most, most**2], replicas)
         counted = deposits._replace(count=1.0), windows._replace(breaks=1.0)
-        return cls(
-            *counted, replica, replica_square, lives.alike, contacts >= _NARROW_FROM
-        )
+        narrow = contacts >= _NARROW_FROM
+        return cls(*counted, replica, square, lives.alike, narrow)
 
 
 class Averaging(NamedTuple):
-    """What contacts have left since the last edge of a window of averages, arrays
-    (LANES,): the next `edge`; where they were pinned at the last one, `since`, and how
-    many lives old they were, `lives`; their work over k and displacement while pinned
-    since. `broke` and `reborn` are where the life at hand and the delay after it end.
-    """
+    """What contacts have left since the last edge of a window, arrays (LANES,)."""
 
-    edge: Array
-    since: Array
-    lives: Array
-    work: Array
-    pinned: Array
-    broke: Array
-    reborn: Array
+    edge: Array  # the next one
+    since: Array  # where they were pinned at the last edge
+    lives: Array  # how many lives old they were there
+    work: Array  # over k, since then
+    pinned: Array  # displacement while pinned, since then
+    broke: Array  # where the life at hand ends
+    reborn: Array  # where the delay after it ends
 
     @classmethod
     def empty(cls) -> "Averaging":
         """Averages of idle lanes."""
-        edge, since, work, pinned, broke, reborn = np.zeros((6, LANES))
-        return cls(edge, since, np.zeros(LANES, np.int64), work, pinned, broke, reborn)
+        real = np.zeros((6, LANES))
+        return cls._make((*real[:2], np.zeros(LANES, np.int64), *real[2:]))
 
 
 class Columns(NamedTuple):
-    """Scratch for what the contacts in the lanes leave, arrays (LANES,) of integers:
-    what `Deposit` says at the point `begins`, and back again at `ends`. `once` is 1 and
-    `never` 0 for all."""
+    """Scratch for what contacts side by side leave, arrays of integers.
+
+    The fields of `Deposit` are added at the point `begins` and taken back at `ends`.
+    """
 
     begins: Array
     ends: Array
@@ -269,162 +213,115 @@ class Columns(NamedTuple):
     slope: Array
     slope2: Array
     ramp2: Array
-    once: Array
-    never: Array
+    once: Array  # 1 everywhere
+    never: Array  # 0 everywhere
 
     @classmethod
-    def empty(cls) -> "Columns":
-        """Scratch for LANES contacts."""
-        begins, ends, force, square, slope, slope2, ramp2 = np.zeros(
-            (7, LANES), np.int64
-        )
-        once, never = np.ones(LANES, np.int64), np.zeros(LANES, np.int64)
-        return cls(begins, ends, force, square, slope, slope2, ramp2, once, never)
+    def empty(cls, contacts: int = LANES) -> "Columns":
+        """Scratch for so many contacts."""
+        numbers = np.zeros((8, contacts), np.int64)
+        return cls._make((*numbers[:7], np.ones(contacts, np.int64), numbers[7]))
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave along a segment, some lives together,
-    others one by one.
+    """Where kernels add up what contacts leave along a segment.
 
-    Attributes
-    ----------
-    run : Run
-    start : Fresh, Stationary or Population
-        How contacts come into it.
-    scales : Deposit
-        Powers of 2 that turn deposits into integers.
-    window_scales : Window
-        Likewise of averages.
-    deposits : ndarray of DEPOSIT, shape (points + 1,)
-        Sums over contacts; the last row takes what is beyond the grid.
-    windows : ndarray of WINDOW, shape (BATCHES, 2)
-        Sums over batches and quarters of the second half.
-    lives, stop : ndarray of int, shape (1,)
-        Lives so far; anything but 0 in `stop` ends the kernel.
-    joined : bool
-        Whether a life begins where another ends, and nothing changes there but the
-        place of birth.
-    alone : bool
-        Whether lives are recorded one by one.
-    carries : bool
-        Whether where lives break is found for all lanes together, before they are
-        recorded.
-    averaging : Averaging
-    columns : Columns
-    narrow : bool
-        As in `Scales`.
+    Some lives are recorded together, others one by one.
     """
 
     run: Run
-    start: Any
-    scales: Deposit
-    window_scales: Window
-    deposits: Array
-    windows: Array
-    lives: Array
-    stop: Array
-    joined: bool
-    alone: bool
-    carries: bool
+    start: Any  # `Fresh`, `Stationary` or `Population`: how contacts come in
+    scales: Deposit  # powers of 2 that turn deposits into integers
+    window_scales: Window  # the same of averages
+    deposits: Array  # `DEPOSIT`, (points + 1,); the last row takes what is beyond
+    windows: Array  # `WINDOW`, (BATCHES, 2), sums over quarters of the second half
+    lives: Array  # (1,), so far
+    stop: Array  # (1,), anything but 0 ends the kernel
+    joined: bool  # a life begins where another ends; only the place of birth changes
+    alone: bool  # lives are recorded one by one
+    carries: bool  # where lives break is found for all lanes before they are recorded
     averaging: Averaging
     columns: Columns
-    narrow: bool
+    narrow: bool  # as in `Scales`
 
     @classmethod
     def of(
         cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0
     ) -> "Recorder":
-        """A recorder of contacts that come in from `start`, into the sums of a
-        `blocks.Totals`, from a row of its deposits on."""
+        """Record contacts that come in from `start` in the sums of a `blocks.Totals`.
+
+        Deposits are those from `row` on.
+        """
         alone = recorded_alone(c, run)
-        joined = not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0
-        here = (
-            total.scratch[row : row + run.points + 1],
-            total.windows,
-            total.lives,
-            total.stop,
-        )
-        carries, scratch = (
-            run.moves != 0 and not (alone and _follows_paths(c, run)),
-            Columns.empty(),
-        )
         return cls(
             run,
             start,
             scales.deposits,
             scales.windows,
-            *here,
-            joined,
-            alone,
-            carries,
-            Averaging.empty(),
-            scratch,
-            scales.narrow,
+            total.scratch[row : row + run.points + 1],
+            total.windows,
+            total.lives,
+            total.stop,
+            joined=not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0,
+            alone=alone,
+            carries=run.moves != 0 and not (alone and _follows_paths(c, run)),
+            averaging=Averaging.empty(),
+            columns=Columns.empty(),
+            narrow=scales.narrow,
         )
 
 
 class Together(Recorder):
-    """A recorder of the lives of all lanes at once; a type, so that kernels leave out
-    the rest."""
+    """A recorder of all lanes at once: a type, so that kernels leave out the rest."""
 
     __slots__ = ()
 
 
 class OneByOne(Recorder):
-    """A recorder of lives one by one: of few contacts, of those born stretched or whose
-    stiffness varies, of paths that end with the segment, and in a hold."""
+    """A recorder of lives one by one (`recorded_alone`)."""
 
     __slots__ = ()
 
 
-def recorder_for(alone: Iterable[bool]) -> type[Recorder]:
-    """The recorder for segments in which lives are recorded `alone`, or not."""
-    kinds = set(alone)
-    return Recorder if len(kinds) > 1 else OneByOne if True in kinds else Together
+def recorder_for(alone: set[bool]) -> type[Recorder]:
+    """Choose the recorder for segments in which lives are recorded `alone`, or not."""
+    return Recorder if len(alone) > 1 else OneByOne if True in alone else Together
 
 
 def recorded_alone(c: Contacts, run: Run) -> bool:
-    """Whether lives along a segment are recorded one by one."""
+    """Whether lives along a segment are recorded one by one.
+
+    These are lives of few contacts, of contacts born stretched or whose stiffness
+    varies, those in a hold, and paths that end with the segment.
+    """
     varies = c.aging.stiffens and c.springs.slope > 0.0
-    stretched = isinstance(c.newborn, Stretched)
-    return (
-        run.batch_by_life
-        or varies
-        or stretched
-        or run.moves == 0
-        or _follows_paths(c, run)
-    )
+    few = run.batch_by_life or run.moves == 0
+    return few or varies or isinstance(c.newborn, Stretched) or _follows_paths(c, run)
 
 
 def _follows_paths(c: Contacts, run: Run) -> bool:
-    """Whether lives are paths that are recorded on their way, or end with the segment."""
-    return c.aging.fluctuates and (
-        c.springs.slope > 0.0 or run.batch_by_life or not run.last
-    )
+    """Whether lives are paths recorded on their way, or that end with the segment."""
+    on_the_way = c.springs.slope > 0.0 or run.batch_by_life or not run.last
+    return c.aging.fluctuates and on_the_way
 
 
 class Moments(NamedTuple):
-    """Mean force, pinned fraction, and variance of the force over contacts, at every
-    instant."""
+    """Averages over contacts at every instant."""
 
     force: Array
     pinned: Array
-    variance: Array
+    variance: Array  # of the force
 
 
 def moments(
     deposits: Array, scales: Scales, run: Run, contacts: int, drag: float
 ) -> Moments:
-    """What deposits say, at every grid point."""
-    X = np.linspace(
-        0.0, run.distance, run.points, dtype=np.longdouble
-    )  # squares cancel: 64 bits where there are
-    total = Deposit(
-        *(
-            np.cumsum(deposits[name][: run.points]) / (np.longdouble(scale) * contacts)
-            for name, scale in scales.deposits._asdict().items()
-        )
-    )
+    """Add up deposits to averages at every grid point."""
+    # Squares cancel: 64 bits of the mantissa where there are.
+    X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)
+    units = np.array(scales.deposits, np.longdouble) * contacts
+    sums = (np.cumsum(deposits[name][: run.points]) for name in Deposit._fields)
+    total = Deposit(*(sum_ / unit for sum_, unit in zip(sums, units, strict=True)))
     if scales.uniform:  # k_i/k = 1: some fields stand for others
         total = total._replace(slope=total.count, slope2=total.count, ramp2=total.force)
     force = (total.slope * X + total.force).astype(float)
@@ -433,16 +330,25 @@ def moments(
     detached = 1.0 - pinned
     force += drag * detached
     variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
-    # what rounding may hide of it, over distances so long that squares of X drown it
-    lost = (
-        4.0 * np.finfo(np.longdouble).eps * total.slope2 * X * X
-        + (X > 0) / scales.deposits.square
-    )
+    # What rounding may hide of it, over distances so long that squares of X drown it.
+    rounding = 4.0 * np.finfo(np.longdouble).eps * total.slope2 * X * X
+    lost = rounding + (X > 0) / scales.deposits.square
     return Moments(force, pinned, variance + lost.astype(float))
 
 
-# -------------------------------------------------------------------------------------------------------
-# kernels
+# ---- kernels ----
+
+
+class Ramp(NamedTuple):
+    """A life with the force stiffness (X - origin) at born <= X < broke.
+
+    In a hold the force is -stiffness origin from one instant to another.
+    """
+
+    stiffness: float
+    origin: float
+    born: float
+    broke: float
 
 
 @routine(inline=True)
@@ -453,8 +359,11 @@ def fixed(x: float, scale: float) -> int:
 
 @routine(inline=True)
 def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
-    """`fixed`, of numbers up to 2^51 if they are `narrow`: added to 1.5 2^52, they are
-    the last bits of the sum. Few processors convert more than one number at a time."""
+    """x in fixed point, up to 2^51 if it is `narrow`.
+
+    Narrow numbers are the last bits of their sum with 1.5 2^52. Few processors convert
+    more than one number at a time.
+    """
     if narrow:
         return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
@@ -462,7 +371,7 @@ def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
 
 @routine(inline=True)
 def point_at(run: Run, x: float) -> int:
-    """The first instant of a segment at or after `x`; `points` beyond the last one."""
+    """Find the first instant of a segment at or after `x`; `points` beyond the last."""
     if run.moves == 0:
         return search(run.instants, x, False)
     per_step = (run.points - 1) / run.length
@@ -471,7 +380,7 @@ def point_at(run: Run, x: float) -> int:
 
 @routine(inline=True)
 def instant(run: Run, j: int) -> float:
-    """When, or where, instant j of a segment is."""
+    """Time of instant j of a hold, or displacement at it of another segment."""
     return j * (run.length / (run.points - 1)) if run.moves != 0 else run.instants[j]
 
 
@@ -488,25 +397,19 @@ def leave(recorder: Recorder, j: int, sign: int, stiffness: float, born: float) 
 
 
 @routine
-def leave_ramp(
-    recorder: Recorder, stiffness: float, origin: float, born: float, broke: float
-) -> None:
-    """Record a life pinned at `born` <= X < `broke` whose stretch is X - `origin`; in a
-    hold, from one instant to another with stretch -`origin`."""
-    start, end = point_at(recorder.run, born), point_at(recorder.run, broke)
+def leave_ramp(recorder: Recorder, ramp: Ramp) -> None:
+    """Record the force of a life."""
+    start, end = point_at(recorder.run, ramp.born), point_at(recorder.run, ramp.broke)
     if start < end:  # otherwise no grid point sees it
-        leave(recorder, start, 1, stiffness, origin)
-        leave(recorder, end, -1, stiffness, origin)
+        leave(recorder, start, 1, ramp.stiffness, ramp.origin)
+        leave(recorder, end, -1, ramp.stiffness, ramp.origin)
 
 
 @routine(inline=True)
 def leave_force(recorder: Recorder, j: int, force: float) -> None:
     """Record a force at one grid point."""
-    scales, here, after = (
-        recorder.scales,
-        recorder.deposits[j],
-        recorder.deposits[j + 1],
-    )
+    here, after = recorder.deposits[j], recorder.deposits[j + 1]
+    scales = recorder.scales
     here.force += fixed(force, scales.force)
     here.square += fixed(force * force, scales.square)
     after.force -= fixed(force, scales.force)
@@ -524,62 +427,55 @@ def leave_pinned(recorder: Recorder, born: float, broke: float) -> None:
 
 @routine(inline=True)
 def edge_after(run: Run, x: float) -> float:
-    """The end of the half or quarter that x lies in, or of the segment if no averages
-    are taken; infinite beyond the last."""
+    """End of the half or quarter that x lies in; infinite beyond the segment.
+
+    Without averages the segment has one part.
+    """
     if run.averages and x <= 0.75 * run.length:
         return (0.5 if x <= 0.5 * run.length else 0.75) * run.length
     return run.length if x <= run.length else math.inf
 
 
 @routine(inline=True)
-def average(
-    recorder: Recorder,
-    batch: int,
-    stiffness: float,
-    origin: float,
-    born: float,
-    broke: float,
-    reborn: float,
-) -> None:
-    """Record in the two quarters of the second half a life whose stretch is X -
-    `origin`, and the delay after it."""
+def average(recorder: Recorder, batch: int, life: Ramp, reborn: float) -> None:
+    """Record a life and the delay after it in both quarters of the second half."""
     length, scales = recorder.run.length, recorder.window_scales
     for quarter in range(2):
         low = length * (0.5 + 0.25 * quarter)
         high = low + 0.25 * length
         window = recorder.windows[batch, quarter]
-        start = max(born, low)
-        end = min(broke, high)
+        start = max(life.born, low)
+        end = min(life.broke, high)
         if end > start:
-            window.area += fixed(
-                stiffness * (end - start) * (0.5 * (start + end) - origin), scales.area
-            )
+            area = life.stiffness * (end - start) * (0.5 * (start + end) - life.origin)
+            window.area += fixed(area, scales.area)
             window.pinned += fixed(end - start, scales.pinned)
         end = min(reborn, high)
         if end > start:
             window.elapsed += fixed(end - start, scales.elapsed)
-        if low < broke <= high:
+        if low < life.broke <= high:
             window.breaks += 1
-            window.stretch += fixed(broke - origin, scales.stretch)
-            window.travel += fixed(broke - born, scales.travel)
+            window.stretch += fixed(life.broke - life.origin, scales.stretch)
+            window.travel += fixed(life.broke - life.born, scales.travel)
 
 
-# ---------------------------------------------------------------------------------
-# ramps of all lanes together
+# ---- ramps of all lanes together ----
 
 
 @routine(inline=True)
 def point_after(x: float, run: Run, per_step: float) -> Any:
-    """The first grid point at or after x >= 0; `run.points` beyond the last one."""
+    """Find the first grid point at or after x >= 0; `run.points` beyond the last."""
     at = np.ceil(min(x * per_step, float(run.points))) + 2.0**52
     return np.float64(at).view(np.int64) - _UNITS
 
 
 @routine(inline=True)
 def find_points(run: Run, x: Array, points: Array, count: int) -> None:
-    """Find the grid points at or after the first `count` of x. A loop fills one array:
-    with more, whether any of them overlap would take too long to find out for the
-    compiler to use vectors."""
+    """Find the grid points at or after the first `count` of x.
+
+    Here and below a loop fills one array: with more, the compiler would have to find
+    out whether any of them overlap, and gives up vectors.
+    """
     per_step = (run.points - 1) / run.length
     for i in range(count):
         points[i] = point_after(x[i], run, per_step)
@@ -589,36 +485,28 @@ def find_points(run: Run, x: Array, points: Array, count: int) -> None:
 def leave_ramps(
     recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, count: int
 ) -> None:
-    """Record the lives of round r of the first `count` lanes, pinned at 0 <= `born` <=
-    X < `broke`; `count` is a multiple of four."""
-    scales, columns, stiffness = recorder.scales, recorder.columns, lives.stiffness
-    force, square, slope, slope2, ramp2 = (
-        columns.force,
-        columns.square,
-        columns.slope,
-        columns.slope2,
-        columns.ramp2,
-    )
+    """Record round r of the first `count` lanes, pinned at 0 <= `born` <= X < `broke`.
+
+    `count` is a multiple of four.
+    """
+    scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
+    force, square, stiffness = columns.force, columns.square, lives.stiffness
+    slope, slope2, ramp2 = columns.slope, columns.slope2, columns.ramp2
     find_points(recorder.run, born, columns.begins, count)
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
-        force[i] = fixed_narrow(
-            stiffness[r, i] * born[i], -scales.force, recorder.narrow
-        )
+        force[i] = fixed_narrow(stiffness[r, i] * born[i], -scales.force, narrow)
     for i in range(count):
         ramp = stiffness[r, i] * born[i]
-        square[i] = fixed_narrow(ramp * ramp, scales.square, recorder.narrow)
+        square[i] = fixed_narrow(ramp * ramp, scales.square, narrow)
     for i in range(count):
-        slope[i] = fixed_narrow(stiffness[r, i], scales.slope, recorder.narrow)
+        slope[i] = fixed_narrow(stiffness[r, i], scales.slope, narrow)
     for i in range(count):
-        slope2[i] = fixed_narrow(
-            stiffness[r, i] * stiffness[r, i], scales.slope2, recorder.narrow
-        )
+        kappa2 = stiffness[r, i] * stiffness[r, i]
+        slope2[i] = fixed_narrow(kappa2, scales.slope2, narrow)
     for i in range(count):
         kappa = stiffness[r, i]
-        ramp2[i] = fixed_narrow(
-            kappa * (kappa * born[i]), -scales.ramp2, recorder.narrow
-        )
+        ramp2[i] = fixed_narrow(kappa * (kappa * born[i]), -scales.ramp2, narrow)
     numbers = columns.once, force, square, slope, slope2, ramp2
     for i in range(0, count, 4):
         add_rows(recorder.deposits, columns.begins, numbers, i)
@@ -629,18 +517,19 @@ def leave_ramps(
 def leave_uniform_ramps(
     recorder: Recorder, born: Array, broke: Array, count: int
 ) -> None:
-    """`leave_ramps` of contacts that are equally stiff: count and force stand for the
-    other fields."""
-    scales, columns = recorder.scales, recorder.columns
+    """Record lives as `leave_ramps` does, of contacts that are equally stiff.
+
+    Count and force stand for the other fields.
+    """
+    scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
+    force, square = columns.force, columns.square
     find_points(recorder.run, born, columns.begins, count)
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
-        columns.force[i] = fixed_narrow(born[i], -scales.force, recorder.narrow)
+        force[i] = fixed_narrow(born[i], -scales.force, narrow)
     for i in range(count):
-        columns.square[i] = fixed_narrow(
-            born[i] * born[i], scales.square, recorder.narrow
-        )
-    numbers = columns.once, columns.force, columns.square, columns.never
+        square[i] = fixed_narrow(born[i] * born[i], scales.square, narrow)
+    numbers = columns.once, force, square, columns.never
     for i in range(0, count, 4):
         add_rows(recorder.deposits, columns.begins, numbers, i)
         take_rows(recorder.deposits, columns.ends, numbers, i)
@@ -650,17 +539,18 @@ def leave_uniform_ramps(
 def join_uniform_ramps(
     recorder: Recorder, born: Array, broke: Array, count: int
 ) -> None:
-    """`leave_uniform_ramps` without delay: a life begins where another ends, and only
-    the square and the place of birth change there."""
-    scales, columns = recorder.scales, recorder.columns
+    """Record lives as `leave_uniform_ramps` does, where a life begins as another ends.
+
+    Only the square and the place of birth change there.
+    """
+    scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
+    force, square = columns.force, columns.square
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
-        columns.force[i] = fixed_narrow(
-            broke[i] - born[i], -scales.force, recorder.narrow
-        )
+        force[i] = fixed_narrow(broke[i] - born[i], -scales.force, narrow)
     for i in range(count):
         difference = (broke[i] - born[i]) * (born[i] + broke[i])
-        columns.square[i] = fixed_narrow(difference, scales.square, recorder.narrow)
-    numbers = columns.never, columns.force, columns.square, columns.never
+        square[i] = fixed_narrow(difference, scales.square, narrow)
+    numbers = columns.never, force, square, columns.never
     for i in range(0, count, 4):
         add_rows(recorder.deposits, columns.ends, numbers, i)

@@ -18,10 +18,12 @@ import numpy as np
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
 from eqsim.engine.follow import admit, move_lane, note_lives
-from eqsim.engine.lanes import ROUNDS, Lanes, Lives, delay_of_the_first
+from eqsim.engine.lanes import ROUNDS, Lanes, Lives, delay_of_the_first, padded
+from eqsim.engine.langevin import STEP, Path, Pinned
 from eqsim.engine.recorder import (
     BATCHES,
     OneByOne,
+    Ramp,
     Recorder,
     Run,
     Together,
@@ -52,88 +54,59 @@ from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array
 
-_SEEN = 100.0  # relaxations after which a threshold at rest has seen all there is
-# cycles that are tried for a snapshot; one in e^32 contacts finds none
-_ATTEMPTS = 32000
+_RELAXED = 100.0  # relaxations after which a threshold at rest has seen all there is
+_MOST_CYCLES = 32000  # tried for a snapshot; one in e^32 contacts finds none
 
 
 class Population(NamedTuple):
-    """Contacts between two segments, arrays (contacts,). Times are displacements at the
-    pace of the segment before.
+    """Contacts between two segments, arrays (contacts,).
 
-    Attributes
-    ----------
-    pinned : ndarray of bool
-    wait : ndarray
-        Of detached contacts: the time until they are pinned.
-    threshold, stiffness : ndarray
-        Of pinned ones, as all that follow: at birth; where thresholds fluctuate, the
-        one now.
-    stretch : ndarray
-        In the direction X.
-    clock : ndarray
-        What the exponential clock has left.
-    age : ndarray
-        For how long they have been pinned.
-    still : ndarray
-        For how long a contact of a stationary start is still pinned if the motion goes
-        on.
-    delay : ndarray
-        After the break.
-    lives : ndarray of int
-        ROUNDS times how often lives were drawn.
-    life, draw : ndarray of int
-        Where thresholds fluctuate: which life this is, and which of its random numbers
-        comes next.
-    first : int
-        Number of the first contact.
+    Times are displacements at the pace of the segment before. All but `wait` is of
+    pinned contacts; where thresholds fluctuate, `threshold` is the one now.
     """
 
     pinned: Array
-    wait: Array
-    threshold: Array
-    stiffness: Array
-    stretch: Array
-    clock: Array
-    age: Array
-    still: Array
-    delay: Array
-    lives: Array
-    life: Array
-    draw: Array
-    first: int
+    wait: Array  # time until a detached contact is pinned
+    threshold: Array  # at birth
+    stiffness: Array  # at birth
+    stretch: Array  # in the direction X
+    clock: Array  # what the exponential clock has left
+    age: Array  # time since birth
+    still: Array  # how long a contact of a stationary start stays pinned in motion
+    delay: Array  # after the break
+    lives: Array  # ROUNDS times how often lives were drawn
+    life: Array  # of a fluctuating threshold: which life this is
+    draw: Array  # and which of its random numbers comes next
+    first: int  # number of the first contact
 
     @classmethod
     def fresh(cls, first: int, contacts: int) -> "Population":
-        """All of them about to be pinned for the first time."""
+        """All contacts about to be pinned for the first time."""
         real, whole = np.zeros((8, contacts)), np.zeros((3, contacts), np.int64)
         return cls._make((np.zeros(contacts, np.bool_), *real, *whole, first))
 
 
 class Span(NamedTuple):
-    """A life in a segment: its stiffness at birth, its stretch in the direction of
-    motion and its age where it `begins` there, and its travel from there on, or time in
-    a hold."""
+    """The part of a life that a segment sees."""
 
-    stiffness: float
-    stretch: float
-    age: float
+    stiffness: float  # at birth
+    stretch: float  # at `begins`, in the direction of motion
+    age: float  # at `begins`
     begins: float
-    travel: float
+    travel: float  # from there on, or time in a hold
 
 
-# -----------------------------------------------------------------------------------------
-# how contacts come in
+# ---- how contacts come in ----
 
 
 @admit.register(Recorder)
 @admit.register(Together)
 @admit.register(OneByOne)
 def _admit(
-    recorder: Recorder, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int
+    recorder: Recorder, c: Contacts, lanes: Lanes, lane: int, contact: int
 ) -> bool:
     run, averaging = recorder.run, recorder.averaging
-    x, age = enter(recorder.start, c, recorder, key, contact)
+    x, age = enter(recorder.start, c, recorder, lanes.key, contact)
     if x > run.length:
         return False
     lanes.contact[lane] = contact
@@ -165,9 +138,11 @@ def _move_lane(recorder: Recorder, source: int, target: int) -> None:
 def enter(
     start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int
 ) -> tuple[float, int]:
-    """Take a contact through what it comes in with, by the type of the start: where its
-    next life begins, infinity if that is in a later segment; and how often lives of it
-    were drawn."""
+    """Take a contact through what it comes in with, by the type of the start.
+
+    Returns where its next life begins, infinity if that is in a later segment, and how
+    often lives of it were drawn.
+    """
     return 0.0, 0
 
 
@@ -182,48 +157,41 @@ def _enter_stationary(
 def found_at_start(
     law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> float:
-    """Record what a snapshot of the stationary state finds at X = 0, by the law of
-    aging. Where that contact is pinned again."""
+    """Record what a snapshot of the stationary state finds, by the law of aging.
+
+    Returns where the contact is pinned again.
+    """
     batch, seen = contact % BATCHES, snapshot(c.newborn, c, start, key, contact)
     if not seen.pinned:
-        average(recorder, batch, 0.0, 0.0, 0.0, 0.0, seen.wait)
+        average(recorder, batch, Ramp(0.0, 0.0, 0.0, 0.0), seen.wait)
         return seen.wait
-    span = Span(
-        kappa(c.springs, seen.threshold), seen.stretch, 0.0, -seen.age, seen.length
-    )
-    broke, reborn = (
-        seen.length - seen.age,
-        seen.length - seen.age + delay_of_the_first(c, key, contact),
-    )
-    stiffness = leave_span(c, recorder, batch, span)
-    average(
-        recorder, batch, stiffness, -seen.age - seen.stretch, -seen.age, broke, reborn
-    )
+    stiffness = kappa(c.springs, seen.threshold)
+    broke = seen.length - seen.age
+    reborn = broke + delay_of_the_first(c, key, contact)
+    span = Span(stiffness, seen.stretch, 0.0, -seen.age, seen.length)
+    left = leave_span(c, recorder, batch, span)
+    ramp = Ramp(left, -seen.age - seen.stretch, -seen.age, broke)
+    average(recorder, batch, ramp, reborn)
     return reborn
 
 
 @found_at_start.register(Langevin)
 def _path_at_start(
-    law: Langevin,
-    c: Contacts,
-    start: Stationary,
-    recorder: Recorder,
-    key: Key,
-    contact: int,
+    law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> float:
-    """Try cycles of life and delay, each begun at a uniform time before X = 0 within
-    the longest one, until one is still under way: a cycle is found in proportion to its
-    length (derived). An exponential delay counts as a fixed one of the same mean: what
-    is left of it is exponential again."""
+    """Try cycles of life and delay until one is under way at X = 0.
+
+    Each has begun at a uniform time before X = 0, within the longest cycle, so that a
+    cycle is found in proportion to its length (derived). An exponential delay counts as
+    a fixed one of the same mean: what is left of it is exponential again.
+    """
     batch, delay = contact % BATCHES, c.delay.mean
     born, broke, reborn = 0.0, 0.0, 0.0
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(_MOST_CYCLES):
         rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
         age = (start.longest + delay) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
         xi, number = threshold_draw(c.thresholds, rank), 2**32 - 1 - attempt
-        path = langevin.Path(
-            key, contact, number, np.int64(0), xi, 0.0, -math.log(tick)
-        )
+        path = Path(key, contact, number, np.int64(0), xi, 0.0, -math.log(tick))
         ends, _ = leave_path(langevin.pinned(c), recorder, batch, path, -age)
         if ends + delay > 0.0:
             born, broke, reborn = -age, ends, ends + delay_of_the_first(c, key, contact)
@@ -231,7 +199,7 @@ def _path_at_start(
                 rest = residual_delay_draw(c.delay, uniforms(key, contact, 0, 0)[1])
                 broke, reborn = 0.0, rest if c.delay.random > 0.0 else ends + delay
             break
-    average(recorder, batch, c.springs.constant, born, born, broke, reborn)
+    average(recorder, batch, Ramp(c.springs.constant, born, born, broke), reborn)
     return reborn
 
 
@@ -256,8 +224,11 @@ def _enter_between(
 def go_on(
     law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
 ) -> float:
-    """Take a pinned contact through the segment, by the law of aging: where it breaks.
-    Infinity if it does not; then its state at the end is noted."""
+    """Take a pinned contact through the segment, by the law of aging.
+
+    Returns where it breaks, infinity if it does not; then its state at the end is
+    noted.
+    """
     run, stiffness = recorder.run, p.stiffness[i]
     y, age = run.sign * p.stretch[i], p.age[i] * run.ratio
     contact = Held(p.threshold[i], stiffness, y, age)
@@ -280,60 +251,51 @@ def go_on(
 def _path_goes_on(
     law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
 ) -> float:
-    run = recorder.run
-    laws = langevin.Pinned(c.barrier, c.springs, law, float(run.moves))
-    path = langevin.Path(
-        key,
-        p.first + i,
-        p.life[i],
-        p.draw[i],
-        p.threshold[i],
-        run.sign * p.stretch[i],
-        p.clock[i],
-    )
-    broke, path = leave_path(laws, recorder, 0, path, 0.0)
+    run, contact, y = recorder.run, p.first + i, recorder.run.sign * p.stretch[i]
+    path = Path(key, contact, p.life[i], p.draw[i], p.threshold[i], y, p.clock[i])
+    broke, path = leave_path(_pinned_along(law, c, run), recorder, 0, path, 0.0)
     if broke == math.inf:
         keep_path(p, run, path)
     return broke
 
 
-# ---------------------------------------------------------------------------------------
-# what lives leave there
+@routine(inline=True)
+def _pinned_along(law: Langevin, c: Contacts, run: Run) -> Pinned:
+    """Laws of contacts whose thresholds fluctuate along a segment."""
+    return Pinned(c.barrier, c.springs, law, float(run.moves))
+
+
+# ---- what lives leave there ----
 
 
 @routine(inline=True)
 def note_together(
-    recorder: Recorder,
-    c: Contacts,
-    key: Key,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    active: int,
-    full: int,
+    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Record the lives of all lanes at once. A contact's lives come in order of
-    position, so what they leave in averages is added up on the way, and noted when a
-    life crosses the edge of a window."""
-    averaging, position = recorder.averaging, lanes.position
+    """Record the lives of all lanes at once.
+
+    A contact's lives come in order of position, so what they leave in averages is added
+    up on the way, and noted when a life crosses the edge of a window.
+    """
+    averaging, position, count = recorder.averaging, lanes.position, padded(active)
     broke, reborn, edge = averaging.broke, averaging.reborn, averaging.edge
     work, pinned = averaging.work, averaging.pinned
     travel, stiffness, delay = lives.travel, lives.stiffness, lives.delay
-    for i in range(full):
+    for i in range(count):
         work[i] += 0.5 * stiffness[r, i] * travel[r, i] * travel[r, i]
         broke[i] = position[i] + travel[r, i]
     if recorder.joined:
-        for i in range(full):
+        for i in range(count):
             reborn[i] = broke[i]
-        join_uniform_ramps(recorder, position, broke, full)
+        join_uniform_ramps(recorder, position, broke, count)
     else:
-        for i in range(full):
+        for i in range(count):
             pinned[i] += travel[r, i]
             reborn[i] = broke[i] + delay[r, i]
         if c.springs.slope == 0.0:
-            leave_uniform_ramps(recorder, position, broke, full)
+            leave_uniform_ramps(recorder, position, broke, count)
         else:
-            leave_ramps(recorder, position, broke, lives, r, full)
+            leave_ramps(recorder, position, broke, lives, r, count)
     crossing = 0
     for i in range(active):
         crossing += reborn[i] > edge[i]
@@ -344,23 +306,24 @@ def note_together(
 
 
 @routine(inline=True)
+def drawn_life(lanes: Lanes, lives: Lives, r: int, i: int) -> Path:
+    """The life of round r in lane i, as it was drawn."""
+    contact, number = lanes.contact[i], ROUNDS * lanes.age[i] + r
+    xi, y, clock = lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
+    return Path(lanes.key, contact, number, np.int64(0), xi, y, clock)
+
+
+@routine(inline=True)
 def cross_edges(
     recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Note what contacts whose lives cross the edge of a window have left in it, and
-    these lives; whether any has come to the end of the segment."""
-    run, averaging, scales, ended = (
-        recorder.run,
-        recorder.averaging,
-        recorder.window_scales,
-        False,
-    )
-    edge, broke, reborn, position = (
-        averaging.edge,
-        averaging.broke,
-        averaging.reborn,
-        lanes.position,
-    )
+    """Note what contacts whose lives cross the edge of a window have left in it.
+
+    Notes these lives, too. Returns whether any has come to the end of the segment.
+    """
+    run, averaging, scales = recorder.run, recorder.averaging, recorder.window_scales
+    edge, broke, reborn = averaging.edge, averaging.broke, averaging.reborn
+    position, ended = lanes.position, False
     for i in range(active):
         if reborn[i] <= edge[i]:
             continue
@@ -369,30 +332,22 @@ def cross_edges(
         if run.averages and edge[i] > 0.5 * run.length:
             window = recorder.windows[batch, 0 if edge[i] < run.length else 1]
             elapsed = position[i] - averaging.since[i]
-            pinned = (
-                elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x
-            )  # to the last bit
-            window.area += fixed(
-                averaging.work[i] - 0.5 * stiffness * x * x, scales.area
-            )
+            # To the last bit: without delay a contact is pinned all the time.
+            pinned = elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x
+            work = averaging.work[i] - 0.5 * stiffness * x * x
+            window.area += fixed(work, scales.area)
             window.pinned += fixed(pinned, scales.pinned)
             window.elapsed += fixed(elapsed, scales.elapsed)
             window.breaks += number - averaging.lives[i]
             window.stretch += fixed(pinned, scales.stretch)
             window.travel += fixed(pinned, scales.travel)
         if run.averages:
-            average(
-                recorder,
-                batch,
-                stiffness,
-                position[i],
-                position[i],
-                broke[i],
-                reborn[i],
-            )
+            ramp = Ramp(stiffness, position[i], position[i], broke[i])
+            average(recorder, batch, ramp, reborn[i])
         recorder.lives[0] += number + 1 - averaging.lives[i]
         if reborn[i] > run.length:
-            hand_on(recorder.start, c, recorder, lanes, lives, r, i, broke[i])
+            life, delay = drawn_life(lanes, lives, r, i), lives.delay[r, i]
+            hand_on(recorder.start, c, run, life, position[i], broke[i], delay)
             reborn[i] = math.inf
             ended = True
         edge[i] = edge_after(run, reborn[i])
@@ -405,14 +360,7 @@ def cross_edges(
 
 @routine
 def note_alone(
-    recorder: Recorder,
-    c: Contacts,
-    key: Key,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    active: int,
-    full: int,
+    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     """Record the lives of the lanes one by one."""
     run, position, ended = recorder.run, lanes.position, False
@@ -420,34 +368,16 @@ def note_alone(
         born = position[i]
         if born > run.length:
             continue
-        number = ROUNDS * lanes.age[i] + r
-        batch = (lanes.contact[i] + number * run.batch_by_life) % BATCHES
-        path = langevin.Path(
-            key,
-            lanes.contact[i],
-            number,
-            np.int64(0),
-            lives.threshold[r, i],
-            lives.birth[r, i],
-            lives.clock[r, i],
-        )
-        stiffness, broke = leave_life(
-            c.aging, c, recorder, batch, path, born, lives.travel[r, i]
-        )
-        reborn = broke + lives.delay[r, i]
+        life, delay = drawn_life(lanes, lives, r, i), lives.delay[r, i]
+        travel = lives.travel[r, i]
+        stiffness, broke = leave_life(c.aging, c, recorder, life, born, travel)
+        reborn = broke + delay
         if run.averages and reborn > 0.5 * run.length:
-            average(
-                recorder,
-                batch,
-                stiffness,
-                born - lives.birth[r, i],
-                born,
-                broke,
-                reborn,
-            )
+            ramp = Ramp(stiffness, born - life.x, born, broke)
+            average(recorder, batch_of(run, life), ramp, reborn)
         recorder.lives[0] += 1
         if reborn > run.length:
-            hand_on(recorder.start, c, recorder, lanes, lives, r, i, broke)
+            hand_on(recorder.start, c, run, life, born, broke, delay)
             reborn = math.inf
             ended = True
         position[i] = reborn
@@ -456,55 +386,59 @@ def note_alone(
 
 @note_lives.register(Recorder)
 def _note_either(
-    recorder: Recorder,
-    c: Contacts,
-    key: Key,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    active: int,
-    full: int,
+    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     if recorder.alone:
-        return note_alone(recorder, c, key, lanes, lives, r, active, full)
-    return note_together(recorder, c, key, lanes, lives, r, active, full)
+        return note_alone(recorder, c, lanes, lives, r, active)
+    return note_together(recorder, c, lanes, lives, r, active)
 
 
 note_lives.register(Together)(note_together)
 note_lives.register(OneByOne)(note_alone)
 
 
+@routine(inline=True)
+def batch_of(run: Run, life: Path) -> Any:
+    """Batch of averages that a life belongs to."""
+    return (life.contact + life.life * run.batch_by_life) % BATCHES
+
+
 @by_law
 def leave_life(
-    law: Any,
-    c: Contacts,
-    recorder: Recorder,
-    batch: int,
-    drawn: langevin.Path,
-    born: float,
-    travel: float,
+    law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
 ) -> tuple[float, float]:
-    """Record a life that begins at `born` as `drawn`, by the law of aging, and is
-    carried over `travel` unless in a hold. The stiffness whose work is yet to be
-    averaged, and where the life ends."""
-    stiffness = kappa(c.springs, drawn.xi)
-    if recorder.run.moves == 0:
-        contact = Held(drawn.xi, stiffness, drawn.x, 0.0)
-        travel = time_in_hold(
-            recorder.start, c, contact, recorder.run.length - born, drawn.left
-        )
-    stiffness = leave_span(
-        c, recorder, batch, Span(stiffness, drawn.x, 0.0, born, travel)
-    )
-    return stiffness, born + travel
+    """Record a life that is born in the segment, by the law of aging.
+
+    Contacts are carried over `travel`, but for paths and in a hold. Returns the
+    stiffness whose work is yet to be averaged, and where the life ends.
+    """
+    run, stiffness = recorder.run, kappa(c.springs, life.xi)
+    if run.moves == 0:
+        contact, longest = Held(life.xi, stiffness, life.x, 0.0), run.length - born
+        travel = time_in_hold(recorder.start, c, contact, longest, life.left)
+    span = Span(stiffness, life.x, 0.0, born, travel)
+    return leave_span(c, recorder, batch_of(run, life), span), born + travel
+
+
+@leave_life.register(Langevin)
+def _leave_drawn_path(
+    law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
+) -> tuple[float, float]:
+    run, laws = recorder.run, _pinned_along(law, c, recorder.run)
+    broke, path = leave_path(laws, recorder, batch_of(run, life), life, born)
+    if broke == math.inf:
+        keep_path(recorder.start, run, path)
+    return c.springs.constant, broke
 
 
 @by_law
 def time_in_hold(
     start: Any, c: Contacts, contact: Held, longest: float, clock: float
 ) -> float:
-    """How long a contact is pinned in a hold, or infinity if that is longer than it
-    lasts; by the type of the start, as only programmes have holds."""
+    """How long a contact is pinned in a hold, by the type of the start.
+
+    Infinite if that is longer than the hold lasts. Only programmes have holds.
+    """
     return math.inf
 
 
@@ -515,73 +449,52 @@ def _time_in_hold(
     return spend(c.aging, c, contact, 0, longest, clock)[0]
 
 
-@leave_life.register(Langevin)
-def _leave_drawn_path(
-    law: Langevin,
-    c: Contacts,
-    recorder: Recorder,
-    batch: int,
-    drawn: langevin.Path,
-    born: float,
-    travel: float,
-) -> tuple[float, float]:
-    laws = langevin.Pinned(c.barrier, c.springs, law, float(recorder.run.moves))
-    broke, path = leave_path(laws, recorder, batch, drawn, born)
-    if broke == math.inf:
-        keep_path(recorder.start, recorder.run, path)
-    return c.springs.constant, broke
-
-
 @routine
 def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float:
-    """Record the force of a contact that is pinned for a span of a segment; the
-    stiffness whose work is yet to be averaged, 0 where that is done."""
+    """Record the force of a contact that is pinned for a span of a segment.
+
+    Returns the stiffness whose work is yet to be averaged, 0 where that is done.
+    """
     run, begins, stiffness = recorder.run, span.begins, span.stiffness
+    ends = begins + span.travel
     if not stiffness_varies(c.aging, c.springs):
         origin = begins - span.stretch if run.moves != 0 else -span.stretch
-        leave_ramp(recorder, stiffness, origin, begins, begins + span.travel)
+        leave_ramp(recorder, Ramp(stiffness, origin, begins, ends))
         return stiffness
-    for j in range(
-        point_at(run, begins), min(point_at(run, begins + span.travel), run.points)
-    ):
+    for j in range(point_at(run, begins), min(point_at(run, ends), run.points)):
         elapsed = max(instant(run, j) - begins, 0.0)
         x = span.stretch + elapsed * run.moves
         leave_force(recorder, j, stiffness * growth(c.aging, span.age + elapsed) * x)
-    leave_pinned(recorder, begins, begins + span.travel)
+    leave_pinned(recorder, begins, ends)
     for quarter in range(2 if run.averages else 0):
         low = max(run.length * (0.5 + 0.25 * quarter) - begins, 0.0)
         high = min(run.length * (0.75 + 0.25 * quarter) - begins, span.travel)
         if high > low:
             until = work_of(c.aging, c.aging_table, c.springs, stiffness, high)
             before = work_of(c.aging, c.aging_table, c.springs, stiffness, low)
-            recorder.windows[batch, quarter].area += fixed(
-                until - before, recorder.window_scales.area
-            )
+            work = fixed(until - before, recorder.window_scales.area)
+            recorder.windows[batch, quarter].area += work
     return 0.0
 
 
 @routine
 def leave_path(
-    laws: langevin.Pinned,
-    recorder: Recorder,
-    batch: int,
-    path: langevin.Path,
-    begins: float,
-) -> tuple[float, langevin.Path]:
-    """Follow the path of a contact whose threshold fluctuates, from `begins` on, and
-    record it. Where it breaks, or infinity if that is in a later segment, and its path
-    there. It may be on its way, stretched at the beginning."""
+    laws: Pinned, recorder: Recorder, batch: int, path: Path, begins: float
+) -> tuple[float, Path]:
+    """Record the path of a contact whose threshold fluctuates, from `begins` on.
+
+    It may be on its way, stretched at the beginning. Returns where it breaks, or
+    infinity if that is in a later segment, and its path there.
+    """
     run = recorder.run
     if laws.springs.slope == 0.0:
-        y, stiffness = path.x, laws.springs.constant
+        origin = begins - path.x if run.moves != 0 else -path.x
         longest = math.inf if run.averages else run.length - begins
-        broken, path, travel, _ = langevin.follow(laws, path, longest, langevin.STEP)
+        broken, path, travel, _ = langevin.follow(laws, path, longest, STEP)
         ends = begins + travel if broken else math.inf
         if broken and not run.averages:
             ends = min(ends, run.length)
-        leave_ramp(
-            recorder, stiffness, begins - y if run.moves != 0 else -y, begins, ends
-        )
+        leave_ramp(recorder, Ramp(laws.springs.constant, origin, begins, ends))
         return ends, path
     if run.moves == 0:
         return leave_path_at_rest(laws, recorder, path, begins)
@@ -590,15 +503,16 @@ def leave_path(
 
 @routine
 def leave_path_at_rest(
-    laws: langevin.Pinned, recorder: Recorder, path: langevin.Path, begins: float
-) -> tuple[float, langevin.Path]:
-    """`leave_path` in a hold, of a contact whose stiffness follows its threshold: steps
-    end at the instants that are recorded."""
+    laws: Pinned, recorder: Recorder, path: Path, begins: float
+) -> tuple[float, Path]:
+    """Record a path in a hold, of a contact whose stiffness follows its threshold.
+
+    Steps end at the instants that are recorded.
+    """
     run, now = recorder.run, begins
     for j in range(point_at(run, begins), run.points):
-        broken, path, elapsed, _ = langevin.follow(
-            laws, path, run.instants[j] - now, langevin.STEP
-        )
+        longest = run.instants[j] - now
+        broken, path, elapsed, _ = langevin.follow(laws, path, longest, STEP)
         if broken:
             return min(now + elapsed, run.length), path
         now = run.instants[j]
@@ -610,25 +524,18 @@ def leave_path_at_rest(
 
 @routine
 def leave_stiffening_path(
-    laws: langevin.Pinned,
-    recorder: Recorder,
-    batch: int,
-    path: langevin.Path,
-    begins: float,
-) -> tuple[float, langevin.Path]:
-    """`leave_path` of a contact whose stiffness follows its threshold: steps end at
-    grid points and at edges of windows of averages. It is not followed beyond the last
-    one."""
+    laws: Pinned, recorder: Recorder, batch: int, path: Path, begins: float
+) -> tuple[float, Path]:
+    """Record a path in motion, of a contact whose stiffness follows its threshold.
+
+    Steps end at grid points and at edges of windows of averages. The path is not
+    followed beyond the last one.
+    """
     run = recorder.run
     step, quarters, y = run.length / (run.points - 1), 0.25 * run.length, path.x
-    s, broken, j = (
-        0.0,
-        False,
-        point_at(run, begins),
-    )  # travel so far, which the stretch may not resolve
-    window = max(
-        2, math.floor(begins / quarters) + 1
-    )  # the next edge of a window is at window * quarters
+    s, broken = 0.0, False  # travel so far, which the stretch may not resolve
+    j = point_at(run, begins)
+    window = max(2, math.floor(begins / quarters) + 1)  # ends at window * quarters
     while not broken:
         if j < run.points and j * step - begins <= s:
             leave_force(recorder, j, kappa(laws.springs, path.xi) * path.x)
@@ -642,114 +549,88 @@ def leave_stiffening_path(
         stop = window * quarters - begins
         if j < run.points:
             stop = min(stop, j * step - begins)
-        broken, path, h, work = langevin.stride(laws, path, stop - s, langevin.STEP)
+        broken, path, h, work = langevin.stride(laws, path, stop - s, STEP)
         if run.averages and 2 < window < 5:
-            recorder.windows[batch, window - 3].area += fixed(
-                work, recorder.window_scales.area
-            )
+            area = fixed(work, recorder.window_scales.area)
+            recorder.windows[batch, window - 3].area += area
         reached = not broken and s + h >= stop * (1.0 - 1e-15)
         s = stop if reached else s + h
-        path = langevin.moved(
-            path, path.draw, path.xi, y + s if reached else path.x, path.left
-        )
+        x = y + s if reached else path.x
+        path = langevin.moved(path, path.draw, path.xi, x, path.left)
     ends = begins + s if broken and begins + s <= run.length else math.inf
     leave_pinned(recorder, begins, ends)
     return ends, path
 
 
-# --------------------------------------------------------------------------------------------
-# how they are handed on
+# ---- how they are handed on ----
 
 
 @by_law
 def hand_on(
     start: Any,
     c: Contacts,
-    recorder: Recorder,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    i: int,
+    run: Run,
+    life: Path,
+    born: float,
     broke: float,
+    delay: float,
 ) -> None:
-    """Note the state of a contact whose life of round r in lane i is the last one in a
-    segment, for the next one, by the type of the start."""
+    """Note the state of a contact after its last birth in a segment, for the next one.
+
+    Only a `Population` takes it.
+    """
 
 
 @hand_on.register(Population)
 def _hand_on(
     start: Population,
     c: Contacts,
-    recorder: Recorder,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    i: int,
+    run: Run,
+    life: Path,
+    born: float,
     broke: float,
+    delay: float,
 ) -> None:
-    run, contact = recorder.run, lanes.contact[i] - start.first
     if run.last:
         return
-    start.lives[contact] = ROUNDS * (lanes.age[i] + 1)
-    start.delay[contact] = lives.delay[r, i]
-    start.pinned[contact] = broke > run.length
-    start.wait[contact] = broke + lives.delay[r, i] - run.length
+    i = life.contact - start.first
+    start.lives[i] = ROUNDS * (life.life // ROUNDS + 1)
+    start.delay[i] = delay
+    start.pinned[i] = broke > run.length
+    start.wait[i] = broke + delay - run.length
     if broke > run.length:
-        keep_life(c.aging, c, recorder, lanes, lives, r, i)
+        keep_life(c.aging, c, run, start, life, born)
 
 
 @by_law
 def keep_life(
-    law: Any,
-    c: Contacts,
-    recorder: Recorder,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    i: int,
+    law: Any, c: Contacts, run: Run, p: Population, life: Path, born: float
 ) -> None:
-    """Note the state at the end of the segment of a contact that is pinned, by the law
-    of aging."""
-    run, p, contact = (
-        recorder.run,
-        recorder.start,
-        lanes.contact[i] - recorder.start.first,
-    )
-    xi, y, age = (
-        lives.threshold[r, i],
-        lives.birth[r, i],
-        run.length - lanes.position[i],
-    )
-    stiffness = kappa(c.springs, xi)
-    passed = spent(law, c, Held(xi, stiffness, y, 0.0), run.moves, age)
-    p.threshold[contact] = xi
-    p.stiffness[contact] = stiffness
-    p.stretch[contact] = run.sign * (y + run.moves * age)
-    p.clock[contact] = max(lives.clock[r, i] - passed, 0.0)
-    p.age[contact] = age
+    """Note the state of a pinned contact at the end of a segment, by law of aging."""
+    i, age = life.contact - p.first, run.length - born
+    stiffness = kappa(c.springs, life.xi)
+    contact = Held(life.xi, stiffness, life.x, 0.0)
+    p.threshold[i] = life.xi
+    p.stiffness[i] = stiffness
+    p.stretch[i] = run.sign * (life.x + run.moves * age)
+    p.clock[i] = max(life.left - spent(law, c, contact, run.moves, age), 0.0)
+    p.age[i] = age
 
 
 @keep_life.register(Langevin)
 def _keep_no_life(
-    law: Langevin,
-    c: Contacts,
-    recorder: Recorder,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    i: int,
+    law: Langevin, c: Contacts, run: Run, p: Population, life: Path, born: float
 ) -> None:
     pass  # its path is kept where it ends
 
 
 @by_law
-def keep_path(start: Any, run: Run, path: langevin.Path) -> None:
-    """Note where a path is at the end of a segment, for the next one, by the type of
-    the start."""
+def keep_path(start: Any, run: Run, path: Path) -> None:
+    """Note where a path is at the end of a segment, by the type of the start."""
 
 
 @keep_path.register(Population)
-def _keep_path(start: Population, run: Run, path: langevin.Path) -> None:
+def _keep_path(start: Population, run: Run, path: Path) -> None:
     i = path.contact - start.first
     start.threshold[i] = path.xi
     start.stretch[i] = run.sign * path.x
@@ -758,8 +639,7 @@ def _keep_path(start: Population, run: Run, path: langevin.Path) -> None:
     start.draw[i] = path.draw
 
 
-# ------------------------------------------------------------------------------------------------
-# stationary starts
+# ---- stationary starts ----
 
 
 @kernel
@@ -775,13 +655,8 @@ def begin_stationary(
         p.wait[i] = seen.wait
         if seen.pinned:
             stiffness = kappa(c.springs, seen.threshold)
-            passed = spent(
-                c.aging,
-                c,
-                Held(seen.threshold, stiffness, seen.stretch, 0.0),
-                1,
-                seen.age,
-            )
+            born = Held(seen.threshold, stiffness, seen.stretch, 0.0)
+            passed = spent(c.aging, c, born, 1, seen.age)
             p.threshold[i] = seen.threshold
             p.stiffness[i] = stiffness
             p.stretch[i] = seen.stretch + seen.age
@@ -791,13 +666,15 @@ def begin_stationary(
             p.delay[i] = delay_of_the_first(c, key, contact)
 
 
-# ----------------------------------------------------------------------------------------------
-# how long lives last
+# ---- how long lives last ----
 
 
 def waits_at_rest(c: Contacts, most: float) -> Array:
-    """How long lives last at rest, up to `most`, at 64 x 64 mid-points of equal shares
-    of thresholds and of clocks; where thresholds fluctuate roughly, and at 16 x 16."""
+    """Durations of lives at rest, up to `most`, at mid-points of equal shares.
+
+    64 x 64 shares of thresholds and clocks, or roughly 16 x 16 where thresholds
+    fluctuate.
+    """
     u, v = typical_uniforms(c)
     waits = np.empty(u.size)
     fill_waits(c, u, v, spread(u.size), most, waits)
@@ -808,20 +685,21 @@ def waits_at_rest(c: Contacts, most: float) -> Array:
 def fill_waits(
     c: Contacts, u: Array, v: Array, birth: Array, most: float, waits: Array
 ) -> None:
-    """The kernel of `waits_at_rest`; longer lives may be infinite."""
+    """Fill the durations of `waits_at_rest`; longer ones may be infinite."""
     for i in range(u.size):
         xi, y = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
-        waits[i] = wait_at_rest(
-            c.aging, c, Held(xi, kappa(c.springs, xi), y, 0.0), -math.log(v[i]), most, i
-        )
+        contact = Held(xi, kappa(c.springs, xi), y, 0.0)
+        waits[i] = wait_at_rest(c.aging, c, contact, -math.log(v[i]), most, i)
 
 
 @by_law
 def wait_at_rest(
     law: Any, c: Contacts, contact: Held, clock: float, most: float, i: int
 ) -> float:
-    """How long a life lasts at rest, by the law of aging; path i where thresholds
-    fluctuate. Infinite, or anything longer, if it is more than `most`."""
+    """Duration of a life at rest, by the law of aging; path i if thresholds fluctuate.
+
+    Infinite, or anything longer, if it is more than `most`.
+    """
     return spend(law, c, contact, 0, most, clock)[0]
 
 
@@ -831,14 +709,10 @@ def _path_at_rest(
 ) -> float:
     if not thermal(c.barrier):
         return math.inf
-    laws = langevin.Pinned(c.barrier, c.springs, c.aging, 0.0)
-    key = Key(np.uint64(0), np.uint64(0))
-    path = langevin.Path(
-        key, i, np.int64(0), np.int64(0), contact.threshold, 0.0, clock
-    )
-    broke, path, elapsed, _ = langevin.follow(
-        laws, path, min(_SEEN / law.alpha, most), langevin.STEP
-    )
-    return (
-        elapsed if broke else elapsed * (clock / (clock - path.left))
-    )  # by then the hazard grows in proportion
+    laws = Pinned(c.barrier, c.springs, c.aging, 0.0)
+    key, first = Key(np.uint64(0), np.uint64(0)), np.int64(0)
+    path = Path(key, i, first, first, contact.threshold, 0.0, clock)
+    longest = min(_RELAXED / law.alpha, most)
+    broke, path, elapsed, _ = langevin.follow(laws, path, longest, STEP)
+    # By then the hazard grows in proportion to time.
+    return elapsed if broke else elapsed * (clock / (clock - path.left))

@@ -26,7 +26,6 @@ Lengths are in units of the threshold law's scale; time is displacement at the p
 `model.reduced.Pull`.
 """
 
-import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -45,7 +44,8 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
 from eqsim.model.slip import least_slip, width_of
 from eqsim.numerics.compiled import kernel, routine
-from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.numerics.streams import TRAJECTORY, Key
+from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
@@ -95,22 +95,16 @@ _SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
 class Piece(NamedTuple):
-    """A straight piece of X(t): its duration, speed over the pace, and direction (1,
-    -1)."""
+    """A straight piece of X(t)."""
 
     duration: float
-    speed: float
-    direction: float
+    speed: float  # over the pace
+    direction: float  # 1 or -1
 
 
 @kernel
 def advance(
-    laws: Contacts,
-    piece: Piece,
-    stream: Key,
-    first: int,
-    population: Array,
-    sums: Array,
+    laws: Contacts, piece: Piece, key: Key, first: int, population: Array, sums: Array
 ) -> None:
     """Follow contacts along a piece, and add up each block of them.
 
@@ -121,13 +115,13 @@ def advance(
         begin = block * _BLOCK
         for i in range(begin, min(begin + _BLOCK, population.size)):
             contact = population[i]
-            _follow(laws, piece, stream, first + i, contact, sums[block])
+            _follow(laws, piece, key, first + i, contact, sums[block])
             _add(laws, contact, sums[block])
 
 
 @routine(inline=True)
 def _follow(
-    laws: Contacts, piece: Piece, stream: Key, number: int, contact: Any, sums: Any
+    laws: Contacts, piece: Piece, key: Key, number: int, contact: Any, sums: Any
 ) -> None:
     """Follow contact `number` along a piece."""
     left = piece.duration
@@ -138,18 +132,17 @@ def _follow(
                 contact.time_to_pinning -= left
                 return
             left -= contact.time_to_pinning
-            xi, born, clock = draw_birth(
-                laws.newborn, laws, stream, number, contact.lives
-            )
-            contact.threshold = xi
+            life = draw_birth(laws.newborn, laws, key, number, contact.lives)
+            born = life.stretch
+            contact.threshold = life.threshold
             contact.stretch = born
-            contact.clock = clock
+            contact.clock = life.clock
             contact.time_since_birth = 0.0
             contact.lives += 1
             contact.pinned = True
             contact.began_stationary = False
             if born != 0.0:
-                force = kappa(laws.springs, xi) * born
+                force = kappa(laws.springs, life.threshold) * born
                 if by_motion:
                     sums.by_motion -= force
                 else:
@@ -157,8 +150,8 @@ def _follow(
                 sums.lost -= 0.5 * force * born
         y = piece.direction * contact.stretch
         stiffness = kappa(laws.springs, contact.threshold)
-        life = Held(contact.threshold, stiffness, y, contact.time_since_birth)
-        broke, clock = spend(laws.aging, laws, life, piece.speed, left, contact.clock)
+        held = Held(contact.threshold, stiffness, y, contact.time_since_birth)
+        broke, clock = spend(laws.aging, laws, held, piece.speed, left, contact.clock)
         if broke > left:
             break
         x = y + piece.speed * broke
@@ -174,7 +167,7 @@ def _follow(
         sums.scatter += force * force
         sums.lost += 0.5 * force * x * piece.direction
         sums.breaks += 1.0
-        contact.time_to_pinning = _delay(laws, stream, number, contact)
+        contact.time_to_pinning = _delay(laws, key, number, contact)
         contact.pinned = False
         left = max(left - broke, 0.0)
     contact.clock = clock
@@ -183,11 +176,11 @@ def _follow(
 
 
 @routine
-def _delay(laws: Contacts, stream: Key, number: int, contact: Any) -> float:
+def _delay(laws: Contacts, key: Key, number: int, contact: Any) -> float:
     """Delay after the life of contact `number` that has just ended."""
     if contact.began_stationary:
-        return delay_of_the_first(laws, stream, number)
-    return delay_after(laws, stream, number, contact.lives - 1)
+        return delay_of_the_first(laws, key, number)
+    return delay_after(laws, key, number, contact.lives - 1)
 
 
 @routine(inline=True)
@@ -315,7 +308,7 @@ class Slider:
         self.pull = pull_of(ensemble, programme)
         self.laws = contacts(ensemble, self.pull.pace)
         self.drag = drag_of(ensemble, self.pull.pace)
-        self.stream = key(seed, TRAJECTORY)
+        self.key = key_of(seed, TRAJECTORY)
         self.first = first
         self.count = ensemble.count
         self.population = np.zeros(self.count, CONTACT)
@@ -324,15 +317,12 @@ class Slider:
         records = self.block_sums.view(_SUMS)[:, 0]
         threads = max(1, min(threads, blocks // _BLOCKS_PER_THREAD))
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
-        ends = [blocks * i // threads for i in range(threads + 1)]
-        self.shares = [
-            (
-                first + low * _BLOCK,
-                self.population[low * _BLOCK : high * _BLOCK],
-                records[low:high],
-            )
-            for low, high in itertools.pairwise(ends)
-        ]  # what each thread advances
+        ends = np.arange(threads + 1) * blocks // threads
+        parts = np.split(self.population, ends[1:-1] * _BLOCK)
+        begins = first + ends[:-1] * _BLOCK
+        sums_of = np.split(records, ends[1:-1])
+        # What each thread advances.
+        self.shares = list(zip(begins.tolist(), parts, sums_of, strict=True))
         self.least_slip = least_slip(law) / unit
         self.longest = longer * math.sqrt(stage.tolerance) * width_of(law) / unit
         self.tolerance = longer**2 * stage.tolerance * law.mean / unit
@@ -368,7 +358,7 @@ class Slider:
         for begin in range(0, self.count, _DRAWN_AT_ONCE):
             drawn = self.population[begin : begin + _DRAWN_AT_ONCE]
             snapshot = Population.fresh(self.first + begin, drawn.size)
-            begin_stationary(before, law, self.stream, snapshot)
+            begin_stationary(before, law, self.key, snapshot)
             drawn["began_stationary"] = snapshot.pinned
             drawn["time_to_pinning"] = snapshot.wait / speed
             drawn["time_since_birth"] = snapshot.age / speed
@@ -389,13 +379,10 @@ class Slider:
     def _follow(self, piece: Piece) -> Sums:
         """Follow all contacts along a piece. Returns sums divided by their number."""
         self.block_sums.fill(0.0)
-        moved = self.laws, piece, self.stream
+        moved = self.laws, piece, self.key
         mine, *others = self.shares
-        waiting = (
-            [self.pool.submit(advance, *moved, *share) for share in others]
-            if self.pool
-            else []
-        )
+        pool = self.pool
+        waiting = [pool.submit(advance, *moved, *share) for share in others if pool]
         advance(*moved, *mine)
         for other in waiting:
             other.result()
@@ -423,11 +410,8 @@ class Slider:
         """
         now, pull, behind = self.state, self.pull, self.behind.within(dt)
         elastic = self._elastic
-        net = (
-            pull.stiffness * (now.Y - now.X)
-            - now.sums.force
-            - elastic * behind.distance
-        )
+        net = pull.stiffness * (now.Y - now.X) - now.sums.force
+        net -= elastic * behind.distance
         gain = pull.stiffness * speed - self.breaks.r
         if pull.mass == 0.0:
             damping = self._damping(now.sums)
@@ -440,10 +424,9 @@ class Slider:
         return behind.distance + moved, V + (moved / dt - V) / theta
 
     def _fall_behind(self, dt: float, missed: float) -> Behind:
-        """What is left to make up for after a step of dt whose estimate missed F.
+        """Find what is left to make up for after a step of dt.
 
-        F was `missed` at the end of the step, and before in proportion to time in the
-        mean.
+        Its estimate `missed` F so far at its end, and before in proportion to time.
         """
         if self.pull.mass == 0.0:
             damping = self._damping(self.state.sums)
@@ -463,7 +446,7 @@ class Slider:
         )
 
     def step(self, until: float, speed: float) -> State:
-        """Make one step, not beyond the time `until`, while the stage moves at `speed`."""
+        """Make one step, not beyond time `until`, while the stage moves at `speed`."""
         now = self.state
         left = until - now.time
         dt = left if 1.2 * self.dt >= left else self.dt
@@ -480,17 +463,14 @@ class Slider:
         missed = sums.force - now.sums.force - change
         made_up = self.behind.within(dt)
         behind = self._fall_behind(dt, missed)
-        momentum = (
-            self._damping(now.sums) * made_up.distance
-            + self.pull.mass * made_up.velocity
-        )
+        momentum = self._damping(now.sums) * made_up.distance
+        momentum += self.pull.mass * made_up.velocity
         force = now.sums.force + 0.5 * change - momentum / dt
         self._account(dt, dX, speed * dt, V, sums, force)
         self.behind = behind
         self.breaks.add(dX, dt, sums, self.count)
-        self.dt = min(
-            self._next_step(dt, dt == left, missed, now), self._until_a_break()
-        )
+        allowed = self._next_step(dt, dt == left, missed, now)
+        self.dt = min(allowed, self._until_a_break())
         if dt == left:
             self.state = self.state._replace(time=until)
         return self.state
@@ -504,9 +484,7 @@ class Slider:
         sums = self.state.sums
         noise = _NOISE * math.sqrt(sums.scatter / self.count)
         error = max(abs(missed) - noise, 0.0)
-        if (
-            self.pull.mass
-        ):  # the change of the acceleration makes forces miss the balance
+        if self.pull.mass:  # a change of the acceleration makes forces miss the balance
             acceleration = (self.state.V - before.V) / dt
             elastic = self.pull.stiffness + sums.stiffness
             jump = abs(acceleration - self.acceleration)

@@ -1,5 +1,4 @@
-"""Trajectories of sliders that a stage pulls, with errors that hold what finite steps
-miss.
+"""Trajectories of sliders that a stage pulls, with errors of finite steps.
 
 Every ensemble is followed a second time in steps four times as long. What that changes
 tells how far the finite step may be wrong (`step_error`). Sliders that are always in
@@ -75,7 +74,7 @@ def _note(slider: Slider, row: np.void) -> None:
 
 
 def _in_steps(slider: Slider, instants: Array, told: Progress) -> _Run:
-    """Pull a slider through its programme, step by step; `told` gets the lives so far."""
+    """Pull a slider through its programme step by step; `told` gets lives so far."""
     course = np.zeros(instants.size, _INSTANT)
     _note(slider, course[0])
     states = [slider.state]
@@ -99,7 +98,7 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _Run:
 
 
 def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[Slip]:
-    """Slips in a record, arrays (steps,), beyond what contacts make at any X by chance."""
+    """Slips in a record, arrays (steps,), beyond what contacts make at X by chance."""
     pull = slider.pull
     noise = _SLIP_NOISE * math.sqrt(course["variance"].max())
     least = max(slider.least_slip * pull.stiffness, noise)
@@ -109,17 +108,15 @@ def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[
 
 def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
     """`_in_steps` of a slider that is quasi-static."""
-    population, pull, start = slider.population, slider.pull, slider.state
+    pull, start = slider.pull, slider.state
     loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
     stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
-    fields = (population[name] for name in ("threshold", "stretch", "lives"))
-    queue = avalanches.queue_of(*fields)
+    queue = avalanches.queue_of(slider.population)
     state = np.zeros(1, avalanches.STATE)
     now = state[0]
     now["Y"] = start.Y
     now["force"] = start.sums.force
     now["stiffness"] = start.sums.stiffness
-    contacts = slider.laws, slider.stream, slider.first, queue, state
     course = np.zeros(instants.size, _INSTANT)
     course["stage"] = stages
     course["pinned"] = 1.0
@@ -127,8 +124,9 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
     with ThreadPool(1) as thread:
         for stage, row in zip(stages, course, strict=True):
             way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
-            arguments = avalanches.EVENT, avalanches.load, *contacts, way
-            found.append(thread.submit(avalanches.events_of, *arguments).result())
+            contacts = slider.laws, slider.key, slider.first, queue, state, way
+            load = avalanches.EVENT, avalanches.load, *contacts
+            found.append(thread.submit(avalanches.events_of, *load).result())
             xi = queue.threshold[queue.contact]
             stiffness = kappa(slider.laws.springs, xi)
             stretch = now["X"] - queue.position + xi
@@ -148,10 +146,9 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
     moved = np.stack((X, X + events["distance"]), axis=1).ravel()
     twice = np.repeat(t, 2), moved, np.repeat(events["Y"], 2)
     slips = _slips(slider, course, *twice) if events.size else []
-    columns = {"t": t} | {
-        name: events[name] for name in ("X", "breaks", "drop", "distance")
-    }
-    return _Run(course, slips, slider.count + int(now["breaks"]), columns)
+    columns = {name: events[name] for name in ("X", "breaks", "drop", "distance")}
+    lives = slider.count + int(now["breaks"])
+    return _Run(course, slips, lives, {"t": t, **columns})
 
 
 def coarse_instants(segment: Array) -> Array:
@@ -187,7 +184,7 @@ def step_error(fine: Array, coarse: Array, recorded: Array) -> Array:
     return np.asarray(bound)
 
 
-def _in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Slip, ...]:
+def _slips_in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Slip, ...]:
     """Slips of all replicas in the user's units."""
     return tuple(
         replace(
@@ -204,7 +201,9 @@ def _in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Slip, ...
     )
 
 
-def _joined(runs: list[_Run], per_time: float, unit: float) -> dict[str, Array] | None:
+def _avalanches_in_units(
+    runs: list[_Run], per_time: float, unit: float
+) -> dict[str, Array] | None:
     """Avalanches of all replicas by column, in the user's units."""
     found = [run.avalanches for run in runs if run.avalanches is not None]
     if not found:
@@ -226,7 +225,7 @@ def pulled(
     threads: Threads,
     progress: Progress | None,
 ) -> SliderTrajectory:
-    """`trajectory.trajectory` of a slider that a stage pulls."""
+    """Simulate `trajectory.trajectory` of a slider that a stage pulls."""
     grid = programme.grid(points)
     unit = ensemble.thresholds.scale
     pull = pull_of(ensemble, programme)
@@ -256,61 +255,53 @@ def pulled(
     every = np.array([run.course for run in runs])
     again = np.array([run.course for run in coarse])
     mean = {name: np.mean(every[name], axis=0) for name in _INSTANT.names or ()}
-    X_std = force_std = None
-    X_stderr = np.zeros(grid.t.size)
-    stderr = np.sqrt(mean["variance"])
     delayed = ensemble.delay.time > 0
-    pinned_stderr = np.sqrt(pinned_variance(mean["pinned"], ensemble.count, delayed))
+    errors = {
+        "X": np.zeros(grid.t.size),
+        "friction": np.sqrt(mean["variance"]),
+        "pinned": np.sqrt(pinned_variance(mean["pinned"], ensemble.count, delayed)),
+    }
+    X_std = force_std = X_replicas = force_replicas = None
     if replicas > 1:
-        X_std, force_std, pinned_std = (
-            np.std(every[name], axis=0, ddof=1) for name in ("X", "friction", "pinned")
-        )
-        X_stderr = X_std / math.sqrt(replicas)
-        stderr = np.sqrt(force_std**2 / replicas)
-        pinned_stderr = pinned_std / math.sqrt(replicas)
+        std = {name: np.std(every[name], axis=0, ddof=1) for name in errors}
+        errors = {name: std[name] / math.sqrt(replicas) for name in errors}
+        errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
+        X_std, force_std = std["X"] * unit, std["friction"] * unit
+        X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
     if coarse:
-        missed_X, missed, missed_pinned = (
-            step_error(every[name], again[name], recorded)
-            for name in ("X", "friction", "pinned")
-        )
-        behind = np.abs(mean["behind"])
-        X_stderr = np.hypot(X_stderr, missed_X + behind)
-        stderr = np.hypot(stderr, missed + behind)  # of a mean stiffness <= 1
-        pinned_stderr = np.hypot(pinned_stderr, missed_pinned)
+        behind = np.abs(mean["behind"])  # and of the force, of a mean stiffness <= 1
+        for name in errors:
+            missed = step_error(every[name], again[name], recorded)
+            missed += 0.0 if name == "pinned" else behind
+            errors[name] = np.hypot(errors[name], missed)
     X, force = mean["X"] * unit, mean["friction"] * unit
+    X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
     reliable = replicas >= _ENOUGH_REPLICAS
-    segments = shown_by(
-        programme,
-        Grid(grid.t, X, grid.segment),
-        force,
-        stderr * unit,
-        reliable,
-        X_stderr * unit,
-    )
+    shown = Grid(grid.t, X, grid.segment), force, stderr, reliable, X_stderr
     energies = [mean[name] for name in ("work", "stored", "dissipated", "missed")]
     return SliderTrajectory(
         X=X,
         t=grid.t,
         force=force,
-        force_stderr=stderr * unit,
+        force_stderr=stderr,
         force_reliable=reliable,
         pinned=mean["pinned"],
-        pinned_stderr=pinned_stderr,
-        force_replica_std=None if force_std is None else force_std * unit,
-        force_replicas=None if force_std is None else every["friction"] * unit,
+        pinned_stderr=errors["pinned"],
+        force_replica_std=force_std,
+        force_replicas=force_replicas,
         lives=lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
         threads=workers,
         segment=grid.segment,
-        segments=segments,
+        segments=shown_by(programme, *shown),
         stage=mean["stage"] * unit,
         spring=pull.stiffness * (mean["stage"] - mean["X"]) * unit,
-        X_stderr=X_stderr * unit,
-        X_replica_std=None if X_std is None else X_std * unit,
-        X_replicas=None if X_std is None else every["X"] * unit,
+        X_stderr=X_stderr,
+        X_replica_std=X_std,
+        X_replicas=X_replicas,
         energy=np.stack(energies, axis=1) * unit**2,
-        slips=_in_units(runs, per_time, unit),
-        coarser_slips=_in_units(coarse, per_time, unit) if coarse else None,
-        avalanches=_joined(runs, per_time, unit),
+        slips=_slips_in_units(runs, per_time, unit),
+        coarser_slips=_slips_in_units(coarse, per_time, unit) if coarse else None,
+        avalanches=_avalanches_in_units(runs, per_time, unit),
     )

@@ -549,14 +549,8 @@ def _plainly(c: Contacts, stream: Key, index: int, size: int, stop: Array) -> Ar
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
     sums = PlainSums.empty(index * LANES, rounds, 2 * rounds, stop)
     without = c._replace(delay=Waits(c.delay.mean, 0.0))  # no sum depends on a delay
-    follow(
-        without,
-        sums,
-        stream,
-        sums.first,
-        sums.first + LANES,
-        *idle_lanes(without, stream),
-    )
+    lanes = idle_lanes(without, stream)
+    follow(without, sums, sums.first, sums.first + LANES, *lanes)
     work, travel, square, birth, size_of_work = (
         np.cumsum(part)[-1] for part in sums.parts()
     )  # one after the other
@@ -601,7 +595,7 @@ class PlainSums(NamedTuple):
 
 @admit.register(PlainSums)
 def _admit(
-    recorder: PlainSums, c: Contacts, key: Key, lanes: Lanes, lane: int, contact: int
+    recorder: PlainSums, c: Contacts, lanes: Lanes, lane: int, contact: int
 ) -> bool:
     lanes.contact[lane] = contact
     lanes.age[lane] = recorder.begin
@@ -611,14 +605,7 @@ def _admit(
 
 @note_lives.register(PlainSums)
 def _note_lives(
-    recorder: PlainSums,
-    c: Contacts,
-    key: Key,
-    lanes: Lanes,
-    lives: Lives,
-    r: int,
-    active: int,
-    full: int,
+    recorder: PlainSums, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     work, travel, square, birth, size = (
         recorder.work,
