@@ -666,17 +666,8 @@ def test_a_side_of_a_parabola():
 
     one = Parameter("thermal.kT", "log", -3.0, 30.0, 0.0)
     none = np.array([-1, -1])
-    problem = Problem(
-        Line(),
-        [one],
-        np.array([2.0, 0.0]),
-        np.full(2, 1.5),
-        none,
-        1.0,
-        none > 0,
-        None,
-        1.0,
-    )
+    value, sigma = np.array([2.0, 0.0]), np.full(2, 1.5)
+    problem = Problem(Line(), [one], value, sigma, none, np.ones(2), none > 0)
     best = minimise(problem, np.zeros(1))
     assert best.u[0] == pytest.approx(2.0, abs=1e-6)
     right = profiles.side(problem, best, 0, 1, 1.5)

@@ -22,7 +22,7 @@ from eqsim import (
 from eqsim.cli.app import app
 from eqsim.errors import InputError
 from eqsim.estimate import difference
-from eqsim.fitting.model import _other
+from eqsim.fitting.model import other_observable
 from eqsim.master.peak import first_peak
 from eqsim.workflows.peak import static_peak
 
@@ -43,10 +43,10 @@ def test_it_is_that_of_fits(ensemble):
         reference(ensemble, Drive(0.1)).friction.value,
     )
     assert found.X.value == pytest.approx(
-        _other(ensemble, 0.1, "peak_X")[0], rel=1e-12, abs=0
+        other_observable(ensemble, 0.1, "peak_X")[0], rel=1e-12, abs=0
     )
     assert found.force.value / steady == pytest.approx(
-        _other(ensemble, 0.1, "peak_ratio")[0], rel=1e-9, abs=0
+        other_observable(ensemble, 0.1, "peak_ratio")[0], rel=1e-9, abs=0
     )
 
 
