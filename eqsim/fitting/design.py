@@ -186,8 +186,8 @@ def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
     force = np.array(table.observable) == "friction"
     if not force.any():
         raise InputError(
-            "fit.data: design needs measurements of friction, whose errors it takes for "
-            "the next ones"
+            "fit.data: design needs measurements of friction, whose errors it takes "
+            "for the next ones"
         )
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
     heat = (

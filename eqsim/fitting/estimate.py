@@ -199,7 +199,7 @@ class Direction(NamedTuple):
 
 
 def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
-    """Directions in the space of the parameters' variables, the best determined first."""
+    """Directions in the space of the parameters' variables, best determined first."""
     missing = max(len(keys) - len(jacobian), 0)  # fewer measurements than parameters
     padded = np.vstack((jacobian, np.zeros((missing, len(keys)))))
     _, singular, rows = np.linalg.svd(padded, full_matrices=False)

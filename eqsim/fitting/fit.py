@@ -239,7 +239,7 @@ def _check_rows(file: RunFile, folder: Path, table: Table) -> None:
     for name in ("programme", "file", "stage"):
         if getattr(file.drive, name) is not None:
             raise InputError(
-                f"drive.{name}: not allowed with fit.data, a table of steady observables"
+                f"drive.{name}: not allowed with fit.data, a table of steady values"
             )
     file.ensemble(folder)  # what the run file itself has wrong is not a row's fault
     lines = {row.changes: row.line for row in reversed(table.rows)}
@@ -342,8 +342,8 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
     if lost and not allowed:
         raise InputError(
             f"fit.free: at the start these data do not separate {lost[-1].name} "
-            f"(eigenvalue ratio {lost[-1].ratio:.1e} < {DEGENERATE:g}); fix one of these "
-            "keys (--allow-degenerate fits all the same)"
+            f"(eigenvalue ratio {lost[-1].ratio:.1e} < {DEGENERATE:g}); fix one of "
+            "these keys (--allow-degenerate fits all the same)"
         )
     return [f"at the start these data do not separate {rung.name}" for rung in lost]
 
@@ -448,8 +448,8 @@ def _doubts(result: FitResult) -> Iterator[str]:
         for bound in (one.low, one.high):
             if abs(x - bound) < _AT_BOUND * (one.high - one.low):
                 yield (
-                    f"{one.key} is at its bound {float(one.value(bound)):g}: values and "
-                    "intervals of the other keys depend on this bound"
+                    f"{one.key} is at its bound {float(one.value(bound)):g}: values "
+                    "and intervals of the other keys depend on this bound"
                 )
         ends = [side.ends["95"] for side in result.profiles[one.key]]
         widths = [abs(end - x) for end in ends if end is not None]
@@ -461,8 +461,8 @@ def _doubts(result: FitResult) -> Iterator[str]:
             rough.append(one.key)
     if rough:
         yield (
-            f"intervals of {', '.join(rough)} end at roughness of the solver: not to be "
-            "trusted"
+            f"intervals of {', '.join(rough)} end at roughness of the solver: not to "
+            "be trusted"
         )
 
 

@@ -36,7 +36,7 @@ AVERAGES = ("friction", "pinned", "break_stretch")  # observables of `Curve`
 
 
 def velocity_of(row: Row) -> float | None:
-    """The velocity that a row of a table gives; None if it leaves that to the run file."""
+    """The velocity of a row of a table; None if it leaves that to the run file."""
     return dict(row.changes).get("drive.velocity")
 
 
@@ -48,7 +48,7 @@ class Forward(Protocol):
         """Whether they depend on the scale of force."""
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
-        """Values and errors at unit scale, arrays (measurements,). Raises InputError."""
+        """Values and errors at unit scale, (measurements,). Raises InputError."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class SteadyForward:
 
     @cached_property
     def groups(self) -> dict[Any, list[int]]:
-        """Measurements by the changes but for the velocity, and heat, that they share."""
+        """Measurements by the changes (without velocity) and heat that they share."""
         found: dict[Any, list[int]] = {}
         for index, row in enumerate(self.rows):
             rest = tuple(part for part in row.changes if part[0] != "drive.velocity")
@@ -240,22 +240,25 @@ class Problem:
         added = [values[key] * base for key, base in self.nuisance.items()]
         return np.asarray(self._factor(values) * raw + sum(added))
 
+    def _column(self, index: int, raw: Array) -> Array:
+        """What a parameter of which predictions are linear is multiplied by."""
+        scaled = np.where(self.scale_of == index, raw, 0.0)
+        return self.nuisance.get(self.keys[index], scaled)
+
     def given(self, u: Array) -> Array:
         """Predictions with every parameter as given. Raises InputError."""
         return self._combined(self.forward.predict(self.changes(u))[0], self.values(u))
 
     def solved(self, u: Array, held: int = -1) -> Solved:
-        """Solve for the linear parameters, but that of index `held`. Raises InputError."""
+        """Solve for the linear parameters but that of index `held`. Raises
+        InputError."""
         raw, error = self.forward.predict(self.changes(u))
         u, values = u.copy(), self.values(u)
-        unknown = [i for i in np.flatnonzero(self.linear) if i != held]
+        unknown = [i for i in np.flatnonzero(self.linear).tolist() if i != held]
         if unknown:
             chosen = [self.parameters[i] for i in unknown]
             rest = self._combined(raw, values | {one.key: 0.0 for one in chosen})
-            columns = [
-                self.nuisance.get(one.key, np.where(self.scale_of == i, raw, 0.0))
-                for i, one in zip(unknown, chosen, strict=True)
-            ]
+            columns = [self._column(i, raw) for i in unknown]
             best = _linear_least_squares(
                 self.white(np.array(columns).T / self.sigma[:, None]),
                 self.white((self.value - rest) / self.sigma),
@@ -284,7 +287,7 @@ class Problem:
         return np.concatenate((r, priors))
 
     def white(self, r: Array) -> Array:
-        """Residuals in standard errors, shape (measurements, ...), as independent ones."""
+        """Residuals in standard errors, (measurements, ...), as independent ones."""
         if self.correlation is None:
             return r
         rho = self.correlation.reshape(-1, *[1] * (r.ndim - 1))
@@ -303,14 +306,18 @@ class Problem:
         columns = []
         for i, one in enumerate(self.parameters):
             shift = self.step * (np.arange(u.size) == i)
+            down, up = u - shift, u + shift
             if self._exact(one):
-                down, up = u - shift, u + shift
                 low, high = (self._combined(raw, self.values(x)) for x in (down, up))
+                slope = float(one.value(up[i]) - one.value(down[i])) / (2.0 * self.step)
+                change = (high - low) / (2.0 * self.step)
+                change = np.where(self.spread, change, self._column(i, raw) * slope)
+                columns.append(change / self.sigma)
             else:
-                down = np.maximum(u - shift, np.minimum(u, self.low))
-                up = np.minimum(u + shift, np.maximum(u, self.high))
-                low, high = self.given(down), self.given(up)
-            columns.append((high - low) / (up[i] - down[i]) / self.sigma)
+                down = np.maximum(down, np.minimum(u, self.low))
+                up = np.minimum(up, np.maximum(u, self.high))
+                change = (self.given(up) - self.given(down)) / (up[i] - down[i])
+                columns.append(change / self.sigma)
         priors = [
             np.eye(u.size)[i] / one.prior.sd
             for i, one in enumerate(self.parameters)

@@ -73,7 +73,7 @@ class Posterior:
 
     @property
     def doubt(self) -> float:
-        """Standard error of the share of the posterior below an end of a 95 % interval."""
+        """Standard error of the posterior's share below an end of a 95 % interval."""
         share = SHARES["95"][0]
         return math.sqrt(share * (1.0 - share) / self.effective)
 

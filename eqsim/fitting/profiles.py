@@ -49,7 +49,7 @@ class _Point(NamedTuple):
 
 
 class _Profile:
-    """Points of a profile in the order of their distances, and how to solve for more."""
+    """Points of a profile, ordered by distance, and how to solve for more."""
 
     def __init__(self, problem: Problem, best: Minimum, index: int, sign: int) -> None:
         self.problem, self.best, self.index, self.sign = problem, best, index, sign

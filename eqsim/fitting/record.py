@@ -78,7 +78,7 @@ def read_record(path: Path, fit: Fit) -> Table:
         sigma = math.hypot(error, fit.noise.absolute, fit.noise.relative * force)
         if not sigma > 0:
             raise InputError(
-                f"{where}{record.force} has no error; give stderr > 0, or noise in [fit]"
+                f"{where}{record.force} has no error; give stderr > 0 or noise in [fit]"
             )
         if points and not t > points[-1].time:
             raise InputError(
@@ -161,7 +161,7 @@ class RecordForward:
         return replace(self, correction=correction, error=error)
 
     def settled(self, changes: dict[str, float]) -> "RecordForward":
-        """With the steps that a solve at these parameters chooses, and no correction."""
+        """With the steps that a solve at these parameters chooses, uncorrected."""
         along = self._along(changes)
         if along.programme.stage is None:
             return self
@@ -174,7 +174,7 @@ class RecordForward:
         return force[along.points]
 
     def _along(self, changes: dict[str, float]) -> _Along:
-        """Raises InputError."""
+        """What a record is predicted from at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
         file = at(self.file, keys)
         ensemble, programme = file.ensemble(self.folder), file.driven(self.folder)
@@ -241,7 +241,7 @@ def record_problem(
 
 
 class Correlation(NamedTuple):
-    """Correlation time of residuals, and of how many independent points they are worth."""
+    """Correlation time of residuals, and the number of independent points."""
 
     time: float
     effective: float

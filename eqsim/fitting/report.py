@@ -243,8 +243,8 @@ def remarks(result: FitResult) -> Iterator[str]:
         yield "NO START CONVERGED: these are no estimates"
     elif result.rejected:
         yield (
-            f"REJECTED: p < {REJECTED:g}; values and intervals are those of a model that "
-            "does not describe the data"
+            f"REJECTED: p < {REJECTED:g}; values and intervals are those of a model "
+            "that does not describe the data"
         )
     if result.correlation is not None:
         tau, effective = result.correlation
@@ -288,8 +288,8 @@ def drawn(sampled: Posterior) -> Iterator[str]:
         yield f"posterior: NOT CONVERGED, {long}: no intervals are quoted"
         return
     yield (
-        "posterior, flat in each key's variable between its bounds where it has no prior "
-        f"({long}, worth"
+        "posterior, flat in each key's variable between its bounds where it has no "
+        f"prior ({long}, worth"
     )
     yield (
         f"{sampled.effective:.0f} independent draws: the 2.5 % beyond an end are known "

@@ -253,8 +253,8 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
             if known[key] is not float:
                 kind = "text" if known[key] is str else "an integer"
                 raise InputError(
-                    f"{field}: its value is {kind}; only numbers with a fraction can be "
-                    "fitted"
+                    f"{field}: its value is {kind}; only numbers with a fraction can "
+                    "be fitted"
                 )
             value = values[key]
             _check_effect(file, key, field)
