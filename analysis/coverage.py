@@ -29,7 +29,7 @@ from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.model import Problem, problem_of
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.record import record_problem, settled
-from eqsim.fitting.section import parameters_of, scales_of, section_of
+from eqsim.fitting.section import parameters_of, section_of
 from eqsim.io.runfile import check
 
 NOISE, VELOCITIES, N = 0.05, 12, 1.0
@@ -102,9 +102,7 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
         ones,
         "",
     )
-    found = problem_of(
-        file, fit, table, parameters_of(file, fit), *scales_of(fit, [""])
-    )
+    found = problem_of(file, fit, table, parameters_of(file, fit))
     exact = found.given(found.start)
     return replace(found, value=exact, sigma=NOISE * exact)
 
@@ -169,9 +167,7 @@ def record() -> Problem:
     table = Table(
         [], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time
     )
-    found = record_problem(
-        file, fit, table, parameters_of(file, fit), scales_of(fit, [""])
-    )
+    found = record_problem(file, fit, table, parameters_of(file, fit))
     found = settled(found, found.start)
     return replace(
         found, value=found.given(found.start), correlation=np.full(time.size - 1, RHO)

@@ -3,6 +3,8 @@ its intervals are right."""
 
 import json
 import math
+import os
+import time
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -163,6 +165,17 @@ def test_a_stopped_fit_goes_on(folder, monkeypatch):
     assert again.intervals == whole.intervals
     assert again.minima[0].chi2 == whole.minima[0].chi2
     assert not list(out.iterdir())
+
+
+def test_a_stopped_fit_is_forgotten_after_a_month(folder):
+    """Its results are removed by the next fit to the same folder; those of a fit that
+    was stopped four weeks ago are not."""
+    now = time.time()
+    for name, days in (("old", 31), ("new", 28)):
+        (folder / f".unfinished-{name}").mkdir()
+        os.utime(folder / f".unfinished-{name}", (now - 86400 * days,) * 2)
+    fit(load(folder / "run.toml"), folder, starts=1, keep=folder)
+    assert [path.name for path in folder.glob(".unf*")] == [".unfinished-new"]
 
 
 def test_intervals_are_those_of_the_likelihood(folder):
@@ -667,17 +680,8 @@ def test_a_side_of_a_parabola():
 
     one = Parameter("thermal.kT", "log", -3.0, 30.0, 0.0)
     none = np.array([-1, -1])
-    problem = Problem(
-        Line(),
-        [one],
-        np.array([2.0, 0.0]),
-        np.full(2, 1.5),
-        none,
-        1.0,
-        none > 0,
-        None,
-        1.0,
-    )
+    value, sigma = np.array([2.0, 0.0]), np.full(2, 1.5)
+    problem = Problem(Line(), [one], value, sigma, none, np.ones(2), none > 0)
     best = minimise(problem, np.zeros(1))
     assert best.u[0] == pytest.approx(2.0, abs=1e-6)
     right = profiles.side(problem, best, 0, 1, 1.5)

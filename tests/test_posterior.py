@@ -43,7 +43,7 @@ def line():
         Parameter(KEYS[1], "log", -20.0, UPPER, 0.0),
     ]
     none = np.array([-1, -1])
-    return Problem(Logarithms(), parameters, MEAN, SD, none, 1.0, none > 0, None, 1.0)
+    return Problem(Logarithms(), parameters, MEAN, SD, none, np.ones(2), none > 0)
 
 
 def drawn(problem, **more):

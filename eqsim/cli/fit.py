@@ -21,7 +21,10 @@ _TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the
 _COMPARE = (
     "Another model of the same data: its chi-square, AICc and BIC beside this one's."
 )
-_POSTERIOR = "Draw from the posterior, too: posterior.parquet and a picture. Needs eqsim[posterior]."
+_POSTERIOR = (
+    "Draw from the posterior, too: posterior.parquet and a picture. "
+    "Needs eqsim[posterior]."
+)
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ def fit(
     out: Annotated[
         Path,
         Option(
-            help="Folder for fit.json, tables, pictures and the run file of the best fit."
+            help="Folder for fit.json, tables, pictures and the best fit's run file."
         ),
     ],
     options: FitOptions,
@@ -63,20 +66,25 @@ def fit(
     from eqsim.fitting import fit as fitting
     from eqsim.fitting import report
     from eqsim.fitting.posterior import posterior
-    from eqsim.io import storage
     from eqsim.io.runfile import load
+    from eqsim.io.storage import check_folder
 
-    storage.check_folder(out)
+    check_folder(out)
     if options.posterior:
         require_package("posterior", "emcee", "corner")
     other = None if options.compare is None else load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         found = fitting.fit(
-            file, data=options.data, starts=options.starts, workers=count,
-            allow_degenerate=options.allow_degenerate, keep=out, progress=progress,
-        )  # fmt: skip
+            file,
+            data=options.data,
+            starts=options.starts,
+            workers=count,
+            allow_degenerate=options.allow_degenerate,
+            keep=out,
+            progress=progress,
+        )
         rival = None
-        if options.compare is not None and other is not None:
+        if other is not None:
             rival = fitting.compared(found, other, options.starts)
     files = report.write(found, out, path.stem)
     lines, sampled = list(report.remarks(found)), None
@@ -89,13 +97,12 @@ def fit(
     if rival is not None:
         data["compare"] = {"file": str(options.compare), **rival._asdict()}
         lines.insert(1, report.quality(str(options.compare), rival))
-    lines.append(f"{out}/: {', '.join(files)}")
     shown.report(
         data,
         title=file.title or path.stem,
         columns=report.COLUMNS,
         rows=report.rows(found),
-        notes=lines,
+        notes=[*lines, f"{out}/: {', '.join(files)}"],
     )
     if found.rejected or not found.converged:
         raise Exit(1)
@@ -151,23 +158,23 @@ def design(
     require_integer("--next", options.count, 1, 1000)
     from eqsim.fitting import design as designing
 
-    found = designing.design(
-        file, options.fitted, options.key, options.count,
-        options.limits("velocity"), options.limits("temperature"),
-    )  # fmt: skip
-    data = {**found._asdict(), "steps": [step._asdict() for step in found.steps]}
+    limits = options.limits("velocity"), options.limits("temperature")
+    found = designing.design(file, options.fitted, options.key, options.count, *limits)
+    name = file.title or path.stem
     shown.report(
-        data,
-        title=f"{file.title or path.stem}: the next measurements of friction for {options.key}",
+        {**found._asdict(), "steps": [step._asdict() for step in found.steps]},
+        title=f"{name}: the next measurements of friction for {options.key}",
         columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
         rows=_steps(found),
         notes=[
-            "expected by the Fisher information at the best fit, for errors like those of the data"
+            "expected by the Fisher information at the best fit, for errors like those "
+            "of the data"
         ],
     )
 
 
 def _steps(found: "Design") -> Iterator[tuple[str, str, str, str]]:
+    """The rows of the table."""
     yield "now", "", "", f"{found.now:.3g}"
     for number, step in enumerate(found.steps, 1):
         kelvin = "" if step.temperature is None else f"{step.temperature:.4g}"

@@ -5,20 +5,22 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from eqsim.errors import InputError, meant, require_integer, require_number
 from eqsim.fitting.data import Row
 from eqsim.fitting.fit import Prepared, prepare
-from eqsim.fitting.model import Problem, SteadyForward
-from eqsim.fitting.section import variable
+from eqsim.fitting.model import Problem, velocity_of
 from eqsim.io.runfile import RunFile
 from eqsim.numerics.tables import Array
 
-_VELOCITIES, _TEMPERATURES = 41, 7  # candidates
-_BEYOND = 10.0  # how far velocities may be beyond those of the data, by default
+# Candidates between the limits.
+_VELOCITIES = 41
+_TEMPERATURES = 7
+# How far velocities may be beyond those of the data, by default.
+_BEYOND = 10.0
 
 
 class Limits(NamedTuple):
@@ -52,13 +54,14 @@ class Design(NamedTuple):
 def expected(jacobian: Array, index: int) -> float:
     """Standard deviation of a parameter by the inverse of J'J; infinite if it moves
     along a null direction."""
-    _, singular, rows = np.linalg.svd(jacobian, full_matrices=True)
-    singular = np.concatenate((singular, np.zeros(rows.shape[0] - singular.size)))
-    part = rows[:, index] ** 2
-    lost = singular <= 1e-12 * singular[0]
-    if np.any(part[lost] > 1e-12):
+    missing = max(jacobian.shape[1] - jacobian.shape[0], 0)
+    padded = np.vstack((jacobian, np.zeros((missing, jacobian.shape[1]))))
+    _, singular, rows = np.linalg.svd(padded, full_matrices=False)
+    share = rows[:, index] ** 2
+    null = singular <= 1e-12 * singular[0]
+    if np.any(share[null] > 1e-12):
         return math.inf
-    return float(np.sqrt(np.sum(part[~lost] / singular[~lost] ** 2)))
+    return float(np.sqrt(np.sum(share[~null] / singular[~null] ** 2)))
 
 
 def design(
@@ -98,56 +101,47 @@ def design(
     require_integer("next", count, 1, 1000)
     prepared = prepare(file, None, True)
     problem = prepared.problem
-    keys = [one.key for one in problem.parameters]
-    if key not in keys:
-        raise InputError(
-            f"--for {key}: is not a free key of this fit; {meant(key, keys) or 'known are ' + ', '.join(keys)}"
-        )
-    index, u = keys.index(key), _best(fitted, prepared)
+    if key not in problem.keys:
+        hint = meant(key, problem.keys) or "known are " + ", ".join(problem.keys)
+        raise InputError(f"--for {key}: is not a free key of this fit; {hint}")
+    index, u = problem.keys.index(key), _best(fitted, prepared)
     jacobian = problem.jacobian(u)
     v, T = _candidates(prepared, velocities, temperatures)
-    rows = _rows(prepared, u, v, T).jacobian(u)[: v.size]
-    now, repeated = (
-        expected(jacobian, index),
-        expected(np.vstack((jacobian, jacobian[: problem.value.size])), index),
-    )
-    steps = []
+    rows = _measurable(prepared, u, v, T).jacobian(u)[: v.size]
+    now = expected(jacobian, index)
+    again = np.vstack((jacobian, jacobian[: problem.value.size]))
+    repeated, steps = expected(again, index), []
     for _ in range(count):
         after = [expected(np.vstack((jacobian, row)), index) for row in rows]
         best = int(np.argmin(after))
         jacobian = np.vstack((jacobian, rows[best]))
         kelvin = float(T[best]) if prepared.fit.temperature is not None else None
         steps.append(Step(float(v[best]), kelvin, after[best]))
-    transform = problem.parameters[index].transform
-    name = {"log": f"ln {key}", "log1p": f"ln(1 + {key})"}.get(transform, key)
+    name = problem.parameters[index].variable_name
     return Design(key, name, now, repeated, steps)
 
 
 def _best(fitted: Path, prepared: Prepared) -> Array:
     """The parameters of a fit in a folder. Raises InputError unless it is one of these
     data and keys."""
-    path = fitted / "fit.json"
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        values, digest = (
-            {key: part["estimate"] for key, part in found["parameters"].items()},
-            found["data_sha256"],
-        )
+        found = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+        digest, known = found["data_sha256"], found["parameters"].items()
+        values = {key: float(one["estimate"]) for key, one in known}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"--fit {fitted}: holds no fit.json of `eqsim fit`") from None
     if digest != prepared.table.sha256:
         raise InputError(
             f"--fit {fitted}: is a fit of other data than fit.data of the run file"
         )
-    parameters = prepared.problem.parameters
-    if values.keys() != {one.key for one in parameters}:
+    problem = prepared.problem
+    if values.keys() != set(problem.keys):
+        keys = ", ".join(values)
         raise InputError(
-            f"--fit {fitted}: has other free keys than the run file: {', '.join(values)}"
+            f"--fit {fitted}: has other free keys than the run file: {keys}"
         )
-    u = np.array(
-        [variable(one.transform, float(values[one.key])) for one in parameters]
-    )
-    return np.clip(u, prepared.problem.low, prepared.problem.high)
+    u = [one.variable(values[one.key]) for one in problem.parameters]
+    return np.clip(u, problem.low, problem.high)
 
 
 def _candidates(
@@ -156,59 +150,51 @@ def _candidates(
     """Velocities and temperatures, arrays (candidates,); the run file's temperature
     without a column of them."""
     table = prepared.table
-    measured = [dict(row.changes).get("drive.velocity") for row in table.rows]
-    known = np.array([v for v in measured if v is not None])
+    known = [v for v in map(velocity_of, table.rows) if v is not None]
     if velocities is None:
-        if not known.size:
+        if not known:
             raise InputError(
                 "--velocity: is required, as the data have no column drive.velocity"
             )
-        velocities = Limits(float(known.min()) / _BEYOND, float(known.max()) * _BEYOND)
+        velocities = Limits(min(known) / _BEYOND, max(known) * _BEYOND)
     if temperatures is not None and prepared.fit.temperature is None:
         raise InputError(
-            "--temperature: not allowed without fit.temperature, the column of temperatures"
+            "--temperature: not allowed without fit.temperature, their column"
         )
-    limits = temperatures or Limits(
-        float(table.temperatures.min()), float(table.temperatures.max())
-    )
-    for name, (low, high) in (("--velocity", velocities), ("--temperature", limits)):
-        require_number(name, low, above=0)
-        require_number(name, high, above=0)
+    measured = table.temperatures.tolist()
+    temperatures = temperatures or Limits(min(measured), max(measured))
+    for name, limits in (("velocity", velocities), ("temperature", temperatures)):
+        low, high = limits
+        require_number(f"--{name}", low, above=0)
+        require_number(f"--{name}", high, above=0)
         if low > high:
             raise InputError(
-                f"{name} {low:g},{high:g}: the first must not be larger than the second"
+                f"--{name} {low:g},{high:g}: the first must not be larger than the "
+                "second"
             )
     v = np.geomspace(*velocities, _VELOCITIES if velocities[0] < velocities[1] else 1)
-    T = np.linspace(*limits, _TEMPERATURES if limits[0] < limits[1] else 1)
+    several = temperatures[0] < temperatures[1]
+    T = np.linspace(*temperatures, _TEMPERATURES if several else 1)
     return np.tile(v, T.size), np.repeat(T, v.size)
 
 
-def _rows(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
+def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
     """A problem whose measurements are the candidates, with the relative error of the
-    data."""
+    data. Raises InputError unless these have a friction."""
     problem, table, fit = prepared.problem, prepared.table, prepared.fit
-    forward = problem.forward
-    assert isinstance(forward, SteadyForward)
     force = np.array(table.observable) == "friction"
     if not force.any():
         raise InputError(
-            "fit.data: design needs measurements of friction, whose errors it takes for the next ones"
+            "fit.data: design needs measurements of friction, whose errors it takes "
+            "for the next ones"
         )
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
-    reference = fit.reference_temperature or 1.0
+    heat = (
+        T / (fit.reference_temperature or 1.0) if fit.temperature else np.ones(T.size)
+    )
     rows = [
-        Row(
-            (("drive.velocity", float(a)),),
-            float(b) / reference if fit.temperature is not None else 1.0,
-            table.sets[0],
-        )
-        for a, b in zip(v, T, strict=True)
+        Row((("drive.velocity", speed),), warmth, table.sets[0])
+        for speed, warmth in zip(v.tolist(), heat.tolist(), strict=True)
     ]
-    there = SteadyForward(forward.file, rows, np.arange(v.size), ["friction"] * v.size)
-    first = int(np.flatnonzero(force)[0])
-    free = problem.scale_of[first]
-    blank = Problem(
-        there, problem.parameters, np.ones(v.size), np.ones(v.size), np.full(v.size, min(free, 0)),
-        problem.fixed_scale, np.zeros(v.size, bool), problem.count, problem.stiffness, loss=problem.loss,
-    )  # fmt: skip
+    blank = problem.elsewhere(int(np.argmax(force)), rows)
     return replace(blank, sigma=relative * blank.given(u))

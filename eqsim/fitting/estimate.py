@@ -3,9 +3,9 @@ ladder of directions."""
 
 import math
 import pickle
-import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,9 +19,12 @@ from eqsim.io.storage import publish
 from eqsim.master.slider import TooManySteps
 from eqsim.numerics.tables import Array
 
-# ratio of eigenvalues of J'J below which a direction is not determined
+# Ratio of eigenvalues of J'J below which a direction is not determined.
 DEGENERATE = 1e-7
-_SAME = 0.1  # of chi-square: minima that differ by less are one
+# Minima whose chi-square differs by less are the same one.
+SAME_MINIMUM = 0.1
+# Relative changes of chi-square, parameters and gradient at which a search ends.
+_TOLERANCE = 1e-8
 
 
 class Minimum(NamedTuple):
@@ -37,166 +40,149 @@ class Minimum(NamedTuple):
 def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
     """Least squares from `u`, the parameter of index `held` as it is there; the linear
     ones need no start."""
-    active = np.array(
-        [i for i in range(u.size) if i != held and not problem.linear[i]], int
-    )
+    searched = np.flatnonzero(~problem.linear & (np.arange(u.size) != held))
+    low, high = problem.low[searched], problem.high[searched]
     known: dict[bytes, Array] = {}  # least squares ask twice
 
     def residuals(x: Array) -> Array:
         if x.tobytes() not in known:
             full = u.copy()
-            full[active] = x
+            full[searched] = x
             known[x.tobytes()] = problem.residuals(full, held)
         return known[x.tobytes()]
 
     def jacobian(x: Array) -> Array:
         columns = []
-        for i, j in enumerate(active):
-            step = (
-                problem.step
-                if x[i] + problem.step <= problem.high[j]
-                else -problem.step
-            )
+        for i, value in enumerate(x):
+            step = problem.step if value + problem.step <= high[i] else -problem.step
             moved, other = x.copy(), x.copy()
             moved[i] += step
             if problem.central:
-                other[i] = min(max(x[i] - step, problem.low[j]), problem.high[j])
-            columns.append(
-                (residuals(moved) - residuals(other)) / (moved[i] - other[i])
-            )
+                other[i] = min(max(value - step, low[i]), high[i])
+            change = residuals(moved) - residuals(other)
+            columns.append(change / (moved[i] - other[i]))
         return np.array(columns).T
 
-    if not active.size:
-        r = residuals(u[active])
-        return Minimum(problem.solved(u, held)[0], float(r @ r), True, 1)
-    low, high = problem.low[active], problem.high[active]
-    inside = np.clip(u[active], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    if not searched.size:
+        r = residuals(u[searched])
+        return Minimum(problem.solved(u, held).u, float(r @ r), True, 1)
+    inset = 1e-9 * (high - low)
     found = optimize.least_squares(
         residuals,
-        inside,
+        np.clip(u[searched], low + inset, high - inset),
         jacobian,
         (low, high),
-        ftol=1e-8,
-        xtol=1e-8,
-        gtol=1e-8,
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        gtol=_TOLERANCE,
         max_nfev=200,
     )
     full = u.copy()
-    full[active] = found.x
+    full[searched] = found.x
     chi2 = 2.0 * float(found.cost)
     refused = chi2 > 0.9 * REFUSED**2
     if not refused:
-        full = problem.solved(full, held)[0]
+        full = problem.solved(full, held).u
     return Minimum(full, chi2, found.status > 0 and not refused, len(known))
 
 
 def starts(problem: Problem, count: int, seed: int) -> list[Array]:
     """The run file's values, and others spread evenly between the bounds."""
-    if count == 1:
-        return [problem.start]
-    sampler = qmc.LatinHypercube(
-        len(problem.parameters), rng=np.random.default_rng(seed)
-    )
-    spread = problem.low + (problem.high - problem.low) * sampler.random(count - 1)
-    return [problem.start, *spread]
+    rng = np.random.default_rng(seed)
+    sampler = qmc.LatinHypercube(len(problem.parameters), rng=rng)
+    width = problem.high - problem.low
+    return [problem.start, *(problem.low + width * sampler.random(count - 1))]
 
 
 def check_starts(problem: Problem, every: list[Array]) -> None:
     """Raise InputError where the reference refuses, and say which key and bound it
     takes."""
     for u in every:
-        try:
-            problem.parts(u)
-        except TooManySteps:  # as far from the data as may be, but no mistake
+        error = _refusal(problem, u)
+        if error is None:
             continue
-        except InputError as error:
-            for i, one in enumerate(problem.parameters):
-                other = u.copy()
-                other[i] = problem.start[i]
-                if u is every[0] or one.linear or other[i] == u[i]:
-                    continue
-                try:
-                    problem.parts(other)
-                except InputError:
-                    continue
-                side = "upper" if u[i] > problem.start[i] else "lower"
-                bound = float(one.value(one.high if side == "upper" else one.low))
+        for i, one in enumerate(problem.parameters):
+            nearer = np.where(np.arange(u.size) == i, problem.start, u)
+            if u is every[0] or one.linear or nearer[i] == u[i]:
+                continue
+            if _refusal(problem, nearer) is None:
+                upper = u[i] > problem.start[i]
+                side, bound = ("upper", one.high) if upper else ("lower", one.low)
                 raise InputError(
-                    f"fit.free.{one.key}: the reference refuses a start at {float(one.value(u[i])):.4g}; its {side} "
-                    f"bound {bound:g} must be nearer ({error})"
-                ) from None
-            raise InputError(
-                f"fit.free: the reference refuses the start ({error})"
-            ) from None
+                    f"fit.free.{one.key}: the reference refuses a start at "
+                    f"{float(one.value(u[i])):.4g}; its {side} bound "
+                    f"{float(one.value(bound)):g} must be nearer ({error})"
+                )
+        raise InputError(f"fit.free: the reference refuses the start ({error})")
 
 
-class Kept(NamedTuple):
-    """Results of finished tasks in a folder, for a computation that is stopped and
-    begun again; in none, they are not kept. Tasks are known by a name and their number,
-    so the folder must belong to one computation."""
-
-    folder: Path | None
-
-    def get(self, name: str, index: int) -> Any:
-        """The result, None where there is none."""
-        file = (
-            self.folder / f"{name}-{index}.pickle" if self.folder is not None else None
-        )
-        return (
-            pickle.loads(file.read_bytes())
-            if file is not None and file.is_file()
-            else None
-        )
-
-    def put(self, name: str, index: int, result: Any) -> None:
-        """Keep a result. Raises InputError if it cannot be written."""
-        if self.folder is not None:
-            publish(self.folder, {f"{name}-{index}.pickle": pickle.dumps(result)})
-
-    def clear(self) -> None:
-        """Remove all."""
-        if self.folder is not None:
-            shutil.rmtree(self.folder, ignore_errors=True)
+def _refusal(problem: Problem, u: Array) -> InputError | None:
+    """Why the reference has no predictions; None if it has."""
+    try:
+        problem.given(u)
+    except TooManySteps:  # as far from the data as may be, but no mistake
+        return None
+    except InputError as error:
+        return error
+    return None
 
 
-_NOT_KEPT = Kept(None)
+@dataclass(frozen=True)
+class Tasks:
+    """How independent tasks are computed, and where their results are kept for a
+    computation that is stopped and begun again.
+
+    Attributes
+    ----------
+    executor : Executor or None
+        By default this process computes them, one after the other.
+    folder : Path or None
+        Where results are kept, by the name and number of their tasks: the folder must
+        belong to one computation.
+    """
+
+    executor: Executor | None = None
+    folder: Path | None = None
+
+    def results(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        tasks: Sequence[tuple[Any, ...]],
+        done: Callable[[], None] = lambda: None,
+    ) -> list[Any]:
+        """Results in the order of the tasks, whoever computes them; those that are kept
+        are not computed again. Raises InputError if one cannot be kept."""
+        found: dict[int, Any] = {}
+        for index in range(len(tasks)):
+            file = self.folder / f"{name}-{index}.pickle" if self.folder else None
+            if file is not None and file.is_file():
+                found[index] = pickle.loads(file.read_bytes())
+                done()
+
+        def keep(index: int, result: Any) -> None:
+            found[index] = result
+            if self.folder is not None:
+                publish(self.folder, {f"{name}-{index}.pickle": pickle.dumps(result)})
+            done()
+
+        missing = [index for index in range(len(tasks)) if index not in found]
+        if self.executor is None:
+            for index in missing:
+                keep(index, function(*tasks[index]))
+        else:
+            submit = self.executor.submit
+            futures = {submit(function, *tasks[index]): index for index in missing}
+            for future in as_completed(futures):
+                keep(futures[future], future.result())
+        return [found[index] for index in range(len(tasks))]
 
 
-def together(
-    function: Callable[..., Any],
-    tasks: Iterable[tuple[Any, ...]],
-    executor: Executor | None,
-    done: Callable[[], None] = lambda: None,
-    kept: tuple[Kept, str] = (_NOT_KEPT, ""),
-) -> list[Any]:
-    """Results of independent tasks, in order, whoever computes them; those that are
-    `kept` are not computed again."""
-    every, (store, name) = list(tasks), kept
-    found = [store.get(name, index) for index in range(len(every))]
-
-    def keep(index: int, result: Any) -> None:
-        found[index] = result
-        store.put(name, index, result)
-        done()
-
-    missing = [index for index, result in enumerate(found) if result is None]
-    for _ in range(len(every) - len(missing)):
-        done()
-    if executor is None:
-        for index in missing:
-            keep(index, function(*every[index]))
-    else:
-        futures = {executor.submit(function, *every[index]): index for index in missing}
-        for future in as_completed(futures):
-            keep(futures[future], future.result())
-    return found
-
-
-def different(minima: list[Minimum]) -> list[Minimum]:
+def different(minima: Sequence[Minimum]) -> list[Minimum]:
     """Those that converged, the best first, of equal ones only one."""
     found: list[Minimum] = []
     for one in sorted((m for m in minima if m.converged), key=lambda m: m.chi2):
-        if not any(abs(one.chi2 - other.chi2) < _SAME for other in found):
+        if not any(abs(one.chi2 - other.chi2) < SAME_MINIMUM for other in found):
             found.append(one)
     return found
 
@@ -213,19 +199,17 @@ class Direction(NamedTuple):
 
 
 def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
-    """Directions in the space of the parameters' variables, the best determined first."""
-    _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
-    if rows.shape[0] < len(keys):  # fewer measurements than parameters
-        rows = np.linalg.svd(jacobian)[2]
-        singular = np.append(singular, np.zeros(len(keys) - singular.size))
-    values = singular**2
+    """Directions in the space of the parameters' variables, best determined first."""
+    missing = max(len(keys) - len(jacobian), 0)  # fewer measurements than parameters
+    padded = np.vstack((jacobian, np.zeros((missing, len(keys)))))
+    _, singular, rows = np.linalg.svd(padded, full_matrices=False)
     found = []
-    for value, row in zip(values, rows, strict=True):
+    for value, row in zip((singular**2).tolist(), rows, strict=True):
         row = row * np.sign(row[np.argmax(np.abs(row))])
         sd = 1.0 / math.sqrt(value) if value > 0 else math.inf
         components = dict(zip(keys, row.tolist(), strict=True))
-        ratio = float(value / values[0]) if values[0] > 0 else 0.0
-        found.append(Direction(float(value), ratio, sd, components, _name(components)))
+        ratio = value / singular[0] ** 2 if value > 0 else 0.0
+        found.append(Direction(value, float(ratio), sd, components, _name(components)))
     return found
 
 
@@ -233,10 +217,11 @@ def _name(components: dict[str, float]) -> str:
     """Which keys a direction moves, as powers of the one that moves most: "thermal.kT
     up, fit.scale down as its 0.9th power" in short."""
     order = sorted(components.items(), key=lambda item: -abs(item[1]))
-    lead = order[0][1]
-    shown = [(key, part / lead) for key, part in order if abs(part / lead) > 0.1]
+    powers = {key: part / order[0][1] for key, part in order}
     return " * ".join(
-        f"{key}^{power:+.2g}" if power != 1.0 else key for key, power in shown
+        key if power == 1.0 else f"{key}^{power:+.2g}"
+        for key, power in powers.items()
+        if abs(power) > 0.1
     )
 
 

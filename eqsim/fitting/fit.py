@@ -2,8 +2,9 @@
 
 import hashlib
 import math
-from collections.abc import Callable
-from concurrent.futures import Executor
+import shutil
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from scipy import stats
 from eqsim.errors import InputError, require_integer
 from eqsim.fitting import estimate, profiles, symmetry
 from eqsim.fitting.data import Table, read_table
-from eqsim.fitting.estimate import DEGENERATE, Direction, Kept, Minimum
+from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum, Tasks
 from eqsim.fitting.model import STUDENT, Problem, problem_of
 from eqsim.fitting.record import (
     Correlation,
@@ -23,19 +24,27 @@ from eqsim.fitting.record import (
     record_problem,
     search,
 )
-from eqsim.fitting.section import Fit, Parameter, parameters_of, scales_of, section_of
+from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.numerics.tables import Array
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.workers import Workers
 
-REJECTED = 1e-3  # p below which a model is rejected
-_FLOOR = 0.1  # of a standard error, what the solver may miss
-_ROUGH = 0.1  # of a standard deviation, half of a 95 % interval that data cannot have
-_AT_BOUND = 1e-3  # of the distance of bounds
-_AGAIN = 3  # times that a profile may find a better fit
-_WHITENED = 2  # times that residuals tell the correlation of errors
+# p below which a model is rejected.
+REJECTED = 1e-3
+# Error of the solver over that of a measurement from which on there is a warning.
+_NOISE_FLOOR = 0.1
+# Half of a 95 % interval over the standard deviation, which data cannot make smaller.
+_NARROW = 0.1
+# Distance from a bound, over that of the bounds, at which a parameter is there.
+_AT_BOUND = 1e-3
+# How often a profile may find a better fit.
+_MOST_FITS = 3
+# How often residuals tell the correlation of errors.
+_WHITENED = 2
+# Seconds after which results of a fit that was stopped are removed, 30 days.
+_FORGOTTEN = 30 * 86400.0
 
 Progress = Callable[[int, float], None]
 
@@ -91,7 +100,6 @@ class FitResult:
     floor : float
         Largest error of the solver over that of a measurement.
     warnings : tuple of str
-    seed : int
     correlation : Correlation or None
         Of the errors of a record.
     """
@@ -109,40 +117,35 @@ class FitResult:
     profiles: dict[str, tuple[profiles.Side, profiles.Side]]
     floor: float
     warnings: tuple[str, ...]
-    seed: int
     correlation: Correlation | None = None
-
-    @property
-    def folder(self) -> Path:
-        """The folder in which paths in the run file start."""
-        return self.file.folder
 
     @property
     def values(self) -> dict[str, float]:
         """The best value of each parameter."""
-        return {
-            one.key: float(one.value(x))
-            for one, x in zip(self.problem.parameters, self.best.u, strict=True)
-        }
+        return self.problem.values(self.best.u)
+
+    @property
+    def seed(self) -> int:
+        """What draws starts and posterior."""
+        return self.file.output.seed
+
+    @property
+    def changes(self) -> dict[str, float]:
+        """The best values of the free keys of the run file."""
+        best = self.values.items()
+        return {key: value for key, value in best if not key.startswith("fit.")}
 
     def to_pandas(self) -> Any:
         """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 %
         intervals (None: open) and status."""
         import pandas as pd
 
-        ends = {
-            f"{side}_{level}": (level, i)
-            for level in ("68", "95")
-            for i, side in enumerate(("low", "high"))
-        }
-        rows = {
-            one.key: {
-                "estimate": one.estimate,
-                **{name: one.intervals[level][i] for name, (level, i) in ends.items()},
-                "status": one.status,
-            }
-            for one in self.intervals
-        }
+        rows = {}
+        for one in self.intervals:
+            ends = {}
+            for level, pair in one.intervals.items():
+                ends[f"low_{level}"], ends[f"high_{level}"] = pair
+            rows[one.key] = {"estimate": one.estimate, **ends, "status": one.status}
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def plot(self) -> Any:
@@ -153,15 +156,14 @@ class FitResult:
         return fit_figure(self, self.file.title)
 
     def __repr__(self) -> str:
-        found = [f"{one.key} {one.estimate:.4g} {one.status}" for one in self.intervals]
-        quality = f"chi-square {self.goodness.chi2:.4g} of {self.goodness.dof} degrees of freedom"
-        return (
-            f"FitResult({', '.join([*found, quality, *['REJECTED'] * self.rejected])})"
-        )
+        good = self.goodness
+        said = [f"{one.key} {one.estimate:.4g} {one.status}" for one in self.intervals]
+        said.append(f"chi-square {good.chi2:.4g} of {good.dof} degrees of freedom")
+        said += ["REJECTED"] * self.rejected
+        return f"FitResult({', '.join(said)})"
 
     def _repr_html_(self) -> str:
-        shown: str = self.to_pandas().to_html()
-        return shown
+        return str(self.to_pandas().to_html())
 
     @property
     def converged(self) -> bool:
@@ -190,21 +192,19 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
     free = parameters_of(file, section)
     table = _measured(file, section, data)
     _ = file.ensemble
-    scales, _ = scales_of(section, table.sets)
-    if scales and not any(
-        name in ("friction", "force_std") for name in table.observable
-    ):
+    scales, _ = section.scales(table.sets)
+    if scales and not {"friction", "force_std"} & set(table.observable):
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")
     count, needed = table.value.size, len(free) + max(1, len(scales))
     if count < needed:
         raise InputError(
-            f"fit.data: has {count} measurements for {len(free)} free keys; at least {needed} are needed"
+            f"fit.data: has {count} measurements for {len(free)} free keys; "
+            f"at least {needed} are needed"
         )
     seen = {"record"} if table.time is not None else set(table.observable)
     loose = [one for one in free if one.prior is None]
-    warnings = symmetry.check(
-        symmetry.refused(file, loose, bool(scales), seen), allow_degenerate
-    )
+    reasons = symmetry.refused(file, loose, bool(scales), seen)
+    warnings = symmetry.check(reasons, allow_degenerate)
     problem = _problem(file, section, table)
     return Prepared(section, table, problem, warnings)
 
@@ -212,50 +212,33 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
 def _measured(file: RunFile, section: Fit, data: Path | None) -> Table:
     """The measurements. Raises InputError."""
     if section.record is not None:
-        return read_record(
-            data or path_of("fit.record.file", file.folder, section.record.file),
-            section,
-        )
+        path = data or path_of("fit.record.file", file.folder, section.record.file)
+        return read_record(path, section)
     if data is None and section.data is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
-    table = read_table(
-        data or path_of("fit.data", file.folder, str(section.data)), file, section
-    )
-    _check_drive(file, table)
+    path = data or path_of("fit.data", file.folder, str(section.data))
+    table = read_table(path, file, section)
     _check_rows(file, table)
     return table
 
 
 def _problem(file: RunFile, section: Fit, table: Table) -> Problem:
-    """Of a table or a record. Raises InputError."""
-    free, scales = parameters_of(file, section), scales_of(section, table.sets)
-    if table.time is not None:
-        return record_problem(file, section, table, free, scales)
-    return problem_of(file, section, table, free, *scales)
-
-
-def _check_drive(file: RunFile, table: Table) -> None:
-    """Raise InputError unless every measurement has a velocity, and it is constant."""
-    for name in ("programme", "file", "stage"):
-        if file[f"drive.{name}"] is not None:
-            raise InputError(
-                f"drive.{name}: not allowed with fit.data, a table of steady observables"
-            )
-    if file["drive.velocity"] is None and not all(
-        "drive.velocity" in dict(row.changes) for row in table.rows
-    ):
-        raise InputError(
-            "drive.velocity: is required, in the run file or in every line of the data"
-        )
+    """The fit of a table or a record. Raises InputError."""
+    make = problem_of if table.time is None else record_problem
+    return make(file, section, table, parameters_of(file, section))
 
 
 def _check_rows(file: RunFile, table: Table) -> None:
-    """Raise InputError, with the line, for a row whose values no ensemble or drive can
-    have."""
+    """Raise InputError, with the line, for a row whose values no ensemble or constant
+    drive can have."""
+    for name in ("programme", "file", "stage"):
+        if file[f"drive.{name}"] is not None:
+            raise InputError(
+                f"drive.{name}: not allowed with fit.data, a table of steady values"
+            )
     _ = file.ensemble  # what the run file itself has wrong is not a row's fault
-    for changes, line in {
-        row.changes: row.line for row in reversed(table.rows)
-    }.items():
+    lines = {row.changes: row.line for row in reversed(table.rows)}
+    for changes, line in lines.items():
         try:
             there = at(file, dict(changes))
             _ = there.ensemble, there.constant_drive
@@ -293,7 +276,7 @@ def fit(
         Processes; they change speed, never a number.
     keep : Path, optional
         A folder for finished least-squares fits: the same fit, if it was stopped, goes
-        on from these, and removes them when it is finished.
+        on from these within 30 days, and removes them when it is finished.
     progress : callable, optional
         `progress(done, total)` counts least-squares fits.
 
@@ -310,53 +293,51 @@ def fit(
     require_integer("starts", starts, 1, 1000)
     require_integer("workers", workers, 1, 1024)
     file = opened(file, folder)
-    prepared = prepare(file, None if data is None else Path(data), allow_degenerate)
-    problem = prepared.problem
-    every = estimate.starts(problem, starts, file.output.seed)
-    estimate.check_starts(problem, every)
-    warnings = prepared.warnings + _singular(problem, allow_degenerate)
+    path = None if data is None else Path(data)
+    prepared = prepare(file, path, allow_degenerate)
+    every = estimate.starts(prepared.problem, starts, file.output.seed)
+    estimate.check_starts(prepared.problem, every)
+    prepared.warnings.extend(_singular(prepared.problem, allow_degenerate))
+    unfinished = None
+    if keep is not None:
+        unfinished = _unfinished(Path(keep), _identity(file, prepared, every))
     with Workers(workers).executor() as executor:
-        kept = Kept(
-            None
-            if keep is None
-            else Path(keep) / f".unfinished-{_identity(file, prepared, every)}"
-        )
-        result = _fitted(
-            file,
-            prepared._replace(warnings=warnings),
-            every,
-            (executor, kept),
-            progress,
-        )
-        kept.clear()
+        tasks = Tasks(executor, unfinished)
+        result = _fitted(file, prepared, every, tasks, progress)
+        if unfinished is not None:
+            shutil.rmtree(unfinished, ignore_errors=True)
         return result
 
 
 def _identity(file: RunFile, prepared: Prepared, every: list[Array]) -> str:
     """A digest of what the numbers of a fit depend on, and of the release of eqsim,
     whose pickled objects are kept."""
-    release = storage.versions()["eqsim"]
-    parts = [
-        release,
-        str(RESULTS_VERSION),
-        storage.to_json(file.settings),
-        prepared.table.sha256,
-    ]
-    digest = hashlib.sha256(" ".join(parts).encode() + np.array(every).tobytes())
-    return digest.hexdigest()[:16]
+    release, digest = storage.versions()["eqsim"], prepared.table.sha256
+    parts = [release, str(RESULTS_VERSION), storage.to_json(file.settings), digest]
+    content = " ".join(parts).encode() + np.array(every).tobytes()
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _unfinished(out: Path, identity: str) -> Path:
+    """The folder for results of a fit that may be stopped. Those that no fit has added
+    to for long are removed."""
+    for old in out.glob(".unfinished-*"):
+        if time.time() - old.stat().st_mtime > _FORGOTTEN:
+            shutil.rmtree(old, ignore_errors=True)
+    return out / f".unfinished-{identity}"
 
 
 def _singular(problem: Problem, allowed: bool) -> list[str]:
     """What cannot be told apart at the start, by the eigenvalues of J'J. Raises
     InputError unless it is allowed."""
-    u, *_ = problem.solved(problem.start)
-    keys = [one.key for one in problem.parameters]
-    rungs = estimate.ladder(keys, problem.unitless(problem.jacobian(u)))
+    jacobian = problem.jacobian(problem.solved(problem.start).u)
+    rungs = estimate.ladder(problem.keys, problem.unitless(jacobian))
     lost = [rung for rung in rungs if rung.ratio < DEGENERATE]
     if lost and not allowed:
         raise InputError(
-            f"fit.free: at the start these data do not separate {lost[-1].name} (eigenvalue ratio "
-            f"{lost[-1].ratio:.1e} < {DEGENERATE:g}); fix one of these keys (--allow-degenerate fits all the same)"
+            f"fit.free: at the start these data do not separate {lost[-1].name} "
+            f"(eigenvalue ratio {lost[-1].ratio:.1e} < {DEGENERATE:g}); fix one of "
+            "these keys (--allow-degenerate fits all the same)"
         )
     return [f"at the start these data do not separate {rung.name}" for rung in lost]
 
@@ -365,13 +346,14 @@ def _fitted(
     file: RunFile,
     prepared: Prepared,
     every: list[Array],
-    computed: tuple[Executor | None, Kept],
+    tasks: Tasks,
     progress: Progress,
 ) -> FitResult:
+    """Least squares from every start, and profiles about the best one, which is sought
+    again from where a profile finds a better one."""
     section, table, problem, warnings = prepared
-    executor, kept = computed
-    parameters = problem.parameters
-    total, done = len(every) + 2 * len(parameters), 0
+    number = len(problem.parameters)
+    total, done = len(every) + 2 * number, 0
 
     def count() -> None:
         nonlocal done
@@ -380,171 +362,147 @@ def _fitted(
 
     progress(0, total)
     first = estimate.minimise if table.time is None else search
-    minima = estimate.together(
-        first, [(problem, u) for u in every], executor, count, (kept, "start")
-    )
+    minima = tasks.results("start", first, [(problem, u) for u in every], count)
     best, correlation = min(minima, key=lambda one: one.chi2), None
+    alone = replace(tasks, executor=None)
     for again in range(_WHITENED if table.time is not None else 0):
         assert table.time is not None
         problem, correlation = correlated(problem, best.u, table.time)
-        (best,) = estimate.together(
-            estimate.minimise, [(problem, best.u)], None, kept=(kept, f"white{again}")
-        )
-    for again in range(_AGAIN):
+        begin = [(problem, best.u)]
+        (best,) = alone.results(f"white{again}", estimate.minimise, begin)
+    for again in range(_MOST_FITS):
         jacobian = problem.jacobian(best.u)
         covariance = estimate.covariance(jacobian)
-        sd = np.sqrt(np.diag(covariance))
-        tasks = [
-            (problem, best, i, sign, float(sd[i]))
-            for i in range(len(parameters))
-            for sign in (-1, 1)
-        ]
+        sd = np.sqrt(np.diag(covariance)).tolist()
+        ways = [(i, sign) for i in range(number) for sign in (-1, 1)]
+        sought = [(problem, best, i, sign, sd[i]) for i, sign in ways]
         done = len(every)
-        sides = estimate.together(
-            profiles.side, tasks, executor, count, (kept, f"side{again}")
-        )
-        lower = [
-            point
-            for one in sides
-            if one.better
-            for point in one.points[[np.argmin(one.rise)]]
-        ]
+        sides = tasks.results(f"side{again}", profiles.side, sought, count)
+        lower = [one.points[np.argmin(one.rise)] for one in sides if one.better]
         if not lower:
             break
-        better = estimate.together(
-            estimate.minimise,
-            [(problem, u) for u in lower],
-            executor,
-            kept=(kept, f"better{again}"),
-        )
+        begin = [(problem, u) for u in lower]
+        better = tasks.results(f"better{again}", estimate.minimise, begin)
         best = min([best, *better], key=lambda one: one.chi2)
-    pairs = {
-        one.key: (sides[2 * i], sides[2 * i + 1]) for i, one in enumerate(parameters)
-    }
-    intervals = tuple(
-        _interval(one, float(x), float(s), *pairs[one.key])
-        for one, x, s in zip(parameters, best.u, sd, strict=True)
+    pairs = dict(
+        zip(problem.keys, zip(sides[::2], sides[1::2], strict=True), strict=True)
     )
-    _, _, error = problem.solved(best.u)
-    floor = float(np.max(error / problem.sigma))
-    if floor > _FLOOR:
-        warnings = [
-            *warnings,
-            f"noise floor: the solver's own error is {floor:.2g} of a measurement's standard error",
-        ]
-    for one, x in zip(parameters, best.u, strict=True):
-        for bound in (one.low, one.high):
-            if abs(x - bound) < _AT_BOUND * (one.high - one.low):
-                place = f"{one.key} is at its bound {float(one.value(bound)):g}"
-                warnings = [
-                    *warnings,
-                    f"{place}: values and intervals of the other keys depend on this bound",
-                ]
-    rough = [
-        one.key
-        for one, x, s in zip(parameters, best.u, sd, strict=True)
-        if one.low < x < one.high  # at a bound a covariance says nothing
-        and any(
-            end is not None and abs(end - x) < _ROUGH * s
-            for end in (side.ends["95"] for side in pairs[one.key])
-        )
-    ]
-    if rough:
-        warnings = [
-            *warnings,
-            f"intervals of {', '.join(rough)} end at roughness of the solver: not to be trusted",
-        ]
-    rungs = tuple(
-        estimate.ladder([one.key for one in parameters], problem.unitless(jacobian))
+    intervals = map(_interval, problem.parameters, best.u.tolist(), sd, pairs.values())
+    floor = float(np.max(problem.solved(best.u).error / problem.sigma))
+    result = FitResult(
+        file=file,
+        fit=section,
+        problem=problem,
+        table=table,
+        best=best,
+        intervals=tuple(intervals),
+        goodness=goodness(problem, best.u),
+        ladder=tuple(estimate.ladder(problem.keys, problem.unitless(jacobian))),
+        covariance=covariance,
+        minima=tuple(minima),
+        profiles=pairs,
+        floor=floor,
+        warnings=(),
+        correlation=correlation,
     )
-    return FitResult(
-        file, section, problem, table, best, intervals, goodness(problem, best.u), rungs, covariance,
-        tuple(minima), pairs, floor, tuple(warnings), file.output.seed, correlation,
-    )  # fmt: skip
+    return replace(result, warnings=(*warnings, *_doubts(result)))
 
 
 def _interval(
-    one: Parameter, u: float, sd: float, low: profiles.Side, high: profiles.Side
+    one: Parameter, u: float, sd: float, sides: tuple[profiles.Side, profiles.Side]
 ) -> Interval:
-    def ends(name: str) -> tuple[float | None, float | None]:
-        left, right = low.ends[name], high.ends[name]
-        return (
-            None if left is None else float(one.value(left)),
-            None if right is None else float(one.value(right)),
-        )
+    """What is known of a parameter whose best variable is `u`."""
 
-    intervals = {name: ends(name) for name in profiles.LEVELS}
-    return Interval(
-        one.key,
-        float(one.value(u)),
-        one.transform,
-        sd,
-        intervals,
-        profiles.status(low, high, one.transform),
+    def value(end: float | None) -> float | None:
+        return None if end is None else float(one.value(end))
+
+    low, high = sides
+    ends = {
+        name: (value(low.ends[name]), value(high.ends[name]))
+        for name in profiles.LEVELS
+    }
+    status = profiles.status(low, high, one.transform)
+    return Interval(one.key, float(one.value(u)), one.transform, sd, ends, status)
+
+
+def _doubts(result: FitResult) -> Iterator[str]:
+    """Warnings about the errors of the solver, and about parameters at bounds."""
+    if result.floor > _NOISE_FLOOR:
+        yield (
+            f"noise floor: the solver's own error is {result.floor:.2g} of a "
+            "measurement's standard error"
+        )
+    rough = []
+    everything = zip(
+        result.problem.parameters, result.best.u, result.intervals, strict=True
     )
+    for one, x, known in everything:
+        for bound in (one.low, one.high):
+            if abs(x - bound) < _AT_BOUND * (one.high - one.low):
+                yield (
+                    f"{one.key} is at its bound {float(one.value(bound)):g}: values "
+                    "and intervals of the other keys depend on this bound"
+                )
+        ends = [side.ends["95"] for side in result.profiles[one.key]]
+        widths = [abs(end - x) for end in ends if end is not None]
+        # at a bound a covariance says nothing
+        if (
+            one.low < x < one.high
+            and min(widths, default=math.inf) < _NARROW * known.sd
+        ):
+            rough.append(one.key)
+    if rough:
+        yield (
+            f"intervals of {', '.join(rough)} end at roughness of the solver: not to "
+            "be trusted"
+        )
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:
-    """Of a fit with parameters `u`."""
-    _, predicted, _ = problem.solved(u)
+    """How well a fit with parameters `u` describes its data."""
+    predicted = problem.solved(u).predicted
     r = problem.white((problem.value - predicted) / problem.sigma)
-    residuals = problem.residuals(u)
     n, k = problem.value.size, len(problem.parameters)
+    priors = problem.residuals(u)[n:]
     dof = n + problem.priors - k
-    normal = (
-        r if problem.loss == "gaussian" else -stats.norm.ppf(stats.t.sf(r, STUDENT))
-    )
-    tested = float(normal @ normal + residuals[n:] @ residuals[n:])
-    law = (
-        stats.norm.logpdf
-        if problem.loss == "gaussian"
-        else lambda x: stats.t.logpdf(x, STUDENT)
-    )
-    deviance = float(
-        -2.0 * np.sum(law(r) - np.log(problem.sigma)) + residuals[n:] @ residuals[n:]
-    )
+    normal, log_density = r, stats.norm.logpdf(r)
+    if problem.loss == "student":
+        normal = -stats.norm.ppf(stats.t.sf(r, STUDENT))
+        log_density = stats.t.logpdf(r, STUDENT)
+    chi2 = float(normal @ normal + priors @ priors)
+    deviance = -2.0 * np.sum(log_density - np.log(problem.sigma)) + priors @ priors
     if problem.correlation is not None:
-        deviance += float(np.sum(np.log1p(-(problem.correlation**2))))
+        deviance += np.sum(np.log1p(-(problem.correlation**2)))
+    deviance = float(deviance)
     aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1) if n > k + 1 else None
-    p = float(stats.chi2.sf(tested, dof)) if dof > 0 else None
-    return Goodness(tested, dof, p, deviance, aicc, deviance + k * math.log(n))
+    p = float(stats.chi2.sf(chi2, dof)) if dof > 0 else None
+    return Goodness(chi2, dof, p, deviance, aicc, deviance + k * math.log(n))
 
 
 def derived(result: FitResult) -> dict[str, float]:
     """Groups that the best fit implies: F0 = N k x_* (scale times x_*), v0 = omega x_*,
     b, v_* of annealed contacts, and where the section gives an area or a normal stress,
     contacts per area and their spacing."""
-    values = result.values
-    changes = {
-        key: value for key, value in values.items() if not key.startswith("fit.")
-    }
-    ensemble = at(result.file, changes).ensemble
-    scale = next(
-        (value for key, value in values.items() if key.startswith("fit.scale")),
-        result.problem.fixed_scale,
-    )
-    unit = ensemble.thresholds.scale
+    ensemble = at(result.file, result.changes).ensemble
+    thermal, unit = ensemble.thermal, ensemble.thresholds.scale
+    scales, scale = result.fit.scales(result.table.sets)
+    if scales:
+        scale = result.values[scales[0].key]
     found = {"F0 = N k x_*": scale * unit}
-    if ensemble.thermal.kT > 0:
-        kelvin = result.file.units.kelvin(ensemble.thermal.kT)
+    if thermal.kT > 0:
+        kelvin = result.file.units.kelvin(thermal.kT)
         if kelvin is not None:
             found["T of kT (K)"] = kelvin
-        found |= {
-            "v0 = omega x_*": ensemble.thermal.attempt_frequency * unit,
-            "b = k x_*^2/(2 kT)": ensemble.b,
-        }
+        found["v0 = omega x_*"] = thermal.attempt_frequency * unit
+        found["b = k x_*^2/(2 kT)"] = ensemble.b
         if ensemble.disorder == "annealed":
             found["v_*"] = ensemble.crossover_velocity
-    density = None
-    if result.fit.area is not None:
-        density = scale / ensemble.stiffness / result.fit.area
-    elif result.fit.normal_stress is not None:
-        density = scale * result.fit.normal_stress / ensemble.stiffness
-    if density is not None:
-        found |= {
-            "contacts per area": density,
-            "spacing of contacts": 1.0 / math.sqrt(density),
-        }
+    area, stress = result.fit.area, result.fit.normal_stress
+    per_area = 1.0 / area if area is not None else stress
+    if per_area is not None:
+        density = scale / ensemble.stiffness * per_area
+        found["contacts per area"] = density
+        found["spacing of contacts"] = 1.0 / math.sqrt(density)
     return {name: float(value) for name, value in found.items()}
 
 
@@ -553,19 +511,12 @@ def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
     Raises InputError."""
     section = section_of(other)
     if (section.record is None) != (result.table.time is None):
-        raise InputError(
-            "--compare: one of the run files fits a table and the other a record"
-        )
-    problem = _problem(
-        other,
-        section.model_copy(update={"loss": result.fit.loss}),
-        result.table,
-    )
+        raise InputError("--compare: one run file fits a table and the other a record")
+    section = section.model_copy(update={"loss": result.fit.loss})
+    problem = _problem(other, section, result.table)
     problem = replace(problem, correlation=result.problem.correlation)
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)
-    minima = [
-        (estimate.minimise if result.table.time is None else search)(problem, u)
-        for u in every
-    ]
+    first = estimate.minimise if result.table.time is None else search
+    minima = [first(problem, u) for u in every]
     return goodness(problem, min(minima, key=lambda one: one.chi2).u)

@@ -9,9 +9,9 @@ they cost no solves.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy import optimize
@@ -19,7 +19,7 @@ from scipy import optimize
 from eqsim.errors import InputError
 from eqsim.estimate import known
 from eqsim.fitting.data import Row, Table
-from eqsim.fitting.section import Fit, Parameter, variable
+from eqsim.fitting.section import Fit, Parameter
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.peak import first_peak
 from eqsim.master.transient import transient
@@ -31,7 +31,12 @@ from eqsim.numerics.tables import Array
 STEP = 1e-4  # of derivatives, in the variables of parameters
 STUDENT = 4.0  # degrees of freedom of the robust loss
 REFUSED = 1e4  # residual where the reference refuses
-AVERAGES = ("friction", "pinned", "break_stretch")  # of `Curve`
+AVERAGES = ("friction", "pinned", "break_stretch")  # observables of `Curve`
+
+
+def velocity_of(row: Row) -> float | None:
+    """The velocity of a row of a table; None if it leaves that to the run file."""
+    return dict(row.changes).get("drive.velocity")
 
 
 class Forward(Protocol):
@@ -42,81 +47,69 @@ class Forward(Protocol):
         """Whether they depend on the scale of force."""
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
-        """Values and errors at unit scale, arrays (measurements,). Raises InputError."""
+        """Values and errors at unit scale, (measurements,). Raises InputError."""
 
 
 @dataclass(frozen=True)
 class SteadyForward:
-    """Steady observables at the rows of a table, all velocities of an ensemble at once."""
+    """Steady observables, one row of a table each; all velocities of an ensemble at
+    once."""
 
     file: RunFile
     rows: Sequence[Row]
-    row: Array
     observable: Sequence[str]
     scaled: bool = False
 
     @cached_property
-    def groups(self) -> list[tuple[dict[str, float], float, Array]]:
-        """Changes but for the velocity, heat, and which measurements these belong to."""
+    def groups(self) -> dict[Any, list[int]]:
+        """Measurements by the changes (without velocity) and heat that they share."""
         found: dict[Any, list[int]] = {}
-        for index, row in enumerate(self.row):
-            of = self.rows[row]
-            rest = tuple(
-                change for change in of.changes if change[0] != "drive.velocity"
-            )
-            found.setdefault((rest, of.heat), []).append(index)
-        return [
-            (dict(rest), heat, np.array(indices))
-            for (rest, heat), indices in found.items()
-        ]
-
-    def velocity(self, index: int, file: RunFile) -> float:
-        """Of a measurement. Raises InputError."""
-        v = dict(self.rows[self.row[index]].changes).get(
-            "drive.velocity", file["drive.velocity"]
-        )
-        if v is None:
-            raise InputError(
-                "drive.velocity: is required, in the run file or as a column of the data"
-            )
-        return v
+        for index, row in enumerate(self.rows):
+            rest = tuple(part for part in row.changes if part[0] != "drive.velocity")
+            found.setdefault((rest, row.heat), []).append(index)
+        return found
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`. The standard deviation of the force is that of one contact
         over k, at unit scale."""
-        value, error = np.empty(self.row.size), np.empty(self.row.size)
-        for rest, heat, members in self.groups:
-            file = at(self.file, {**changes, **rest})
+        value, error = np.empty((2, len(self.rows)))
+        for (rest, heat), members in self.groups.items():
+            file = at(self.file, {**changes, **dict(rest)})
             if heat != 1.0:
                 file = at(file, {"thermal.kT": file["thermal.kT"] * heat})
             ensemble = file.ensemble
-            v = np.array([self.velocity(index, file) for index in members])
-            names = [self.observable[index] for index in members]
-            here = np.array([name in AVERAGES for name in names])
-            if here.any():
-                known = curve(ensemble, v)
-                for name in AVERAGES:
-                    mine = np.array([one == name for one in names])
-                    value[members[mine]] = getattr(known, name)[mine]
-                    error[members[mine]] = getattr(known, f"{name}_error")[mine]
-            for i in np.flatnonzero(~here):
-                value[members[i]], error[members[i]] = _other(
-                    ensemble, float(v[i]), names[i]
+            given = [velocity_of(self.rows[index]) for index in members]
+            v = [file["drive.velocity"] if one is None else one for one in given]
+            if None in v:
+                raise InputError(
+                    "drive.velocity: is required, in the run file or as a data column"
                 )
+            names = [self.observable[index] for index in members]
+            steady = None
+            if not set(AVERAGES).isdisjoint(names):
+                steady = curve(ensemble, np.array(v))
+            for place, (index, name) in enumerate(zip(members, names, strict=True)):
+                if name in AVERAGES:
+                    value[index] = getattr(steady, name)[place]
+                    error[index] = getattr(steady, f"{name}_error")[place]
+                else:
+                    speed = float(v[place] or 0.0)
+                    value[index], error[index] = other_observable(ensemble, speed, name)
         return value, error
 
 
-def _other(ensemble: Ensemble, velocity: float, name: str) -> tuple[float, float]:
-    """An observable that is no average: the standard deviation of a contact's force
-    over k, or the static peak of `master.peak`, where it is and how far above the
-    steady force. Raises InputError where there is none."""
+def other_observable(
+    ensemble: Ensemble, velocity: float, name: str
+) -> tuple[float, float]:
+    """The value and error of an observable that is no average: the standard deviation
+    of a contact's force over k, or the static peak of `master.peak`, where it is and
+    how far above the steady force. Raises InputError where there is none."""
     if name == "force_std":
-        still = transient(
-            ensemble, Drive(velocity, start="stationary"), 2, variance=True
-        )
+        drive = Drive(velocity, start="stationary")
+        still = transient(ensemble, drive, 2, variance=True)
         if still.force_variance is None or still.force_variance_error is None:
             raise InputError(
-                "force_std: contacts stay in step, so that the force has no steady variance"
+                "force_std: contacts stay in step, the force has no steady variance"
             )
         sd = math.sqrt(still.force_variance[0])
         return sd, float(still.force_variance_error[0]) / (2.0 * sd)
@@ -124,12 +117,17 @@ def _other(ensemble: Ensemble, velocity: float, name: str) -> tuple[float, float
     if name == "peak_X":
         return known(peak.X), peak.X.stderr or 0.0
     steady, height = curve(ensemble, np.array([velocity])), known(peak.force)
-    relative = (peak.force.stderr or 0.0) / height + steady.friction_error[
-        0
-    ] / steady.friction[0]
-    return float(height / steady.friction[0]), float(
-        height / steady.friction[0] * relative
-    )
+    level, level_error = steady.friction[0], steady.friction_error[0]
+    ratio = float(height / level)
+    return ratio, ratio * ((peak.force.stderr or 0.0) / height + level_error / level)
+
+
+class Solved(NamedTuple):
+    """Parameters with the linear ones at their best, predictions and their errors."""
+
+    u: Array
+    predicted: Array
+    error: Array
 
 
 @dataclass(frozen=True)
@@ -143,14 +141,13 @@ class Problem:
         Free keys first, then what the measurements are linear in.
     value, sigma : ndarray, shape (measurements,)
     scale_of : ndarray of int, shape (measurements,)
-        Which scale (in the order of their parameters) multiplies a prediction; -1 where
-        none does.
-    fixed_scale : float
-        Where no scale is free.
+        Which parameter is the scale of a measured force; -1 where none is.
+    unit : ndarray, shape (measurements,)
+        What multiplies predictions besides: the scale of a force if it is fixed.
     spread : ndarray of bool, shape (measurements,)
-        Standard deviations of the force, which go as the root of the scale.
-    count : float or None
-        Of contacts, for these; None if it is what the scale and the stiffness imply.
+        Standard deviations of the force, which go as the root of a free scale.
+    stiffness : float
+        Of a contact, if it is not free.
     nuisance : dict
         What else predictions are linear in: values at unit parameter by key.
     loss : str
@@ -170,10 +167,9 @@ class Problem:
     value: Array
     sigma: Array
     scale_of: Array
-    fixed_scale: float
+    unit: Array
     spread: Array
-    count: float | None
-    stiffness: float
+    stiffness: float = 1.0
     nuisance: dict[str, Array] = field(default_factory=dict)
     loss: str = "gaussian"
     correlation: Array | None = None
@@ -181,17 +177,20 @@ class Problem:
     central: bool = False
 
     @cached_property
+    def keys(self) -> list[str]:
+        """The keys of parameters."""
+        return [one.key for one in self.parameters]
+
+    @cached_property
     def linear(self) -> Array:
         """Which parameters are found by linear least squares."""
-        easy = self.loss == "gaussian" and not (
-            self.spread.any() and self.count is None
-        )
-        return np.array(
-            [self._exact(one) and easy and one.prior is None for one in self.parameters]
-        )
+        roots = bool(np.any(self.spread & (self.scale_of >= 0)))
+        easy = self.loss == "gaussian" and not roots
+        solved = [self._exact(p) and easy and not p.prior for p in self.parameters]
+        return np.array(solved, bool)
 
     def _exact(self, one: Parameter) -> bool:
-        """Whether predictions are linear in a parameter."""
+        """Whether derivatives with respect to a parameter take no other solve."""
         return one.linear and (one.key in self.nuisance or not self.forward.scaled)
 
     @cached_property
@@ -209,178 +208,120 @@ class Problem:
         """The run file's values."""
         return np.array([one.start for one in self.parameters])
 
+    def values(self, u: Array) -> dict[str, float]:
+        """Values by key."""
+        pairs = zip(self.parameters, u, strict=True)
+        return {one.key: float(one.value(x)) for one, x in pairs}
+
     def changes(self, u: Array) -> dict[str, float]:
-        """Values of run-file keys."""
+        """Values of run-file keys, and of the scale if predictions depend on it."""
         return {
-            one.key: float(one.value(x))
-            for one, x in zip(self.parameters, u, strict=True)
-            if not one.key.startswith("fit.")
-            or (self.forward.scaled and one.key == "fit.scale")
+            key: value
+            for key, value in self.values(u).items()
+            if not key.startswith("fit.")
+            or (key == "fit.scale" and self.forward.scaled)
         }
 
-    def parts(self, u: Array) -> tuple[list[Array], Array, Array]:
-        """What each linear parameter (in order, of all that are free) multiplies, what
-        none does, and the errors of predictions at unit scale. Raises InputError."""
-        changes = self.changes(u)
-        value, error = self.forward.predict(changes)
-        bases, rest = [], np.zeros(value.size)
-        scales = [
-            one
-            for one in self.parameters
-            if one.linear and one.key not in self.nuisance
-        ]
-        for index, _ in enumerate(scales):
-            bases.append(np.where((self.scale_of == index) & ~self.spread, value, 0.0))
-        for one in self.parameters:
-            if one.key in self.nuisance:
-                bases.append(self.nuisance[one.key])
-        free = (self.scale_of >= 0) & bool(scales)
-        rest = np.where(free & ~self.spread, 0.0, value)
-        rest = np.where((self.scale_of >= 0) & ~free, self.fixed_scale * rest, rest)
-        if self.spread.any():
-            factor: Any = self.fixed_scale / math.sqrt(self.count or 1.0)
-            if scales:
-                values = np.array(
-                    [
-                        one.value(x)
-                        for one, x in zip(self.parameters, u, strict=True)
-                        if one in scales
-                    ]
-                )
-                s = values[np.maximum(self.scale_of, 0)]
-                k = changes.get("contacts.stiffness", self.stiffness)
-                factor = s / np.sqrt(self.count if self.count else s / k)
-            rest = np.where(self.spread, factor * value, rest)
-        return bases, rest, error
+    def _factor(self, values: dict[str, float]) -> Array:
+        """What multiplies predictions at unit scale. A free scale is N k: the standard
+        deviation of the force is that of a contact, k times a length, and goes as the
+        root of N."""
+        factor, free = self.unit.copy(), self.scale_of >= 0
+        if free.any():
+            scale = np.array([values[key] for key in self.keys])[self.scale_of[free]]
+            k = values.get("contacts.stiffness", self.stiffness)
+            factor[free] *= np.where(self.spread[free], np.sqrt(scale * k), scale)
+        return factor
 
-    def solved(self, u: Array, held: int = -1) -> tuple[Array, Array, Array]:
-        """Parameters with the linear ones at their best (but that of index `held`),
-        predictions and their errors."""
-        bases, rest, error = self.parts(u)
-        which = [i for i, one in enumerate(self.parameters) if one.linear]
-        open_ = [i for i in which if self.linear[i] and i != held]
-        u = u.copy()
-        coefficients = {i: float(self.parameters[i].value(u[i])) for i in which}
-        if open_:
-            columns = self.white(
-                np.array([bases[which.index(i)] for i in open_]).T / self.sigma[:, None]
+    def _combined(self, raw: Array, values: dict[str, float]) -> Array:
+        """Predictions, from those at unit scale."""
+        added = [values[key] * base for key, base in self.nuisance.items()]
+        return np.asarray(self._factor(values) * raw + sum(added))
+
+    def _column(self, index: int, raw: Array) -> Array:
+        """What a parameter of which predictions are linear is multiplied by."""
+        scaled = np.where(self.scale_of == index, raw, 0.0)
+        return self.nuisance.get(self.keys[index], scaled)
+
+    def given(self, u: Array) -> Array:
+        """Predictions with every parameter as given. Raises InputError."""
+        return self._combined(self.forward.predict(self.changes(u))[0], self.values(u))
+
+    def solved(self, u: Array, held: int = -1) -> Solved:
+        """Solve for the linear parameters but that of index `held`. Raises
+        InputError."""
+        raw, error = self.forward.predict(self.changes(u))
+        u, values = u.copy(), self.values(u)
+        unknown = [i for i in np.flatnonzero(self.linear).tolist() if i != held]
+        if unknown:
+            chosen = [self.parameters[i] for i in unknown]
+            rest = self._combined(raw, values | {one.key: 0.0 for one in chosen})
+            columns = [self._column(i, raw) for i in unknown]
+            best = _linear_least_squares(
+                self.white(np.array(columns).T / self.sigma[:, None]),
+                self.white((self.value - rest) / self.sigma),
+                np.array([[one.value(one.low), one.value(one.high)] for one in chosen]),
             )
-            known = rest + sum(
-                bases[which.index(i)] * c
-                for i, c in coefficients.items()
-                if i not in open_
-            )
-            low = [float(self.parameters[i].value(self.low[i])) for i in open_]
-            high = [float(self.parameters[i].value(self.high[i])) for i in open_]
-            best = _least(
-                columns,
-                self.white((self.value - known) / self.sigma),
-                np.array(low),
-                np.array(high),
-            )
-            for i, c in zip(open_, best, strict=True):
-                coefficients[i] = float(c)
-                one = self.parameters[i]
-                u[i] = min(max(variable(one.transform, float(c)), one.low), one.high)
-        total = rest + sum(bases[which.index(i)] * c for i, c in coefficients.items())
-        factor = np.ones(error.size)
-        for index, i in enumerate(
-            [i for i in which if self.parameters[i].key not in self.nuisance]
-        ):
-            factor[self.scale_of == index] = coefficients[i]
-        if not np.any(
-            [one.linear and one.key not in self.nuisance for one in self.parameters]
-        ):
-            factor[self.scale_of >= 0] = self.fixed_scale
-        return u, np.asarray(total), error * factor
+            for i, one, x in zip(unknown, chosen, best, strict=True):
+                values[one.key] = float(x)
+                u[i] = min(max(one.variable(float(x)), one.low), one.high)
+        return Solved(u, self._combined(raw, values), error * self._factor(values))
 
     def residuals(self, u: Array, held: int = -1) -> Array:
-        """Of which the sum of squares is -2 ln L but for a constant, priors included;
+        """Numbers whose sum of squares is -2 ln L but for a constant, priors included;
         large where the reference refuses."""
         try:
-            u, total, _ = self.solved(u, held)
+            u, predicted, _ = self.solved(u, held)
         except InputError:
             return np.full(self.value.size + self.priors, REFUSED)
-        return np.concatenate(
-            (
-                self.deviate(self.white((self.value - total) / self.sigma)),
-                self._prior(u),
-            )
-        )
+        return self._deviates(u, predicted)
+
+    def _deviates(self, u: Array, predicted: Array) -> Array:
+        r = self.white((self.value - predicted) / self.sigma)
+        if self.loss == "student":  # of a Gaussian with the same likelihood
+            r = np.sign(r) * np.sqrt((STUDENT + 1.0) * np.log1p(r**2 / STUDENT))
+        pairs = zip(self.parameters, u, strict=True)
+        priors = [(x - p.prior.mean) / p.prior.sd for p, x in pairs if p.prior]
+        return np.concatenate((r, priors))
 
     def white(self, r: Array) -> Array:
-        """Residuals in standard errors, shape (measurements, ...), as independent ones."""
+        """Residuals in standard errors, (measurements, ...), as independent ones."""
         if self.correlation is None:
             return r
         rho = self.correlation.reshape(-1, *[1] * (r.ndim - 1))
         return np.concatenate((r[:1], (r[1:] - rho * r[:-1]) / np.sqrt(1.0 - rho**2)))
-
-    def deviate(self, r: Array) -> Array:
-        """Residuals in standard errors as those of a Gaussian with the same likelihood."""
-        if self.loss == "gaussian":
-            return r
-        return np.asarray(
-            np.sign(r) * np.sqrt((STUDENT + 1.0) * np.log1p(r**2 / STUDENT))
-        )
 
     @cached_property
     def priors(self) -> int:
         """How many parameters have one."""
         return sum(one.prior is not None for one in self.parameters)
 
-    def _prior(self, u: Array) -> Array:
-        known = [
-            (x - one.prior.mean) / one.prior.sd
-            for x, one in zip(u, self.parameters, strict=True)
-            if one.prior
-        ]
-        return np.array(known)
-
     def jacobian(self, u: Array) -> Array:
-        """Of the predictions over their standard errors (and of priors) with respect to
-        all parameters, the linear ones too, by central differences, shape (measurements
-        + priors, parameters). Raises InputError."""
+        """Derivatives of the predictions over their standard errors (and of priors)
+        with respect to all parameters, the linear ones too, by central differences,
+        shape (measurements + priors, parameters). Raises InputError."""
+        raw = self.forward.predict(self.changes(u))[0]
         columns = []
         for i, one in enumerate(self.parameters):
-            up, down = (
-                u + sign * self.step * (np.arange(u.size) == i) for sign in (1.0, -1.0)
-            )
+            shift = self.step * (np.arange(u.size) == i)
+            down, up = u - shift, u + shift
             if self._exact(one):
-                bases, _, _ = self.parts(u)
-                which = [j for j, other in enumerate(self.parameters) if other.linear]
+                low, high = (self._combined(raw, self.values(x)) for x in (down, up))
                 slope = float(one.value(up[i]) - one.value(down[i])) / (2.0 * self.step)
-                column = bases[which.index(i)] * slope
-                if self.spread.any():
-                    column = column + (self.parts(up)[1] - self.parts(down)[1]) / (
-                        2.0 * self.step
-                    )
+                change = (high - low) / (2.0 * self.step)
+                change = np.where(self.spread, change, self._column(i, raw) * slope)
+                columns.append(change / self.sigma)
             else:
-                ends = [
-                    min(max(x, self.low[i]), self.high[i]) for x in (down[i], up[i])
-                ]
-                at_ends = [
-                    self.given(np.where(np.arange(u.size) == i, x, u)) for x in ends
-                ]
-                column = (at_ends[1] - at_ends[0]) / (ends[1] - ends[0])
-            columns.append(column / self.sigma)
-        matrix = self.white(np.array(columns).T)
-        extra = [
+                down = np.maximum(down, np.minimum(u, self.low))
+                up = np.minimum(up, np.maximum(u, self.high))
+                change = (self.given(up) - self.given(down)) / (up[i] - down[i])
+                columns.append(change / self.sigma)
+        priors = [
             np.eye(u.size)[i] / one.prior.sd
             for i, one in enumerate(self.parameters)
             if one.prior
         ]
-        return np.vstack((matrix, *extra)) if extra else matrix
-
-    def given(self, u: Array) -> Array:
-        """Predictions with every parameter as given."""
-        bases, rest, _ = self.parts(u)
-        linear = [
-            (one, x) for one, x in zip(self.parameters, u, strict=True) if one.linear
-        ]
-        return rest + sum(
-            base * float(one.value(x))
-            for base, (one, x) in zip(bases, linear, strict=True)
-        )
+        return np.vstack((self.white(np.array(columns).T), *priors))
 
     def density(self, u: Array) -> float:
         """Logarithm of the posterior density of the parameters' variables, but for a
@@ -389,24 +330,37 @@ class Problem:
         if np.any((u < self.low) | (u > self.high)):
             return -math.inf
         try:
-            r = self.deviate(self.white((self.value - self.given(u)) / self.sigma))
+            r = self._deviates(u, self.given(u))
         except InputError:
             return -math.inf
-        return -0.5 * float(r @ r + self._prior(u) @ self._prior(u))
+        return -0.5 * float(r @ r)
 
     def unitless(self, jacobian: Array) -> Array:
         """Derivatives with respect to logarithms, and of other variables in units of
         the distance of their bounds."""
-        width = np.where(
-            [one.transform == "linear" for one in self.parameters],
-            self.high - self.low,
-            1.0,
+        straight = [one.transform == "linear" for one in self.parameters]
+        return jacobian * np.where(straight, self.high - self.low, 1.0)
+
+    def elsewhere(self, index: int, rows: Sequence[Row]) -> "Problem":
+        """The fit of measurements like that of an index, at other rows of a table;
+        values and errors are 1."""
+        forward, same = self.forward, np.full(len(rows), index)
+        assert isinstance(forward, SteadyForward)
+        names = [forward.observable[index]] * len(rows)
+        return replace(
+            self,
+            forward=replace(forward, rows=rows, observable=names),
+            value=np.ones(len(rows)),
+            sigma=np.ones(len(rows)),
+            scale_of=self.scale_of[same],
+            unit=self.unit[same],
+            spread=self.spread[same],
         )
-        return jacobian * width
 
 
-def _least(columns: Array, target: Array, low: Array, high: Array) -> Array:
-    """Linear least squares within bounds."""
+def _linear_least_squares(columns: Array, target: Array, bounds: Array) -> Array:
+    """Linear least squares within `bounds`, shape (columns, 2)."""
+    low, high = bounds.T
     best = np.linalg.lstsq(columns, target, rcond=None)[0]
     if np.all((best >= low) & (best <= high)):
         return best
@@ -415,33 +369,30 @@ def _least(columns: Array, target: Array, low: Array, high: Array) -> Array:
     return np.asarray(optimize.lsq_linear(columns, target, (low, high)).x)
 
 
-def problem_of(
-    file: RunFile,
-    fit: Fit,
-    table: Table,
-    free: list[Parameter],
-    scales: list[Parameter],
-    fixed: float,
-) -> Problem:
+def problem_of(file: RunFile, fit: Fit, table: Table, free: list[Parameter]) -> Problem:
     """The fit of a table."""
-    sets = table.sets
+    scales, fixed = fit.scales(table.sets)
+    rows = [table.rows[row] for row in table.row]
     names = np.array(table.observable)
-    force = np.isin(names, ["friction", "force_std"])
-    of_set = (
-        np.array([sets.index(table.rows[row].set) for row in table.row])
-        if len(scales) > 1
-        else 0
-    )
-    spread = names == "force_std"
+    spread, unit = names == "force_std", np.ones(names.size)
+    scale_of = np.full(names.size, -1)
+    force = spread | (names == "friction")
+    if scales:
+        sets = [
+            len(free) + table.sets.index(row.set) * (len(scales) > 1) for row in rows
+        ]
+        scale_of[force] = np.array(sets)[force]
+    else:
+        root = math.sqrt(file["contacts.count"])
+        unit = np.where(spread, fixed / root, np.where(force, fixed, 1.0))
     return Problem(
-        SteadyForward(file, table.rows, table.row, table.observable),
+        SteadyForward(file, rows, table.observable),
         [*free, *scales],
         table.value,
         table.sigma,
-        np.where(force, of_set, -1),
-        fixed,
+        scale_of,
+        unit,
         spread,
-        None if scales else float(file["contacts.count"]),
         file["contacts.stiffness"],
         loss=fit.loss,
     )

@@ -18,14 +18,18 @@ from eqsim.fitting.model import Problem
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.workers import Workers
 
-SHARES = {
-    "68": (0.16, 0.84),
-    "95": (0.025, 0.975),
-}  # of the posterior below the ends of an interval
-_ENOUGH = 50.0  # autocorrelation times, from which on emcee's estimate of that time can be trusted
-_WALKERS, _LEAST = 4, 16  # of each parameter, and at least
-_MOST, _CHECKED = 10_000, 100  # steps, and after how many the chain is looked at
-_SETTLING = 4  # 1/4 of the steps is left out
+# Shares of the posterior below the ends of an interval.
+SHARES = {"68": (0.16, 0.84), "95": (0.025, 0.975)}
+# Autocorrelation times, from which on emcee's estimate of that time can be trusted.
+_ENOUGH = 50.0
+# Walkers of each parameter, and at least.
+_WALKERS = 4
+_LEAST_WALKERS = 16
+# Steps at most, and after how many the chain is looked at.
+_MOST = 10_000
+_CHECKED = 100
+# The share of the steps that is left out, 1/4.
+_SETTLING = 4
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,7 +73,7 @@ class Posterior:
 
     @property
     def doubt(self) -> float:
-        """Standard error of the share of the posterior below an end of a 95 % interval."""
+        """Standard error of the posterior's share below an end of a 95 % interval."""
         share = SHARES["95"][0]
         return math.sqrt(share * (1.0 - share) / self.effective)
 
@@ -77,35 +81,51 @@ class Posterior:
     def intervals(self) -> dict[str, dict[str, Any]]:
         """By key: median, and the ends of the central 68 and 95 %; None if the chain is
         too short for them."""
-        found: dict[str, dict[str, Any]] = {}
-        for one, values in zip(self.problem.parameters, self.points.T, strict=True):
-            shares = {"median": (0.5,), **SHARES}
-            ends = {
-                name: one.value(np.quantile(values, np.array(part))).tolist()
-                for name, part in shares.items()
+        if not self.converged:
+            return {
+                key: dict.fromkeys(("median", *SHARES)) for key in self.problem.keys
             }
-            found[one.key] = (
-                {**ends, "median": ends["median"][0]}
-                if self.converged
-                else dict.fromkeys(shares)
-            )
+        found: dict[str, dict[str, Any]] = {}
+        for one, points in zip(self.problem.parameters, self.points.T, strict=True):
+            ends = {
+                name: one.value(np.quantile(points, shares)).tolist()
+                for name, shares in SHARES.items()
+            }
+            median = float(one.value(np.quantile(points, 0.5)))
+            found[one.key] = {"median": median, **ends}
         return found
+
+    def summary(self) -> dict[str, Any]:
+        """The content of fit.json about the posterior."""
+        parameters = {
+            key: {
+                "median": one["median"],
+                **{f"interval_{name}": one[name] for name in SHARES},
+            }
+            for key, one in self.intervals.items()
+        }
+        return {
+            "parameters": parameters,
+            "walkers": self.walkers,
+            "steps": self.steps,
+            "autocorrelation": self.autocorrelation,
+            "effective_draws": self.effective,
+            "acceptance": self.acceptance,
+            "converged": self.converged,
+        }
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Values by key, and the logarithm of the density of their variables."""
+        pairs = zip(self.problem.parameters, self.points.T, strict=True)
+        values = {one.key: np.asarray(one.value(u)) for one, u in pairs}
+        return {**values, "log_density": self.density}
 
     def to_pandas(self) -> Any:
         """A DataFrame of the draws, a column for each key and one of the density."""
         import pandas as pd
 
         return pd.DataFrame(self.columns)
-
-    @property
-    def columns(self) -> dict[str, Array]:
-        """Values by key, and the logarithm of the density of their variables."""
-        parameters = self.problem.parameters
-        values = {
-            one.key: np.asarray(one.value(u))
-            for one, u in zip(parameters, self.points.T, strict=True)
-        }
-        return {**values, "log_density": self.density}
 
     def plot(self, title: str = "") -> Any:
         """A matplotlib Figure of the draws, each pair of keys in a panel. Raises
@@ -115,12 +135,12 @@ class Posterior:
         return posterior_figure(self, title)
 
     def __repr__(self) -> str:
-        short = "" if self.converged else ", TOO SHORT"
-        return f"Posterior({self.points.shape[0]} draws, worth {self.effective:.0f} independent ones{short})"
+        count, short = self.points.shape[0], "" if self.converged else ", TOO SHORT"
+        worth = f"worth {self.effective:.0f} independent ones"
+        return f"Posterior({count} draws, {worth}{short})"
 
     def _repr_html_(self) -> str:
-        shown: str = self.to_pandas().describe().to_html()
-        return shown
+        return str(self.to_pandas().describe().to_html())
 
 
 def posterior(
@@ -155,65 +175,54 @@ def posterior(
     require_integer("workers", workers, 1, 1024)
     with Workers(workers).executor() as executor:
         rng = np.random.default_rng(result.seed)
-        return sample(
-            result.problem, result.best.u, result.covariance, rng, executor, progress
-        )
+        u, covariance = result.best.u, result.covariance
+        return sample(result.problem, u, covariance, rng, executor, progress)
 
 
 def sample(
-    problem: Problem, best: Array, covariance: Array, rng: np.random.Generator,
-    executor: Executor | None = None, progress: Progress = lambda done, total: None,
-) -> Posterior:  # fmt: skip
-    """As `posterior`, by the `covariance` about the `best` fit, shapes (parameters,
-    parameters) and (parameters,)."""
+    problem: Problem,
+    best: Array,
+    covariance: Array,
+    rng: np.random.Generator,
+    executor: Executor | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Posterior:
+    """Draw as `posterior` does, by the `covariance` about the `best` fit, shapes
+    (parameters, parameters) and (parameters,)."""
     emcee = require_package("posterior", "emcee")
 
     def densities(points: Array) -> Array:
-        known = (
-            map(problem.density, points)
-            if executor is None
-            else executor.map(problem.density, points, chunksize=8)
-        )
-        return np.fromiter(known, float, len(points))
+        if executor is None:
+            return np.array([problem.density(u) for u in points])
+        return np.array(list(executor.map(problem.density, points, chunksize=8)))
 
-    walkers = max(_WALKERS * best.size, _LEAST)
+    walkers = max(_WALKERS * best.size, _LEAST_WALKERS)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(
         walkers, best.size, densities, moves=moves, vectorize=True
     )
     state = np.random.RandomState(rng.integers(2**32)).get_state()
-    first = emcee.State(
-        _around(problem, best, covariance, walkers, rng), random_state=state
-    )
+    begin = _around(problem, best, covariance, walkers, rng)
     progress(0, _MOST)
     tau = math.inf
-    for _ in sampler.sample(first, iterations=_MOST):
+    for _ in sampler.sample(emcee.State(begin, random_state=state), iterations=_MOST):
         done = sampler.iteration
         if done % _CHECKED:
             continue
         chain = sampler.get_chain(discard=done // _SETTLING)
         tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0)))
-        tau = (
-            tau if math.isfinite(tau) else math.inf
-        )  # of walkers that have not moved it is not known
+        if not math.isfinite(tau):  # not known of walkers that have not moved
+            tau = math.inf
         if len(chain) >= _ENOUGH * tau:
             break
-        progress(
-            done,
-            min(
-                _MOST, max(done + _CHECKED, _ENOUGH * tau * _SETTLING / (_SETTLING - 1))
-            ),
-        )
+        needed = _ENOUGH * tau * _SETTLING / (_SETTLING - 1)
+        progress(done, min(_MOST, max(done + _CHECKED, needed)))
     progress(done, done)
-    part = {
-        "discard": done // _SETTLING,
-        "thin": max(int(min(0.5 * tau, done / 10)), 1),
-        "flat": True,
-    }
-    return Posterior(
-        problem, sampler.get_chain(**part), sampler.get_log_prob(**part), walkers, len(chain), tau,
-        float(np.mean(sampler.acceptance_fraction)),
-    )  # fmt: skip
+    thin = max(int(min(0.5 * tau, done / 10)), 1)
+    kept = {"discard": done // _SETTLING, "thin": thin, "flat": True}
+    points, density = sampler.get_chain(**kept), sampler.get_log_prob(**kept)
+    acceptance = float(np.mean(sampler.acceptance_fraction))
+    return Posterior(problem, points, density, walkers, len(chain), tau, acceptance)
 
 
 def _around(
@@ -225,16 +234,14 @@ def _around(
 ) -> Array:
     """Points about a best fit, spread as its covariance says, inside the bounds."""
     low, high = problem.low, problem.high
-    width = high - low
-    known = np.where(np.isfinite(covariance), covariance, 0.0)
+    width, zero = high - low, np.zeros(best.size)
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
     steps = rng.multivariate_normal(
-        np.zeros(best.size), known, count, method="eigh", check_valid="ignore"
+        zero, finite, count, method="eigh", check_valid="ignore"
     )
-    steps *= np.minimum(
-        1.0, 0.4 / np.maximum(np.max(np.abs(steps) / width, axis=1), 1e-300)
-    )[:, None]
-    steps += (
-        1e-4 * width * rng.standard_normal(steps.shape)
-    )  # directions of no known width
+    longest = np.maximum(np.max(np.abs(steps) / width, axis=1), 1e-300)
+    steps *= np.minimum(1.0, 0.4 / longest)[:, None]
+    # directions of no known width
+    steps += 1e-4 * width * rng.standard_normal(steps.shape)
     moved = low + np.abs(best + steps - low)
     return np.asarray(high - np.abs(high - moved))

@@ -2,6 +2,7 @@
 the intervals it gives."""
 
 import math
+from bisect import insort
 from typing import NamedTuple
 
 import numpy as np
@@ -10,25 +11,112 @@ from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
 from eqsim.numerics.tables import Array
 
-LEVELS = {
-    "68": 0.9889,
-    "95": 3.8415,
-}  # of chi-square over its least value (chi-square law, one degree of freedom)
-WIDE = 1.1  # half-width of a 68 % interval of a logarithm, a factor 3, from which on nothing is determined
-# rise of chi-square aimed at, and allowed, in a step; steps; how close to a level it is
-# known, and tries
-_RISE, _LARGEST, _MOST, _CLOSE, _SOUGHT = 1.5, 6.0, 40, 0.02, 8
+# Chi-square over its least value at the ends of intervals (chi-square law, one degree
+# of freedom).
+LEVELS = {"68": 0.9889, "95": 3.8415}
+# Half-width of a 68 % interval of a logarithm, a factor 3, from which on nothing is
+# determined.
+WIDE = 1.1
+# Rise of chi-square that a step aims at, and the most it may be.
+_RISE = 1.5
+_LARGEST_RISE = 6.0
+# Points of a profile before its ends are sought.
+_MOST_POINTS = 40
+# How close to a level a point must be, and how many are tried for it.
+_CLOSE = 0.02
+_TRIES = 8
 
 
 class Side(NamedTuple):
     """A profile on one side of the best fit, the best fit first: all parameters, shape
     (points, parameters), and rise of chi-square, (points,); ends of the intervals by
-    level in the variable, None where it reaches the bound first."""
+    level in the variable, None where it reaches the bound first; and whether the fit is
+    better somewhere."""
 
     points: Array
     rise: Array
     ends: dict[str, float | None]
     better: bool
+
+
+class _Point(NamedTuple):
+    """A point of a profile: distance of the parameter from its best value, rise of
+    chi-square, and all parameters."""
+
+    distance: float
+    rise: float
+    u: Array
+
+
+class _Profile:
+    """Points of a profile, ordered by distance, and how to solve for more."""
+
+    def __init__(self, problem: Problem, best: Minimum, index: int, sign: int) -> None:
+        self.problem, self.best, self.index, self.sign = problem, best, index, sign
+        self.bound = problem.high[index] if sign > 0 else problem.low[index]
+        self.length = abs(self.bound - best.u[index])
+        self.points = [_Point(0.0, 0.0, best.u)]
+
+    def solve(self, distance: float) -> _Point:
+        """The point at a distance, from a guess along the line through its neighbours;
+        where that leads astray also from the nearest point."""
+        near, *others = sorted(self.points, key=lambda p: abs(p.distance - distance))
+        guess = near.u
+        if others and abs(near.distance - others[0].distance) > 1e-12:
+            other = others[0]
+            t = (distance - near.distance) / (other.distance - near.distance)
+            guess = near.u + (other.u - near.u) * min(max(t, -2.0), 2.0)
+        reached = self._minimum(guess, distance)
+        astray = reached.chi2 - self.best.chi2 > near.rise + _LARGEST_RISE
+        if others and (astray or not reached.converged):
+            plain = self._minimum(near.u, distance)
+            reached = min(reached, plain, key=lambda one: one.chi2)
+        return _Point(distance, reached.chi2 - self.best.chi2, reached.u)
+
+    def _minimum(self, guess: Array, distance: float) -> Minimum:
+        u = np.clip(guess, self.problem.low, self.problem.high)
+        inside = self.best.u[self.index] + self.sign * distance
+        u[self.index] = inside if distance < self.length else self.bound
+        return minimise(self.problem, u, self.index)
+
+    def follow(self, step: float) -> None:
+        """Add points until chi-square has risen above all levels, the bound is reached
+        or a better fit is found."""
+        while len(self.points) < _MOST_POINTS:
+            here = self.points[-1]
+            new = self.solve(min(here.distance + step, self.length))
+            for _ in range(6):
+                gone = new.distance - here.distance
+                if new.rise - here.rise <= _LARGEST_RISE or gone < 1e-6 * self.length:
+                    break
+                new = self.solve(here.distance + 0.4 * gone)
+            self.points.append(new)
+            if new.rise > max(LEVELS.values()) or new.rise < -_CLOSE:
+                break
+            if new.distance >= self.length:
+                break
+            gained = max(new.rise - here.rise, 1e-3)
+            factor = min(max(math.sqrt(_RISE / gained), 0.5), 2.5)
+            step = (new.distance - here.distance) * factor
+
+    def end(self, level: float) -> float | None:
+        """The variable where the profile first passes a level, by a straight line of
+        its root between points close to it; None if no point is above."""
+        for tries in range(_TRIES + 1):
+            rises = [point.rise for point in self.points]
+            above = next((k for k, rise in enumerate(rises) if rise >= level), 0)
+            if above == 0:
+                return None
+            low, high = self.points[above - 1 : above + 1]
+            roots = [math.sqrt(max(point.rise, 0.0)) for point in (low, high)]
+            t = (math.sqrt(level) - roots[0]) / (roots[1] - roots[0])
+            width = high.distance - low.distance
+            distance = low.distance + t * width
+            close = min(abs(low.rise - level), abs(high.rise - level)) < _CLOSE
+            if tries == _TRIES or close or width < 1e-6 * self.length:
+                break
+            insort(self.points, self.solve(distance), key=lambda p: p.distance)
+        return float(self.best.u[self.index] + self.sign * distance)
 
 
 def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> Side:
@@ -46,99 +134,15 @@ def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> S
     sd : float
         About its standard deviation, for the first step.
     """
-    bound = problem.high[index] if sign > 0 else problem.low[index]
-    way = abs(bound - best.u[index])
-    found: list[tuple[float, float, Array]] = [(0.0, 0.0, best.u)]
-
-    def solve(distance: float) -> tuple[float, float, Array]:
-        near = min(found, key=lambda one: abs(one[0] - distance))
-        guess = near[2].copy()
-        if len(found) > 1:  # along the line through the last two
-            (a, _, first), (b, _, second) = sorted(
-                found, key=lambda one: abs(one[0] - distance)
-            )[:2]
-            if abs(a - b) > 1e-12:
-                guess = first + (second - first) * min(
-                    max((distance - a) / (b - a), -2.0), 2.0
-                )
-        guess = np.clip(guess, problem.low, problem.high)
-        guess[index] = best.u[index] + sign * distance if distance < way else bound
-        reached = minimise(problem, guess, index)
-        if len(found) > 1:
-            plain = near[2].copy()
-            plain[index] = guess[index]
-            if reached.chi2 - best.chi2 > near[1] + _LARGEST or not reached.converged:
-                other = minimise(problem, plain, index)
-                reached = min(reached, other, key=lambda one: one.chi2)
-        return distance, reached.chi2 - best.chi2, reached.u
-
-    top = max(LEVELS.values())
-    step = (
-        min(max(sd if math.isfinite(sd) else way, 1e-6 * max(way, 1e-12)), 0.25 * way)
-        if way > 0
-        else 0.0
-    )
-    better = False
-    while way > 0 and len(found) < _MOST:
-        here = found[-1]
-        distance = min(here[0] + step, way)
-        new = solve(distance)
-        for _ in range(6):
-            if new[1] - here[1] <= _LARGEST or distance - here[0] < 1e-6 * way:
-                break
-            distance = here[0] + 0.4 * (distance - here[0])
-            new = solve(distance)
-        found.append(new)
-        better |= new[1] < -_CLOSE
-        if new[1] > top or distance >= way or better:
-            break
-        gained = max(new[1] - here[1], 1e-3)
-        step = (distance - here[0]) * min(max(math.sqrt(_RISE / gained), 0.5), 2.5)
-    ends: dict[str, float | None] = {}
-    for name, level in LEVELS.items():
-        for _ in range(_SOUGHT):
-            crossing = _crossing(found, level)
-            if crossing is None or crossing.known or crossing.width < 1e-6 * way:
-                break
-            found.append(solve(crossing.distance))
-        crossing = _crossing(found, level)
-        ends[name] = (
-            None
-            if crossing is None
-            else float(best.u[index] + sign * crossing.distance)
-        )
-    ordered = sorted(found, key=lambda one: one[0])
-    better |= any(one[1] < -_CLOSE for one in ordered)
-    return Side(
-        np.array([one[2] for one in ordered]),
-        np.array([one[1] for one in ordered]),
-        ends,
-        better,
-    )
-
-
-class _Crossing(NamedTuple):
-    """Where a profile first passes a level, by a straight line of its root, whether a
-    point is close enough to it, and how far its neighbours are apart."""
-
-    distance: float
-    known: bool
-    width: float
-
-
-def _crossing(
-    found: list[tuple[float, float, Array]], level: float
-) -> _Crossing | None:
-    """Of points (distance, rise, parameters) in any order; None if none is above."""
-    ordered = sorted(found, key=lambda one: one[0])
-    above = next((k for k, one in enumerate(ordered) if one[1] >= level), 0)
-    if above == 0:
-        return None
-    low, high = ordered[above - 1], ordered[above]
-    roots = [math.sqrt(max(one[1], 0.0)) for one in (low, high)]
-    t = (math.sqrt(level) - roots[0]) / (roots[1] - roots[0])
-    known = min(abs(low[1] - level), abs(high[1] - level)) < _CLOSE
-    return _Crossing(low[0] + t * (high[0] - low[0]), known, high[0] - low[0])
+    profile = _Profile(problem, best, index, sign)
+    length = profile.length
+    if length > 0:
+        step = max(sd if math.isfinite(sd) else length, 1e-6 * max(length, 1e-12))
+        profile.follow(min(step, 0.25 * length))
+    ends = {name: profile.end(level) for name, level in LEVELS.items()}
+    rise = np.array([point.rise for point in profile.points])
+    points = np.array([point.u for point in profile.points])
+    return Side(points, rise, ends, bool(np.any(rise < -_CLOSE)))
 
 
 def status(low: Side, high: Side, transform: str) -> str:
@@ -149,6 +153,5 @@ def status(low: Side, high: Side, transform: str) -> str:
     if not all(closed):
         return "one-sided" if any(closed) else "degenerate"
     width = abs((high.ends["68"] or 0.0) - (low.ends["68"] or 0.0))
-    return (
-        "degenerate" if transform != "linear" and width > 2.0 * WIDE else "determined"
-    )
+    wide = transform != "linear" and width > 2.0 * WIDE
+    return "degenerate" if wide else "determined"

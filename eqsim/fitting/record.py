@@ -32,13 +32,19 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-# of derivatives: where solves choose their steps, and where these are given; how often
-# they are chosen anew, as long as chi-square falls by more than a share
-_ROUGH, _SMOOTH, _CHOSEN, _FALLEN = 2e-2, 1e-3, 6, 1e-3
-_COARSE = 0.7  # of `force_of`, for a search
-# of a solve in a search: steady sliding takes some hundred, a slip a thousand
+# Steps of derivatives: where solves choose their own steps, and where these are given.
+_STEP_CHOSEN = 2e-2
+_STEP_GIVEN = 1e-3
+# How often a search chooses the steps of solves anew, as long as chi-square falls by
+# more than this share.
+_MOST_SEARCHES = 6
+_FALL = 1e-3
+# Size of the steps of `force_of` for a search.
+_COARSE = 0.7
+# Steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
 _MOST_STEPS = 4000
-_LEAST = 0.02  # correlation of neighbours below which they are independent
+# Correlation of neighbours below which they are independent.
+_LEAST_CORRELATION = 0.02
 
 
 def read_record(path: Path, fit: Fit) -> Table:
@@ -48,57 +54,63 @@ def read_record(path: Path, fit: Fit) -> Table:
     record = fit.record
     assert record is not None
     sheet = read(path, f"fit.record.file = {path}")
-    for field in ("time", "force", "stderr"):
-        name = getattr(record, field)
+    columns = {"time": record.time, "force": record.force, "stderr": record.stderr}
+    for field, name in columns.items():
         if name is not None and name not in sheet.columns:
             raise InputError(
-                f'fit.record.{field} = "{name}": no such column; there are {", ".join(sheet.columns)}'
+                f'fit.record.{field} = "{name}": no such column; there are '
+                + ", ".join(sheet.columns)
             )
         if name is not None:
-            sheet.index(name)  # of a name that is there twice
-    t, force, sigma = [], [], []
+            sheet.index(name)  # refuses a name that is there twice
+    points: list[_Instant] = []
     for line, cells in sheet.rows():
         if not any(cells):  # a spreadsheet's last lines
             continue
         given = dict(zip(sheet.columns, cells, strict=True))
         where = f"fit.record.file, line {line}: "
-        t.append(number(given[record.time], where + record.time))
-        force.append(number(given[record.force], where + record.force))
-        error = (
-            number(given[record.stderr], where + record.stderr)
-            if record.stderr is not None
-            else 0.0
+        t, force, error = (
+            0.0 if name is None else number(given[name], where + name)
+            for name in columns.values()
         )
         if error < 0:
             raise InputError(f"{where}{record.stderr} = {error:g}: must be >= 0")
-        sigma.append(
-            math.hypot(error, fit.noise.absolute, fit.noise.relative * force[-1])
-        )
-        if not sigma[-1] > 0:
+        sigma = math.hypot(error, fit.noise.absolute, fit.noise.relative * force)
+        if not sigma > 0:
             raise InputError(
-                f"{where}{record.force} has no error; give stderr > 0, or noise in [fit]"
+                f"{where}{record.force} has no error; give stderr > 0 or noise in [fit]"
             )
-        if len(t) > 1 and not t[-1] > t[-2]:
+        if points and not t > points[-1].time:
             raise InputError(
-                f"{where}{record.time} = {t[-1]:g}: must be later than the {t[-2]:g} before it"
+                f"{where}{record.time} = {t:g}: must be later than the "
+                f"{points[-1].time:g} before it"
             )
-    if not t or t[0] < 0:
-        raise InputError(
-            f"fit.record.file = {path}: "
-            + ("is empty" if not t else "begins before time 0")
-        )
-    n, one = len(t), [Row((), 1.0, "")]
-    values = np.array(force), np.array(sigma)
-    return Table(
-        one,
-        np.zeros(n, int),
-        ["friction"] * n,
-        *values,
-        [],
-        np.ones(1),
-        sheet.sha256,
-        np.array(t),
-    )
+        points.append(_Instant(t, force, sigma))
+    if not points or points[0].time < 0:
+        wrong = "begins before time 0" if points else "is empty"
+        raise InputError(f"fit.record.file = {path}: {wrong}")
+    n, (time, value, sigmas) = len(points), np.array(points).T
+    row, row_of, names = Row((), 1.0, ""), np.zeros(n, int), ["friction"] * n
+    heat = np.ones(1)
+    return Table([row], row_of, names, value, sigmas, [], heat, sheet.sha256, time)
+
+
+class _Instant(NamedTuple):
+    """A point of a record, with its standard error."""
+
+    time: float
+    force: float
+    sigma: float
+
+
+class _Along(NamedTuple):
+    """What a record is predicted from: contacts, drive, the grid of instants, and which
+    of these are the record's."""
+
+    ensemble: Ensemble
+    programme: Programme
+    grid: Grid
+    points: Array
 
 
 @dataclass(frozen=True)
@@ -126,58 +138,44 @@ class RecordForward:
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`."""
-        ensemble, programme, grid, index = self._drive(changes)
-        if programme.stage is None:
-            means = means_of(ensemble, programme, grid)
-            return means.force[index], means.force_error[index]
-        force = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS, self.steps)[
-            index
-        ]
-        zero = np.zeros(force.size)
-        correction, error = (
-            zero if part is None else part for part in (self.correction, self.error)
-        )
+        along = self._along(changes)
+        if along.programme.stage is None:
+            means = means_of(along.ensemble, along.programme, along.grid)
+            return means.force[along.points], means.force_error[along.points]
+        force, zero = self._coarse(along), np.zeros(self.time.size)
+        correction = zero if self.correction is None else self.correction
+        error = zero if self.error is None else self.error
         return force * (1.0 + correction), np.abs(force) * error
 
     def corrected(self, changes: dict[str, float]) -> "RecordForward":
         """With the correction at these parameters: finer steps, extrapolated as of
         second order; a third of what the last refinement changes is left as the error,
         more than was seen."""
-        ensemble, programme, grid, index = self._drive(changes)
-        if programme.stage is None:
+        along = self._along(changes)
+        if along.programme.stage is None:
             return self
-        used = force_of(ensemble, programme, grid, _COARSE, _MOST_STEPS, self.steps)[
-            index
-        ]
-        coarse, fine = (
-            force_of(ensemble, programme, grid, size)[index] for size in (2, 4)
-        )
-        correction = (4.0 * fine - coarse) / 3.0 / used - 1.0
-        return replace(
-            self, correction=correction, error=np.abs(fine / coarse - 1.0) / 3.0
-        )
+        coarse, fine = (force_of(*along[:3], size)[along.points] for size in (2, 4))
+        correction = (4.0 * fine - coarse) / 3.0 / self._coarse(along) - 1.0
+        error = np.abs(fine / coarse - 1.0) / 3.0
+        return replace(self, correction=correction, error=error)
 
     def settled(self, changes: dict[str, float]) -> "RecordForward":
-        """With the steps that a solve at these parameters chooses, and no correction."""
-        ensemble, programme, grid, _ = self._drive(changes)
-        if programme.stage is None:
+        """With the steps that a solve at these parameters chooses, uncorrected."""
+        along = self._along(changes)
+        if along.programme.stage is None:
             return self
-        steps = steps_of(ensemble, programme, grid, _COARSE, _MOST_STEPS)
+        steps = steps_of(*along[:3], _COARSE, _MOST_STEPS)
         return replace(self, correction=None, error=None, steps=steps)
 
-    def _drive(
-        self, changes: dict[str, float]
-    ) -> tuple[Ensemble, Programme, Grid, Array]:
-        """Contacts, drive, the grid of instants, and which of these are the record's.
-        Raises InputError."""
-        file = at(
-            self.file,
-            {
-                key: value
-                for key, value in changes.items()
-                if not key.startswith("fit.")
-            },
-        )
+    def _coarse(self, along: _Along) -> Array:
+        """The force by the steps of a search."""
+        force = force_of(*along[:3], _COARSE, _MOST_STEPS, self.steps)
+        return force[along.points]
+
+    def _along(self, changes: dict[str, float]) -> _Along:
+        """What a record is predicted from at these parameters. Raises InputError."""
+        keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
+        file = at(self.file, keys)
         ensemble, programme = file.ensemble, file.drive
         if not isinstance(programme, Programme):
             raise InputError("drive.programme: is required with fit.record")
@@ -186,71 +184,63 @@ class RecordForward:
                 raise InputError(
                     "drive.stage: is required with fit.record.machine_stiffness"
                 )
-            stiffness = self.machine_stiffness / changes.get(
-                "fit.scale", self.fixed_scale
-            )
-            programme = replace(
-                programme, stage=replace(programme.stage, stiffness=stiffness)
-            )
+            scale = changes.get("fit.scale", self.fixed_scale)
+            stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
+            programme = replace(programme, stage=stage)
         ends = np.cumsum([segment.duration for segment in programme.segments])
         if self.time[-1] > ends[-1] * (1.0 + 1e-9):
             raise InputError(
-                f"fit.record: ends at {self.time[-1]:g}, after the programme, which takes {ends[-1]:g}"
+                f"fit.record: ends at {self.time[-1]:g}, after the programme, which "
+                f"takes {ends[-1]:g}"
             )
-        t = np.unique(np.concatenate(([0.0], np.minimum(self.time, ends[-1]), ends)))
+        time = np.minimum(self.time, ends[-1])
+        t = np.unique(np.concatenate(([0.0], time, ends)))
         segment = np.minimum(np.searchsorted(ends, t * (1.0 - 1e-12)), ends.size - 1)
         ways = [math.copysign(part.path, part.velocity) for part in programme.segments]
         X = np.interp(t, np.append(0.0, ends), np.append(0.0, np.cumsum(ways)))
-        return (
-            ensemble,
-            programme,
-            Grid(t, X, segment),
-            np.searchsorted(t, np.minimum(self.time, ends[-1])),
-        )
+        grid = Grid(t, X, segment)
+        return _Along(ensemble, programme, grid, np.searchsorted(t, time))
 
 
 def record_problem(
-    file: RunFile,
-    fit: Fit,
-    table: Table,
-    free: list[Parameter],
-    scales: tuple[list[Parameter], float],
+    file: RunFile, fit: Fit, table: Table, free: list[Parameter]
 ) -> Problem:
     """The fit of a record, with independent errors."""
-    assert table.time is not None
-    assert fit.record is not None
-    if fit.record.machine_stiffness is not None and any(
-        one.key == "drive.stage.stiffness" for one in free
-    ):
+    time, record = table.time, fit.record
+    assert time is not None
+    assert record is not None
+    keys = {one.key for one in free}
+    if record.machine_stiffness is not None and "drive.stage.stiffness" in keys:
         raise InputError(
-            "fit.free.drive.stage.stiffness: not allowed with fit.record.machine_stiffness"
+            "fit.free.drive.stage.stiffness: not allowed with "
+            "fit.record.machine_stiffness"
         )
-    forward = RecordForward(file, table.time, fit.record.machine_stiffness, scales[1])
-    ones = np.ones(table.time.size)
-    known = {"fit.offset": ones, "fit.drift": table.time - table.time.mean()}
-    nuisance = {one.key: known[one.key] for one in free if one.key in known}
-    ordered = (
-        [one for one in free if one.key not in known]
-        + scales[0]
-        + [one for one in free if one.key in known]
-    )
+    scales, fixed = fit.scales([""])
+    ones, value = np.ones(time.size), table.value
+    nuisance = {"fit.offset": ones, "fit.drift": time - time.mean()}
+    for key, size in (("fit.offset", fit.offset), ("fit.drift", fit.drift)):
+        if key not in keys:
+            value = value - size * nuisance.pop(key)
+    parameters = [one for one in free if one.key not in nuisance]
+    scale_of = np.full(time.size, len(parameters) if scales else -1)
+    parameters += [*scales, *(one for one in free if one.key in nuisance)]
     return Problem(
-        forward, ordered, table.value - _fixed(fit, nuisance, known), table.sigma, np.zeros(ones.size, int), scales[1],
-        np.zeros(ones.size, bool), None if scales[0] else float(file["contacts.count"]),
-        file["contacts.stiffness"], nuisance, fit.loss, step=_ROUGH,
-    )  # fmt: skip
-
-
-def _fixed(fit: Fit, free: dict[str, Array], known: dict[str, Array]) -> Array:
-    """Offset and drift that are not free, which are taken off what was measured."""
-    values = {"fit.offset": fit.offset, "fit.drift": fit.drift}
-    return np.asarray(
-        sum(values[key] * base for key, base in known.items() if key not in free)
+        RecordForward(file, time, record.machine_stiffness, fixed),
+        parameters,
+        value,
+        table.sigma,
+        scale_of,
+        fixed * ones,
+        np.zeros(time.size, bool),
+        file["contacts.stiffness"],
+        nuisance,
+        fit.loss,
+        step=_STEP_CHOSEN,
     )
 
 
 class Correlation(NamedTuple):
-    """Correlation time of residuals, and of how many independent points they are worth."""
+    """Correlation time of residuals, and the number of independent points."""
 
     time: float
     effective: float
@@ -260,21 +250,17 @@ def settled(problem: Problem, u: Array) -> Problem:
     """The problem with the steps that a solve at parameters `u` chooses. Raises
     InputError where there is none."""
     assert isinstance(problem.forward, RecordForward)
-    return replace(
-        problem,
-        forward=problem.forward.settled(problem.changes(u)),
-        step=_SMOOTH,
-        central=True,
-    )
+    forward = problem.forward.settled(problem.changes(u))
+    return replace(problem, forward=forward, step=_STEP_GIVEN, central=True)
 
 
 def search(problem: Problem, u: Array) -> Minimum:
     """Least squares from `u`, again and again with the steps that are chosen where they
     ended."""
     found: list[Minimum] = []
-    while len(found) < _CHOSEN and (
-        len(found) < 2 or found[-1].chi2 < (1.0 - _FALLEN) * found[-2].chi2
-    ):
+    while len(found) < _MOST_SEARCHES:
+        if len(found) > 1 and found[-1].chi2 >= (1.0 - _FALL) * found[-2].chi2:
+            break
         try:
             found.append(minimise(settled(problem, u), u))
         except TooManySteps:
@@ -291,22 +277,18 @@ def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlati
     problem = settled(problem, u)
     assert isinstance(problem.forward, RecordForward)
     problem = replace(problem, forward=problem.forward.corrected(problem.changes(u)))
-    _, predicted, _ = problem.solved(u)
-    r, gap = (problem.value - predicted) / problem.sigma, np.diff(t)
+    r, gap = (problem.value - problem.solved(u).predicted) / problem.sigma, np.diff(t)
 
     def deviance(log_tau: float) -> float:
         rho = np.exp(-gap * math.exp(-log_tau))
         w = replace(problem, correlation=rho).white(r)
         return float(r.size * math.log(w @ w) + np.sum(np.log1p(-(rho**2))))
 
-    found = optimize.minimize_scalar(
-        deviance,
-        bounds=(math.log(0.1 * gap.min()), math.log(0.3 * (t[-1] - t[0]))),
-        method="bounded",
-    )
+    bounds = math.log(0.1 * gap.min()), math.log(0.3 * (t[-1] - t[0]))
+    found = optimize.minimize_scalar(deviance, bounds=bounds, method="bounded")
     tau = math.exp(found.x)
     rho = np.exp(-gap / tau)
-    if np.median(rho) < _LEAST:
+    if np.median(rho) < _LEAST_CORRELATION:
         return replace(problem, correlation=None), Correlation(0.0, float(t.size))
     effective = 1.0 + float(np.sum((1.0 - rho) / (1.0 + rho)))
     return replace(problem, correlation=rho), Correlation(tau, effective)

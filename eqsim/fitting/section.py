@@ -14,7 +14,6 @@ from eqsim.errors import (
     POSITIVE,
     InputError,
     meant,
-    require_choice,
     require_number,
     shown,
     under,
@@ -22,11 +21,8 @@ from eqsim.errors import (
 from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.laws.named import threshold_parameters
 
-TRANSFORMS = ("log", "log1p", "linear")
-NUISANCES = {
-    "fit.offset": "offset",
-    "fit.drift": "drift",
-}  # free keys of a record that no contact knows
+# Free keys of a record that no contact knows, and their names in [fit].
+NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}
 
 
 class _Section(BaseModel):
@@ -39,7 +35,7 @@ class Prior(_Section):
 
 class Free(_Section):
     bounds: list[float]
-    transform: str = "log"
+    transform: Literal["log", "log1p", "linear"] = "log"
     prior: Prior | None = None
 
 
@@ -62,7 +58,7 @@ class Record(_Section):
 
 
 class Fit(_Section):
-    """Content of [fit], but for `free`."""
+    """The content of [fit]."""
 
     data: str | None = None
     record: Record | None = None
@@ -76,6 +72,18 @@ class Fit(_Section):
     area: float | None = None
     normal_stress: float | None = None
     free: dict[str, Free] = Field(default_factory=dict)
+
+    def scales(self, sets: list[str]) -> tuple[list["Parameter"], float]:
+        """A free scale of force for each set, or none and the fixed value. Raises
+        InputError."""
+        if not isinstance(self.scale, Scale):
+            require_number("fit.scale", self.scale, **POSITIVE)
+            return [], self.scale
+        free = Free(bounds=self.scale.bounds)
+        one = _parameter("fit.scale", "fit.scale", self.scale.start, free)
+        if len(sets) < 2:
+            return [one], 1.0
+        return [one._replace(key=f"fit.scale.{name}") for name in sets], 1.0
 
 
 class NormalPrior(NamedTuple):
@@ -114,37 +122,35 @@ class Parameter(NamedTuple):
 
     def value(self, u: Any) -> Any:
         """The key's value, from the variable, any shape."""
-        return (
-            np.exp(u)
-            if self.transform == "log"
-            else np.expm1(u)
-            if self.transform == "log1p"
-            else u
-        )
+        return {"log": np.exp, "log1p": np.expm1}.get(self.transform, lambda x: x)(u)
+
+    def variable(self, value: float) -> float:
+        """The variable in which a value is fitted."""
+        return _variable(self.transform, value)
+
+    @property
+    def variable_name(self) -> str:
+        """What the variable is, such as "ln thermal.kT"."""
+        names = {"log": "ln {}", "log1p": "ln(1 + {})", "linear": "{}"}
+        return names[self.transform].format(self.key)
 
 
-def variable(transform: str, value: float) -> float:
-    """The variable in which a value is fitted."""
-    return (
-        math.log(value)
-        if transform == "log"
-        else math.log1p(value)
-        if transform == "log1p"
-        else value
-    )
+def _variable(transform: str, value: float) -> float:
+    return {"log": math.log, "log1p": math.log1p}.get(transform, float)(value)
 
 
 def section_of(file: RunFile) -> Fit:
     """The [fit] section. Raises InputError with one line that names the field."""
     if not file.fit:
         raise InputError(
-            "fit: the run file has no section [fit]; it says which keys are free and where the data are"
+            "fit: the run file has no section [fit]; it says which keys are free and "
+            "where the data are"
         )
     if file.sweep:
         raise InputError("sweep: not allowed with [fit]; a fit chooses its own points")
-    given = file.fit
+    given = dict(file.fit)
     if isinstance(given.get("free"), dict):
-        given = {**given, "free": dict(_flat(given["free"]))}
+        given["free"] = dict(_flat(given["free"]))
     try:
         found = Fit.model_validate(given)
     except pydantic.ValidationError as error:
@@ -152,33 +158,38 @@ def section_of(file: RunFile) -> Fit:
     if not found.free:
         raise InputError("fit.free: is empty; at least one key must be free")
     with under("fit"):
-        require_number("noise.relative", found.noise.relative, **NOT_NEGATIVE)
-        require_number("noise.absolute", found.noise.absolute, **NOT_NEGATIVE)
-        require_number("offset", found.offset)
-        require_number("drift", found.drift)
-        if found.record is not None and found.record.machine_stiffness is not None:
-            require_number(
-                "record.machine_stiffness", found.record.machine_stiffness, **POSITIVE
-            )
-        for name in ("reference_temperature", "area", "normal_stress"):
-            if getattr(found, name) is not None:
-                require_number(name, getattr(found, name), **POSITIVE)
+        _check_numbers(found)
     if found.area is None and found.normal_stress is None:
         found = found.model_copy(update=_of_interface(file))
     if found.data is not None and found.record is not None:
         raise InputError(
-            "fit.record: not allowed with fit.data; fit a table or a record"
+            "fit.record: not allowed with fit.data; a fit takes one of both"
         )
-    if (found.temperature is None) != (found.reference_temperature is None):
-        missing = (
-            "reference_temperature"
-            if found.reference_temperature is None
-            else "temperature"
-        )
+    pair = ("temperature", "reference_temperature")
+    missing = [name for name in pair if getattr(found, name) is None]
+    if len(missing) == 1:
         raise InputError(
-            f"fit.{missing}: is required; kT of a row is thermal.kT T/reference_temperature"
+            f"fit.{missing[0]}: is required; kT of a row is thermal.kT "
+            "T/reference_temperature"
         )
     return found
+
+
+def _check_numbers(fit: Fit) -> None:
+    """Raise InputError for a number that is out of its range."""
+    stiffness = fit.record.machine_stiffness if fit.record is not None else None
+    for name, value, bounds in (
+        ("noise.relative", fit.noise.relative, NOT_NEGATIVE),
+        ("noise.absolute", fit.noise.absolute, NOT_NEGATIVE),
+        ("offset", fit.offset, {}),
+        ("drift", fit.drift, {}),
+        ("record.machine_stiffness", stiffness, POSITIVE),
+        ("reference_temperature", fit.reference_temperature, POSITIVE),
+        ("area", fit.area, POSITIVE),
+        ("normal_stress", fit.normal_stress, POSITIVE),
+    ):
+        if value is not None:
+            require_number(name, value, **bounds)
 
 
 def _of_interface(file: RunFile) -> dict[str, float]:
@@ -191,20 +202,17 @@ def _of_interface(file: RunFile) -> dict[str, float]:
 
 
 def _flat(free: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys that were not quoted, which TOML takes for sections in sections."""
+    """Join keys that were not quoted, which TOML takes for sections in sections."""
     for name, content in free.items():
-        nested = (
-            isinstance(content, dict)
-            and content
-            and all(isinstance(part, dict) for part in content.values())
-        )
-        if nested and "prior" not in content:
+        nested = isinstance(content, dict) and content and "prior" not in content
+        if nested and all(isinstance(part, dict) for part in content.values()):
             yield from _flat(content, f"{above}{name}.")
         else:
             yield f"{above}{name}", content
 
 
 def _explain(error: pydantic.ValidationError) -> str:
+    """One line about the first thing that is wrong."""
     first = error.errors(include_url=False)[0]
     place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
     field, value = ".".join(["fit", *place]), shown(first["input"])
@@ -216,15 +224,13 @@ def _explain(error: pydantic.ValidationError) -> str:
             "record": Record,
         }
         known = list(sections.get(place[0] if place[1:] else "", Fit).model_fields)
-        return f"{field}: unknown key; " + (
-            meant(place[-1], known) or "known here: " + ", ".join(known)
-        )
+        hint = meant(place[-1], known) or "known here: " + ", ".join(known)
+        return f"{field}: unknown key; {hint}"
     if first["type"] in ("model_type", "dict_type"):
         free = ", such as { bounds = [0.1, 10.0] }" if place[:1] == ["free"] else ""
         return f"{field} = {value}: must be a section{free}"
-    return f"{field} = {value}: " + first["msg"].replace(
-        "Input should be", "must be"
-    ).replace("'", '"')
+    allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
+    return f"{field} = {value}: {allowed}"
 
 
 def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
@@ -237,98 +243,75 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
             if fit.record is None:
                 raise InputError(f"{field}: only of a record")
             value: Any = getattr(fit, NUISANCES[key])
-            transform = (
-                free.transform if "transform" in free.model_fields_set else "linear"
-            )
-            free = free.model_copy(update={"transform": transform})
+            if "transform" not in free.model_fields_set:
+                free = free.model_copy(update={"transform": "linear"})
         else:
             if key not in known:
-                hint = meant(key, [*known, *NUISANCES]) or "known are " + ", ".join(
-                    known
-                )
+                hint = meant(key, [*known, *NUISANCES])
+                hint = hint or "known are " + ", ".join(known)
                 raise InputError(f"{field}: is not a key of the run file; {hint}")
             if known[key] is not float:
-                what = "text" if known[key] is str else "an integer"
+                kind = "text" if known[key] is str else "an integer"
                 raise InputError(
-                    f"{field}: its value is {what}; only numbers with a fraction can be fitted"
+                    f"{field}: its value is {kind}; only numbers with a fraction can "
+                    "be fitted"
                 )
             value = values[key]
             _check_effect(file, key, field)
             if value is None:
-                raise InputError(
-                    f"{field}: has no value in the run file, which is its start"
-                )
-        found.append(_parameter(key, field, float(value), free, key in NUISANCES))
+                raise InputError(f"{field}: has no value in the run file, its start")
+        found.append(_parameter(key, field, float(value), free))
     return found
 
 
 def _check_effect(file: RunFile, key: str, field: str) -> None:
     """Raise InputError for a key that the laws of the run file do not know."""
-    law, rule = file["thresholds.law"], file["aging.rule"]
+    law, (section, _, name) = file["thresholds.law"], key.partition(".")
     if key == "thermal.temperature":
         raise InputError(f"{field}: must be thermal.kT, to which it is proportional")
-    if key.startswith("thresholds.") and key.partition(".")[
-        2
-    ] not in threshold_parameters(law):
+    if section == "thresholds" and name not in threshold_parameters(law):
         raise InputError(f'{field}: has no effect with thresholds.law = "{law}"')
-    if key.startswith("aging.") and rule == "none":
+    if section == "aging" and file["aging.rule"] == "none":
         raise InputError(
             f'{field}: has no effect with aging.rule = "none", contacts that do not age'
         )
 
 
-def _parameter(
-    key: str, field: str, value: float, free: Free, linear: bool
-) -> Parameter:
-    require_choice(f"{field}.transform", free.transform, TRANSFORMS)
+def _parameter(key: str, field: str, value: float, free: Free) -> Parameter:
+    """The variable, bounds and start of a free key. Raises InputError."""
     low, high = _bounds(field, free.bounds, free.transform)
     if not free.bounds[0] <= value <= free.bounds[1]:
         where = f"[{free.bounds[0]:g}, {free.bounds[1]:g}]"
         raise InputError(
-            f"{field}: starts at {value:g}, the run file's value; must be inside its bounds {where}"
+            f"{field}: starts at {value:g}, the run file's value; must be inside its "
+            f"bounds {where}"
         )
     prior = None
     if free.prior is not None:
         normal = free.prior.normal
         if len(normal) != 2 or not all(map(math.isfinite, normal)) or not normal[1] > 0:
-            raise InputError(
-                f"{field}.prior.normal = {shown(normal)}: must be [mean, sd] with sd > 0"
-            )
+            given = f"{field}.prior.normal = {shown(normal)}"
+            raise InputError(f"{given}: must be [mean, sd] with sd > 0")
         prior = NormalPrior(*normal)
-    return Parameter(
-        key, free.transform, low, high, variable(free.transform, value), prior, linear
-    )
+    start, linear = _variable(free.transform, value), key.startswith("fit.")
+    return Parameter(key, free.transform, low, high, start, prior, linear)
 
 
 def _bounds(field: str, bounds: list[float], transform: str) -> tuple[float, float]:
-    """In the variable that is fitted."""
-    said = f"{field}.bounds = {shown(bounds)}"
+    """Bounds in the variable that is fitted. Raises InputError."""
+    given = f"{field}.bounds = {shown(bounds)}"
     if len(bounds) != 2 or not all(map(math.isfinite, bounds)):
-        raise InputError(f"{said}: must be two finite numbers")
-    if not bounds[0] < bounds[1]:
+        raise InputError(f"{given}: must be two finite numbers")
+    low, high = bounds
+    if not low < high:
         raise InputError(
-            f"{said}: must be [least, greatest], the first smaller than the second"
+            f"{given}: must be [least, greatest], the first smaller than the second"
         )
     least = {"log": 0.0, "log1p": -1.0, "linear": -math.inf}[transform]
-    if not bounds[0] > least:
-        hint = (
-            '; transform = "linear" or "log1p" may begin at 0'
-            if transform == "log"
-            else ""
-        )
+    if not low > least:
+        other = '; transform = "linear" or "log1p" may begin at 0'
         raise InputError(
-            f'{said}: must be > {least:g} with transform = "{transform}"{hint}'
+            f'{given}: must be > {least:g} with transform = "{transform}"'
+            f"{other if transform == 'log' else ''}"
         )
-    return variable(transform, bounds[0]), variable(transform, bounds[1])
-
-
-def scales_of(fit: Fit, sets: list[str]) -> tuple[list[Parameter], float]:
-    """A free scale per set, or none and the fixed value. Raises InputError."""
-    if not isinstance(fit.scale, Scale):
-        require_number("fit.scale", fit.scale, **POSITIVE)
-        return [], fit.scale
-    one = _parameter(
-        "fit.scale", "fit.scale", fit.scale.start, Free(bounds=fit.scale.bounds), True
-    )
-    names = [f"fit.scale.{name}" for name in sets] if len(sets) > 1 else ["fit.scale"]
-    return [one._replace(key=name) for name in names], 1.0
+    return _variable(transform, low), _variable(transform, high)
