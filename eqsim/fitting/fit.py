@@ -4,8 +4,9 @@ import hashlib
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from eqsim.fitting.record import (
     record_problem,
     search,
 )
-from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
+from eqsim.fitting.section import Fit, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.numerics.tables import Array
@@ -57,7 +58,7 @@ class Interval(NamedTuple):
     estimate: float
     transform: str
     sd: float
-    intervals: dict[str, tuple[float | None, float | None]]
+    intervals: dict[str, tuple[float | None, ...]]
     status: str
 
 
@@ -86,20 +87,14 @@ class FitResult:
     problem : Problem
     table : Table
     best : Minimum
-    intervals : tuple of Interval
-        Of each free key, and of scales.
-    goodness : Goodness
-    ladder : tuple of Direction
-        Eigenvectors of J'J at the best fit.
-    covariance : ndarray, shape (parameters, parameters)
-        Of the variables of the parameters.
-    minima : tuple of Minimum
+    jacobian : ndarray, shape (measurements + priors, parameters)
+        J, at the best fit.
+    minima : list of Minimum
         One for each start.
     profiles : dict
         The two sides of each key's profile.
-    floor : float
-        Largest error of the solver over that of a measurement.
-    warnings : tuple of str
+    noticed : list of str
+        Warnings from before the fit.
     correlation : Correlation or None
         Of the errors of a record.
     """
@@ -109,14 +104,10 @@ class FitResult:
     problem: Problem
     table: Table
     best: Minimum
-    intervals: tuple[Interval, ...]
-    goodness: Goodness
-    ladder: tuple[Direction, ...]
-    covariance: Array
-    minima: tuple[Minimum, ...]
-    profiles: dict[str, tuple[profiles.Side, profiles.Side]]
-    floor: float
-    warnings: tuple[str, ...]
+    jacobian: Array
+    minima: list[Minimum]
+    profiles: dict[str, list[profiles.Side]]
+    noticed: list[str]
     correlation: Correlation | None = None
 
     @property
@@ -125,15 +116,83 @@ class FitResult:
         return self.problem.values(self.best.u)
 
     @property
-    def seed(self) -> int:
-        """What draws starts and posterior."""
-        return self.file.output.seed
-
-    @property
     def changes(self) -> dict[str, float]:
         """The best values of the free keys of the run file."""
         best = self.values.items()
         return {key: value for key, value in best if not key.startswith("fit.")}
+
+    @property
+    def seed(self) -> int:
+        """What draws starts and posterior."""
+        return self.file.output.seed
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the variables of the parameters, shape (parameters,
+        parameters)."""
+        return estimate.covariance(self.jacobian)
+
+    @cached_property
+    def ladder(self) -> list[Direction]:
+        """Eigenvectors of J'J, the best determined first."""
+        jacobian = self.problem.unitless(self.jacobian)
+        return estimate.ladder(self.problem.keys, jacobian)
+
+    @cached_property
+    def goodness(self) -> Goodness:
+        """How well the best fit describes the data."""
+        return goodness(self.problem, self.best.u)
+
+    @cached_property
+    def floor(self) -> float:
+        """Largest error of the solver over that of a measurement."""
+        error = self.problem.solved(self.best.u).error
+        return float(np.max(error / self.problem.sigma))
+
+    @cached_property
+    def intervals(self) -> list[Interval]:
+        """What is known of each free key, and of scales."""
+        sd, found = np.sqrt(np.diag(self.covariance)).tolist(), []
+        for one, error in zip(self.problem.parameters, sd, strict=True):
+            low, high = self.profiles[one.key]
+            status = profiles.status(low, high, one.transform)
+            ends = {
+                name: tuple(one.value_or_none(side.ends[name]) for side in (low, high))
+                for name in profiles.LEVELS
+            }
+            best = self.values[one.key]
+            found.append(Interval(one.key, best, one.transform, error, ends, status))
+        return found
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What was noticed before the fit, and doubts about its numbers."""
+        found, rough = [*self.noticed], []
+        if self.floor > _NOISE_FLOOR:
+            found.append(
+                f"noise floor: the solver's own error is {self.floor:.2g} of a "
+                "measurement's standard error"
+            )
+        for one, x, known in zip(
+            self.problem.parameters, self.best.u, self.intervals, strict=True
+        ):
+            for bound in (one.low, one.high):
+                if abs(x - bound) < _AT_BOUND * (one.high - one.low):
+                    found.append(
+                        f"{one.key} is at its bound {float(one.value(bound)):g}: "
+                        "values and intervals of the other keys depend on this bound"
+                    )
+            ends = [side.ends["95"] for side in self.profiles[one.key]]
+            nearest = min((abs(u - x) for u in ends if u is not None), default=math.inf)
+            # at a bound a covariance says nothing
+            if one.low < x < one.high and nearest < _NARROW * known.sd:
+                rough.append(one.key)
+        if rough:
+            found.append(
+                f"intervals of {', '.join(rough)} end at roughness of the solver: not "
+                "to be trusted"
+            )
+        return found
 
     def to_pandas(self) -> Any:
         """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 %
@@ -372,8 +431,7 @@ def _fitted(
         (best,) = alone.results(f"white{again}", estimate.minimise, begin)
     for again in range(_MOST_FITS):
         jacobian = problem.jacobian(best.u)
-        covariance = estimate.covariance(jacobian)
-        sd = np.sqrt(np.diag(covariance)).tolist()
+        sd = np.sqrt(np.diag(estimate.covariance(jacobian))).tolist()
         ways = [(i, sign) for i in range(number) for sign in (-1, 1)]
         sought = [(problem, best, i, sign, sd[i]) for i, sign in ways]
         done = len(every)
@@ -384,78 +442,18 @@ def _fitted(
         begin = [(problem, u) for u in lower]
         better = tasks.results(f"better{again}", estimate.minimise, begin)
         best = min([best, *better], key=lambda one: one.chi2)
-    pairs = dict(
-        zip(problem.keys, zip(sides[::2], sides[1::2], strict=True), strict=True)
-    )
-    intervals = map(_interval, problem.parameters, best.u.tolist(), sd, pairs.values())
-    floor = float(np.max(problem.solved(best.u).error / problem.sigma))
-    result = FitResult(
+    return FitResult(
         file=file,
         fit=section,
         problem=problem,
         table=table,
         best=best,
-        intervals=tuple(intervals),
-        goodness=goodness(problem, best.u),
-        ladder=tuple(estimate.ladder(problem.keys, problem.unitless(jacobian))),
-        covariance=covariance,
-        minima=tuple(minima),
-        profiles=pairs,
-        floor=floor,
-        warnings=(),
+        jacobian=jacobian,
+        minima=minima,
+        profiles={key: sides[2 * i :][:2] for i, key in enumerate(problem.keys)},
+        noticed=warnings,
         correlation=correlation,
     )
-    return replace(result, warnings=(*warnings, *_doubts(result)))
-
-
-def _interval(
-    one: Parameter, u: float, sd: float, sides: tuple[profiles.Side, profiles.Side]
-) -> Interval:
-    """What is known of a parameter whose best variable is `u`."""
-
-    def value(end: float | None) -> float | None:
-        return None if end is None else float(one.value(end))
-
-    low, high = sides
-    ends = {
-        name: (value(low.ends[name]), value(high.ends[name]))
-        for name in profiles.LEVELS
-    }
-    status = profiles.status(low, high, one.transform)
-    return Interval(one.key, float(one.value(u)), one.transform, sd, ends, status)
-
-
-def _doubts(result: FitResult) -> Iterator[str]:
-    """Warnings about the errors of the solver, and about parameters at bounds."""
-    if result.floor > _NOISE_FLOOR:
-        yield (
-            f"noise floor: the solver's own error is {result.floor:.2g} of a "
-            "measurement's standard error"
-        )
-    rough = []
-    everything = zip(
-        result.problem.parameters, result.best.u, result.intervals, strict=True
-    )
-    for one, x, known in everything:
-        for bound in (one.low, one.high):
-            if abs(x - bound) < _AT_BOUND * (one.high - one.low):
-                yield (
-                    f"{one.key} is at its bound {float(one.value(bound)):g}: values "
-                    "and intervals of the other keys depend on this bound"
-                )
-        ends = [side.ends["95"] for side in result.profiles[one.key]]
-        widths = [abs(end - x) for end in ends if end is not None]
-        # at a bound a covariance says nothing
-        if (
-            one.low < x < one.high
-            and min(widths, default=math.inf) < _NARROW * known.sd
-        ):
-            rough.append(one.key)
-    if rough:
-        yield (
-            f"intervals of {', '.join(rough)} end at roughness of the solver: not to "
-            "be trusted"
-        )
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:

@@ -124,6 +124,10 @@ class Parameter(NamedTuple):
         """The key's value, from the variable, any shape."""
         return {"log": np.exp, "log1p": np.expm1}.get(self.transform, lambda x: x)(u)
 
+    def value_or_none(self, u: float | None) -> float | None:
+        """The key's value; None if there is none."""
+        return None if u is None else float(self.value(u))
+
     def variable(self, value: float) -> float:
         """The variable in which a value is fitted."""
         return _variable(self.transform, value)
