@@ -345,7 +345,7 @@ class PooledRate:
     ) -> Array:
         """h at x >= 0, shape (n,); of a discrete law between its steps."""
         if self._steps is None:
-            return annealed.hazard_rate(self._s, x)
+            return annealed.successful_attempts(self._s, x)
         middle = (
             x
             if left is None or right is None
@@ -740,7 +740,7 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
         PooledRate(contacts) if steps is not None and contacts.barrier.thermal else None
     )
 
-    def solve(left: Array, right: Array, order: int, finer: int = 0) -> Array:
+    def solve(left: Array, right: Array, order: int, *, finer: bool = False) -> Array:
         rule = _rule(order)
         half = 0.5 * (right - left)[:, None]
         x = right[:, None] - half * (1.0 + rule.nodes)
@@ -752,9 +752,9 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
                 x.shape
             )
         elif contacts.barrier.thermal:
-            rate += annealed.hazard_rate(
-                contacts, flat, annealed._ORDER + finer
-            ).reshape(x.shape)
+            rate += annealed.successful_attempts(contacts, flat, finer=finer).reshape(
+                x.shape
+            )
         if steps is None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 own = law.pdf(flat * law.scale) * law.scale / law.sf(flat * law.scale)
@@ -841,7 +841,7 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
         pieces=_PIECES,
         most=_MOST_STRETCHES,
     )
-    other = solve(p.left, p.right, _COARSE, 4)
+    other = solve(p.left, p.right, _COARSE, finer=True)
     coarse, _ = weighed(p, combined(p, other), _COARSE)
     return mean, missed + np.abs(mean - coarse) + _ROUNDING * _scales(mean)
 
