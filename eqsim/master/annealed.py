@@ -15,14 +15,13 @@ until the highest Chebyshev coefficients of the hazard, times the life that is l
 of the integrands are negligible.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.pooled import pooled_rate
+from eqsim.laws.barrier.pooled import mean_hazard, pooled_rate
 from eqsim.master.quenched import (
     Moments,
     beyond,
@@ -31,6 +30,7 @@ from eqsim.master.quenched import (
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 METHOD = "published master equation"
@@ -55,8 +55,6 @@ _ROUNDING = 1e-11
 
 # A survival that is out of sight.
 _DEAD = 1e-20
-# Two orders are used. A rule takes 0.25 ms, and a solve of 30 ms asks for ten.
-_rule = functools.lru_cache(maxsize=4)(np.polynomial.legendre.leggauss)
 
 
 def stationary(contacts: Reduced) -> Moments:
@@ -187,30 +185,18 @@ def survivors(contacts: Reduced, x: Array) -> Array:
     """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] of a discrete law
     at ascending x > 0, shape (3, n). Raises InputError for more than 1000 thresholds.
     """
-    xi, share, kappa = different_steps(contacts)
+    barrier, (xi, share, kappa) = contacts.barrier, different_steps(contacts)
     if xi.size > _MOST_STEPS:
         raise InputError(
             f"thresholds: {xi.size} different values; the annealed reference takes at "
             f"most {_MOST_STEPS}"
         )
     with np.errstate(divide="ignore"):
-        log_dU = np.log(_pooled_hazard(contacts, xi, share, kappa, x))
-    dU = np.exp(np.minimum(log_dU + contacts.barrier.log_w, 7.0))
+        log_G = np.log(mean_hazard(type(barrier), x, xi, share, barrier.b * kappa))
+    dU = np.exp(np.minimum(log_G + barrier.log_w, 7.0))
     above = np.searchsorted(xi, x, side="right")
     tails = [np.cumsum((share * kappa**p)[::-1])[::-1] for p in range(3)]
     return np.exp(-dU) * np.array([np.append(tail, 0.0)[above] for tail in tails])
-
-
-def _pooled_hazard(
-    contacts: Reduced, xi: Array, share: Array, kappa: Array, x: Array
-) -> Array:
-    """G of a discrete law, a mean of closed forms."""
-    G = np.zeros(x.size)
-    for own, part, a in zip(xi, share, contacts.barrier.b * kappa, strict=True):
-        k = np.searchsorted(x, own)
-        G[:k] += part * np.exp(contacts.barrier.log_hazard(x[:k], own, a))
-        G[k:] += part * np.exp(contacts.barrier.log_hazard(own, own, a))
-    return G
 
 
 def _of_steps(contacts: Reduced) -> Moments:
@@ -219,7 +205,7 @@ def _of_steps(contacts: Reduced) -> Moments:
     edge = panels_between_steps(contacts)
 
     def integrate(order: int) -> Array:
-        nodes, weights = _rule(order)
+        nodes, weights = gauss_legendre(order)
         half = 0.5 * np.diff(edge)[:, None]
         x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
         survive, stiff, _ = survivors(contacts, x)

@@ -288,7 +288,7 @@ def hazard_of(contacts: Reduced) -> Hazard:
     return Hazard(rate, levels, layer)
 
 
-class PooledRate:
+class PooledPolynomials:
     """(omega/v) h(x) of annealed contacts at x >= 0 as Chebyshev polynomials, and its
     integral."""
 
@@ -390,13 +390,13 @@ class PooledRate:
 # It takes 1 to 10 ms, and a transient asks for it 60 times; ensembles are solved one
 # after another.
 @functools.lru_cache(maxsize=8)
-def pooled_rate(contacts: Reduced) -> PooledRate:
-    """Find the pooled rate of an ensemble, and remember it."""
-    return PooledRate(contacts)
+def pooled_polynomials(contacts: Reduced) -> PooledPolynomials:
+    """Pooled rate of an ensemble, remembered."""
+    return PooledPolynomials(contacts)
 
 
 def _pooled(contacts: Reduced) -> Hazard:
-    pooled = pooled_rate(contacts)
+    pooled = pooled_polynomials(contacts)
     grid = np.unique(
         np.concatenate((pooled.edges, np.linspace(0.0, pooled.edges[-1], 2000)))
     )
@@ -737,7 +737,9 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
     law, births = contacts.law, births_of(contacts)
     steps = different_steps(contacts) if law.steps.size else None
     pooled = (
-        PooledRate(contacts) if steps is not None and contacts.barrier.thermal else None
+        PooledPolynomials(contacts)
+        if steps is not None and contacts.barrier.thermal
+        else None
     )
 
     def solve(left: Array, right: Array, order: int, *, finer: bool = False) -> Array:

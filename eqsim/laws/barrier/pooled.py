@@ -311,16 +311,28 @@ def _pooled_steps(
                 ** -np.arange(0.125, math.log2(16 * (high / low - 1.0)) + 1.0, 0.125)
             )
     y = np.unique(np.concatenate(nodes))
-    G, left, right = np.zeros(y.size), np.zeros(y.size), np.zeros(y.size)
+    G = mean_hazard(barrier, y, xi, weight, a)
+    left, right = np.zeros(y.size), np.zeros(y.size)
     for j in range(xi.size):
         k = np.searchsorted(y, xi[j])
-        G[:k] += weight[j] * np.exp(barrier.log_hazard(y[:k], xi[j], a[j]))
-        G[k:] += weight[j] * np.exp(barrier.log_hazard(xi[j], xi[j], a[j]))
         with np.errstate(divide="ignore"):  # a stiff contact's rate ends at 0
             rate = weight[j] * np.exp(barrier.log_rate(y[: k + 1], xi[j], a[j]))
         left[: k + 1] += rate  # the rate drops at each threshold
         right[:k] += rate[:-1]
     return _pool(y, G, left, right)
+
+
+def mean_hazard(
+    barrier: type[Barrier], y: Array, xi: Array, share: Array, a: Array
+) -> Array:
+    """G at ascending stretches y of a discrete law, a mean of closed forms: thresholds
+    xi with their shares and a, lengths in units of the law's scale."""
+    G = np.zeros(y.size)
+    for threshold, part, steepness in zip(xi, share, a, strict=True):
+        k = np.searchsorted(y, threshold)
+        G[:k] += part * np.exp(barrier.log_hazard(y[:k], threshold, steepness))
+        G[k:] += part * np.exp(barrier.log_hazard(threshold, threshold, steepness))
+    return G
 
 
 def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
