@@ -13,6 +13,7 @@ from reduced_cases import barrier_of, contacts
 from scipy import integrate, optimize, special
 
 from eqsim import Distribution, Gamma, Table
+from eqsim.laws.barrier import pooled
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import annealed, flow, quenched
 
@@ -228,15 +229,18 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = [annealed.stationary(contacts(*case)) for case in cases]
-    between = np.sqrt(annealed._EXPONENTS[1:] * annealed._EXPONENTS[:-1])
-    monkeypatch.setattr(
-        annealed, "_EXPONENTS", np.sort(np.append(annealed._EXPONENTS, between))
-    )
-    monkeypatch.setattr(annealed, "_NEAR_ENDS", 10.0 ** np.arange(-13.0, 0.0, 0.5))
-    monkeypatch.setattr(annealed, "_UNSEEN", -60.0)
+    between = np.sqrt(pooled._EXPONENTS[1:] * pooled._EXPONENTS[:-1])
+    finer = {
+        "_EXPONENTS": np.sort(np.append(pooled._EXPONENTS, between)),
+        "_NEAR_ENDS": 10.0 ** np.arange(-13.0, 0.0, 0.5),
+        "_UNSEEN": -60.0,
+        "_ORDER": 24,
+        "_STEP": 0.04,
+    }
+    for name, value in finer.items():
+        monkeypatch.setattr(pooled, name, value)
     monkeypatch.setattr(annealed, "_RISE", 2.2)
     monkeypatch.setattr(annealed, "_RESOLVED", 5e-13)
-    monkeypatch.setattr(annealed.hazard_rate, "__defaults__", (24,))
     for case, m in zip(cases, found, strict=True):
         covered(case[0], m, annealed.stationary(contacts(*case)))
 

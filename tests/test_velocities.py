@@ -21,11 +21,12 @@ from eqsim import (
     Thermal,
     reference,
 )
+from eqsim.laws.barrier import Soft, Stiff, pooled
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.newborn import Newborn
 from eqsim.master import annealed
 from eqsim.master.steady import settled
-from eqsim.master.velocities import curve, gamma_rate, lives_of
-from eqsim.model.reduced import reduced
+from eqsim.master.velocities import curve, lives_of
 
 VELOCITIES = np.geomspace(1e-4, 30.0, 9)
 UNIFORM = {"stiffness_law": "uniform"}
@@ -162,33 +163,36 @@ def test_mixtures_end_at_their_ends():
         np.testing.assert_allclose(found.friction, exact.friction, rtol=1e-9)
 
 
-@pytest.mark.parametrize("barrier", ["soft", "stiff"])
-@pytest.mark.parametrize("law", ["uniform", "sqrt"])
+@pytest.mark.parametrize("barrier", [Soft, Stiff])
+@pytest.mark.parametrize("stiffness", ["uniform", "sqrt"])
 @pytest.mark.parametrize("n", [0.0, 0.7, 8.0, 60.0])
-def test_pooled_rate(barrier, law, n):
+def test_pooled_rate(monkeypatch, barrier, stiffness, n):
     """The trapezoidal rule against panels, to 1e-9 wherever the rate is not negligible,
     and at y = 0 with uniform stiffness against (1 + b)^-(n + 1), exact."""
     y = np.concatenate(
         (np.geomspace(1e-8, 1.0, 20), np.linspace(1.1, math.sqrt(n + 1) + 5.0, 30))
     )
     for b in (1e-3, 0.3, 5.0, 200.0, 1e7):
-        s = reduced(
-            Ensemble(
-                Gamma(n),
-                Thermal(0.5 / b, 1.0, barrier),
-                disorder="annealed",
-                stiffness_law=law,
-            ),
-            1.0,
-        )
-        exact = annealed.hazard_rate(s, y, 14)
-        seen = exact > 1e-9  # `hazard_rate` leaves out attempts rarer than exp(-45)
-        np.testing.assert_allclose(
-            gamma_rate(s, s.law, y)[seen], exact[seen], rtol=1e-9
-        )
-        if law == "uniform":
-            newborn = gamma_rate(s, s.law, np.zeros(1))[0]
-            assert newborn == pytest.approx((1.0 + b) ** -(n + 1.0), rel=1e-9, abs=0)
+        found = pooled_rate(Gamma(n), stiffness, barrier, b, np.append(0.0, y))
+        if stiffness == "uniform":
+            assert found[0] == pytest.approx((1.0 + b) ** -(n + 1.0), rel=1e-9, abs=0)
+        with monkeypatch.context() as panels:
+            panels.setattr(pooled, "_LARGEST_N", -1.0)
+            exact = pooled_rate(Gamma(n), stiffness, barrier, b, y, finer=True)
+        seen = exact > 1e-9
+        np.testing.assert_allclose(found[1:][seen], exact[seen], rtol=1e-9)
+
+
+@pytest.mark.parametrize("log_w", [45.0, 90.0, 200.0])
+def test_attempts_so_many_that_rare_ones_count(log_w):
+    """Laws solved by panels, where contacts break by successes rarer than exp(-45):
+    curves, also with a fast drive beside, against single solves."""
+    ensemble = Ensemble(Gamma(80.0), Thermal(0.5 / 3.0), disorder="annealed")
+    v = math.exp(-log_w)
+    exact = reference(ensemble, Drive(v)).friction.value
+    assert curve(ensemble, [v, 1.0]).friction[0] == pytest.approx(
+        exact, rel=1e-9, abs=0
+    )
 
 
 def test_bad_velocities():

@@ -15,24 +15,22 @@ until the highest Chebyshev coefficients of the hazard, times the life that is l
 of the integrands are negligible.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.laws.threshold import panels_above
+from eqsim.laws.barrier.pooled import mean_hazard, pooled_rate
 from eqsim.master.quenched import (
     Moments,
     beyond,
     different_steps,
-    kappa_of,
     panels_between_steps,
-    weakest,
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 METHOD = "published master equation"
@@ -55,20 +53,8 @@ _MOST_PANELS = 1500
 # The least relative error that is quoted.
 _ROUNDING = 1e-11
 
-# Exponents of the barrier where panels of the rate end.
-_EXPONENTS = np.array([1e-3, 0.05, 0.5, 2.0, 5.0, 10.0, 18.0, 28.0, 45.0, 80.0, 140.0])
-# Distances from the ends of the support where panels of the rate end.
-_NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
-# Nodes of a panel of the rate.
-_ORDER = 10
-# The logarithm of a hazard that is out of sight.
-_UNSEEN = -45.0
 # A survival that is out of sight.
 _DEAD = 1e-20
-# Stretches whose rate is found at once, to bound memory.
-_AT_ONCE = 1000
-# Two orders are used. A rule takes 0.25 ms, and a solve of 30 ms asks for ten.
-_rule = functools.lru_cache(maxsize=4)(np.polynomial.legendre.leggauss)
 
 
 def stationary(contacts: Reduced) -> Moments:
@@ -88,7 +74,7 @@ def stationary(contacts: Reduced) -> Moments:
     alive, onward = _alive(p), _onward(parts)
     seen = alive > _DEAD
     better = (
-        hazard_rate(contacts, 0.5 * (p.left + p.right)[seen], _ORDER + 4)
+        successful_attempts(contacts, 0.5 * (p.left + p.right)[seen], finer=True)
         * (p.right - p.left)[seen]
     )
     missed = np.abs(2.0 * _Integrals(*p.values).middle[seen] - better)
@@ -126,7 +112,7 @@ def _integrals(contacts: Reduced, left: Array, right: Array) -> Array:
     """`_Integrals` as rows."""
     half = 0.5 * (right - left)[:, None]
     x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
-    hazard = half * hazard_rate(contacts, x.ravel()).reshape(x.shape)
+    hazard = half * successful_attempts(contacts, x.ravel()).reshape(x.shape)
     # where the panel is too wide for its polynomial, that may be negative
     alive = half * np.exp(-np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0))
     J = contacts.law.sf(x * contacts.law.scale)
@@ -180,109 +166,37 @@ def _first_edges(contacts: Reduced) -> Array:
     marks = marks[(marks > 0) & np.isfinite(marks)]
     top = marks.max()
     least, greatest = (edge / law.scale for edge in law.support)
-    newborn = hazard_rate(contacts, np.zeros(1))[0]
+    newborn = successful_attempts(contacts, np.zeros(1))[0]
     first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(contacts.barrier.b))
     rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
     edges = np.unique(np.concatenate(([0.0, least, min(greatest, top)], marks, rising)))
     return edges[edges <= min(greatest, top)]
 
 
-def hazard_rate(contacts: Reduced, y: Array, order: int = _ORDER) -> Array:
-    """(omega/v) h(y) of a smooth law, h that of `laws.barrier.pooled` (temper11,
-    temper12), to about 1e-13 for gamma laws and 1e-10 for most others.
-
-    In sqrt(xi' - y), so that the rate of stiff contacts is smooth at their thresholds,
-    and with panels next to the ends of the support besides those next to y.
-    """
-    law, barrier, b, rms = (
-        contacts.law,
-        contacts.barrier,
-        contacts.barrier.b,
-        contacts.rms,
-    )
-    least, greatest = law.support[0] / law.scale, law.support[1] / law.scale
-    upper = greatest - _NEAR_ENDS if math.isfinite(greatest) else np.empty(0)
-    ends = np.concatenate((least + _NEAR_ENDS, upper, weakest(law)[::2]))
-    far = (
-        np.cbrt(_EXPONENTS * rms / b)
-        if contacts.stiffness == "sqrt"
-        else np.sqrt(_EXPONENTS / b)
-    )  # if y = 0
-    nodes, weights = _rule(order)
-    found = np.empty(y.size)
-
-    def contact(x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
-        """Arguments of the barrier at stretch x and threshold x + root^2."""
-        xi = x + root**2
-        return root**2, root**2 + 2.0 * x, xi, b * kappa_of(contacts, xi)
-
-    for start in range(0, y.size, _AT_ONCE):
-        at = y[start : start + _AT_ONCE, None]
-        origin = np.maximum(at, least)
-        with np.errstate(divide="ignore", over="ignore"):
-            near = barrier.width(
-                _EXPONENTS, origin, np.maximum(b * kappa_of(contacts, origin), 1e-300)
-            )
-        layer = np.concatenate(
-            (
-                origin + np.minimum(near, far),
-                np.broadcast_to(ends, (at.size, ends.size)),
-            ),
-            axis=1,
-        )
-        edges = np.sqrt(np.maximum(panels_above(law, at[:, 0], layer) - at, 0.0))
-        with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
-            unseen = (
-                barrier.log_w - barrier.exponent(*contact(at, edges[:, :-1])) <= _UNSEEN
-            )
-        row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
-        half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
-        root = edges[row, column, None] + half * (1.0 + nodes)
-        inner = contact(at[row], root)
-        density = law.pdf(inner[2] * law.scale) * law.scale
-        terms = (
-            half
-            * weights
-            * 2.0
-            * root
-            * density
-            * np.exp(barrier.log_w + barrier.log_attempt(*inner))
-        )
-        terms[~np.isfinite(terms)] = (
-            0.0  # a density that diverges at an end of the support
-        )
-        found[start : start + at.size] = np.bincount(row, terms.sum(axis=1), at.size)
-    return found
+def successful_attempts(contacts: Reduced, y: Array, *, finer: bool = False) -> Array:
+    """(omega/v) h(y) of a smooth law: successful attempts per unit displacement."""
+    law, stiffness, barrier = contacts.law, contacts.stiffness, contacts.barrier
+    b, log_w = barrier.b, barrier.log_w
+    h = pooled_rate(law, stiffness, type(barrier), b, y, log_w, finer=finer)
+    return math.exp(log_w) * h
 
 
 def survivors(contacts: Reduced, x: Array) -> Array:
     """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] of a discrete law
     at ascending x > 0, shape (3, n). Raises InputError for more than 1000 thresholds.
     """
-    xi, share, kappa = different_steps(contacts)
+    barrier, (xi, share, kappa) = contacts.barrier, different_steps(contacts)
     if xi.size > _MOST_STEPS:
         raise InputError(
             f"thresholds: {xi.size} different values; the annealed reference takes at "
             f"most {_MOST_STEPS}"
         )
     with np.errstate(divide="ignore"):
-        log_dU = np.log(_pooled_hazard(contacts, xi, share, kappa, x))
-    dU = np.exp(np.minimum(log_dU + contacts.barrier.log_w, 7.0))
+        log_G = np.log(mean_hazard(type(barrier), x, xi, share, barrier.b * kappa))
+    dU = np.exp(np.minimum(log_G + barrier.log_w, 7.0))
     above = np.searchsorted(xi, x, side="right")
     tails = [np.cumsum((share * kappa**p)[::-1])[::-1] for p in range(3)]
     return np.exp(-dU) * np.array([np.append(tail, 0.0)[above] for tail in tails])
-
-
-def _pooled_hazard(
-    contacts: Reduced, xi: Array, share: Array, kappa: Array, x: Array
-) -> Array:
-    """G of a discrete law, a mean of closed forms."""
-    G = np.zeros(x.size)
-    for own, part, a in zip(xi, share, contacts.barrier.b * kappa, strict=True):
-        k = np.searchsorted(x, own)
-        G[:k] += part * np.exp(contacts.barrier.log_hazard(x[:k], own, a))
-        G[k:] += part * np.exp(contacts.barrier.log_hazard(own, own, a))
-    return G
 
 
 def _of_steps(contacts: Reduced) -> Moments:
@@ -291,7 +205,7 @@ def _of_steps(contacts: Reduced) -> Moments:
     edge = panels_between_steps(contacts)
 
     def integrate(order: int) -> Array:
-        nodes, weights = _rule(order)
+        nodes, weights = gauss_legendre(order)
         half = 0.5 * np.diff(edge)[:, None]
         x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
         survive, stiff, _ = survivors(contacts, x)

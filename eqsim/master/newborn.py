@@ -288,7 +288,7 @@ def hazard_of(contacts: Reduced) -> Hazard:
     return Hazard(rate, levels, layer)
 
 
-class PooledRate:
+class PooledPolynomials:
     """(omega/v) h(x) of annealed contacts at x >= 0 as Chebyshev polynomials, and its
     integral."""
 
@@ -345,7 +345,7 @@ class PooledRate:
     ) -> Array:
         """h at x >= 0, shape (n,); of a discrete law between its steps."""
         if self._steps is None:
-            return annealed.hazard_rate(self._s, x)
+            return annealed.successful_attempts(self._s, x)
         middle = (
             x
             if left is None or right is None
@@ -390,13 +390,13 @@ class PooledRate:
 # It takes 1 to 10 ms, and a transient asks for it 60 times; ensembles are solved one
 # after another.
 @functools.lru_cache(maxsize=8)
-def pooled_rate(contacts: Reduced) -> PooledRate:
-    """Find the pooled rate of an ensemble, and remember it."""
-    return PooledRate(contacts)
+def pooled_polynomials(contacts: Reduced) -> PooledPolynomials:
+    """Pooled rate of an ensemble, remembered."""
+    return PooledPolynomials(contacts)
 
 
 def _pooled(contacts: Reduced) -> Hazard:
-    pooled = pooled_rate(contacts)
+    pooled = pooled_polynomials(contacts)
     grid = np.unique(
         np.concatenate((pooled.edges, np.linspace(0.0, pooled.edges[-1], 2000)))
     )
@@ -737,10 +737,12 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
     law, births = contacts.law, births_of(contacts)
     steps = different_steps(contacts) if law.steps.size else None
     pooled = (
-        PooledRate(contacts) if steps is not None and contacts.barrier.thermal else None
+        PooledPolynomials(contacts)
+        if steps is not None and contacts.barrier.thermal
+        else None
     )
 
-    def solve(left: Array, right: Array, order: int, finer: int = 0) -> Array:
+    def solve(left: Array, right: Array, order: int, *, finer: bool = False) -> Array:
         rule = _rule(order)
         half = 0.5 * (right - left)[:, None]
         x = right[:, None] - half * (1.0 + rule.nodes)
@@ -752,9 +754,9 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
                 x.shape
             )
         elif contacts.barrier.thermal:
-            rate += annealed.hazard_rate(
-                contacts, flat, annealed._ORDER + finer
-            ).reshape(x.shape)
+            rate += annealed.successful_attempts(contacts, flat, finer=finer).reshape(
+                x.shape
+            )
         if steps is None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 own = law.pdf(flat * law.scale) * law.scale / law.sf(flat * law.scale)
@@ -841,7 +843,7 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
         pieces=_PIECES,
         most=_MOST_STRETCHES,
     )
-    other = solve(p.left, p.right, _COARSE, 4)
+    other = solve(p.left, p.right, _COARSE, finer=True)
     coarse, _ = weighed(p, combined(p, other), _COARSE)
     return mean, missed + np.abs(mean - coarse) + _ROUNDING * _scales(mean)
 

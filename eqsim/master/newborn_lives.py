@@ -19,7 +19,7 @@ from eqsim.laws.threshold import ThresholdLaw
 from eqsim.master.newborn import (
     births_of,
     marks,
-    pooled_rate,
+    pooled_polynomials,
     rank,
     stiffness_of_survivors,
 )
@@ -120,7 +120,7 @@ def _up_to(contacts: Reduced, x: Array, way: Array, xi: Array) -> Array:
 
 
 def _pooled_up_to(contacts: Reduced, x: Array, way: Array) -> Array:
-    rate = pooled_rate(contacts)
+    rate = pooled_polynomials(contacts)
     x, way = np.broadcast_arrays(x, way)
     found = rate.integral(x) - rate.integral(x - way)
     short = (way > 0) & (way < 0.01 * x)

@@ -33,7 +33,7 @@ from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
-from eqsim.master.annealed import hazard_rate
+from eqsim.master.annealed import successful_attempts
 from eqsim.master.cohorts import (
     NO_CHOICES,
     Choices,
@@ -186,7 +186,9 @@ def _pool(contacts: Reduced, cells: int) -> Pool:
             part[:, ::-1].cumsum(axis=1)[:, ::-1], np.zeros((3, 1)), axis=1
         )
         above = np.concatenate((above[:, :1], above), axis=1)
-        rate = hazard_rate(contacts, y) if contacts.annealed else np.zeros(y.size)
+        rate = (
+            successful_attempts(contacts, y) if contacts.annealed else np.zeros(y.size)
+        )
     total = np.cumsum(0.5 * (above[:, 1:] + above[:, :-1]) * np.diff(y), axis=1)
     with np.errstate(divide="ignore"):
         return Pool(

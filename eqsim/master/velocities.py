@@ -25,8 +25,8 @@ from scipy import special
 
 from eqsim.errors import InputError, require_number
 from eqsim.laws.aging import Aging
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma, ThresholdLaw
-from eqsim.master import annealed
 from eqsim.master.quenched import beyond, kappa_of
 from eqsim.master.solvers import solver
 from eqsim.model.ensemble import Ensemble
@@ -41,15 +41,6 @@ _CONVERGED = 1e-9
 _ROUNDING = 1e-11
 # Panels at most.
 _MOST_PANELS = 1500
-
-# Pooled rates of gamma laws: the step in u, of a gap exp(u - exp(-u)), and a finer one
-# that tells the error.
-_STEP = 0.1
-_FINER = 0.07
-# The left end in u.
-_LEFT = -3.7
-# The largest n of this rule.
-_LARGEST_N = 60.0
 
 # Annealed contacts: -ln J_c where first panels end.
 _MARKS = np.array([1e-3, 0.3, 2.5, 10.0, 60.0, 500.0])
@@ -212,39 +203,6 @@ def _one_by_one(ensemble: Ensemble, velocities: Sequence[float]) -> Lives:
 # annealed
 
 
-def gamma_rate(contacts: Reduced, law: Gamma, y: Array, step: float = _STEP) -> Array:
-    """h(y) of `laws.barrier.pooled` of a gamma law (temper11, temper12 without
-    omega/v), lengths in units of the scale of `contacts`, array (n,).
-
-    The trapezoidal rule in u, xi' - y = gap exp(u - exp(-u)), converges exponentially:
-    gap is the distance over which the rate of attempts or the law falls.
-    """
-    barrier, b, unit = contacts.barrier, contacts.barrier.b, contacts.law.scale
-    scale, n = law.x_star / unit, law.n
-    far = (
-        math.cbrt(contacts.rms / b)
-        if contacts.stiffness == "sqrt"
-        else 1.0 / math.sqrt(b)
-    )
-    origin = np.maximum(y, 1e-3 * min(far, scale))
-    gap = np.minimum(
-        barrier.width(1.0, origin, np.maximum(b * kappa_of(contacts, origin), 1e-300)),
-        far,
-    )
-    gap = (1.0 / (1.0 / gap + 2.0 * y / scale**2 + 1.0 / scale))[:, None]
-    u = np.arange(_LEFT, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
-    beyond_y, y = gap * np.exp(u - np.exp(-u)), y[:, None]
-    xi = y + beyond_y
-    relative = xi / scale
-    log_terms = (1.0 + 2.0 * n) * np.log(relative) - relative**2
-    log_terms += barrier.log_attempt(
-        beyond_y, beyond_y + 2.0 * y, xi, b * kappa_of(contacts, xi)
-    )
-    terms = np.exp(log_terms) * beyond_y
-    density = 2.0 / scale * math.exp(-math.lgamma(n + 1.0))
-    return np.asarray(terms @ (1.0 + np.exp(-u))) * (density * (u[1] - u[0]))
-
-
 class _Mixture(NamedTuple):
     """Laws at nodes of ln x_*, and the Chebyshev coefficients that values there have,
     shape (nodes, nodes)."""
@@ -306,21 +264,22 @@ def _mixture(contacts: Reduced, decay: Array, final: float) -> _Mixture:
     return _Mixture(laws, low, high, np.linalg.inv(chebyshev.chebvander(t, n - 1)))
 
 
-class _Tables(NamedTuple):
-    """Tables over panels, laws and nodes: rate and survival, shapes (panels, laws, 17)."""
-
-    rate: Array
-    survival: Array
-
-
-def _rate_of(contacts: Reduced, law: ThresholdLaw, y: Array, step: float) -> Array:
-    """h(y), lengths in units of the scale of `contacts`."""
-    if not contacts.barrier.thermal:
+def _rate_of(
+    contacts: Reduced, law: ThresholdLaw, y: Array, *, finer: bool = False
+) -> Array:
+    """h(y) of contacts whose thresholds follow another `law`, lengths in units of the
+    scale of `contacts`. Their stiffness is relative to the rms threshold of `contacts`.
+    """
+    barrier = contacts.barrier
+    if not barrier.thermal:
         return np.zeros(y.size)
-    if isinstance(law, Gamma) and law.n <= _LARGEST_N:
-        return gamma_rate(contacts, law, y, step)
-    smooth = contacts._replace(barrier=contacts.barrier._replace(log_w=0.0))  # type: ignore[attr-defined]
-    return annealed.hazard_rate(smooth, y, 10 if step == _STEP else 14)
+    unit = law.scale / contacts.law.scale
+    b = barrier.b * unit**2
+    if contacts.stiffness == "sqrt":
+        b *= law.rms / contacts.law.rms
+    return pooled_rate(
+        law, contacts.stiffness, type(barrier), b, y / unit, barrier.log_w, finer=finer
+    )
 
 
 class _Integrals(NamedTuple):
@@ -369,10 +328,10 @@ def _integrals(half: Array, x: Array, rate: Array, J: Array, rms: float) -> _Int
 def _annealed(every: list[Reduced], decay: Array, final: float) -> Lives:
     """Annealed contacts (nt13, star1); `decay` is 4 D x_*/(v x_*f^2) and `final`
     x_*f/x_* if they age."""
-    s = every[0]
     attempts = np.exp(
         [r.barrier.log_w if r.barrier.thermal else -math.inf for r in every]
     )[:, None, None]
+    s = every[int(np.argmax(attempts))]  # the slowest, at which most attempts count
     mixture, rms = _mixture(s, decay, final), s.rms if s.stiffness == "sqrt" else 0.0
     ages = len(mixture.laws) > 1
     stretch = np.full(decay.size, s.law.mean / s.law.scale)
@@ -380,7 +339,7 @@ def _annealed(every: list[Reduced], decay: Array, final: float) -> Lives:
     def evaluate(left: Array, right: Array, _: Array) -> Array:
         x = left[:, None] + 0.5 * (right - left)[:, None] * (1.0 + ClenshawCurtis.nodes)
         y = x.ravel()
-        rates = [_rate_of(s, law, y, _STEP).reshape(x.shape) for law in mixture.laws]
+        rates = [_rate_of(s, law, y).reshape(x.shape) for law in mixture.laws]
         survivals = [law.sf(x * s.law.scale) for law in mixture.laws]
         return np.moveaxis(np.array([rates, survivals]), 2, -1)  # (2, laws, 17, panels)
 
@@ -441,7 +400,7 @@ def _annealed(every: list[Reduced], decay: Array, final: float) -> Lives:
     # not be the worst place), and of the polynomials in ln x_*
     weights, fewer = mixture.weights(decay * stretch, final)
     middle = 0.5 * (p.left + p.right)
-    finer = np.array([_rate_of(s, law, middle, _FINER) for law in mixture.laws])
+    finer = np.array([_rate_of(s, law, middle, finer=True) for law in mixture.laws])
     missed = np.abs(
         weights @ (finer - p.values[0, :, ClenshawCurtis.nodes.size // 2])
     ) * (p.right - p.left)
@@ -490,7 +449,7 @@ def _edges(contacts: Reduced, marks: list[Array], attempts: float) -> Array:
     known = known[(known > 0) & np.isfinite(known)]
     least, greatest = (edge / law.scale for edge in law.support)
     top = min(greatest, float(known.max()))
-    newborn = attempts * float(_rate_of(contacts, law, np.zeros(1), _STEP)[0])
+    newborn = attempts * float(_rate_of(contacts, law, np.zeros(1))[0])
     root = math.sqrt(contacts.barrier.b) if contacts.barrier.thermal else 0.0
     first = 0.5 / (1.0 / known.min() + newborn + root)
     rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
