@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kernels import compiled
-from scipy import integrate, stats
+from scipy import integrate, linalg, stats
 
 from eqsim import (
     Aging,
@@ -288,6 +288,21 @@ MEAN_FIELD = {
     12.0: 0.9790210,
     20.0: 5.57667,
 }
+
+
+@pytest.mark.parametrize("mass", [0.0, 0.3])
+@pytest.mark.parametrize("stiffness", [-0.5, 1e-9, 1.0, 20.0])
+@pytest.mark.parametrize("dt", [1e-3, 0.1, 0.5])
+def test_motion_in_a_step(mass, stiffness, dt):
+    """By the exponential of a matrix: to 1e-3 of the displacement, to 1e-4 without a
+    mass, whatever the stiffness."""
+    motion, y = slider.Motion(mass, 0.1, stiffness), np.array([0.0, 0.5, 0.7, 1.3])
+    row = [-stiffness, -0.1, 1.0, 0.0] if mass else [0.0] * 4
+    first = [0, 1, 0, 0] if mass else [-stiffness / 0.1, 0.0, 10.0, 0.0]
+    rates = np.array([first, np.array(row) / (mass or 1.0), [0, 0, 0, 1], [0.0] * 4])
+    exact = (linalg.expm(dt * rates) @ y)[0]
+    found, _ = slider.moved(motion, 0.7, 1.3, 0.5, dt)
+    assert found == pytest.approx(exact, rel=1e-3 if mass else 1e-4, abs=0)
 
 
 def test_mean_field_is_of_second_order():

@@ -21,10 +21,10 @@ from scipy import special
 from eqsim.errors import require_integer, require_number
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 _OCTAVES = range(-54, 6)  # of -ln P(xi > .), beyond which nothing counts
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _MOST = 20_000
 
 
@@ -122,9 +122,9 @@ def _services(law: ThresholdLaw, load: float, stiffness: StiffnessLaw) -> _Servi
     if law.steps.size:
         xi, weight = np.unique(law.steps, return_counts=True)
     else:
-        octave = 2.0 ** np.array(_OCTAVES)[:, None]
-        e = (octave * (1.5 + 0.5 * _NODES)).ravel()
-        weight = (0.5 * octave * _WEIGHTS).ravel() * np.exp(-e)
+        octave = 2.0 ** np.array(_OCTAVES)
+        e, weight = map(np.ravel, gauss_legendre(12).between(octave, 2.0 * octave))
+        weight = weight * np.exp(-e)
         xi = law.inverse_survival(e)
     weight = weight / np.sum(weight)
     xi = np.asarray(xi) / law.scale

@@ -31,9 +31,9 @@ from scipy import optimize, special
 
 from eqsim.errors import InputError
 from eqsim.laws.delay import Exponential, Fixed
-from eqsim.laws.threshold import ThresholdLaw
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.reduced import Pull, Reduced
+from eqsim.numerics.quadrature import gauss_legendre, normal_exponent
 from eqsim.numerics.tables import Array
 
 METHOD = "characteristic equation"
@@ -53,7 +53,6 @@ FINE = Nodes(128, 8.2)
 COARSE = Nodes(64, 7.4)
 # Fewest panels, for scans.
 SCAN = Nodes(24, 8.2)
-_NODES, _WEIGHTS = special.roots_legendre(8)
 _SERIES = np.array(
     [(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)]
 )  # of (1 - exp(-z)(1 + z))/z^2
@@ -90,23 +89,14 @@ def births_of(contacts: Reduced, nodes: Nodes) -> Births:
     """Nodes that stand for the law; of a discrete one all its thresholds."""
     if contacts.law.steps.size:
         return Births(*different_steps(contacts))
-    kinks = _kinks(contacts.law)
+    # deviates at which the density of the law has jumps and kinks
+    kinks = special.ndtri(np.asarray(contacts.law.cdf(contacts.law.kinks), float))
     even = np.linspace(-nodes.reach, nodes.reach, nodes.panels + 1)
     edges = np.union1d(even, kinks[np.abs(kinks) < nodes.reach])
-    half = 0.5 * np.diff(edges)[:, None]
-    z = (edges[:-1, None] + half * (1.0 + _NODES)).ravel()
-    share = (half * _WEIGHTS).ravel() * np.exp(-0.5 * z**2)
-    low, high = -special.log_ndtr(-z), -np.log1p(-special.ndtr(np.minimum(z, 0.0)))
-    xi = (
-        np.asarray(contacts.law.inverse_survival(np.where(z < 0, high, low)))
-        / contacts.law.scale
-    )
+    z, weights = map(np.ravel, gauss_legendre(8).between(edges[:-1], edges[1:]))
+    share = weights * np.exp(-0.5 * z**2)
+    xi = contacts.law.inverse_survival(normal_exponent(z)) / contacts.law.scale
     return Births(xi, share / share.sum(), kappa_of(contacts, xi))
-
-
-def _kinks(law: ThresholdLaw) -> Array:
-    """Deviates at which the density of a law has jumps and kinks."""
-    return np.asarray(special.ndtri(np.asarray(law.cdf(law.kinks), float)))
 
 
 class Loop(NamedTuple):

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_number
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 C_0 = 4.0 / (3.0 * math.sqrt(math.pi))  # nt05
@@ -152,8 +153,7 @@ class Published:
 
     def _expansion(self) -> tuple[float, float]:
         """C_1 and C_2 of nt16 with dU in full: moments of J_c dU^k/S_2^k over u."""
-        u, weight = np.polynomial.legendre.leggauss(200)
-        u, weight = 4.0 * (u + 1), 4.0 * weight
+        u, weight = gauss_legendre(200).between(np.array(0.0), np.array(8.0))
         g, J = self.dU(u * self.x_star, 1.0) / self.S_2(1.0), self.J_c(u * self.x_star)
         c = [float(weight @ (J * g**k)) / math.factorial(k) for k in range(3)]
         m = [float(weight @ (u * J * g**k)) / math.factorial(k) for k in range(3)]

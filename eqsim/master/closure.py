@@ -34,7 +34,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy import integrate, ndimage, special
+from scipy import integrate, special
 from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
@@ -46,6 +46,7 @@ from eqsim.laws.threshold import Gamma
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import reduced
+from eqsim.numerics.quadrature import extrapolated, gauss_legendre, largest_nearby
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
@@ -68,9 +69,6 @@ _FLOOR = 1e-7
 _FORGOTTEN = 1e-20
 # J below which a sum of shares of both signs is all rounding.
 _LEAST_J = 1e-13
-_NODES, _WEIGHTS = special.roots_legendre(3)
-# The same on the unit interval.
-_SHARE, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 
 
 @dataclass(frozen=True, repr=False)
@@ -170,29 +168,18 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     # its finer member
     share = 1 / 3 if wanted < 2 * cells else 1.0
     X, nodes = np.linspace(0.0, reach, points), np.linspace(0.0, end, cells + 1)
-    found = []
+    values: list[Array] = []
+    errors: list[Array] = []
     for coarse, better in zip(*solved, strict=True):
-        best, change = (4 * better[::2] - coarse) / 3, np.abs(better[::2] - coarse)
-        # the difference may vanish by chance where the error does not
-        error = (
-            share * ndimage.maximum_filter1d(change, cells // 20)
-            + _FLOOR * np.abs(best).max()
-        )
-        held = np.ptp(best[-cells // 10 :]) * (
-            end < X
-        )  # what has settled stays as it is
-        found.append(
-            np.array(
-                [
-                    CubicSpline(nodes, best)(np.minimum(X, end)),
-                    np.interp(X, nodes, error) + held,
-                ]
-            )
-        )
-    force, breaks, threshold = found[0] * unit, found[1] / unit, found[2] * unit
-    return Closure(
-        X * unit, force[0], breaks[0], threshold[0], force[1], breaks[1], threshold[1]
-    )
+        best = extrapolated(coarse, better[::2])
+        missed = share * largest_nearby(better[::2] - coarse, cells // 20)
+        missed += _FLOOR * np.abs(best).max()
+        # what has settled stays as it is
+        held = np.ptp(best[-cells // 10 :]) * (end < X)
+        values.append(CubicSpline(nodes, best)(np.minimum(X, end)))
+        errors.append(np.interp(X, nodes, missed) + held)
+    units = np.array([[unit], [1.0 / unit], [unit]])
+    return Closure(X * unit, *(units * values), *(units * errors))
 
 
 class _Tables(NamedTuple):
@@ -340,13 +327,13 @@ class _Means(NamedTuple):
 def _aged(pool: _Pool, h: float, cells: int) -> Array:
     """Shares of contacts whose ages are spread evenly over each cell, shape (cells,
     laws)."""
-    edges = h * np.arange(cells)
-    aged = np.einsum("q,cql->cl", _WEIGHTS, pool.shares(edges[:, None] + h * _SHARE))
-    parts = h * 2.0 ** np.append(
-        -np.inf, np.arange(-20.0, 1.0)
-    )  # the youngest may age within a fraction of it
-    inside = pool.shares(parts[:-1, None] + np.diff(parts)[:, None] * _SHARE)
-    aged[0] = np.einsum("p,q,pql->l", np.diff(parts) / h, _WEIGHTS, inside)
+    rule, edges = gauss_legendre(3), h * np.arange(cells + 1)
+    nodes, weights = rule.between(edges[:-1], edges[1:])
+    aged = np.einsum("cq,cql->cl", weights / h, pool.shares(nodes))
+    # the youngest may age within a fraction of a cell
+    parts = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))
+    nodes, weights = rule.between(parts[:-1], parts[1:])
+    aged[0] = np.einsum("pq,pql->l", weights / h, pool.shares(nodes))
     return np.asarray(aged)
 
 
@@ -380,15 +367,10 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
         share = (
             unbroken * fresh[i] + weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
         )
-        old, new, least = (
-            table.laws[:, : top + 1] @ share,
-            young[:, : top + 1],
-            table.least[: top + 1],
-        )
-        earlier = births[i - top : i - 1][::-1]
-        for _ in range(
-            2 if i > 1 else 4
-        ):  # the pool at the end of the cell needs its breaks
+        old, new = table.laws[:, : top + 1] @ share, young[:, : top + 1]
+        least, earlier = table.least[: top + 1], births[i - top : i - 1][::-1]
+        # the pool at the end of the cell needs its breaks
+        for _ in range(2 if i > 1 else 4):
             stay = math.exp(-broken)
             now = pool.breaking(stay * old + (1.0 - stay) * new, least)
             log_next = np.append(0.0, log_E[:top] - 0.5 * h * (P_T[:top] + now[1:]))

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from eqsim.errors import InputError
 from eqsim.estimate import known
@@ -22,9 +21,9 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, reduced
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-_NODES, _WEIGHTS = special.roots_legendre(3)
 _AT_ONCE = 2048  # stretches, to bound the memory of a call
 _LEAST = 1e-100  # stretch; at 0 barriers are divided by
 
@@ -133,12 +132,10 @@ class StationaryState:
         s, u, pool = self._published(), self._lengths("x", x), NO_POOL
         if s.barrier.thermal:
             pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
-        node = np.searchsorted(pool.x, u, side="right")
-        low, G = np.append(0.0, pool.x)[node], np.append(0.0, pool.G)[node]
-        half = 0.5 * (u - low)[..., None]  # from the node below
-        G = G + (
-            half * _WEIGHTS * self._rate(low[..., None] + half * (1.0 + _NODES))
-        ).sum(axis=-1)
+        knot = np.searchsorted(pool.x, u, side="right")
+        low, G = np.append(0.0, pool.x)[knot], np.append(0.0, pool.G)[knot]
+        nodes, weights = gauss_legendre(3).between(low, u)  # from the knot below
+        G = G + (weights * self._rate(nodes)).sum(axis=-1)
         return np.asarray(np.exp(s.barrier.log_w) * G)
 
     def E_P(self, x: Any) -> Array:

@@ -31,7 +31,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, ndimage, optimize, special
+from scipy import linalg, optimize, special
 from scipy.interpolate import CubicSpline
 
 from eqsim.laws.aging import Langevin
@@ -41,6 +41,7 @@ from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import Gamma
 from eqsim.master.quenched import Moments
 from eqsim.model.reduced import Reduced
+from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
 
 METHOD = "Fokker-Planck equation"
@@ -155,15 +156,15 @@ def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Sur
         life, coarse, np.sort(np.append(first.x, 0.5 * (first.x[1:] + first.x[:-1])))
     )
     second, third = _march(life, middle, first.x), _march(life, fine, first.x)
-    values, errors = _extrapolated(
+    values, errors = _without_steps(
         first.values, second.values, third.values, halved.values[:, ::2] - first.values
     )
     # along x a front that passes the nodes makes the error swing through 0; its
     # neighbours know how far
     size = np.maximum(np.abs(values), 1e-300)
-    errors = ndimage.maximum_filter1d(errors / size, 15, axis=1) * size
+    errors = largest_nearby(errors / size, 15) * size
     halving = halved.totals[:, ::2] - first.totals
-    totals, total_errors = _extrapolated(
+    totals, total_errors = _without_steps(
         first.totals, second.totals, third.totals, halving
     )
     # the worst on the way to the end, where errors may cancel by chance
@@ -176,15 +177,15 @@ def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Sur
     )
 
 
-def _extrapolated(
+def _without_steps(
     first: Array, second: Array, third: Array, halving: Array
 ) -> tuple[Array, Array]:
     """The value and its error from three grids, whose errors go with the second and
     fourth power of dz, and from what halving the steps changes."""
     h = np.array(_RATIOS) ** 2
-    early = second + (second - first) * h[1] / (h[0] - h[1])
-    late = third + (third - second) * h[2] / (h[1] - h[2])
-    last = (late - early) * h[2] / (h[0] - h[2])
+    early = extrapolated(first, second, h[0] / h[1])
+    late = extrapolated(second, third, h[1] / h[2])
+    last = extrapolated(early, late, h[0] / h[2]) - late
     # steps are of fourth order, so that a fifteenth of `halving` is left; a hundredth
     # of the bare change guards against a last correction that is small by chance
     error = (

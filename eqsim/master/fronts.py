@@ -96,7 +96,6 @@ class Fronts(NamedTuple):
 def table_of_w() -> Array:
     """W and its slope at y = W_BEGINS, ..., _W_ENDS, shape (knots, 2)."""
     y = np.linspace(W_BEGINS, _W_ENDS, int((_W_ENDS - W_BEGINS) * W_PER_UNIT) + 1)
-    nodes, weights = gauss_legendre(8)
 
     def slope(y: Array) -> Array:  # Ein(e^y)
         z = np.exp(y)
@@ -105,13 +104,9 @@ def table_of_w() -> Array:
             np.where(y < -6.0, small, y + np.euler_gamma + special.exp1(z))
         )
 
-    half = 0.5 / W_PER_UNIT
-    parts = half * (weights * slope((y[:-1, None] + half) + half * nodes)).sum(axis=1)
-    return np.ascontiguousarray(
-        np.stack(
-            (np.append(0.0, np.cumsum(parts)) + math.exp(W_BEGINS), slope(y)), axis=1
-        )
-    )
+    nodes, weights = gauss_legendre(8).between(y[:-1], y[1:])
+    w = math.exp(W_BEGINS) + np.append(0.0, np.cumsum((weights * slope(nodes)).sum(1)))
+    return np.stack((w, slope(y)), axis=1)
 
 
 @routine(inline=True)

@@ -25,7 +25,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage, special
+from scipy import integrate, special
 from scipy.interpolate import Akima1DInterpolator
 
 from eqsim.errors import InputError
@@ -50,6 +50,12 @@ from eqsim.master.sharp import Corners, Sharp, levels_of, sharp_instants
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, legs, reduced
+from eqsim.numerics.quadrature import (
+    extrapolated,
+    gauss_legendre,
+    largest_nearby,
+    normal_exponent,
+)
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import NEVER, ThreadPool
 
@@ -103,28 +109,22 @@ def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
     """Edges of cells of a law, shape (edges,), nodes in them, shape (edges - 1, nodes),
     and their shares of births. Kinks of the law are edges, both ends of a gap too: the
     cell between them has no share."""
-    nodes, weights = np.polynomial.legendre.leggauss(4)
     even = _SIGMA / math.sinh(_CROWD) * np.sinh(np.linspace(-_CROWD, _CROWD, cells + 1))
 
     def threshold(z: Array) -> Array:
-        low, high = -special.log_ndtr(-z), -np.log1p(-special.ndtr(np.minimum(z, 0.0)))
-        return np.asarray(law.inverse_survival(np.where(z < 0, high, low))) / law.scale
+        return np.asarray(law.inverse_survival(normal_exponent(z))) / law.scale
 
     kinks = law.kinks if law.kinks.size <= cells else NO_STEPS
     with np.errstate(divide="ignore"):
-        low, high = (
-            special.ndtri(np.asarray(share(kinks), float))
-            for share in (law.cdf, law.sf)
-        )
+        low, high = special.ndtri(np.array([law.cdf(kinks), law.sf(kinks)], float))
     place = np.where(low < 0.0, low, -high)
     inside = np.abs(place) < _SIGMA
     z = np.append(even, place[inside])
     edge = np.append(threshold(even), kinks[inside] / law.scale)
     order = np.lexsort((edge, z))
     z, edge = z[order], np.maximum.accumulate(edge[order])
-    half = 0.5 * np.diff(z)[:, None]
-    inner = z[:-1, None] + half * (1.0 + nodes)
-    share = half * weights * np.exp(-0.5 * inner**2)
+    inner, weights = gauss_legendre(4).between(z[:-1], z[1:])
+    share = weights * np.exp(-0.5 * inner**2)
     return edge, threshold(inner), share / share.sum()
 
 
@@ -134,9 +134,8 @@ def _strata(contacts: Reduced, strata: int) -> tuple[Array, Strata]:
     powers, index = np.arange(3)[:, None], np.arange(strata)
     if contacts.law.steps.size:
         xi, share, stiff = different_steps(contacts)
-        first = np.unique(
-            np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int)
-        )[:-1]
+        groups = np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int)
+        first = np.unique(groups)[:-1]
         parts = np.add.reduceat(share * stiff**powers, first, axis=1)
         nodes = np.add.reduceat(share * xi, first) / parts[0]
         low = high = index[: nodes.size]
@@ -146,7 +145,7 @@ def _strata(contacts: Reduced, strata: int) -> tuple[Array, Strata]:
         index = np.arange(share.shape[0])
         parts = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
         low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
-    above = parts[:, ::-1].cumsum(axis=1)[:, ::-1].copy()
+    above = _totals_from(parts)[:, :-1].copy()
     return nodes, Strata(left, right, parts, above, low, high)
 
 
@@ -157,65 +156,46 @@ def _pool(contacts: Reduced, cells: int) -> Pool:
         xi, share, stiff = different_steps(contacts)
         between = np.linspace(0.0, xi[-1], cells)
         y = np.sort(np.concatenate((between, xi, xi)))
-        y = y[
-            ~np.isin(y, xi)
-            | (np.diff(y, prepend=-1.0) == 0)
-            | (np.diff(y, append=math.inf) == 0)
-        ]
+        twice = (np.diff(y, prepend=-1.0) == 0) | (np.diff(y, append=math.inf) == 0)
+        y = y[~np.isin(y, xi) | twice]
         before = np.diff(y, append=math.inf) == 0  # just below a threshold
         index = np.searchsorted(xi, y, side="right") - before
-        above = np.append(
-            np.cumsum((share * stiff**powers)[:, ::-1], axis=1)[:, ::-1],
-            np.zeros((3, 1)),
-            axis=1,
-        )[:, index]
+        above = _totals_from(share * stiff**powers)[:, index]
         rate = np.zeros(y.size)
-        for own, part, k in (
-            zip(xi, share, stiff, strict=True) if contacts.annealed else ()
-        ):
-            i = np.searchsorted(y, own) + 1
-            rate[:i] += part * np.exp(
-                contacts.barrier.log_w
-                + contacts.barrier.log_rate(y[:i], own, contacts.barrier.b * k)
-            )
+        barrier, contributing = contacts.barrier, xi.size if contacts.annealed else 0
+        for i in range(contributing):
+            last = np.searchsorted(y, xi[i]) + 1
+            log_rate = barrier.log_rate(y[:last], xi[i], barrier.b * stiff[i])
+            rate[:last] += share[i] * np.exp(barrier.log_w + log_rate)
     else:
         edge, inner, share = _cells(contacts.law, cells)
         y = np.append(0.0, edge)
         part = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
-        above = np.append(
-            part[:, ::-1].cumsum(axis=1)[:, ::-1], np.zeros((3, 1)), axis=1
-        )
+        above = _totals_from(part)
         above = np.concatenate((above[:, :1], above), axis=1)
-        rate = (
-            successful_attempts(contacts, y) if contacts.annealed else np.zeros(y.size)
-        )
-    total = np.cumsum(0.5 * (above[:, 1:] + above[:, :-1]) * np.diff(y), axis=1)
+        annealed = contacts.annealed
+        rate = successful_attempts(contacts, y) if annealed else np.zeros(y.size)
+    total = integrate.cumulative_trapezoid(above, y, axis=1, initial=0.0)
     with np.errstate(divide="ignore"):
-        return Pool(
-            y,
-            above,
-            np.append(np.zeros((3, 1)), total, axis=1),
-            np.maximum(np.log(rate), -1e4),
-        )
+        return Pool(y, above, total, np.maximum(np.log(rate), -1e4))
+
+
+def _totals_from(shares: Array) -> Array:
+    """The sums of each share and all after it, and 0 at the end."""
+    totals = shares[:, ::-1].cumsum(axis=1)[:, ::-1]
+    return np.append(totals, np.zeros((shares.shape[0], 1)), axis=1)
 
 
 def _growth_of(contacts: Reduced, age: float) -> Growth:
-    """Up to an age."""
-    if isinstance(contacts.aging, Unaged):
+    """How thresholds grow up to an age."""
+    aging = contacts.aging
+    if isinstance(aging, Unaged):
         return Growth(1.0, 1.0, 1.0, NO_STEPS, False)
     ages = np.geomspace(age * 10.0**-_DECADES, age, _AGES)
-    newborn, values = (
-        float(contacts.aging.growth_at(np.zeros(1))[0]),
-        contacts.aging.growth_at(ages),
-    )
+    newborn, values = float(aging.growth_at(np.zeros(1))[0]), aging.growth_at(ages)
     per_ratio = (_AGES - 1) / (_DECADES * math.log(10.0))
-    return Growth(
-        float(ages[0]),
-        per_ratio,
-        newborn,
-        values,
-        bool(stiffness_varies(contacts.aging, contacts.springs)),
-    )
+    varies = bool(stiffness_varies(aging, contacts.springs))
+    return Growth(float(ages[0]), per_ratio, newborn, values, varies)
 
 
 class Course(NamedTuple):
@@ -497,6 +477,27 @@ class Means(NamedTuple):
     variance_error: Array
 
 
+def with_drag(
+    values: Array,
+    errors: Array,
+    drag: Array,
+    unit: float,
+    breaks: Array,
+    drag_error: Array | float = 0.0,
+) -> Means:
+    """Means with the viscous force `drag` of each detached contact, which may miss the
+    mean force by `drag_error`, from the force, the pinned share and the variance without
+    it, shape (3, points), and their errors; lengths in units of `unit`."""
+    force, pinned, spread = values
+    detached = 1.0 - pinned
+    total = force + drag * detached
+    error = errors[0] + np.abs(drag) * errors[1] + drag_error
+    variance = spread + drag * detached * (drag * pinned - 2.0 * force)
+    variance_error = errors[2] + drag**2 * errors[1] + 2.0 * np.abs(total) * error
+    squares = variance * unit**2, variance_error * unit**2
+    return Means(total * unit, pinned, breaks, error * unit, errors[1], *squares)
+
+
 def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     """Solve the renewal equation along a programme (derived).
 
@@ -522,88 +523,66 @@ def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
     kinks, solved = solve(contacts, course)
     at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
     smooth = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
-    best, errors = _extrapolated(
-        edges, [np.array(found[:3]) for _, found in solved], smooth
-    )
-    best[2] -= (
-        best[0] ** 2
-    )  # a variance, which between edges is nearer to a straight line
+    grids = [np.array(found[:3]) for _, found in solved]
+    best, errors = _without_steps(edges, grids, smooth)
+    # a variance, which between edges is nearer to a straight line
+    best[2] -= best[0] ** 2
     values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
     first, here = 0, 0
     for kink in kinks:  # smooth up to the next
-        last, there = (
-            np.searchsorted(edges, kink),
-            np.searchsorted(at, kink * (1.0 + 1e-12), side="right"),
-        )
+        last = np.searchsorted(edges, kink)
+        there = np.searchsorted(at, kink * (1.0 + 1e-12), side="right")
         if there > here:
-            piece, inside = (
-                slice(first, last + 1),
-                np.clip(at[here:there], edges[first], edges[last]),
-            )
-            values[:, here:there] = Akima1DInterpolator(
-                edges[piece], best[:, piece], axis=1
-            )(inside)
-            errors[:, piece] += _between(edges[piece], best[:, piece])
-            rate = np.diff(found.breaks[piece]) / np.diff(edges[piece])
-            breaks[here:there] = np.interp(
-                inside, 0.5 * (edges[piece][1:] + edges[piece][:-1]), rate
-            )
+            piece = slice(first, last + 1)
+            t, smooth_means = edges[piece], best[:, piece]
+            inside = np.clip(at[here:there], t[0], t[-1])
+            interpolate = Akima1DInterpolator(t, smooth_means, axis=1)
+            values[:, here:there] = interpolate(inside)
+            errors[:, piece] += _between_steps(t, smooth_means)
+            rate = np.diff(found.breaks[piece]) / np.diff(t)
+            breaks[here:there] = np.interp(inside, 0.5 * (t[1:] + t[:-1]), rate)
         first, here = last, there
     missed = np.array([np.interp(at, edges, error) for error in errors])
-    force, pinned, spread = values
-    drag = np.array(
-        [
-            math.copysign(drag_of(ensemble, abs(part.velocity)), part.velocity)
-            for part in programme.segments
-        ]
-    )
-    drag = drag[grid.segment]
-    total, error = force + drag * (1.0 - pinned), missed[0] + np.abs(drag) * missed[1]
-    variance = spread + drag * (1.0 - pinned) * (drag * pinned - 2.0 * force)
-    variance_error = missed[2] + drag**2 * missed[1] + 2.0 * np.abs(total) * error
-    squares = variance * unit**2, variance_error * unit**2
-    return Means(total * unit, pinned, breaks / time, error * unit, missed[1], *squares)
+    drag = drag_of(ensemble, unit / time) * course.velocity[grid.segment]
+    return with_drag(values, missed, drag, unit, breaks / time)
 
 
-def _between(t: Array, values: Array) -> Array:
+def _between_steps(t: Array, values: Array) -> Array:
     """A bound on what interpolation between times misses, at these, shape (means,
     times): what one between every other of them misses at the rest, nearby too."""
     rough = Akima1DInterpolator(t[::2], values[:, ::2], axis=1)(t)
-    return np.asarray(ndimage.maximum_filter1d(np.abs(rough - values), 5, axis=1))
+    return largest_nearby(rough - values, 5)
 
 
-def _extrapolated(
+def _without_steps(
     edges: Array, grids: list[Array], jumps: Array | None
 ) -> tuple[Array, Array]:
     """The values of no step at all at the edges of the finest of three grids, and their
     errors, shape (means, edges). A discrete law `jumps`, at most at these edges.
 
     The error is twice by how much an extrapolation from the two coarser grids is
-    different, nearby too, as it may vanish by chance: were the scheme of first order,
-    the finer one would miss half as much (derived).
+    different, nearby too: were the scheme of first order, the finer one would miss half
+    as much (derived).
     """
     rough, coarse, fine = grids
-    once, twice = (4 * coarse[:, ::2] - rough) / 3, (4 * fine[:, ::2] - coarse) / 3
-    index = np.arange(fine.shape[1])
-    missed = 2.0 * ndimage.maximum_filter1d(
-        np.abs(twice[:, ::2] - once), 5 + rough.shape[1] // 20, axis=1
+    once, twice = (
+        extrapolated(rough, coarse[:, ::2]),
+        extrapolated(coarse, fine[:, ::2]),
     )
+    index = np.arange(fine.shape[1])
+    missed = 2.0 * largest_nearby(twice[:, ::2] - once, 5 + rough.shape[1] // 20)
     missed = np.maximum(missed, _CARRIED * missed.max(axis=1, keepdims=True))
     best, errors = np.zeros_like(fine), np.zeros_like(fine)
     share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
     for j in range(fine.shape[0]):
-        best[j] = fine[j] + np.interp(
-            index / 2, index[: twice.shape[1]], twice[j] - fine[j, ::2]
-        )
-        errors[j] = (
-            np.interp(index / 4, index[: rough.shape[1]], missed[j])
-            + _RESOLVED * np.abs(best[j]).max()
-        )
-        if (
-            jumps is not None
-        ):  # equal thresholds that break together within a step, other than at known instants
+        change = twice[j] - fine[j, ::2]
+        best[j] = fine[j] + np.interp(index / 2, index[: change.size], change)
+        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j])
+        errors[j] += _RESOLVED * np.abs(best[j]).max()
+        # equal thresholds that break together within a step, other than at known instants
+        if jumps is not None:
             straight = best[j, :-2] + (best[j, 2:] - best[j, :-2]) * share
-            bent = np.pad(2.0 * np.abs(best[j, 1:-1] - straight), 1)
+            bent = np.pad(2.0 * (best[j, 1:-1] - straight), 1)
             bent[jumps] = 0.0
-            errors[j] += ndimage.maximum_filter1d(bent, 9)
+            errors[j] += largest_nearby(bent, 9)
     return best, errors

@@ -19,7 +19,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from eqsim.errors import InputError
 from eqsim.master.cohorts import (
@@ -34,11 +33,19 @@ from eqsim.master.cohorts import (
     unmade_choices,
     with_room,
 )
-from eqsim.master.programme import MOST_STEPS, Means, Numerics, course_of, numerics_of
+from eqsim.master.programme import (
+    MOST_STEPS,
+    Means,
+    Numerics,
+    course_of,
+    numerics_of,
+    with_drag,
+)
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.compiled import kernel, routine
+from eqsim.numerics.quadrature import largest_nearby
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
@@ -410,29 +417,20 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Pulled:
     if steps <= (_FEW_OF_TABLES if ensemble.thresholds.steps.size else _FEW_STEPS):
         found, _ = _solved(_with_middles(task), 4)
         off = np.abs(np.array(found) - coarse) + 0.5 * off
-    errors = ndimage.maximum_filter1d(off, 5 + off.shape[1] // 50, axis=1)
+    errors = largest_nearby(off, 5 + off.shape[1] // 50)
     missed = _Seen(*(errors + 1e-6 * np.abs(found).max(axis=1, keepdims=True)))
     missed.X[0] = 0.0
-    drag, detached = drag_of(ensemble, unit / time) * found.velocity, 1.0 - found.pinned
-    total = found.force + drag * detached
-    error = missed.force + np.abs(drag) * missed.pinned + spring.drag * missed.velocity
-    variance = np.maximum(found.square - found.force**2, 0.0)
-    variance += drag * detached * (drag * found.pinned - 2.0 * found.force)
-    variance_error = (
-        missed.square + drag**2 * missed.pinned + 2.0 * np.abs(total) * error
+    spread = np.maximum(found.square - found.force**2, 0.0)
+    means = with_drag(
+        np.array((found.force, found.pinned, spread)),
+        np.array(missed[:3]),
+        drag_of(ensemble, unit / time) * found.velocity,
+        unit,
+        np.gradient(found.breaks, grid.t) if grid.t.size > 1 else found.breaks,
+        spring.drag * missed.velocity,
     )
-    means = Means(
-        force=total * unit,
-        pinned=found.pinned,
-        breaks=np.gradient(found.breaks, grid.t) if grid.t.size > 1 else found.breaks,
-        force_error=error * unit,
-        pinned_error=missed.pinned,
-        variance=variance * unit**2,
-        variance_error=variance_error * unit**2,
-    )
-    return Pulled(
-        means, found.X * unit, found.stage * unit, missed.X * unit, coarse.X * unit
-    )
+    X, stage, X_error = (unit * part for part in (found.X, found.stage, missed.X))
+    return Pulled(means, X, stage, X_error, coarse.X * unit)
 
 
 class Steps(NamedTuple):

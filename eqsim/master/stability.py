@@ -29,6 +29,7 @@ from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, pull_of, reduced
 from eqsim.model.slip import least_slip
+from eqsim.numerics.quadrature import extrapolated
 from eqsim.numerics.tables import Array
 from eqsim.results import Result
 
@@ -564,9 +565,8 @@ def _delayed(contacts: Reduced) -> float:
 
 def _between_grids(coarse: _Way, better: _Way) -> _Way:
     """At the edges of the coarser grid, extrapolated as of second order."""
-    columns = [
-        (4.0 * b[::2] - a) / 3.0 for a, b in zip(coarse[2:], better[2:], strict=True)
-    ]
+    pairs = zip(coarse[2:], better[2:], strict=True)
+    columns = [extrapolated(a, b[::2]) for a, b in pairs]
     return _Way(coarse.profile, coarse.x, *columns)
 
 

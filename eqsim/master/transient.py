@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import fft
 from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
@@ -42,6 +42,7 @@ from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced
+from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
@@ -154,22 +155,19 @@ def transient(
     X, edges = np.linspace(0.0, distance, points), cells.x[::2]
     # up to which the mean may rise while all are in step
     strongest = np.maximum.accumulate(np.abs(from_birth(cells.profile, s, edges, 1)))
-    delayed = s.delay.mean > 0
-    means = []
-    for name, loudest in (
-        ("force", np.maximum(strongest, s.drag * delayed)),
-        ("pinned", 1.0 * delayed),
+    delayed, means = s.delay.mean > 0, []
+    loudest_of = np.maximum(strongest, s.drag * delayed), 1.0 * delayed
+    for coarse, better, loudest in zip(
+        *(way[:2] for way in solved), loudest_of, strict=True
     ):
-        coarse, better = (getattr(solution, name) for solution in solved)
         best, error = _with_error(coarse, better[::2], cells, loudest)
         if points > edges.size:
-            error += _between(best)
+            error += _between_edges(best)
         means += [np.interp(X, edges, best), np.interp(X, edges, error)]
     force, force_error, pinned, pinned_error = means
     pairs = solved[1].breaks  # of cells; a pair of fine ones is a coarse one
-    breaks = np.interp(
-        X, cells.x[1::2], np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0)
-    )
+    pairs = np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0)
+    breaks = np.interp(X, cells.x[1::2], pairs)
     found = Transient(
         X=X * unit,
         force=force * unit,
@@ -181,67 +179,50 @@ def transient(
     )
     if not variance or cells.in_step.any():
         return found
-    squares, error = (
-        np.interp(X, edges, values) for values in _squares(cells, s, solved)
+    squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
+    return replace(
+        found,
+        force_variance=(squares - force**2) * unit**2,
+        force_variance_error=(error + 2 * force * force_error) * unit**2,
     )
-    spread, missed = (
-        (squares - force**2) * unit**2,
-        (error + 2 * force * force_error) * unit**2,
-    )
-    return replace(found, force_variance=spread, force_variance_error=missed)
 
 
 def _along(
     ensemble: Ensemble, drive: Programme, points: int, variance: bool
 ) -> Transient:
     """Along a programme."""
-    grid = drive.grid(points)
+    grid, pulled = drive.grid(points), None
     if drive.stage:
         pulled = slider.pulled_of(ensemble, drive, grid)
-        means = pulled.means
-        found = Transient(
-            pulled.X, *means[:5], grid.t, stage=pulled.stage, X_error=pulled.X_error
-        )
-    else:
-        means = programme.means_of(ensemble, drive, grid)
-        found = Transient(grid.X, *means[:5], grid.t)
-    return (
-        replace(
-            found,
-            force_variance=means.variance,
-            force_variance_error=means.variance_error,
-        )
-        if variance
-        else found
-    )
+    means = pulled.means if pulled else programme.means_of(ensemble, drive, grid)
+    found = Transient(pulled.X if pulled else grid.X, *means[:5], grid.t)
+    if pulled:
+        found = replace(found, stage=pulled.stage, X_error=pulled.X_error)
+    if not variance:
+        return found
+    spread, error = means.variance, means.variance_error
+    return replace(found, force_variance=spread, force_variance_error=error)
 
 
 def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """A stationary start: nothing changes."""
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
-    force, pinned, travel = (
-        known(exact.friction),
-        known(exact.pinned),
-        known(exact.travel),
-    )
-    force_error, pinned_error = exact.friction.stderr or 0.0, exact.pinned.stderr or 0.0
-    X = np.linspace(0.0, drive.over(ensemble), points)
+    X, pinned = np.linspace(0.0, drive.over(ensemble), points), known(exact.pinned)
     found = Transient(
         X=X,
-        force=force * level,
+        force=known(exact.friction) * level,
         pinned=pinned * level,
-        breaks=pinned / travel * level,
-        force_error=force_error * level,
-        pinned_error=pinned_error * level,
+        breaks=pinned / known(exact.travel) * level,
+        force_error=(exact.friction.stderr or 0.0) * level,
+        pinned_error=(exact.pinned.stderr or 0.0) * level,
         t=X / drive.velocity,
     )
     spread = exact.force_variance
     if not variance or spread.value is None or spread.diverges:
         return found
+    error = (spread.stderr or 0.0) * level
     return replace(
-        found,
-        force_variance=spread.value * level,
-        force_variance_error=(spread.stderr or 0.0) * level,
+        found, force_variance=spread.value * level, force_variance_error=error
     )
 
 
@@ -384,17 +365,16 @@ def _squares(
                 :: 3 - step
             ]
         )
-    best, missed = _extrapolated(*found)
+    best, missed = _without_cells(*found)
     error = missed + profile.error * np.abs(best)
-    return best, error + _near(found[0]) if profile.jumps else error
+    return best, error + _beside_jumps(found[0]) if profile.jumps else error
 
 
-def _extrapolated(coarse: Array, better: Array) -> tuple[Array, Array]:
+def _without_cells(coarse: Array, better: Array) -> tuple[Array, Array]:
     """The value of no cell width from those at the same edges of two grids, and what
-    the coarser one missed, nearby too: the difference may vanish by chance where the
-    error does not."""
-    missed = ndimage.maximum_filter1d(np.abs(better - coarse), (coarse.size - 1) // 20)
-    return (4 * better - coarse) / 3, missed
+    the coarser one missed, nearby too."""
+    missed = largest_nearby(better - coarse, (coarse.size - 1) // 20)
+    return extrapolated(coarse, better), missed
 
 
 def _with_error(
@@ -406,32 +386,27 @@ def _with_error(
     Errors of a life are passed on by its births, so that they scale with the largest
     mean so far.
     """
-    best, missed = _extrapolated(coarse, better)
+    best, missed = _without_cells(coarse, better)
     error = missed + cells.profile.error * np.maximum.accumulate(np.abs(best))
     if cells.profile.jumps:
         # jumps that cells blur, in twice as many steps of half the length, differ by
         # 0.083 of their height
-        error += np.maximum(
-            _near(coarse),
-            8 * ndimage.maximum_filter1d(np.abs(better - coarse), cells.around),
-        )
+        blurred = 8 * largest_nearby(better - coarse, cells.around)
+        error += np.maximum(_beside_jumps(coarse), blurred)
     return best, error + np.maximum(np.ptp(best), loudest) * cells.in_step
 
 
-def _near(values: Array) -> Array:
+def _beside_jumps(values: Array) -> Array:
     """Bound how much a jump nearby changes `values`, where equal thresholds break
     together: the truth is somewhere between both sides. Of the steady rise between
     jumps nothing counts, as it is known."""
-    jump = np.pad(np.abs(np.diff(values, 2)), 1, "edge")
-    return np.asarray(ndimage.maximum_filter1d(jump, 5))
+    return largest_nearby(np.pad(np.diff(values, 2), 1, "edge"), 5)
 
 
-def _between(values: Array) -> Array:
+def _between_edges(values: Array) -> Array:
     """A bound of what straight lines between equidistant values miss: their curvature
     eightfold."""
-    return np.asarray(
-        ndimage.maximum_filter1d(np.pad(np.abs(np.diff(values, 2)), 1, "edge"), 3)
-    )
+    return largest_nearby(np.pad(np.diff(values, 2), 1, "edge"), 3)
 
 
 @dataclass(frozen=True, repr=False)
@@ -525,7 +500,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         back = np.append(0.0, convolved(breaks, np.diff(after) / x[1])[: x.size - 1])
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
-    best, missed = _extrapolated(*solved)
+    best, missed = _without_cells(*solved)
     # kinks, which jumps of a discrete law make, are of lower order
     error = missed * (3 if profile.jumps else 1)
     # of a variance little is left where contacts hardly differ, but errors of a profile
@@ -537,7 +512,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         best[0] - known(exact.force_variance) / unit**2
     )  # by another quadrature, as far as there is one
     if points > best.size:
-        error += _between(best)
+        error += _between_edges(best)
     lag = np.linspace(0.0, distance, points)
     return Fluctuations(
         lag,

@@ -1,9 +1,10 @@
-"""Quadrature: tables of nodes, each computed once."""
+"""Quadrature, with tables of nodes that are each computed once, and extrapolation."""
 
 import functools
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage, special
 
 from eqsim.numerics.tables import Array
 
@@ -13,6 +14,11 @@ class Rule(NamedTuple):
 
     nodes: Array
     weights: Array
+
+    def between(self, low: Array, high: Array) -> "Rule":
+        """The rule on intervals, arrays (...,): nodes and weights (..., count)."""
+        half = 0.5 * (high - low)[..., None]
+        return Rule(low[..., None] + half * (1.0 + self.nodes), half * self.weights)
 
 
 # A solver asks for its rule at each panel; some twenty orders are in use.
@@ -29,3 +35,24 @@ def gauss_legendre(count: int) -> Rule:
     nodes, weights = np.polynomial.legendre.leggauss(count)
     nodes.flags.writeable = weights.flags.writeable = False
     return Rule(nodes, weights)
+
+
+def normal_exponent(z: Array) -> Array:
+    """-ln P(Z > z) of a normal deviate Z, without loss on either side: e of the quantile
+    function `inverse_survival`."""
+    rare = np.minimum(z, 0.0)
+    return np.where(
+        z < 0.0, -np.log1p(-special.ndtr(rare)), -special.log_ndtr(-np.maximum(z, 0.0))
+    )
+
+
+def extrapolated(coarse: Array, fine: Array, ratio: float = 4.0) -> Array:
+    """Values at no step at all, from those at two steps whose errors have a `ratio`,
+    which is 4 if one is half the other and the scheme of second order (Richardson)."""
+    return fine + (fine - coarse) / (ratio - 1.0)
+
+
+def largest_nearby(values: Array, points: int) -> Array:
+    """The largest |value| of so many neighbours: the difference of two grids may vanish
+    by chance where the error of neither does."""
+    return np.asarray(ndimage.maximum_filter1d(np.abs(values), points, axis=-1))
