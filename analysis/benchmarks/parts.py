@@ -28,9 +28,9 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, carry_lives, draw_lives
 from eqsim.engine.programme import constant_drive
+from eqsim.engine.randomise import PlainSums
 from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.stationary import Fresh
-from eqsim.engine.steady import PlainSums
 from eqsim.laws.barrier.base import thermal
 from eqsim.numerics.streams import TRAJECTORY, Key, fill_words, key
 from eqsim.numerics.threads import current_stop

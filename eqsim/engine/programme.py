@@ -2,14 +2,13 @@
 in holds and reversals."""
 
 import math
-import time
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
+from eqsim.engine.blocks import Progress, Threads, Totals, simulated
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import idle_lanes
@@ -44,7 +43,6 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import interruptibly
 
 _TOGETHER = 8192  # contacts that go through all segments together: their population stays in the cache
 # contacts with a stage, all of which are kept at once, 120 bytes each
@@ -316,14 +314,10 @@ def along(
         ensemble.count * replicas,
     )
     job = steps_of(ensemble, programme, grid, replicas, seed)
-    interruptibly(
-        job.simulate, job.totals(1), 0, 0
-    )  # compiles, so that seconds are those of the work
-    begin = time.perf_counter()
-    total = simulate_all(job, ensemble.count, replicas, threads, progress)
-    found = job.moments(total.deposits, count)
+    done = simulated(job, ensemble.count, replicas, threads, progress)
+    found = done.moments
     variance, reliable = _variance(ensemble, programme, grid, found, count)
-    bias = _step_bias(job.steps)
+    bias = step_bias(job.steps)
     variance = variance + (bias * found.force) ** 2
     of_pinned = pinned_variance(found.pinned, count, ensemble.delay.time > 0)
     of_pinned += (bias * found.pinned * (1.0 - found.pinned)) ** 2
@@ -333,27 +327,20 @@ def along(
     if programme.start == "fresh":  # all contacts are pinned, and alike
         pinned_stderr[0] = 0.0
         stderr[0] *= ensemble.newborn.active
-    std, every = total.replica_std(job, replicas), total.replica_forces()
     return ProgrammeTrajectory(
         X=grid.X,
         t=grid.t,
-        force=force,
         force_stderr=stderr,
         force_reliable=reliable,
-        pinned=found.pinned,
         pinned_stderr=pinned_stderr,
-        force_replica_std=None if std is None else std * unit,
-        force_replicas=None if every is None else every * unit,
-        lives=int(total.lives[0]),
         seed=seed,
-        engine_seconds=time.perf_counter() - begin,
-        threads=workers_of(threads),
         segment=grid.segment,
         segments=shown_by(programme, grid, force, stderr, reliable),
+        **done.columns(unit),
     )
 
 
-def _step_bias(steps: tuple[Step, ...]) -> float:
+def step_bias(steps: tuple[Step, ...]) -> float:
     """What steps of fluctuating thresholds cost, relative, where that is more than
     usual, as at constant velocity."""
     if not steps[0].contacts.aging.fluctuates:
