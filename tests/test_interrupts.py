@@ -19,8 +19,8 @@ from eqsim.engine import avalanches
 from eqsim.engine.contacts import contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import LANES, idle_lanes
+from eqsim.engine.randomise import PlainSums
 from eqsim.engine.slider import Slider
-from eqsim.engine.steady import PlainSums
 from eqsim.master import slider
 from eqsim.master.cohorts import march
 from eqsim.master.programme import course_of, numerics_of

@@ -30,10 +30,10 @@ from eqsim.engine.follow import follow
 from eqsim.engine.lanes import LANES, ROUNDS, idle_lanes
 from eqsim.engine.langevin import STEP
 from eqsim.engine.programme import constant_drive
+from eqsim.engine.randomise import PlainSums
 from eqsim.engine.recorder import Run, Scales, moments
 from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import stationary
-from eqsim.engine.steady import PlainSums
 from eqsim.estimate import difference
 from eqsim.numerics.streams import STEADY, TRAJECTORY, key
 from eqsim.numerics.threads import NEVER

@@ -17,9 +17,9 @@ from scipy import integrate, interpolate, special
 
 from eqsim import Delta, Distribution, Ensemble, Gamma, InputError, Table, Thermal
 from eqsim.engine.contacts import contacts
+from eqsim.engine.errorbars import POOLED_STEPS
 from eqsim.engine.langevin import STEP
 from eqsim.engine.sample import Source, lives
-from eqsim.engine.steady import _POOLED_STEPS
 from eqsim.laws.barrier import BARRIERS, base, pooled, soft
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS, pooled_hazard, pooled_rate
 from eqsim.laws.barrier.soft import Soft, erfi_inverse_table, log_erfi
@@ -840,8 +840,8 @@ def test_pool_of_thresholds_of_many_scales(thresholds, barrier):
         ]
         return np.max(np.abs(inverse / x - 1))
 
-    assert error(1.0) < _POOLED_STEPS
-    assert error(1.01) > 100 * _POOLED_STEPS
+    assert error(1.0) < POOLED_STEPS
+    assert error(1.01) > 100 * POOLED_STEPS
 
 
 @pytest.mark.parametrize("barrier", BARRIERS.values())

@@ -37,6 +37,7 @@ from eqsim import (
     trajectory,
     transient,
 )
+from eqsim.engine import proposal
 from eqsim.engine import steady as module
 from eqsim.estimate import z_score
 from eqsim.io.storage import to_json
@@ -111,7 +112,7 @@ def closed_form(moment, stiffness):
 @pytest.fixture
 def forgetful(monkeypatch):
     """Neither what is known of an ensemble nor proposals are remembered."""
-    monkeypatch.setattr(module, "_proposal", module._proposal.__wrapped__)
+    monkeypatch.setattr(module, "proposal_of", module.proposal_of.__wrapped__)
 
 
 # --------------------------------------------------------------------------------------------------------
@@ -372,7 +373,7 @@ def test_steady_where_thresholds_end_too_early(stiffness):
 def test_steady_without_lives_for_the_square(forgetful, monkeypatch):
     """Negative control: the same seeds fail if lives are drawn for friction and stretch
     alone, and those called reliable are too low."""
-    monkeypatch.setattr(module, "_UNSEEN_SQUARES", math.inf)
+    monkeypatch.setattr(proposal, "_UNMET_SQUARES", math.inf)
     z, _ = scores(SAMPLED["pareto 5.6"], 0.1)
     assert chi_square(z) < 1e-5
     assert z.mean() < -1.0

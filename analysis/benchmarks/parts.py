@@ -36,9 +36,9 @@ from eqsim.engine.lanes import (
     idle_lanes,
 )
 from eqsim.engine.programme import constant_drive
+from eqsim.engine.randomise import PlainSums
 from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.stationary import Fresh
-from eqsim.engine.steady import PlainSums
 from eqsim.laws.barrier.base import thermal
 from eqsim.numerics.streams import TRAJECTORY, fill_words, key
 from eqsim.numerics.threads import current_stop

@@ -1,22 +1,26 @@
 """Blocks of contacts, handed to threads or to the workers of an executor: integer sums
 that simply add up."""
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import nullcontext
-from typing import NamedTuple, Protocol
+from operator import itemgetter
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from eqsim.engine.recorder import BATCHES, DEPOSIT, WINDOW, Moments
 from eqsim.model.drive import MOST_SERIES
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import ThreadPool
+from eqsim.numerics.threads import ThreadPool, interruptibly
 
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
-_BLOCK = 128  # contacts, at least, unless there are fewer
-_SHARES = 4  # for each worker of an executor: few enough that tables and sums travel seldom, and workers end together
+_LEAST_BLOCK = 128  # contacts, at least, unless there are fewer
+# shares of blocks for each worker of an executor: few enough that tables and sums
+# travel seldom, and workers end together
+_SHARES = 4
 
 
 class Totals:
@@ -28,9 +32,8 @@ class Totals:
 
     def __init__(self, rows: int, points: int, replicas: int) -> None:
         self.deposits = np.zeros(rows, DEPOSIT)
-        self.scratch = (
-            np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits
-        )  # of the ensemble at hand
+        # of the ensemble at hand
+        self.scratch = np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits
         self.windows = np.zeros((BATCHES, 2), WINDOW)
         self.counts = np.zeros(2, np.int64)
         self.lives = self.counts[:1]
@@ -45,10 +48,8 @@ class Totals:
         sums for the next one."""
         if self.scratch is self.deposits:
             return
-        force, (scale, square) = (
-            job.moments(self.scratch, contacts).force,
-            job.replica_scales,
-        )
+        scale, square = job.replica_scales
+        force = job.moments(self.scratch, contacts).force
         self.replica_sum += np.rint(force * scale).astype(np.int64)
         self.replica_square += np.rint(force**2 * square).astype(np.int64)
         if self.kept:
@@ -56,26 +57,12 @@ class Totals:
         _integers(self.deposits)[...] += _integers(self.scratch)
         _integers(self.scratch)[...] = 0
 
-    def replica_std(self, job: "Job", replicas: int) -> Array | None:
-        """Standard deviation of the force between replicas; None if there is one."""
-        if replicas == 1:
-            return None
+    def replica_std(self, job: "Job", replicas: int) -> Array:
+        """Standard deviation of the force between several replicas."""
         scale, square = job.replica_scales
-        spread = (
-            self.replica_square / square - (self.replica_sum / scale) ** 2 / replicas
-        )
+        mean_square = (self.replica_sum / scale) ** 2 / replicas
+        spread = self.replica_square / square - mean_square
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
-
-    def replica_forces(self) -> Array | None:
-        """The force of every replica, shape (replicas, points); None if there is one,
-        or if they were not kept."""
-        return (
-            np.array(
-                [force for _, force in sorted(self.forces, key=lambda one: one[0])]
-            )
-            if self.forces
-            else None
-        )
 
     def add(self, other: "Totals") -> None:
         self.forces += getattr(other, "forces", [])  # those of workers stay there
@@ -97,7 +84,7 @@ class Job(Protocol):
 
     @property
     def replica_scales(self) -> tuple[float, float]:
-        """Powers of 2 that turn the force of a replica, and its square, into integers."""
+        """Powers of 2 that turn a replica's force, and its square, into integers."""
 
     def totals(self, replicas: int) -> Totals:
         """Sums of nothing yet."""
@@ -125,14 +112,13 @@ class _Blocks(NamedTuple):
         if replicas > 1:
             return cls(range(0, count + 1, contacts), contacts, replicas)
         if alike:
-            shares = min(_SHARES * workers, -(-count // _BLOCK))
+            shares = min(_SHARES * workers, -(-count // _LEAST_BLOCK))
             return cls([count * i // shares for i in range(shares + 1)], contacts, 1)
-        edges, least = [0], min(_BLOCK, -(-count // workers))
+        edges, least = [0], min(_LEAST_BLOCK, -(-count // workers))
         while edges[-1] < count:
             rest = count - edges[-1]
-            edges.append(
-                edges[-1] + min(rest, max(least, -(-rest // (2 * workers - 1))))
-            )
+            size = max(least, -(-rest // (2 * workers - 1)))
+            edges.append(edges[-1] + min(rest, size))
         return cls(edges, contacts, 1)
 
 
@@ -156,14 +142,59 @@ def workers_of(threads: Threads) -> int:
     return threads[1] if isinstance(threads, tuple) else max(1, threads)
 
 
+class Simulated(NamedTuple):
+    """Sums over all contacts of a job, and when they were begun."""
+
+    job: Job
+    total: Totals
+    moments: Moments
+    replicas: int
+    threads: int
+    begin: float
+
+    @property
+    def lives(self) -> int:
+        """Lives of contacts that were simulated."""
+        return int(self.total.lives[0])
+
+    def columns(self, unit: float) -> dict[str, Any]:
+        """Fields of a `records.Record` that need no more, for a `unit` of length; the
+        force of every replica only if they were kept."""
+        std = forces = None
+        if self.replicas > 1:
+            std = self.total.replica_std(self.job, self.replicas) * unit
+        if self.total.forces:
+            ordered = sorted(self.total.forces, key=itemgetter(0))
+            forces = np.array([force for _, force in ordered]) * unit
+        return {
+            "force_replica_std": std,
+            "force_replicas": forces,
+            "force": self.moments.force * unit,
+            "pinned": self.moments.pinned,
+            "lives": self.lives,
+            "engine_seconds": time.perf_counter() - self.begin,
+            "threads": self.threads,
+        }
+
+
+def simulated(
+    job: Job, count: int, replicas: int, threads: Threads, progress: Progress | None
+) -> Simulated:
+    """Follow all contacts of `replicas` ensembles of `count`."""
+    interruptibly(job.simulate, job.totals(1), 0, 0)  # compiles, before time counts
+    begin, workers = time.perf_counter(), workers_of(threads)
+    total = simulate_all(job, count, replicas, threads, progress)
+    moments = job.moments(total.deposits, count * replicas)
+    return Simulated(job, total, moments, replicas, workers, begin)
+
+
 def simulate_all(
     job: Job, count: int, replicas: int, threads: Threads, progress: Progress | None
 ) -> Totals:
     """Hand blocks of contacts (whole ensembles if there are replicas) to threads as
     they become free, or a few shares of them for each worker to an executor."""
-    executor, threads = (
-        threads if isinstance(threads, tuple) else (None, max(1, threads))
-    )
+    executor = threads[0] if isinstance(threads, tuple) else None
+    threads = workers_of(threads)
     blocks = _Blocks.of(count, replicas, threads, executor is not None)
     every = range(len(blocks.edges) - 1)
     totals = [job.totals(replicas) for _ in range(1 if executor else threads)]
@@ -173,15 +204,12 @@ def simulate_all(
         try:
             if pool:
                 shared = iter(every)  # next() is atomic
-                running = {
-                    pool.submit(_follow, job, blocks, shared, total) for total in totals
-                }
+                for total in totals:
+                    running.add(pool.submit(_follow, job, blocks, shared, total))
             elif executor:
                 shares = min(_SHARES * threads, len(every))
-                running = {
-                    executor.submit(_follow, job, blocks, every[i::shares])
-                    for i in range(shares)
-                }
+                for i in range(shares):
+                    running.add(executor.submit(_follow, job, blocks, every[i::shares]))
             while running:
                 done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
                 if pool and pool.stop[0]:

@@ -20,7 +20,7 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.results import Drawn, Result
 
-_BLOCK = 4 * LANES  # contacts whose breaks are noted together, whoever does it
+_BREAKS_BLOCK = 4 * LANES  # contacts whose breaks are noted together, whoever does it
 # room for breaks, over their predicted number; with more a block is done again
 _MARGIN = 1.5
 MOST_BREAKS = 20_000_000  # 0.8 GB
@@ -63,14 +63,16 @@ def breaks(
     replicas: int = 1,
     threads: int = 1,
 ) -> Breaks:
-    """The breaks of the contacts that `trajectory` follows with the same seed, from a
-    fresh start.
+    """List the breaks of the contacts that `trajectory` follows with the same seed.
+
+    Lengths and times are in the units of the arguments.
 
     Parameters
     ----------
     ensemble : Ensemble
     drive : Drive
-        Constant velocity over a distance.
+        Constant velocity (length/time) over a distance, from a fresh start; neither a
+        programme nor a stage nor blocks.
     seed : int
         Of the random numbers; the result depends on nothing else.
     replicas : int
@@ -87,42 +89,37 @@ def breaks(
     InputError
         For a drive that is not constant or not from a fresh start, for thresholds that
         fluctuate, and for more than 2e7 breaks.
+
+    Examples
+    --------
+    >>> found = breaks(Ensemble(count=100), Drive(0.1, distance=5.0))
+    >>> bool(found.X[0] <= found.X[-1] <= 5.0)  # in the order of the displacement
+    True
     """
     expected = check_breaks(ensemble, drive, seed, replicas)
     c = contacts(ensemble, drive.velocity, settled(ensemble, drive, seed, threads))
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
-    distance, stream, each = (
-        drive.over(ensemble) / unit,
-        key(seed, TRAJECTORY),
-        expected / count,
-    )
+    distance, stream = drive.over(ensemble) / unit, key(seed, TRAJECTORY)
+    each = expected / count
 
     def block(first: int) -> Array:
-        last = min(first + _BLOCK, count)
+        last = min(first + _BREAKS_BLOCK, count)
         size = int(_MARGIN * each * (last - first)) + 100
         while True:
-            listed = BreakList(
-                distance, np.empty(size, BREAK), np.zeros(1, np.int64), current_stop()
-            )
+            rows, number = np.empty(size, BREAK), np.zeros(1, np.int64)
+            listed = BreakList(distance, rows, number, current_stop())
             follow(c, listed, first, last, *idle_lanes(c, stream))
             size = int(listed.number[0])
             if size <= listed.rows.size:
                 return listed.rows[:size]
 
     with ThreadPool(max(1, threads)) as pool:
-        rows = np.concatenate(list(pool.map(block, range(0, count, _BLOCK))))
+        rows = np.concatenate(list(pool.map(block, range(0, count, _BREAKS_BLOCK))))
     rows = rows[np.lexsort((rows["contact"], rows["X"]))]
     replica, contact = np.divmod(rows["contact"], ensemble.count)
     X, stretch, travel = (rows[name] * unit for name in ("X", "stretch", "travel"))
-    return Breaks(
-        replica,
-        contact,
-        X / drive.velocity,
-        X,
-        stretch,
-        travel,
-        rows["stiffness"].copy(),
-    )
+    t, stiffness = X / drive.velocity, rows["stiffness"].copy()
+    return Breaks(replica, contact, t, X, stretch, travel, stiffness)
 
 
 def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> float:
@@ -134,12 +131,14 @@ def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> 
         )
     if ensemble.fluctuates:
         raise InputError(
-            f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of thresholds that fluctuate'
+            f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of '
+            "thresholds that fluctuate"
         )
     expected = check_run(ensemble, drive, 2, seed, replicas, math.inf)
     if expected > MOST_BREAKS:
         raise InputError(
-            f"breaks: there are about {expected:.3g}; at most {MOST_BREAKS:.0e} are listed"
+            f"breaks: there are about {expected:.3g}; "
+            f"at most {MOST_BREAKS:.0e} are listed"
         )
     return expected
 

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from eqsim.laws.barrier.pooled import Pooled, pooled_hazard_of
 from eqsim.laws.delay import Waits
-from eqsim.laws.newborn import Unstressed, stretched
+from eqsim.laws.newborn import Stretched, Unstressed, stretched
 from eqsim.laws.stiffness import Springs
 from eqsim.laws.threshold import Thresholds, for_kernels
 from eqsim.model.ensemble import Ensemble
@@ -14,31 +14,17 @@ from eqsim.numerics.tables import Array
 
 class Contacts(NamedTuple):
     """The laws of a contact, each a NamedTuple by whose type kernels are compiled;
-    lengths in units of the threshold law's scale, time as displacement.
-
-    Attributes
-    ----------
-    thresholds : Thresholds
-    springs : Springs
-    barrier : a `Barrier`, or `Pooled` if attempts draw fresh thresholds
-    barrier_table, hazard_table : ndarray
-        What `laws.barrier.base.stretch` and `hazard` look up.
-    aging : AgingLaw
-    aging_table : ndarray
-        What `laws.aging.base.work` looks up.
-    delay : Waits
-    newborn : `Unstressed` or `Stretched`
-    """
+    lengths in units of the threshold law's scale, time as displacement."""
 
     thresholds: Thresholds
     springs: Springs
-    barrier: Any
-    barrier_table: Array
-    hazard_table: Array
-    aging: Any
-    aging_table: Array
+    barrier: Any  # a `Barrier`, or `Pooled` if attempts draw fresh thresholds
+    barrier_table: Array  # what `laws.barrier.base.stretch` looks up
+    hazard_table: Array  # what `laws.barrier.base.hazard` looks up
+    aging: Any  # an `AgingLaw`
+    aging_table: Array  # what `laws.aging.base.work` looks up
     delay: Waits
-    newborn: Any
+    newborn: Any  # `Unstressed` or `Stretched`
 
 
 def lower(s: Reduced) -> Contacts:
@@ -48,15 +34,20 @@ def lower(s: Reduced) -> Contacts:
     if s.annealed:
         pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
-    born = (
-        stretched(s.newborn, s.law, not s.one_sided)
-        if s.newborn.active
-        else Unstressed()
-    )
+    born: Unstressed | Stretched = Unstressed()
+    if s.newborn.active:
+        born = stretched(s.newborn, s.law, not s.one_sided)
     return Contacts(
-        for_kernels(s.law), s.springs, barrier, s.barrier.table(), s.barrier.hazard_table(), s.aging,
-        s.aging.table(s.springs), s.delay.for_kernels(), born,
-    )  # fmt: skip
+        for_kernels(s.law),
+        s.springs,
+        barrier,
+        s.barrier.table(),
+        s.barrier.hazard_table(),
+        s.aging,
+        s.aging.table(s.springs),
+        s.delay.for_kernels(),
+        born,
+    )
 
 
 def contacts(

@@ -22,9 +22,9 @@ same rates last for long. The error in averages is second order in STEP; at the 
 it is below 1e-3 unless contacts relax many times while they break rarely: `step_error`.
 
 Each part of a step is a scalar function without library calls: `walk` puts them
-together for one path, `lives` for many side by side, a loop for each part, which the
-compiler vectorises. What happens once a life, or to few paths at a time (`meeting`,
-`burn`), is done for one path after the other.
+together for one path, `walk_all` for many side by side, a loop for each part, which the
+compiler vectorises. What happens once a life, or to few paths at a time (`conclude`),
+is done for one path after the other.
 """
 
 import math
@@ -32,31 +32,39 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from eqsim.engine.bessel import touching
 from eqsim.engine.contacts import Contacts
+from eqsim.engine.deviates import (
+    chi_square,
+    normals_of,
+    pairs_of,
+    random_step,
+    times_uniforms,
+    try_chi_square,
+)
 from eqsim.laws.aging import Langevin
 from eqsim.laws.barrier.base import height, height_slope, path_step, prefactor, thermal
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.streams import Key, midpoints
 from eqsim.numerics.tables import Array
-from eqsim.numerics.vector_math import exp, exp_less_one, log, quarter_sine
+from eqsim.numerics.vector_math import exp, exp_less_one, log
 
 STEP = 0.35  # the default accuracy of steps
 STEP_ERROR = 1e-3  # what they may cost then, relative; falls as the square of STEP
 WALKERS = 64  # paths that advance side by side
 # heat counts where the hazard from here to the threshold is above exp(-7)
-_UNSEEN = 7.0
+_MOST_QUIET = 7.0
 _SCATTERS = 0.03  # hazard of a step from which on its scatter counts
-_FIRST_ORDER, _BOUND = (
-    0.05,
-    0.4,
-)  # ln of a factor up to which first order will do, and that bounds what it misses
+# ln of a factor on the chance to touch, up to which first order will do
+_FIRST_ORDER = 0.05
+_MISSED_ORDERS = 0.4  # and a bound on what it misses beyond
 
 
 class Pinned(NamedTuple):
-    """The laws of a step: those of `Contacts` without tables, which would keep loops
-    from vectorising; and how the stretch `moves` as time goes on: 1, 0 in a hold, -1 on
-    the way back to 0."""
+    """Laws of a step: those of `Contacts` without tables, which would keep loops from
+    vectorising; and how the stretch `moves` as time goes on: 1, 0 in a hold, -1 on the
+    way back to 0."""
 
     barrier: Any
     springs: Springs
@@ -87,17 +95,41 @@ class Rates(NamedTuple):
     slope: float
 
 
+class Halfway(NamedTuple):
+    """Threshold half-way through a step, and its spread."""
+
+    threshold: float
+    spread: float
+
+
+class Bridge(NamedTuple):
+    """Gap between threshold and stretch at the beginning of a step, and `ahead` at its
+    end; the `variance` gathered in it; the stretch where straight paths `touch`; and
+    ln of the factors by which the drift away from 0 (`swerve`) and towards it (`pull`)
+    change the chance to touch, to first order in the variance."""
+
+    gap: float
+    ahead: float
+    variance: float
+    touch: float
+    swerve: float
+    pull: float
+
+
 def step_error(law: Langevin, step: float = STEP, time: float = 1.0) -> float:
     """About the largest relative error of averages by steps of that accuracy. It grows
     with D_v = D/(v x_*i), from D_v = 100 on, as more of the few passages fall between
     two steps (measured against the Fokker-Planck equation: 0.9, 2.3 and 4.7 % at D_v =
     2.5e4, 2.5e5 and 2.5e6, n = 1, T = 0). In a hold its `time` takes the place of that
     in which the slider moves by x_*i."""
-    return (
-        STEP_ERROR
-        * max(1.0, (0.25 * law.alpha * law.final2 * time / 100.0) ** 0.42)
-        * (step / STEP) ** 2
-    )
+    growth = max(1.0, (0.5 * variance_rate(law) * time / 100.0) ** 0.42)
+    return STEP_ERROR * growth * (step / STEP) ** 2
+
+
+@routine(inline=True)
+def variance_rate(law: Langevin) -> float:
+    """2 D_v, the variance that a threshold gathers per unit of displacement."""
+    return 0.5 * law.alpha * law.final2
 
 
 @routine(inline=True)
@@ -106,105 +138,14 @@ def pinned(c: Contacts) -> Pinned:
     return Pinned(c.barrier, c.springs, c.aging, 1.0)
 
 
-# -------------------------------------------------------------------------------------------------------
-# deviates
-
-
-@routine(inline=True)
-def normals_of(u: float, v: float) -> tuple[float, float]:
-    """A normal deviate and the square of another from two uniforms (Box and Muller)."""
-    square = -2.0 * log(u)
-    normal = math.sqrt(square) * quarter_sine(2.0 * v - 1.0)
-    return normal, max(square - normal * normal, 0.0)
-
-
-@routine(inline=True)
-def pairs_of(shape: float) -> int:
-    """How many pairs of squares of normals there are in chi-square of 2 shape + 1
-    degrees of freedom; -1 if it is drawn in another way."""
-    freedom = 2.0 * shape + 1.0
-    return (
-        int(freedom) // 2 if freedom == math.floor(freedom) and freedom < 14.0 else -1
-    )
-
-
-@routine(inline=True)
-def times_uniforms(
-    key: Key, contact: int, life: int, draw: int, product: float, count: int
-) -> float:
-    """`product` times min(count, 4) further uniforms."""
-    a, b, d, e = midpoints(key, contact, life, draw)
-    product *= a
-    if count > 1:
-        product *= b
-    if count > 2:
-        product *= d
-    return product * e if count > 3 else product
-
-
-@routine(inline=True)
-def chi_square(shape: float, square: float, product: float) -> float:
-    """Chi-square of 2 shape + 1 degrees of freedom from the square of a normal, and the
-    product of a uniform for every pair of squares."""
-    pairs = pairs_of(shape)
-    odd = square if 2.0 * shape + 1.0 > 2.0 * pairs else 0.0
-    return odd - 2.0 * log(product) if pairs > 0 else odd
-
-
-@routine(inline=True)
-def try_chi_square(
-    key: Key, contact: int, life: int, draw: int, shape: float, u: float
-) -> float:
-    """Chi-square of 2 shape + 1 degrees of freedom, or 0, which means to try again with
-    another draw but the same uniform `u` (Marsaglia and Tsang, 2000, for the shape 1/2
-    + shape >= 1/2, raised by 1 if below 1)."""
-    half, lift = shape + 0.5, 1.0
-    if half < 1.0:
-        lift, half = exp(log(u) / half), half + 1.0
-    third = half - 1.0 / 3.0
-    a, b, d, _ = midpoints(key, contact, life, draw)
-    z, _ = normals_of(a, b)
-    root = max(
-        1.0 + z / math.sqrt(9.0 * third), 1e-30
-    )  # so small, and below 0, it is refused
-    cube = root * root * root
-    taken = log(d) < 0.5 * z * z + third * (1.0 - cube + log(cube))
-    return 2.0 * third * cube * lift if taken else 0.0
-
-
-@routine(inline=True)
-def random_step(
-    key: Key, contact: int, life: int, draw: int, shape: float
-) -> tuple[Any, Any, Any, Any]:
-    """A normal deviate, a chi-square deviate of 2 shape + 1 degrees of freedom, a
-    uniform, and the next draw."""
-    a, b, product, passage = midpoints(key, contact, life, draw)
-    draw += 1
-    normal, square = normals_of(a, b)
-    pairs = pairs_of(shape)
-    if pairs < 0:
-        square = 0.0
-        while square == 0.0:
-            square = try_chi_square(key, contact, life, draw, shape, product)
-            draw += 1
-        return normal, square, passage, draw
-    for done in range(1, pairs, 4):
-        product = times_uniforms(key, contact, life, draw, product, pairs - done)
-        draw += 1
-    return normal, chi_square(shape, square, product), passage, draw
-
-
-# ------------------------------------------------------------------------------------------
-# the physics of a step
+# ---- the physics of a step ----
 
 
 @routine(inline=True)
 def reaches(distance: float, spread: float, speed: float) -> float:
     """The h after which speed h + spread sqrt(h) = distance."""
-    root = (
-        2.0 * distance / (spread + math.sqrt(spread * spread + 4.0 * speed * distance))
-    )
-    return root * root
+    both = spread + math.sqrt(spread * spread + 4.0 * speed * distance)
+    return (2.0 * distance / both) * (2.0 * distance / both)
 
 
 @routine(inline=True)
@@ -212,25 +153,21 @@ def heat(c: Pinned, xi: float, x: float) -> float:
     """Thermal rate per displacement at stretch `x` of a contact of threshold `xi`, or x
     if that is more."""
     xi = max(xi, x)
-    a = c.barrier.b * kappa(c.springs, xi)
-    return exp(c.barrier.log_w - height(c.barrier, xi, x, a)) * prefactor(
-        c.barrier, xi, x
-    )
+    barrier = height(c.barrier, xi, x, c.barrier.b * kappa(c.springs, xi))
+    return exp(c.barrier.log_w - barrier) * prefactor(c.barrier, xi, x)
 
 
 @routine(inline=True)
-def halfway(
-    c: Pinned, xi: float, along: float, end: float, lost: float
-) -> tuple[float, float]:
-    """Threshold half-way through a step from `xi` to `end`, of which `along` is the
-    component along the start, and its spread: the bridge of the (2n+2)-dimensional
-    process, which pulls back within a relaxation time."""
+def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> Halfway:
+    """Half-way through a step from `xi` to `end`, of which `along` is the component
+    along the start: the bridge of the (2n+2)-dimensional process, which pulls back
+    within a relaxation time."""
     kept = 1.0 - lost
     spread2 = 0.5 * c.aging.final2 * lost / (1.0 + kept)
-    square = (
-        (xi * xi + 2.0 * xi * along + end * end) * kept / ((1.0 + kept) * (1.0 + kept))
-    )
-    return math.sqrt(square + (2.0 * c.aging.shape + 1.0) * spread2), math.sqrt(spread2)
+    square = xi * xi + 2.0 * xi * along + end * end
+    square = square * kept / ((1.0 + kept) * (1.0 + kept))
+    mean = math.sqrt(square + (2.0 * c.aging.shape + 1.0) * spread2)
+    return Halfway(mean, math.sqrt(spread2))
 
 
 @routine(inline=True)
@@ -239,40 +176,35 @@ def pace(
 ) -> tuple[Any, Any, Any]:
     """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the
     thermal rate now, and the slope of the barrier over 2 kT with the threshold."""
-    step = (
-        path_step(c.barrier)
-        * step
-        * (1.0 if c.moves > 0.0 or not thermal(c.barrier) else 0.5)
+    careful = c.moves <= 0.0 and thermal(c.barrier)
+    step = path_step(c.barrier) * step * (0.5 if careful else 1.0)
+    alpha, final2 = c.aging.alpha, c.aging.final2
+    rate2 = variance_rate(c.aging)
+    sigma = math.sqrt(rate2)
+    gap = max(xi - x, 1e-16 * xi)  # rounding may leave nothing
+    drift = rate2 * (xi / final2 - (c.aging.shape + 0.5) / xi)
+    speed = abs(c.moves) + max(0.0, drift)
+    far, least = (
+        reaches(gap, sigma / step, speed),
+        reaches(0.25 * step * xi, sigma, speed),
     )
-    alpha = c.aging.alpha
-    variance = 0.5 * alpha * c.aging.final2  # 2 D_v, per unit of displacement
-    sigma, gap = (
-        math.sqrt(variance),
-        max(xi - x, 1e-16 * xi),
-    )  # rounding may leave nothing
-    speed = abs(c.moves) + max(
-        0.0, variance * (xi / c.aging.final2 - (c.aging.shape + 0.5) / xi)
-    )
-    h = min(
-        max(reaches(gap, sigma / step, speed), reaches(0.25 * step * xi, sigma, speed)),
-        most,
-    )
+    h = min(max(far, least), most)
     h = most if c.moves == 0.0 and x == 0.0 else h  # no threshold comes down to 0
     if not thermal(c.barrier):
         return h, 0.0, 0.0
     k0 = kappa(c.springs, xi)
     a = c.barrier.b * k0
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
-    slope = height_slope(c.barrier, xi, x, a)
-    slope += barrier * c.springs.slope / k0
+    slope = height_slope(c.barrier, xi, x, a) + barrier * c.springs.slope / k0
     while_here = gap if c.moves > 0.0 else max(gap, most)
-    quiet = max(
-        barrier - c.barrier.log_w - log(while_here), 0.0
-    )  # -ln of the hazard over as much as the gap
-    h = min(h, max(
-        reaches(max(quiet - _UNSEEN, 0.0) / slope, sigma / step, speed),
-        min(reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), step * (1.0 + 0.5 * quiet) / alpha),
-    ))  # fmt: skip
+    # -ln of the hazard over as much as the gap
+    quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)
+    slight = step * (1.0 + 0.5 * quiet)
+    far = reaches(max(quiet - _MOST_QUIET, 0.0) / slope, sigma / step, speed)
+    least = min(
+        reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), slight / alpha
+    )
+    h = min(h, max(far, least))
     # what comes long after the clock has stopped says little about when it stops
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
 
@@ -290,42 +222,17 @@ def move(
 
 
 @routine(inline=True)
-def swerve_of(
-    c: Pinned,
-    variance: float,
-    xi: float,
-    gap: float,
-    touch: float,
-    ahead: float,
-    end: float,
-) -> float:
-    """What the drift away from 0, (n + 1/2)/xi, does to ln of the chance to touch, to
-    first order in `variance`."""
-    return (
-        variance
-        * (gap * ahead / (gap + ahead))
-        * (0.25 - c.aging.shape * c.aging.shape)
-        / (xi * touch * end)
-    )
-
-
-@routine(inline=True)
-def pull_of(
-    c: Pinned, variance: float, xi: float, gap: float, ahead: float, end: float
-) -> float:
-    """What the drift towards 0 does to it."""
-    both = gap + ahead
-    t, dip = (
-        gap / both,
-        2.0 * gap * ahead / both,
-    )  # where straight paths touch, and how far below the direct one
-    return (
-        0.5
-        * variance
-        * dip
-        * (xi * (2.0 - t) + end * (1.0 + t) - dip)
-        / (3.0 * c.aging.final2 * c.aging.final2)
-    )
+def bridge_of(c: Pinned, xi: float, x: float, h: float, end: float) -> Bridge:
+    """The bridge of a step whose ends are beyond the stretch."""
+    gap, ahead, final2, n = xi - x, end - x - c.moves * h, c.aging.final2, c.aging.shape
+    both, variance = gap + ahead, variance_rate(c.aging) * h
+    t = gap / both
+    touch = x + t * (c.moves * h)
+    swerve = variance * (gap * ahead / both) * (0.25 - n * n) / (xi * touch * end)
+    dip = 2.0 * gap * ahead / both  # how far straight paths are below the direct one
+    moment = xi * (2.0 - t) + end * (1.0 + t) - dip
+    pull = 0.5 * variance * dip * moment / (3.0 * final2 * final2)
+    return Bridge(gap, ahead, variance, touch, swerve, pull)
 
 
 @routine(inline=True)
@@ -336,24 +243,17 @@ def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) 
     The chance is that of a Brownian bridge kept away from 0, corrected for how the
     drift differs, to first order, on a path that touches and on one that does not.
     """
-    gap, ahead = xi - x, end - x - c.moves * h
-    variance = 0.5 * c.aging.alpha * c.aging.final2 * h
+    gap, ahead, variance, touch, swerve, pull = bridge_of(c, xi, x, h, end)
     if ahead <= 0.0:
         return True
     if 2.0 * gap * ahead >= 40.0 * variance:
         return False
-    touch = x + gap / (gap + ahead) * (c.moves * h)
-    swerve = swerve_of(c, variance, xi, gap, touch, ahead, end)
-    if (
-        c.aging.shape < 0.5 and swerve > _FIRST_ORDER
-    ):  # a bound, which a process of 2n + 2 < 3 dimensions has next to 0
-        swerve = (
-            min(swerve, (0.5 - c.aging.shape) * log(xi * end / (touch * touch)))
-            + _BOUND
-        )
+    # a bound, which a process of 2n + 2 < 3 dimensions has next to 0
+    if c.aging.shape < 0.5 and swerve > _FIRST_ORDER:
+        most = (0.5 - c.aging.shape) * log(xi * end / (touch * touch))
+        swerve = min(swerve, most) + _MISSED_ORDERS
     per = -2.0 / variance
     zero = exp(xi * end * per)
-    pull = pull_of(c, variance, xi, gap, ahead, end)
     return passage * (1.0 - zero) < (exp(gap * ahead * per) - zero) * exp(swerve + pull)
 
 
@@ -363,102 +263,35 @@ def confirmed(
 ) -> bool:
     """Whether a passage of `meets` holds: for n < 1/2 next to 0, where first order
     fails, by `touching`."""
-    gap, ahead = xi - x, end - x - c.moves * h
-    if c.aging.shape >= 0.5 or ahead <= 0.0:
+    gap, ahead, variance, touch, swerve, pull = bridge_of(c, xi, x, h, end)
+    n = c.aging.shape
+    if n >= 0.5 or ahead <= 0.0 or swerve <= _FIRST_ORDER:
         return True
-    variance = 0.5 * c.aging.alpha * c.aging.final2 * h
-    touch = x + gap / (gap + ahead) * (c.moves * h)
-    if swerve_of(c, variance, xi, gap, touch, ahead, end) <= _FIRST_ORDER:
-        return True
-    pull = pull_of(c, variance, xi, gap, ahead, end)
-    return passage < touching(
-        c.aging.shape, touch + gap, touch + ahead, touch, variance
-    ) * math.exp(pull)
-
-
-@routine
-def touching(n: float, a: float, b: float, r: float, t: float) -> float:
-    """The chance that a bridge of the (2n+2)-dimensional Bessel process from a to b
-    touches r < a, b in a time t, in which each component gathers the variance t
-    (derived):
-
-        exp(-(a-r)(b-r)/t) K(aq) K(bq) I(rs/t)/(K(rq) K(sq) I(ab/t)),   q = (a+b-2r)/t,   s = a+b-r
-
-    with Bessel functions of order n. It is the saddle point of the inverse Laplace
-    transform, with arguments such that it is exact for n = 1/2, at a = r and b = r and
-    to first order in t. Of all passages in a step it misses 3e-3.
-    """
-    s, q = a + b - r, (a + b - 2.0 * r) / t
-    low, high = r / t * s, a / t * b
-    kept = (
-        bessel_k(n, a * q)
-        / bessel_k(n, r * q)
-        * bessel_k(n, b * q)
-        / bessel_k(n, s * q)
-    )
-    return (
-        math.exp(-(a - r) * (b - r) / t)
-        * kept
-        * (low / high) ** n
-        * bessel_i(n, low)
-        / bessel_i(n, high)
-    )
-
-
-@routine
-def bessel_i(n: float, z: float) -> float:
-    """I_n(z) (2/z)^n Gamma(n+1), 0 <= n, 0 < z < 700."""
-    square, k, term, total = 0.25 * z * z, 0.0, 1.0, 1.0
-    while term > 1e-6 * total:
-        k += 1.0
-        term *= square / (k * (k + n))
-        total += term
-    return total
-
-
-@routine
-def bessel_k(n: float, z: float) -> float:
-    """exp(z) K_n(z) to 1e-6, z > 0: the integral of exp(-z (cosh u - 1)) cosh(n u) over
-    u > 0 by trapezoids."""
-    width = 1.0 / math.sqrt(4.0 + z)
-    total, u, exponent = 0.5, width, 0.0
-    while exponent < 16.0:
-        root = math.sinh(0.5 * u)
-        exponent = 2.0 * z * root * root - n * u
-        total += math.exp(-exponent) * 0.5 * (1.0 + math.exp(-2.0 * n * u))
-        u += width
-    return width * total
+    chance = touching(n, touch + gap, touch + ahead, touch, variance)
+    return passage < chance * math.exp(pull)
 
 
 @routine(inline=True)
 def heats(
-    c: Pinned, xi: float, x: float, h: float, end: float, along: float, lost: float
+    c: Pinned, middle: Halfway, x: float, h: float, end: float
 ) -> tuple[float, float]:
     """Thermal rates half-way, averaged over the bridge, and at the end."""
-    middle, spread = halfway(c, xi, along, end, lost)
+    xi, spread = middle
     slid = c.moves * h
-    between = 0.5 * (
-        heat(c, middle + spread, x + 0.5 * slid)
-        + heat(c, middle - spread, x + 0.5 * slid)
+    higher, lower = (
+        heat(c, xi + spread, x + 0.5 * slid),
+        heat(c, xi - spread, x + 0.5 * slid),
     )
-    return between, heat(c, end, x + slid)
+    return 0.5 * (higher + lower), heat(c, end, x + slid)
 
 
 @routine(inline=True)
 def work_of(
-    c: Pinned,
-    xi: float,
-    x: float,
-    h: float,
-    end: float,
-    along: float,
-    lost: float,
-    broke: bool,
+    c: Pinned, xi: float, x: float, h: float, end: float, middle: float, broke: bool
 ) -> float:
     """Work done over k in a step, by Simpson's rule for the force; in one that was cut
     short the stiffness goes straight."""
     k0, k1 = kappa(c.springs, xi), kappa(c.springs, end)
-    middle, _ = halfway(c, xi, along, end, lost)
     k01 = 0.5 * (k0 + k1) if broke else kappa(c.springs, middle)
     slid = c.moves * h
     return slid * (k0 * x + 4.0 * k01 * (x + 0.5 * slid) + k1 * (x + slid)) / 6.0
@@ -483,37 +316,15 @@ def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]
     next draw (Michael, Schucany and Haas, 1976)."""
     a, b, d, _ = midpoints(path.key, path.contact, path.life, path.draw)
     z, _ = normals_of(a, b)
-    x = path.x
-    gap = path.xi - x
-    mean, steep = (
-        gap / max(abs(end - x - c.moves * h), 1e-300),
-        gap * gap / (0.5 * c.aging.alpha * c.aging.final2 * h),
-    )
-    y = mean * z * z / steep
-    ratio = (
-        mean * 2.0 / (2.0 + y + math.sqrt(y * (4.0 + y)))
-    )  # the smaller root, without cancellation
+    x, gap = path.x, path.xi - path.x
+    mean = gap / max(abs(end - x - c.moves * h), 1e-300)
+    y = mean * z * z / (gap * gap / (variance_rate(c.aging) * h))
+    # the smaller root, without cancellation
+    ratio = mean * 2.0 / (2.0 + y + math.sqrt(y * (4.0 + y)))
     if d > mean / (mean + ratio):
         ratio = mean * (mean / ratio)
     h = h * ratio / (1.0 + ratio) if ratio < 1e15 else h
     return h, x + c.moves * h, path.draw + 1
-
-
-@routine(inline=True)
-def cut_heats(
-    c: Pinned, xi: float, x: float, h: float, end: float
-) -> tuple[float, float]:
-    """`heats` of a step cut short by a passage, which is short."""
-    middle, spread = (
-        0.5 * (xi + end),
-        0.5 * math.sqrt(0.5 * c.aging.alpha * c.aging.final2 * h),
-    )
-    slid = c.moves * h
-    between = 0.5 * (
-        heat(c, middle + spread, x + 0.5 * slid)
-        + heat(c, middle - spread, x + 0.5 * slid)
-    )
-    return between, heat(c, end, x + slid)
 
 
 @routine
@@ -523,28 +334,18 @@ def burn(
     """Whether heat breaks a contact in a step, which ends there, the length of the
     step, the threshold at its end, the hazard spent and the next draw."""
     rate, between, last, slope = rates
-    spent, scatter, draw, xi, left = (
-        hazard(h, rate, between, last),
-        0.0,
-        path.draw,
-        path.xi,
-        path.left,
-    )
-    if (
-        spent > _SCATTERS
-    ):  # the average over bridges has a spread of its own, which keeps some contacts pinned
+    draw, xi, left = path.draw, path.xi, path.left
+    spent, scatter = hazard(h, rate, between, last), 0.0
+    # the average over bridges has a spread of its own, which keeps some contacts pinned
+    if spent > _SCATTERS:
         a, b, _, _ = midpoints(path.key, path.contact, path.life, draw)
         draw += 1
         z, _ = normals_of(a, b)
-        scatter = slope * math.sqrt(0.5 * c.aging.alpha * c.aging.final2 * h / 12.0)
+        scatter = slope * math.sqrt(variance_rate(c.aging) * h / 12.0)
         scatter = scatter if scatter < 1.0 else 0.0
         factor = exp(scatter * (z - 0.5 * scatter))
-        rate, between, last, spent = (
-            rate * factor,
-            between * factor,
-            last * factor,
-            spent * factor,
-        )
+        rate, between, last = rate * factor, between * factor, last * factor
+        spent *= factor
     if spent < left:
         return False, h, end, spent, draw
     # where: Newton for the integral of the parabola through the three rates
@@ -556,14 +357,37 @@ def burn(
         part = min(max(part + (left - done) / (h * here), 0.0), 1.0)
     # bridges scatter differently before the end: what that does to the mean part, to
     # first order in scatter^2 (derived)
-    part = min(
-        part * (1.0 + scatter * scatter * (6.0 * part * (1.0 - part) - 1.0)), 1.0
-    )
+    shift = scatter * scatter * (6.0 * part * (1.0 - part) - 1.0)
+    part = min(part * (1.0 + shift), 1.0)
     return True, part * h, xi + part * (end - xi), left, draw
 
 
-# ------------------------------------------------------------------------------------------------
-# one path, or many
+@routine(inline=True)
+def conclude(
+    c: Pinned, path: Path, h: float, end: float, met: bool, passage: float, rates: Rates
+) -> tuple[Any, Any, Any, Any, Any]:
+    """The end of a step in which the threshold has met the stretch, unless that is not
+    `confirmed`, or that heat may end: whether the contact breaks, how long the step is,
+    the threshold at its end, the hazard spent and the next draw."""
+    broke = met and confirmed(c, path.xi, path.x, h, end, passage)
+    draw, spent = path.draw, 0.0
+    if broke:
+        h, end, draw = meeting(c, path, h, end)
+    if thermal(c.barrier):
+        xi, x = path.xi, path.x
+        if broke:
+            between = Halfway(
+                0.5 * (xi + end), 0.5 * math.sqrt(variance_rate(c.aging) * h)
+            )
+            half, last = heats(c, between, x, h, end)
+            rates = Rates(rates.first, half, last, rates.slope)
+        now = moved(path, draw, xi, x, path.left)
+        burnt, h, end, spent, draw = burn(c, now, h, end, rates)
+        broke = broke or burnt
+    return broke, h, end, spent, draw
+
+
+# ---- one path, or many ----
 
 
 @routine(inline=True)
@@ -577,33 +401,19 @@ def walk(c: Pinned, path: Path, most: float, step: float) -> tuple[Any, Any, Any
     """One step, at most `most` long. Returns whether the contact broke, its path from
     there, the length of the step, and the work done over k where the stiffness varies.
     """
-    xi, x = path.xi, path.x
-    h, rate, slope = pace(c, xi, x, path.left, most, step)
+    xi, x, left = path.xi, path.x, path.left
+    h, rate, slope = pace(c, xi, x, left, most, step)
     normal, square, passage, draw = random_step(
         path.key, path.contact, path.life, path.draw, c.aging.shape
     )
     along, end, lost = move(c, xi, h, normal, square)
-    broke, spent = (
-        meets(c, xi, x, h, end, passage) and confirmed(c, xi, x, h, end, passage),
-        0.0,
-    )
-    if broke:
-        h, end, draw = meeting(c, moved(path, draw, xi, x, path.left), h, end)
-    if thermal(c.barrier):
-        between, last = (
-            cut_heats(c, xi, x, h, end)
-            if broke
-            else heats(c, xi, x, h, end, along, lost)
-        )
-        now = moved(path, draw, xi, x, path.left)
-        burnt, h, end, spent, draw = burn(
-            c, now, h, end, Rates(rate, between, last, slope)
-        )
-        broke = broke or burnt
-    work = (
-        work_of(c, xi, x, h, end, along, lost, broke) if c.springs.slope > 0.0 else 0.0
-    )
-    return broke, moved(path, draw, end, x + c.moves * h, path.left - spent), h, work
+    met, middle = meets(c, xi, x, h, end, passage), halfway(c, xi, along, end, lost)
+    between, last = heats(c, middle, x, h, end) if thermal(c.barrier) else (0.0, 0.0)
+    rates, now = Rates(rate, between, last, slope), moved(path, draw, xi, x, left)
+    broke, h, end, spent, draw = conclude(c, now, h, end, met, passage, rates)
+    varies = c.springs.slope > 0.0
+    work = work_of(c, xi, x, h, end, middle.threshold, broke) if varies else 0.0
+    return broke, moved(path, draw, end, x + c.moves * h, left - spent), h, work
 
 
 @routine(inline=True)
@@ -616,9 +426,8 @@ def stride(
     side = -1.0 if back else 1.0
     most = min(most, -path.x) if back and c.moves > 0.0 else most
     mirrored = Pinned(c.barrier, c.springs, c.aging, side * c.moves)
-    broke, path, h, work = walk(
-        mirrored, moved(path, path.draw, path.xi, side * path.x, path.left), most, step
-    )
+    there = moved(path, path.draw, path.xi, side * path.x, path.left)
+    broke, path, h, work = walk(mirrored, there, most, step)
     return broke, moved(path, path.draw, path.xi, side * path.x, path.left), h, work
 
 
@@ -651,32 +460,17 @@ class Paths(NamedTuple):
 
 
 class Walkers(NamedTuple):
-    """Paths that advance side by side, arrays (WALKERS,).
+    """Paths that advance side by side, arrays (WALKERS,)."""
 
-    Attributes
-    ----------
-    number, contact, life, draw : ndarray of int
-        Which of the `Paths` each is, -1 if none; its stream of random numbers.
-    xi, x, left, work : ndarray
-        Where it is: threshold, stretch, rest of the clock, work so far.
-    h, rate, slope, along, end, lost, between, last, spent : ndarray
-        Its step, as in `walk`.
-    normal, square, passage, u : ndarray
-        Deviates of the step.
-    broke : ndarray of bool
-    special : ndarray of int
-        Which of them need more than the usual.
-    """
-
-    number: Array
+    number: Array  # which of the `Paths` each is, -1 if none
     contact: Array
     life: Array
     draw: Array
-    xi: Array
-    x: Array
-    left: Array
-    work: Array
-    h: Array
+    xi: Array  # threshold
+    x: Array  # stretch
+    left: Array  # rest of the clock
+    work: Array  # so far
+    h: Array  # the step, as in `walk`, up to `spent`
     rate: Array
     slope: Array
     along: Array
@@ -685,12 +479,12 @@ class Walkers(NamedTuple):
     between: Array
     last: Array
     spent: Array
-    normal: Array
+    normal: Array  # deviates of the step, up to `u`
     square: Array
     passage: Array
     u: Array
     broke: Array
-    special: Array
+    special: Array  # which of them need more than the usual
 
     @classmethod
     def empty(cls) -> "Walkers":
@@ -700,19 +494,13 @@ class Walkers(NamedTuple):
 
 
 @routine
-def draw_steps(key: Key, shape: float, walkers: Walkers, count: int) -> None:
+def draw_steps(key: Key, shape: float, w: Walkers, count: int) -> None:
     """`random_step` of many paths."""
-    contact, life, draw = walkers.contact, walkers.life, walkers.draw
-    normal, square, passage, u = (
-        walkers.normal,
-        walkers.square,
-        walkers.passage,
-        walkers.u,
-    )
+    contact, life, draw = w.contact, w.life, w.draw
+    normal, square, passage, u = w.normal, w.square, w.passage, w.u
     for i in range(count):
-        normal[i], square[i], u[i], passage[i] = midpoints(
-            key, contact[i], life[i], draw[i]
-        )
+        drawn = midpoints(key, contact[i], life[i], draw[i])
+        normal[i], square[i], u[i], passage[i] = drawn
         draw[i] += 1
     for i in range(count):
         normal[i], square[i] = normals_of(normal[i], square[i])
@@ -742,9 +530,7 @@ def begin_paths(
 ) -> tuple[int, int]:
     """Note the ends of broken paths among the first `count` of `w.special`, and begin
     others in their lanes: the number of lanes in use, and of paths begun."""
-    for j in range(
-        count - 1, -1, -1
-    ):  # from the end, so that no broken path fills a gap
+    for j in range(count - 1, -1, -1):  # backwards, so that no broken path fills a gap
         i = w.special[j]
         if not w.broke[i]:
             continue
@@ -753,33 +539,21 @@ def begin_paths(
             paths.travel[done] = w.x[i]
             paths.work[done] = whole_work(laws, w.x[i], w.work[i])
         if begun < paths.threshold.size:
-            w.number[i], w.contact[i], w.life[i], w.draw[i] = (
-                begun,
-                paths.contact[begun],
-                paths.number[begun],
-                0,
-            )
-            w.xi[i], w.x[i], w.left[i], w.work[i] = (
-                paths.threshold[begun],
-                0.0,
-                paths.clock[begun],
-                0.0,
-            )
+            w.number[i] = begun
+            w.contact[i] = paths.contact[begun]
+            w.life[i] = paths.number[begun]
+            w.draw[i] = 0
+            w.xi[i] = paths.threshold[begun]
+            w.x[i] = 0.0
+            w.left[i] = paths.clock[begun]
+            w.work[i] = 0.0
             begun += 1
         else:
             lanes -= 1
-            w.number[i], w.contact[i], w.life[i], w.draw[i] = (
-                w.number[lanes],
-                w.contact[lanes],
-                w.life[lanes],
-                w.draw[lanes],
-            )
-            w.xi[i], w.x[i], w.left[i], w.work[i] = (
-                w.xi[lanes],
-                w.x[lanes],
-                w.left[lanes],
-                w.work[lanes],
-            )
+            for whole in (w.number, w.contact, w.life, w.draw):
+                whole[i] = whole[lanes]
+            for real in (w.xi, w.x, w.left, w.work):
+                real[i] = real[lanes]
     return lanes, begun
 
 
@@ -791,15 +565,8 @@ def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None
     ended the next begins.
     """
     xi, x, left, work, h, rate, slope = w.xi, w.x, w.left, w.work, w.h, w.rate, w.slope
-    along, end, lost, between, last, spent = (
-        w.along,
-        w.end,
-        w.lost,
-        w.between,
-        w.last,
-        w.spent,
-    )
-    passage, broke, special = w.passage, w.broke, w.special
+    along, end, lost, between, last = w.along, w.end, w.lost, w.between, w.last
+    spent, passage, broke, special = w.spent, w.passage, w.broke, w.special
     lanes = min(WALKERS, paths.threshold.size)
     for i in range(WALKERS):
         w.number[i] = -1
@@ -821,9 +588,8 @@ def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None
             broke[i] = meets(c, xi[i], x[i], h[i], end[i], passage[i])
         if thermal(c.barrier):
             for i in range(lanes):
-                between[i], last[i] = heats(
-                    c, xi[i], x[i], h[i], end[i], along[i], lost[i]
-                )
+                middle = halfway(c, xi[i], along[i], end[i], lost[i])
+                between[i], last[i] = heats(c, middle, x[i], h[i], end[i])
             for i in range(lanes):
                 spent[i] = hazard(h[i], rate[i], between[i], last[i])
 
@@ -834,25 +600,13 @@ def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None
         for j in range(count):
             i = special[j]
             path = Path(key, w.contact[i], w.life[i], w.draw[i], xi[i], x[i], left[i])
-            if broke[i] and not confirmed(c, xi[i], x[i], h[i], end[i], passage[i]):
-                broke[i] = False
-            if broke[i]:
-                h[i], end[i], w.draw[i] = meeting(c, path, h[i], end[i])
-            if thermal(c.barrier):
-                if broke[i]:
-                    between[i], last[i] = cut_heats(c, xi[i], x[i], h[i], end[i])
-                rates = Rates(rate[i], between[i], last[i], slope[i])
-                now = moved(path, w.draw[i], xi[i], x[i], left[i])
-                burnt, h[i], end[i], spent[i], w.draw[i] = burn(
-                    c, now, h[i], end[i], rates
-                )
-                if burnt:
-                    broke[i] = True
+            rates = Rates(rate[i], between[i], last[i], slope[i])
+            found = conclude(c, path, h[i], end[i], broke[i], passage[i], rates)
+            broke[i], h[i], end[i], spent[i], w.draw[i] = found
 
         for i in range(lanes if c.springs.slope > 0.0 else 0):
-            work[i] += work_of(
-                c, xi[i], x[i], h[i], end[i], along[i], lost[i], broke[i]
-            )
+            middle = halfway(c, xi[i], along[i], end[i], lost[i])
+            work[i] += work_of(c, xi[i], x[i], h[i], end[i], middle.threshold, broke[i])
         for i in range(lanes):
             x[i] += h[i]
             xi[i] = end[i]

@@ -2,14 +2,13 @@
 in holds and reversals."""
 
 import math
-import time
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.engine.blocks import Progress, Threads, Totals, simulate_all, workers_of
+from eqsim.engine.blocks import Progress, Threads, Totals, simulated
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import idle_lanes
@@ -44,7 +43,6 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key, key
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import interruptibly
 
 # Contacts that go through all segments together: their population stays in the cache.
 _HANDED_ON_TOGETHER = 8192
@@ -260,13 +258,10 @@ def along(
     grid, unit = programme.grid(points), ensemble.thresholds.scale
     count, delayed = ensemble.count * replicas, ensemble.delay.time > 0
     job = steps_of(ensemble, programme, grid, replicas, seed)
-    # Kernels are compiled here, so that seconds are those of the work.
-    interruptibly(job.simulate, job.totals(1), 0, 0)
-    begin = time.perf_counter()
-    total = simulate_all(job, ensemble.count, replicas, threads, progress)
-    found = job.moments(total.deposits, count)
+    done = simulated(job, ensemble.count, replicas, threads, progress)
+    found = done.moments
     variance, reliable = _variance(ensemble, programme, grid, found, count)
-    bias = _step_bias(job.steps)
+    bias = step_bias(job.steps)
     variance = variance + (bias * found.force) ** 2
     of_pinned = pinned_variance(found.pinned, count, delayed)
     of_pinned += (bias * found.pinned * (1.0 - found.pinned)) ** 2
@@ -276,27 +271,20 @@ def along(
     if programme.start == "fresh":  # all contacts are pinned, and alike
         pinned_stderr[0] = 0.0
         stderr[0] *= ensemble.newborn.active
-    std, every = total.replica_std(job, replicas), total.replica_forces()
     return ProgrammeTrajectory(
         X=grid.X,
         t=grid.t,
-        force=force,
         force_stderr=stderr,
         force_reliable=reliable,
-        pinned=found.pinned,
         pinned_stderr=pinned_stderr,
-        force_replica_std=None if std is None else std * unit,
-        force_replicas=None if every is None else every * unit,
-        lives=int(total.lives[0]),
         seed=seed,
-        engine_seconds=time.perf_counter() - begin,
-        threads=workers_of(threads),
         segment=grid.segment,
         segments=shown_by(programme, grid, force, stderr, reliable),
+        **done.columns(unit),
     )
 
 
-def _step_bias(steps: tuple[Step, ...]) -> float:
+def step_bias(steps: tuple[Step, ...]) -> float:
     """Relative error of steps of fluctuating thresholds, beyond the usual one."""
     if not steps[0].contacts.aging.fluctuates:
         return 0.0

@@ -59,33 +59,27 @@ class Record(Result):
     engine_seconds: float
     threads: int
 
+    # in the order in which they are written
+    names: ClassVar[tuple[str, ...]] = (
+        *("X", "t", "force", "pinned"),
+        *("force_stderr", "pinned_stderr", "force_replica_std"),
+    )
+
     def columns(self) -> dict[str, Array]:
-        """The arrays by name, `force_replica_std` only if there are replicas."""
-        names = (
-            "X",
-            "t",
-            "force",
-            "pinned",
-            "force_stderr",
-            "pinned_stderr",
-            "force_replica_std",
-        )
-        return {
-            name: column
-            for name in names
-            if (column := getattr(self, name)) is not None
-        }
+        """The arrays by name; those between replicas only if there are several."""
+        found = {name: getattr(self, name) for name in self.names}
+        return {name: column for name, column in found.items() if column is not None}
 
     def replicas(self) -> dict[str, Array]:
         """The series of every replica, one after the other, by column: `replica`, `t`,
         `X` and `force`, shape (replicas x points,). Raises InputError if there is one
         ensemble only, or if they were too many to be kept."""
         if self.force_replicas is None:
-            single = self.force_replica_std is None
+            if self.force_replica_std is None:
+                raise InputError("replicas: there is one ensemble only")
             raise InputError(
-                "replicas: there is one ensemble only"
-                if single
-                else "replicas: every series is kept of threads, not of an executor, and of 2e7 numbers at most"
+                "replicas: every series is kept of threads, not of an executor, and of "
+                "2e7 numbers at most"
             )
         count, points = self.force_replicas.shape
         X = getattr(self, "X_replicas", None)
@@ -170,10 +164,7 @@ class ProgrammeTrajectory(Record):
     drawn: ClassVar[Drawn] = Record.drawn._replace(x="t", x_label="time  t")
     segment: Array
     segments: tuple[SegmentRecord, ...]
-
-    def columns(self) -> dict[str, Array]:
-        """The arrays by name."""
-        return {"segment": self.segment, **super().columns()}
+    names: ClassVar[tuple[str, ...]] = ("segment", *Record.names)
 
 
 @dataclass(frozen=True)
@@ -260,72 +251,61 @@ class SliderTrajectory(ProgrammeTrajectory):
     coarser_slips: tuple[Slip, ...] | None
     avalanches: dict[str, Array] | None
 
-    def columns(self) -> dict[str, Array]:
-        """The arrays by name."""
-        found = {
-            **super().columns(),
-            "X_stderr": self.X_stderr,
-            "stage": self.stage,
-            "spring": self.spring,
-        }
-        if self.X_replica_std is not None:
-            found["X_replica_std"] = self.X_replica_std
-        return found | dict(
-            zip(("work", "stored", "dissipated", "missing"), self.energy.T, strict=True)
-        )
+    names: ClassVar[tuple[str, ...]] = (
+        *ProgrammeTrajectory.names,
+        *("X_stderr", "stage", "spring", "X_replica_std"),
+    )
 
-    def _over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
-        """The mean of what each replica's whole slips, but for the first, which depends
-        on the start, are worth."""
-        found = _mean_over(self.slips, of)
-        if self.coarser_slips is None or found.value is None:
-            return found
-        coarse = _mean_over(self.coarser_slips, of).value
-        if coarse is None:
-            return replace(found, reliable=False)
-        return replace(
-            found,
-            stderr=None
-            if found.stderr is None
-            else math.hypot(found.stderr, (coarse - found.value) / 3.0),
-        )
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name; those between replicas only if there are several."""
+        energies = "work", "stored", "dissipated", "missing"
+        return super().columns() | dict(zip(energies, self.energy.T, strict=True))
 
     @property
     def period(self) -> Estimate:
         """Mean time from one slip to the next, but for the first."""
-        return self._over_slips(
+        return self._mean_over_slips(
             lambda slips: [b.t - a.t for a, b in itertools.pairwise(slips)]
         )
 
     @property
     def drop(self) -> Estimate:
         """Mean drop of the spring's force in a slip, but for the first (length)."""
-        return self._over_slips(lambda slips: [slip.drop for slip in slips])
+        return self._mean_over_slips(lambda slips: [slip.drop for slip in slips])
+
+    def _mean_over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
+        """The mean of what each replica's whole slips are worth, with the error of
+        finite steps."""
+        found = _mean_over(self.slips, of)
+        if self.coarser_slips is None or found.value is None:
+            return found
+        coarse = _mean_over(self.coarser_slips, of).value
+        if coarse is None:
+            return replace(found, reliable=False)
+        if found.stderr is None:
+            return found
+        missed = (coarse - found.value) / 3.0
+        return replace(found, stderr=math.hypot(found.stderr, missed))
+
+
+# slips from which on the scatter of a sample says something about its mean
+_ENOUGH_SLIPS = 5
 
 
 def _mean_over(
     slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]
 ) -> Estimate:
-    """The mean of what the slips of each replica are worth, without its first one and
-    what the record ends in."""
+    """The mean of what the slips of each replica are worth, without its first one,
+    which depends on the start, and what the record ends in."""
     values: list[float] = []
     for replica in sorted({slip.replica for slip in slips}):
-        values += of(
-            [slip for slip in slips if slip.replica == replica and slip.ended][1:]
-        )
+        whole = [slip for slip in slips if slip.replica == replica and slip.ended][1:]
+        values += of(whole)
     n = len(values)
     if n < 2:
         return Estimate(values[0] if values else None, None, n, reliable=False)
-    return Estimate(
-        float(np.mean(values)),
-        float(np.std(values, ddof=1) / math.sqrt(n)),
-        n,
-        n - 1,
-        n >= _FEW,
-    )
-
-
-_FEW = 5  # slips, from which on the scatter of a sample says something about its mean
+    stderr = float(np.std(values, ddof=1) / math.sqrt(n))
+    return Estimate(float(np.mean(values)), stderr, n, n - 1, n >= _ENOUGH_SLIPS)
 
 
 def slips_of(
@@ -335,26 +315,20 @@ def slips_of(
     spring falls by `least` or more before it rises by as much, or the mirror image of
     that, and the slider goes more than twice as fast as the stage at its `fastest`
     meanwhile. One that the record begins or ends in is marked."""
-    forwards = _falls(t, X, spring, least, fastest)
-    backwards = [
-        replace(slip, X=-slip.X, distance=-slip.distance)
-        for slip in _falls(t, -X, -spring, least, fastest)
-    ]
-    return [
-        replace(slip, replica=replica)
-        for slip in sorted(forwards + backwards, key=lambda slip: slip.t)
-    ]
+    slips = _falls(t, X, spring, least, fastest)
+    for slip in _falls(t, -X, -spring, least, fastest):
+        slips.append(replace(slip, X=-slip.X, distance=-slip.distance))
+    slips.sort(key=lambda slip: slip.t)
+    return [replace(slip, replica=replica) for slip in slips]
 
 
 def _falls(
     t: Array, X: Array, spring: Array, least: float, fastest: float
 ) -> list[Slip]:
     """`slips_of` forwards."""
-    found, high, low = (
-        [],
-        0,
-        -1,
-    )  # where the force is largest, and, once it has fallen, least
+    found: list[Slip] = []
+    # where the force is largest, and, once it has fallen, least
+    high, low = 0, -1
     for i in range(t.size + 1):
         done = i == t.size
         if low < 0:
@@ -375,18 +349,20 @@ def _falls(
                 )
                 drop, ended = float(spring[high] - spring[low]), low < t.size - 1
                 found.append(
-                    Slip(
-                        middle, place, drop, time, distance, begun=high > 0, ended=ended
-                    )
+                    Slip(middle, place, drop, time, distance, 0, high > 0, ended)
                 )
             high, low = min(i, t.size - 1), -1
     return found
 
 
 def shown_by(
-    programme: Programme, grid: Grid, force: Array, stderr: Array, reliable: bool = True,
+    programme: Programme,
+    grid: Grid,
+    force: Array,
+    stderr: Array,
+    reliable: bool = True,
     X_stderr: Array | None = None,
-) -> tuple[SegmentRecord, ...]:  # fmt: skip
+) -> tuple[SegmentRecord, ...]:
     """Summarise the segments of a programme from a force with errors, arrays (points,)
     at the instants of `grid`, whose displacements are those of the slider, with errors
     `X_stderr` if they are found behind a spring."""
@@ -394,33 +370,22 @@ def shown_by(
     for index, segment in enumerate(programme.segments):
         here = np.flatnonzero(grid.segment == index)
         here = here if index == 0 else np.append(here[0] - 1, here)
-        along = (
-            grid.t[here]
-            if segment.velocity == 0
-            else np.abs(grid.X[here] - grid.X[here[0]])
-        )
-        along, forces, errors = along - along[0], force[here], stderr[here]
+        along = grid.X[here] if segment.velocity else grid.t[here]
+        along = np.abs(along - along[0])
+        forces, errors = force[here], stderr[here]
         ratio = segment.velocity / before if before else 0.0
         stepped = ratio > 0 and ratio != 1
-        peak, at = extreme(
-            along,
-            forces,
-            errors,
-            math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0,
-        )
+        rising = math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0
+        peak, at = extreme(along, forces, errors, rising)
         if X_stderr is not None and segment.velocity and at.value is not None:
             near = here[int(np.argmin(np.abs(along - at.value)))]
-            at = replace(
-                at,
-                stderr=math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]]),
-            )
+            missed = math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]])
+            at = replace(at, stderr=missed)
         end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
-        step = (
-            velocity_step(along, forces, errors, (peak, at), ratio) if stepped else None
-        )
-        end, peak, at = (
-            replace(estimate, reliable=reliable) for estimate in (end, peak, at)
-        )
+        step = None
+        if stepped:
+            step = velocity_step(along, forces, errors, (peak, at), ratio)
+        end, peak, at = (replace(one, reliable=reliable) for one in (end, peak, at))
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
         found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
         before = segment.velocity
@@ -449,15 +414,11 @@ def extreme(
     n = force.size
     best, place = float(force[top]), float(x[top])
     # on a plateau the place may be anywhere
-    spread = max(
-        0.5 * float(np.ptp(x[near])),
-        0.5 * float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)]),
-    )
+    cells = float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)])
+    spread = max(0.5 * float(np.ptp(x[near])), 0.5 * cells)
     if right - left >= 4 and 0 < top < n - 1:
-        half = 0.5 * (x[right] - x[left])
-        a, b, c = np.polyfit(
-            (x[left : right + 1] - place) / half, force[left : right + 1], 2
-        )
+        half, plateau = 0.5 * (x[right] - x[left]), slice(left, right + 1)
+        a, b, c = np.polyfit((x[plateau] - place) / half, force[plateau], 2)
         vertex = -0.5 * b / a if a else np.inf
         within = x[left] <= place + vertex * half <= x[right]
         if a * (force[top] - force[0]) < 0 and within:
@@ -480,9 +441,8 @@ def velocity_step(
 
     def effect(level: int) -> Estimate:
         error = np.hypot(peak.stderr or 0.0, stderr[level])
-        return Estimate(
-            float((top - force[level]) / log_ratio), float(error / abs(log_ratio)), n
-        )
+        change = (top - force[level]) / log_ratio
+        return Estimate(float(change), float(error / abs(log_ratio)), n)
 
     first = int(np.argmin(np.abs(x - known(at))))
     left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
@@ -492,14 +452,10 @@ def velocity_step(
     if below > 0 and x[j] > x[j - 1]:  # a motion that X resolves
         slope = (left[below - 1] - left[below]) / (x[j] - x[j - 1])
         place = x[j] + left[below] / slope
-        wide = max(
-            first, j - max(1, below // 4)
-        )  # noise between neighbours makes any slope
+        # noise between neighbours makes any slope
+        wide = max(first, j - max(1, below // 4))
         steep = abs(force[j] - force[wide]) / (x[j] - x[wide])
-        error = (
-            np.hypot(stderr[j], np.hypot(peak.stderr or 0.0, stderr[-1])) / steep
-            if steep > 0
-            else np.inf
-        )
+        error = np.hypot(stderr[j], np.hypot(peak.stderr or 0.0, stderr[-1]))
+        error = error / steep if steep > 0 else np.inf
         memory = Estimate(float(place - x[first]), float(error), n)
     return VelocityStep(effect(0), effect(-1), memory)

@@ -11,14 +11,13 @@ from scipy import optimize
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import LANES, Lives, draw_thresholds, life_work
-from eqsim.laws.aging import Langevin
 from eqsim.laws.aging.base import break_lives
 from eqsim.laws.barrier.base import travel
 from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import threshold_draw
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import by_law, kernel, routine
+from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import Key
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
@@ -61,16 +60,14 @@ def typical_lives(c: Contacts) -> Sample:
     """64 x 64 lives, at mid-points of equal shares of thresholds and of clocks, and
     births in between: a rough picture that costs nothing; of 16 x 16 where thresholds
     fluctuate and lives cost something."""
-    u, v = typical_uniforms(c)
-    return lives(c, Source(key_of(0, 0), 0, langevin.STEP), u, v)
+    return unnamed_lives(c, *typical_uniforms(c))
 
 
 def typical_uniforms(c: Contacts) -> tuple[Array, Array]:
     """The uniforms of `typical_lives`."""
     shares = 16 if c.aging.fluctuates else 64
-    share = (np.arange(shares) + 0.5) / shares
-    u, v = (grid.ravel() for grid in np.meshgrid(share, share))
-    return u, v
+    u, v = np.meshgrid(*2 * [(np.arange(shares) + 0.5) / shares])
+    return u.ravel(), v.ravel()
 
 
 def spread(n: int) -> Array:
@@ -87,16 +84,20 @@ def rough_stretch(ensemble: Ensemble, velocity: float) -> float | None:
     if not ensemble.self_consistent:
         return None
 
-    def next_one(log_stretch: float) -> float:
+    def again(log_stretch: float) -> float:
         c = contacts(ensemble, velocity, math.exp(log_stretch))
-        return math.log(
-            float(typical_lives(c).travel.mean()) * ensemble.thresholds.scale
-        )
+        mean = float(typical_lives(c).travel.mean())
+        return math.log(mean * ensemble.thresholds.scale)
 
-    found = optimize.fixed_point(
-        next_one, math.log(ensemble.thresholds.mean), xtol=1e-3, maxiter=100
-    )
+    begin = math.log(ensemble.thresholds.mean)
+    found = optimize.fixed_point(again, begin, xtol=1e-3, maxiter=100)
     return math.exp(float(found))
+
+
+def unnamed_lives(c: Contacts, u: Array, v: Array) -> Sample:
+    """`lives` of no contact in particular: where thresholds fluctuate, their paths are
+    the same whatever the seed."""
+    return lives(c, Source(key_of(0, 0), 0, langevin.STEP), u, v)
 
 
 def lives(
@@ -105,33 +106,19 @@ def lives(
     """Lives from uniforms `u` (threshold), `v` (clock) and `birth` (`spread` evenly
     unless given), shape (n,). Paths of fluctuating thresholds are those of the contacts
     of `source`."""
-    sample = Sample(
-        np.empty(u.size), np.empty(u.size), np.empty(u.size), np.zeros(u.size)
-    )
+    n = u.size
+    sample = Sample(np.empty(n), np.empty(n), np.empty(n), np.zeros(n))
     if isinstance(c.newborn, Stretched):
-        fill_stretched(c, u, v, spread(u.size) if birth is None else birth, sample)
+        fill_stretched(c, u, v, spread(n) if birth is None else birth, sample)
+    elif c.aging.fluctuates:
+        sample.stiffness[:] = c.springs.constant
+        contact, number = source.first + np.arange(n), np.zeros(n, np.int64)
+        begins = contact, number, np.empty(n), np.empty(n)
+        paths = langevin.Paths(*begins, sample.travel, sample.work)
+        fill_paths(c, source, u, v, paths, langevin.Walkers.empty())
     else:
-        fill_lives(c, source, u, v, sample, _scratch(c, source, sample))
+        fill_lives(c, u, v, sample, Lives.empty(c, rounds=1))
     return sample
-
-
-class _Paths(NamedTuple):
-    """Scratch of lives whose thresholds fluctuate."""
-
-    paths: langevin.Paths
-    walkers: langevin.Walkers
-
-
-def _scratch(c: Contacts, source: Source, sample: Sample) -> Lives | _Paths:
-    """Scratch of `fill`."""
-    if not c.aging.fluctuates:
-        return Lives.empty(c, rounds=1)
-    n = sample.travel.size
-    contact, number = source.first + np.arange(n), np.zeros(n, np.int64)
-    paths = langevin.Paths(
-        contact, number, np.empty(n), np.empty(n), sample.travel, sample.work
-    )
-    return _Paths(paths, langevin.Walkers.empty())
 
 
 @kernel
@@ -150,24 +137,8 @@ def fill_stretched(
 
 
 @kernel
-def fill_lives(
-    c: Contacts, source: Source, u: Array, v: Array, sample: Sample, scratch: Any
-) -> None:
-    """The kernel of `lives` of others."""
-    fill(c.aging, c, source, u, v, sample, scratch)
-
-
-@by_law
-def fill(
-    law: Any,
-    c: Contacts,
-    source: Source,
-    u: Array,
-    v: Array,
-    sample: Sample,
-    scratch: Any,
-) -> None:
-    """Fill a sample, LANES lives at a time."""
+def fill_lives(c: Contacts, u: Array, v: Array, sample: Sample, scratch: Lives) -> None:
+    """The kernel of `lives` of others, LANES at a time."""
     r = np.int64(0)  # typed: a literal 0 would be compiled for itself
     rank, clock = scratch.rank, scratch.clock
     for first in range(0, u.size, LANES):
@@ -176,28 +147,25 @@ def fill(
             rank[i] = u[first + i]
             clock[r, i] = -log(v[first + i])
         draw_thresholds(c.thresholds, rank, scratch, r, count)
-        break_lives(law, c, scratch, r, count)
+        break_lives(c.aging, c, scratch, r, count)
         for i in range(count):
             sample.travel[first + i] = scratch.travel[r, i]
             sample.stiffness[first + i] = scratch.stiffness[r, i]
-            sample.work[first + i] = life_work(law, c, scratch, r, i)
+            sample.work[first + i] = life_work(c.aging, c, scratch, r, i)
 
 
-@fill.register(Langevin)
-def _fill_paths(
-    law: Langevin,
+@kernel
+def fill_paths(
     c: Contacts,
     source: Source,
     u: Array,
     v: Array,
-    sample: Sample,
-    scratch: Any,
+    paths: langevin.Paths,
+    walkers: langevin.Walkers,
 ) -> None:
-    threshold, clock = scratch.paths.threshold, scratch.paths.clock
+    """The kernel of `lives` of thresholds that fluctuate."""
     for i in range(u.size):
-        threshold[i] = threshold_draw(c.thresholds, u[i])
-        clock[i] = -log(v[i])
-        sample.stiffness[i] = c.springs.constant
-    langevin.walk_all(
-        langevin.pinned(c), source.key, source.step, scratch.paths, scratch.walkers
-    )
+        paths.threshold[i] = threshold_draw(c.thresholds, u[i])
+        paths.clock[i] = -log(v[i])
+    laws = langevin.pinned(c)
+    langevin.walk_all(laws, source.key, source.step, paths, walkers)

@@ -27,12 +27,10 @@ import numpy as np
 from scipy import special
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.langevin import STEP
-from eqsim.engine.sample import Source, lives, spread
-from eqsim.numerics.streams import key
+from eqsim.engine.sample import spread, unnamed_lives
 from eqsim.numerics.tables import Array
 
-_NODES = 1024  # of a lattice
+_LATTICE = 1024  # cells
 _FINE = 32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
 _POWERS = 7  # of forces: 0 to 6
 _RANGE = -16.0, 45.0
@@ -61,9 +59,8 @@ def births(c: Contacts) -> Births:
         u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
         v = spread(_PATHS)
     else:
-        rows, clocks = (
-            (500, 70) if c.aging.closed else (150, 30)
-        )  # lives that age take long
+        # lives that age take long
+        rows, clocks = (500, 70) if c.aging.closed else (150, 30)
         u, share = _uniforms(np.linspace(*_RANGE, rows))
         steps = c.thresholds.steps.size
         if 0 < steps <= rows:
@@ -73,16 +70,12 @@ def births(c: Contacts) -> Births:
         if c.barrier.thermal:
             s, spacing = np.linspace(*_RANGE, clocks, retstep=True)
             v, clock_share = _uniforms(s + spacing * (spread(rows)[:, None] - 0.5))
-            u, v, share = (
-                np.repeat(u, clocks),
-                v.ravel(),
-                (share[:, None] * clock_share).ravel(),
-            )
-    found = lives(c, Source(key(0, 0), 0, STEP), u, v)
-    # of contacts born unstressed the mean along a life, in which it may change
-    stiffness = (
-        found.stiffness if found.birth.any() else 2.0 * found.work / found.travel**2
-    )
+            u, v = np.repeat(u, clocks), v.ravel()
+            share = (share[:, None] * clock_share).ravel()
+    found = unnamed_lives(c, u, v)
+    stiffness = found.stiffness
+    if not found.birth.any():  # the mean along a life, in which it may change
+        stiffness = 2.0 * found.work / found.travel**2
     return Births(share, stiffness, found.travel, found.birth)
 
 
@@ -111,10 +104,8 @@ class Scatter(NamedTuple):
 
     def at(self, X: Array) -> "Scatter":
         """The same at other displacements."""
-        values = {
-            name: np.interp(X, self.X, getattr(self, name))
-            for name in self._fields[1:-1]
-        }
+        at_nodes = {name: getattr(self, name) for name in self._fields[1:-1]}
+        values = {name: np.interp(X, self.X, y) for name, y in at_nodes.items()}
         return self._replace(X=X, **values)
 
 
@@ -123,59 +114,47 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
     if distance is None:
         X, moments = np.zeros(1), _stationary(c, born)[:, None]
     else:
-        size = float(
-            np.sum(born.share * born.travel**2) / np.sum(born.share * born.travel)
-        )
-        X, moments = _fresh(c, born, min(size / _FINE, distance / _NODES))
+        time = np.sum(born.share * born.travel)
+        size = float(np.sum(born.share * born.travel**2) / time)
+        X, moments = _fresh(c, born, min(size / _FINE, distance / _LATTICE))
         if X[-1] < distance:
-            further, later = _fresh(c, born, distance / _NODES)
+            further, later = _fresh(c, born, distance / _LATTICE)
             beyond = further > X[-1]
-            X, moments = (
-                np.append(X, further[beyond]),
-                np.hstack((moments, later[:, beyond])),
-            )
+            X = np.append(X, further[beyond])
+            moments = np.hstack((moments, later[:, beyond]))
     pinned = np.minimum(moments[0], 1.0)
     with np.errstate(all="ignore"):  # of laws so broad that their moments overflow
         one = np.where(pinned > 0, moments[2] / pinned, 0.0)
         if c.delay.mean > 0:
             one = np.maximum(one, drag**2)
-            moments = (
-                moments + (1.0 - pinned) * drag ** np.arange(len(moments))[:, None]
-            )
+            powers = drag ** np.arange(len(moments))[:, None]
+            moments = moments + (1.0 - pinned) * powers
         moments[0] = 1.0
         mean = moments[1]
-        variance, fourth, sixth = (
-            np.maximum(
-                sum(
-                    math.comb(p, j) * (-mean) ** (p - j) * moments[j]
-                    for j in range(p + 1)
-                ),
-                0.0,
-            )
-            for p in (2, 4, 6)
-        )
-    lives = (
-        1.0 / float(np.sum(born.share**2)) if c.aging.fluctuates else math.inf
-    )  # by quadrature
-    reach = float(np.abs(born.birth).max())
-    most = (
-        np.full(1, math.inf) if distance is None else np.maximum(X + reach, drag) ** 2
-    )
+
+        def central(p: int) -> Array:
+            about = (math.comb(p, j) * (-mean) ** (p - j) for j in range(p + 1))
+            return np.maximum(sum(map(np.multiply, about, moments)), 0.0)
+
+        variance, fourth, sixth = central(2), central(4), central(6)
+    lives = math.inf  # by quadrature
+    if c.aging.fluctuates:
+        lives = 1.0 / float(np.sum(born.share**2))
+    most = np.full(1, math.inf)
+    if distance is not None:
+        most = np.maximum(X + float(np.abs(born.birth).max()), drag) ** 2
     return Scatter(X, mean, pinned, variance, fourth, sixth, one, most, lives)
 
 
 def _stationary(c: Contacts, born: Births) -> Array:
     """E f^p of pinned contacts, p = 0, 1, ..., times the pinned fraction."""
     cycle = np.sum(born.share * born.travel) + c.delay.mean
-    ends, begins, moments = (
-        born.share * (born.birth + born.travel),
-        born.share * born.birth,
-        [],
-    )
+    reached = born.birth + born.travel
+    ends, begins, moments = born.share * reached, born.share * born.birth, []
     with np.errstate(over="ignore", invalid="ignore"):
         for p in range(_POWERS):
             moments.append(np.sum(ends - begins) / ((p + 1) * cycle))
-            ends *= born.stiffness * (born.birth + born.travel)
+            ends *= born.stiffness * reached
             begins *= born.stiffness * born.birth
     return np.array(moments)
 
@@ -196,41 +175,31 @@ def _births_after(renewals: Array) -> Array:
 def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     """X = 0 and the middle of each cell of a lattice, and E f^p of pinned contacts
     there, shape (p, X)."""
-    edges = step * np.arange(_NODES + 1)
-    at = np.minimum(born.travel / step, _NODES)
+    n = _LATTICE
+    edges = step * np.arange(n + 1)
+    at = np.minimum(born.travel / step, n)
     cell = at.astype(np.int64)
-    ends = np.bincount(cell, born.share * (1.0 - at + cell), _NODES + 2)
-    ends[1:] += np.bincount(cell, born.share * (at - cell), _NODES + 1)
+    ends = np.bincount(cell, born.share * (1.0 - at + cell), n + 2)
+    ends[1:] += np.bincount(cell, born.share * (at - cell), n + 1)
     # a delay T is shared likewise: second differences of E[(T - x)+]
     rest = c.delay.law.rest(edges)
     waits = np.append(1.0 + (rest[1] - rest[0]) / step, np.diff(rest, 2) / step)
-    renewals = np.convolve(ends, waits)[:_NODES]
-    density = _births_after(renewals)
-    moments = np.zeros((_POWERS, _NODES + 1))
+    density = _births_after(np.convolve(ends, waits)[:n])
+    moments = np.zeros((_POWERS, n + 1))
     moments[0, 0] = 1.0
+    stretched = born.birth.any()
     with np.errstate(over="ignore", invalid="ignore"):
         for p in range(len(moments)):
-            within = np.zeros(_NODES)
-            for q in (
-                range(p + 1) if born.birth.any() else (p,)
-            ):  # (y + s)^p in powers q of s
-                strength = (
-                    math.comb(p, q)
-                    * born.share
-                    * born.stiffness**p
-                    * born.birth ** (p - q)
-                )
-                ending = np.bincount(cell, strength, _NODES + 1)
-                lasting = np.cumsum(ending[::-1])[
-                    -2::-1
-                ]  # of lives that outlast each cell
+            within, strong = np.zeros(n), born.stiffness**p
+            for q in range(p + 1) if stretched else (p,):  # (y + s)^p in powers q of s
+                strength = math.comb(p, q) * born.share * strong * born.birth ** (p - q)
+                ending = np.bincount(cell, strength, n + 1)
+                lasting = np.cumsum(ending[::-1])[-2::-1]  # lives that outlast the cell
                 power = edges ** (q + 1)
-                carried = (
-                    np.bincount(cell, strength * born.travel ** (q + 1), _NODES + 1)
-                    - ending * power
-                )
-                within += (carried[:-1] + lasting * np.diff(power)) / (q + 1)
-            moments[p, 1:] = np.convolve(density, within)[:_NODES] / step
+                whole = np.bincount(cell, strength * born.travel ** (q + 1), n + 1)
+                carried = (whole - ending * power)[:-1]
+                within += (carried + lasting * np.diff(power)) / (q + 1)
+            moments[p, 1:] = np.convolve(density, within)[:n] / step
         for p in range(1, len(moments)):
             moments[p, 0] = np.sum(born.share * (born.stiffness * born.birth) ** p)
     return np.append(0.0, edges[:-1] + 0.5 * step), moments
@@ -240,9 +209,8 @@ def pinned_variance(pinned: Array, contacts: int, delayed: bool) -> Array:
     """Of the pinned fraction of `contacts` contacts, any shape. A sample does not tell
     what fewer than about two of them do (Agresti and Coull, 1998): without these two an
     error bar would vanish wherever none happens to be pinned, or all are."""
-    return pinned * (1.0 - pinned) / contacts + (
-        (2.0 / contacts) ** 2 if delayed else 0.0
-    )
+    unseen = (2.0 / contacts) ** 2 if delayed else 0.0
+    return pinned * (1.0 - pinned) / contacts + unseen
 
 
 def known_variance(
@@ -264,25 +232,18 @@ def known_variance(
     """
     with np.errstate(all="ignore"):
         doubt = law.fourth / law.variance / contacts
-        share = np.nan_to_num(
-            1.0 / (1.0 + _TOLERANCE**2 * law.variance / doubt + contacts / law.lives)
-        )
-        size = (
-            np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf)
-            if law.lives == math.inf
-            else math.inf
-        )
+        noise = 1.0 + _TOLERANCE**2 * law.variance / doubt + contacts / law.lives
+        share = np.nan_to_num(1.0 / noise)
+        size: Array | float = math.inf
+        if law.lives == math.inf:
+            size = np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf)
         one = np.minimum(size, 4.0 * np.minimum(level.one, law.most))
         unmet = np.nan_to_num(one / (1.0 + contacts * law.variance / one))
-        own = (
-            sample * contacts / (contacts - 1)
-            if contacts > 1
-            else np.zeros_like(sample)
-        )
-        variance = (
-            share * law.variance + (1.0 - share) * own + unmet / contacts
-        ) / contacts
-        rare = np.where(
-            law.sixth > 0, law.sixth / contacts**5 / (25.0 * variance) ** 3, 0.0
-        )
+        own = np.zeros_like(sample)
+        if contacts > 1:
+            own = sample * contacts / (contacts - 1)
+        mixed = share * law.variance + (1.0 - share) * own
+        variance = (mixed + unmet / contacts) / contacts
+        rare = law.sixth / contacts**5 / (25.0 * variance) ** 3
+        rare = np.where(law.sixth > 0, rare, 0.0)
     return variance, np.where(rare < 1.0, rare, 1.0)

@@ -20,9 +20,8 @@ import numpy as np
 from scipy import integrate, interpolate
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.langevin import STEP
-from eqsim.engine.sample import Source, lives
-from eqsim.engine.steady import Proposal
+from eqsim.engine.proposal import LOG_RANKS, Proposal, births_per_log
+from eqsim.engine.sample import unnamed_lives
 from eqsim.errors import InputError
 from eqsim.laws.aging.base import end, life, whole_hazard
 from eqsim.laws.barrier.base import travel
@@ -36,25 +35,16 @@ from eqsim.laws.threshold import (
     Thresholds,
     threshold_draw,
 )
+from eqsim.numerics import tables
 from eqsim.numerics.compiled import by_law, kernel, routine
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.streams import Key, uniforms
-from eqsim.numerics.streams import key as key_of
-from eqsim.numerics.tables import (
-    NO_TABLE,
-    Array,
-    look_up,
-    octave_edges,
-    octave_table,
-    search,
-)
+from eqsim.numerics.tables import NO_TABLE, Array, look_up, search
 
-_LEAST_LOG_E, _MOST_LOG_E = -53 * math.log(2), math.log(500)
-_EXTREME_RANK, _EXTREME_CLOCK = (
-    45.0,
-    110.0,
-)  # -ln of no 63-bit uniform, no clock of a contact found, exceeds these
+_EXTREME_RANK = 45.0  # -ln of no 63-bit uniform exceeds it
 _EXTREME_PRODUCT = 129.0  # rank of the sum of -ln of two uniforms of 2^-96
-_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
+_EXTREME_CLOCK = 110.0  # no clock of a contact found exceeds it
+_ENVELOPE_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 
 class Stationary(NamedTuple):
@@ -91,41 +81,35 @@ def stationary(c: Contacts) -> Stationary:
         mean = float(means.mean())
         share = np.cumsum(means) / means.sum()
         return Stationary(mean / (mean + c.delay.mean), share=share, step_life=means)
-    grid = np.linspace(
-        _LEAST_LOG_E, _MOST_LOG_E, 3000 if c.aging.closed else 600
-    )  # lives that age take long
+    # lives that age take long
+    grid = np.linspace(*LOG_RANKS, 3000 if c.aging.closed else 600)
     xi = np.empty(grid.size)
     thresholds(c.thresholds, np.exp(-np.exp(grid)), xi)
     means = mean_lives(c, xi)
-    time = means * np.exp(
-        grid - np.exp(grid)
-    )  # density of contacts found in ln e, times C
-    below = integrate.cumulative_simpson(time, dx=grid[1] - grid[0], initial=0)
-    above = integrate.cumulative_simpson(time[::-1], dx=grid[1] - grid[0], initial=0)[
-        ::-1
-    ]
+    time = means * births_per_log(grid)  # density of contacts found in ln e, times C
+    cell = grid[1] - grid[0]
+    below = integrate.cumulative_simpson(time, dx=cell, initial=0)
+    above = integrate.cumulative_simpson(time[::-1], dx=cell, initial=0)[::-1]
     mean = float(below[-1])
     use = (below > 0) & (above > 1e-200 * mean)  # beyond, nothing to draw
     below, above, log_e = below[use] / mean, above[use] / mean, grid[use]
     rank = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
     log_rank = np.log(rank)
     rising = np.append(True, log_rank[1:] > np.maximum.accumulate(log_rank)[:-1])
-    log_rank, log_e = log_rank[rising], log_e[rising]
-    edges = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
-    to_e = interpolate.PchipInterpolator(log_rank, log_e)
-    at = np.clip(np.log(edges), log_rank[0], log_rank[-1])
-    e = np.exp(to_e(at))
-    inside = at == np.log(edges)
-    biased = octave_table(
-        FIRST_OCTAVE, e, np.where(inside, e * to_e(at, 1) / edges, 0.0)
-    )
-    to_life = interpolate.CubicSpline(grid, np.log(means))
-    at = np.clip(np.log(edges), grid[0], grid[-1])
-    m = np.exp(to_life(at))
-    table = octave_table(
-        FIRST_OCTAVE, m, np.where(at == np.log(edges), m * to_life(at, 1) / edges, 0.0)
-    )
-    return Stationary(mean / (mean + c.delay.mean), biased=biased, life=table)
+    biased = _octaves(interpolate.PchipInterpolator(log_rank[rising], log_e[rising]))
+    of_e = _octaves(interpolate.CubicSpline(grid, np.log(means)))
+    return Stationary(mean / (mean + c.delay.mean), biased=biased, life=of_e)
+
+
+def _octaves(power: Any) -> Array:
+    """The table of a function whose logarithm is interpolated in that of its
+    argument, constant beyond the nodes."""
+    edges = tables.octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+    log_x = np.log(edges)
+    at = np.clip(log_x, power.x[0], power.x[-1])
+    y = np.exp(power(at))
+    slope = np.where(at == log_x, y * power(at, 1) / edges, 0.0)
+    return tables.octave_table(FIRST_OCTAVE, y, slope)
 
 
 def _longest(c: Contacts) -> float:
@@ -134,18 +118,18 @@ def _longest(c: Contacts) -> float:
     proposal = Proposal.of(c)
     p, q = np.random.default_rng(0).random((2, 2**15))
     (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
-    stretch = lives(c, Source(key_of(0, 0), 0, STEP), u, v).travel
+    stretch = unnamed_lives(c, u, v).travel
     order = np.argsort(-stretch)
     stretch, weight = stretch[order], (weight * clock_weight)[order]
-    beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(
-        weight
-    )  # time spent beyond each of these lives
+    # time spent beyond each of these lives
+    beyond = np.cumsum(weight * stretch) - stretch * np.cumsum(weight)
     longest = float(stretch[np.searchsorted(beyond, 1e-5 * (weight @ stretch))])
     mean = float(weight @ stretch / weight.sum())
     if not longest < 1000.0 * mean:
         raise InputError(
-            'drive.start = "stationary": contacts that live 1000 times longer than the mean still matter, and are too '
-            'rare to be found where thresholds fluctuate or contacts are born stretched; start "fresh"'
+            'drive.start = "stationary": contacts that live 1000 times longer than the '
+            "mean still matter, and are too rare to be found where thresholds "
+            'fluctuate or contacts are born stretched; start "fresh"'
         )
     xi, stretch_at_most = extremes(c)
     return min(1.1 * longest, stretch_at_most + c.newborn.reach(xi))
@@ -162,40 +146,33 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
         ends, kink = np.empty(xi.size), np.empty(xi.size)
         whole_lives(c, xi, ends, kink)
     elif c.barrier.thermal:
-        ends, kink = (
-            xi,
-            c.barrier.whole_hazard(xi, c.springs.constant + c.springs.slope * xi),
-        )
+        ends = xi
+        stiffness = c.springs.constant + c.springs.slope * xi
+        kink = c.barrier.whole_hazard(xi, stiffness)
     if not c.barrier.thermal:
         return xi.copy() if c.aging.closed else ends
     low, top = -46.0, math.log(50.0)
     last = np.clip(np.log(np.maximum(kink, 1e-300)), low, top)
-    panels = np.concatenate(
-        (np.linspace(1.0, 0.05, 28), 0.025 * 2.0 ** -np.arange(0.0, 20.0, 2.0), [0.0])
-    )
-    nodes, weights = np.polynomial.legendre.leggauss(10)
-    total = np.zeros(xi.size)
-    stretch = np.empty(xi.size)
+    wide, narrow = np.linspace(1.0, 0.05, 28), 0.025 * 2.0 ** -np.arange(0.0, 20.0, 2.0)
+    panels = np.concatenate((wide, narrow, [0.0]))
+    total, stretch = np.zeros(xi.size), np.empty(xi.size)
     for far, near in itertools.pairwise(panels):
         a, b = last - far * (last - low), last - near * (last - low)
-        for node, weight in zip(nodes, weights, strict=True):
-            log_clock = 0.5 * (a + b) + 0.5 * (b - a) * node
-            stretches(c, xi, np.exp(log_clock), stretch)
-            total += (
-                0.5 * (b - a) * weight * stretch * np.exp(log_clock - np.exp(log_clock))
-            )
+        half = 0.5 * (b - a)
+        for node, weight in zip(*gauss_legendre(10), strict=True):
+            log_clock = 0.5 * (a + b) + half * node
+            clock = np.exp(log_clock)
+            stretches(c, xi, clock, stretch)
+            total += half * weight * stretch * np.exp(log_clock - clock)
     return total + ends * np.exp(-np.exp(last))
 
 
 def extremes(c: Contacts) -> tuple[float, float]:
     """A threshold that sets a stiffness and a stretch at breaking that no contact
     exceeds, with a margin of a tenth."""
-    ranks = np.linspace(
-        0.01,
-        _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK,
-        2000,
-    )
-    xi, stretch = np.empty(ranks.size), np.empty(ranks.size)
+    most = _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK
+    ranks = np.linspace(0.01, most, 2000)
+    xi, stretch = np.empty((2, ranks.size))
     thresholds(c.thresholds, np.exp(-ranks), xi)
     strongest = 1.1 * float(xi.max()) * c.aging.most
     if c.aging.fluctuates:
@@ -242,14 +219,18 @@ class Seen(NamedTuple):
     clock: float
 
 
+@routine(inline=True)
+def seen_detached(wait: float) -> Seen:
+    """A contact that is pinned after a wait."""
+    return Seen(False, wait, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 @by_law
 def snapshot(law: Any, c: Contacts, s: Stationary, key: Key, contact: int) -> Seen:
     """What a snapshot of the stationary state finds, by the law of births."""
     u_state, u_rest = uniforms(key, contact, 0, 0)
     if u_state >= s.pinned:
-        return Seen(
-            False, residual_delay_draw(c.delay, u_rest), 0.0, 0.0, 0.0, 0.0, 0.0
-        )
+        return seen_detached(residual_delay_draw(c.delay, u_rest))
     xi, x, ends, clock = found_pinned(c, s, key, contact, u_rest)
     return Seen(True, 0.0, xi, 0.0, x, ends, clock)
 
@@ -271,13 +252,11 @@ def _try_cycles(
             return Seen(True, 0.0, xi, y, age, length, clock)
         if length + c.delay.mean > age:
             u_rest = uniforms(key, contact, 0, 0)[1]
-            rest = (
-                residual_delay_draw(c.delay, u_rest)
-                if c.delay.random > 0.0
-                else length + c.delay.mean - age
-            )
-            return Seen(False, rest, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # one in e^32
+            rest = length + c.delay.mean - age
+            if c.delay.random > 0.0:
+                rest = residual_delay_draw(c.delay, u_rest)
+            return seen_detached(rest)
+    return seen_detached(0.0)  # one in e^32
 
 
 @routine(inline=True)
@@ -294,10 +273,9 @@ def found_pinned(
         e = look_up(s.biased, -math.log(u))
         xi, m = threshold_draw(c.thresholds, math.exp(-e)), look_up(s.life, e)
     top = end(c.aging, xi)
-    m = min(m * _MARGIN, top)
-    plateau = 1.0 / (
-        1.0 + math.log(top / m)
-    )  # share of the envelope's area where it is 1
+    m = min(m * _ENVELOPE_MARGIN, top)
+    # share of the envelope's area where it is 1
+    plateau = 1.0 / (1.0 + math.log(top / m))
     draw = 1
     while True:
         u_stretch, u_clock = uniforms(key, contact, 0, draw)

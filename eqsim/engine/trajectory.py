@@ -6,20 +6,24 @@ Contacts do not act on each other, so each is followed on its own from start to 
 """
 
 import math
-import time
 from dataclasses import replace
 from functools import lru_cache
 from typing import overload
 
 import numpy as np
 
-from eqsim.engine.blocks import Progress, Threads, simulate_all, workers_of
+from eqsim.engine.blocks import Progress, Threads, simulated, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.programme import along, check_programme, constant_drive, cycles
+from eqsim.engine.programme import (
+    along,
+    check_programme,
+    constant_drive,
+    cycles,
+    step_bias,
+)
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
-from eqsim.engine.sample import rough_stretch, typical_lives
+from eqsim.engine.sample import rough_stretch, square_of, typical_lives
 from eqsim.engine.scatter import (
     ENOUGH,
     RARE,
@@ -48,9 +52,8 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
-from eqsim.numerics.threads import interruptibly
 
-_FEW = 1000  # lives, which are over before anybody counts them
+_UNCOUNTED = 1000  # lives, which are over before anybody counts them
 
 
 def predicted_lives(
@@ -60,12 +63,10 @@ def predicted_lives(
     Wald's identity a contact that uses up min(life and delay, distance) each time fills
     the distance."""
     if isinstance(drive, Programme):
-        ahead = (
-            abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
-            if drive.stage
-            else 0.0
-        )
-        return ensemble.count * replicas * (sum(cycles(ensemble, drive)) + ahead)
+        lives = sum(cycles(ensemble, drive))
+        if drive.stage:
+            lives += abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
+        return ensemble.count * replicas * lives
     c = contacts(ensemble, drive.velocity, rough_stretch(ensemble, drive.velocity))
     distance = drive.over(ensemble) / ensemble.thresholds.scale
     stretch = typical_lives(c).travel
@@ -93,7 +94,8 @@ def check_run(
     expected = predicted_lives(ensemble, drive, replicas)
     if not expected <= max_lives:
         raise InputError(
-            f"this run needs about {expected:.3g} lives, more than max_lives = {max_lives:.3g}"
+            f"this run needs about {expected:.3g} lives, more than max_lives = "
+            f"{max_lives:.3g}"
         )
     return expected
 
@@ -104,10 +106,10 @@ def guarded(progress: Progress | None, expected: float, max_lives: float) -> Pro
     lives may miss what a slider does behind a spring."""
 
     def count(lives: int) -> None:
-        if lives > 2.0 * max_lives + _FEW:
+        if lives > 2.0 * max_lives + _UNCOUNTED:
             raise InputError(
-                f"this run has taken {lives:.3g} lives, more than max_lives = {max_lives:.3g}; {expected:.3g} were "
-                "expected"
+                f"this run has taken {lives:.3g} lives, more than max_lives = "
+                f"{max_lives:.3g}; {expected:.3g} were expected"
             )
         if progress:
             progress(lives)
@@ -117,13 +119,15 @@ def guarded(progress: Progress | None, expected: float, max_lives: float) -> Pro
 
 @overload
 def trajectory(
-    ensemble: Ensemble, drive: Drive, *, points: int = ..., seed: int = ..., replicas: int = ...,
-    threads: Threads = ..., max_lives: float = ..., progress: Progress | None = ...,
+    ensemble: Ensemble, drive: Drive, *, points: int = ..., seed: int = ...,
+    replicas: int = ..., threads: Threads = ..., max_lives: float = ...,
+    progress: Progress | None = ...,
 ) -> Trajectory: ...  # fmt: skip
 @overload
 def trajectory(
-    ensemble: Ensemble, drive: Programme, *, points: int = ..., seed: int = ..., replicas: int = ...,
-    threads: Threads = ..., max_lives: float = ..., progress: Progress | None = ...,
+    ensemble: Ensemble, drive: Programme, *, points: int = ..., seed: int = ...,
+    replicas: int = ..., threads: Threads = ..., max_lives: float = ...,
+    progress: Progress | None = ...,
 ) -> ProgrammeTrajectory: ...  # fmt: skip
 def trajectory(
     ensemble: Ensemble,
@@ -138,12 +142,17 @@ def trajectory(
 ) -> Trajectory | ProgrammeTrajectory:
     """Simulate the force of an ensemble along a drive, contact by contact.
 
+    The force recorded is <F>/(N k), a length, for N contacts of stiffness k: multiply
+    it by N k for newtons. All lengths and times are in the units of the arguments.
+
     Parameters
     ----------
     ensemble : Ensemble
     drive : Drive or Programme
-        Constant velocity over a distance, or one segment after another, from a fresh or
-        a stationary start.
+        Constant velocity (length/time) over a distance, or one segment after another,
+        from a fresh or a stationary start. A `stage` makes the drive that of a stage
+        which pulls the slider through a spring: X is found, not given. Coupled blocks
+        are pulled by `elastic_trajectory`.
     points : int
         Equidistant X from 0 at which the force is recorded; of a programme about so
         many instants (`Programme.grid`).
@@ -163,7 +172,7 @@ def trajectory(
 
     Returns
     -------
-    Trajectory or ProgrammeTrajectory
+    Trajectory, or ProgrammeTrajectory (with a stage: SliderTrajectory)
 
     Raises
     ------
@@ -171,6 +180,14 @@ def trajectory(
         For arguments out of range, for contacts that follow no programme, and if more
         than `max_lives` lives are predicted, or twice as many are taken. What a lost
         worker makes an executor raise is passed on.
+
+    Examples
+    --------
+    >>> run = trajectory(Ensemble(count=1000), Drive(0.1, distance=10.0), points=11)
+    >>> run.X[-1], run.force[0]  # lengths
+    (np.float64(10.0), np.float64(0.0))
+    >>> print(f"{run.averages.friction.value:.1f}")  # over the second half
+    0.9
     """
     expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
     progress = guarded(progress, expected, max_lives)
@@ -181,79 +198,53 @@ def trajectory(
     workers = workers_of(threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)
-    unit = ensemble.thresholds.scale
-    count = ensemble.count * replicas
-    run = Run(
-        drive.over(ensemble) / unit,
-        points,
-        drive.start == "stationary",
-        batch_by_life=count < BATCHES,
-    )
-    table = stationary(c) if run.stationary else Fresh()
-    drag = drag_of(ensemble, drive.velocity)
+    unit, drag = ensemble.thresholds.scale, drag_of(ensemble, drive.velocity)
+    count, distance = ensemble.count * replicas, drive.over(ensemble)
+    from_steady, few = drive.start == "stationary", count < BATCHES
+    run = Run(distance / unit, points, from_steady, batch_by_life=few)
+    start = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, count, replicas, drag)
-    job = constant_drive(c, table, run, scales, key(seed, TRAJECTORY), drag)
-    interruptibly(
-        job.simulate, job.totals(1), 0, 0
-    )  # compiles, so that seconds are those of the work
-    begin = time.perf_counter()
-    total = simulate_all(job, ensemble.count, replicas, threads, progress)
+    job = constant_drive(c, start, run, scales, key(seed, TRAJECTORY), drag)
+    done = simulated(job, ensemble.count, replicas, threads, progress)
 
-    force, pinned, variance = job.moments(total.deposits, count)
-    grid = np.arange(points) * (drive.over(ensemble) / (points - 1))
-    scatter_of_pinned = pinned_variance(pinned, count, c.delay.mean > 0)
+    force, pinned, variance = done.moments
+    grid = np.arange(points) * (distance / (points - 1))
+    of_pinned = pinned_variance(pinned, count, c.delay.mean > 0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
-        scatter_of_pinned[0] = 0.0
-    one = replace(ensemble, count=1)
-    law, level, (alike, noise) = _expected(
-        one, drive.velocity, mean_stretch, None if run.stationary else run.distance
-    )
-    force_variance, rare = known_variance(law.at(grid / unit), level, variance, count)
+        of_pinned[0] = 0.0
+    one, way = replace(ensemble, count=1), None if run.stationary else run.distance
+    expected_ones = _expected(one, drive.velocity, mean_stretch, way)
+    law, level, (alike, noise) = expected_ones
+    of_force, rare = known_variance(law.at(grid / unit), level, variance, count)
     _, always_rare = known_variance(level, level, level.variance, count)
-    # what steps of fluctuating thresholds cost, relative, where that is more than
-    # usual: the usual is below scatter
-    bias = max(step_error(c.aging) - STEP_ERROR, 0.0) if c.aging.fluctuates else 0.0
-    scatter_of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
-    force_variance = force_variance + (bias * force) ** 2
+    bias = step_bias(job.steps)
+    of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
+    of_force = of_force + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
-    std, every = total.replica_std(job, replicas), total.replica_forces()
-    second_half = _second_half(
-        _in_units(total.windows, scales.windows), int(total.lives[0]), count, drag
-    )
+    windows = {
+        name: done.total.windows[name] / scale
+        for name, scale in scales.windows._asdict().items()
+    }
+    second_half = _second_half(Window(**windows), done.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    second_half += (
-        infinite(count)
-        if ensemble.divergence
-        else _force_variance(variance, level, run, count, noise),
-    )
-    friction, pinned_fraction = second_half[:2]
-    gone = _is_over(friction, late.mean, level.mean[0]) and _is_over(
-        pinned_fraction, late.pinned, level.pinned[0]
-    )
-    settled_too = _is_over(second_half[-1], late.variance, level.variance[0])
+    spread = infinite(count)
+    if not ensemble.divergence:
+        spread = _force_variance(variance, level, run, count, noise)
+    gone = _is_over(second_half[0], late.mean, level.mean[0])
+    gone = gone and _is_over(second_half[1], late.pinned, level.pinned[0])
+    seen = [gone and n * 0.5 * run.distance * count >= ENOUGH for n in alike]
+    seen[-1] = seen[-1] and _is_over(spread, late.variance, level.variance[0])
     units = [shown.size(unit) for shown in OBSERVABLES.values()]
-    enough = [lives * 0.5 * run.distance * count >= ENOUGH for lives in alike]
-    enough[-1] = enough[-1] and settled_too
+    parts = zip((*second_half, spread), units, seen, strict=True)
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
-        force=force * unit,
-        force_stderr=np.sqrt(force_variance + rounding**2 * (grid > 0)) * unit,
+        force_stderr=np.sqrt(of_force + rounding**2 * (grid > 0)) * unit,
         force_reliable=bool(min(np.mean(rare), always_rare[0]) < RARE),
-        pinned=pinned,
-        pinned_stderr=np.sqrt(scatter_of_pinned),
-        force_replica_std=None if std is None else std * unit,
-        force_replicas=None if every is None else every * unit,
-        averages=Averages(
-            *(
-                _in(_widened(one, bias), size, gone and seen)
-                for one, size, seen in zip(second_half, units, enough, strict=True)
-            )
-        ),
-        lives=int(total.lives[0]),
+        pinned_stderr=np.sqrt(of_pinned),
+        averages=Averages(*(_shown(*part, bias) for part in parts)),
         seed=seed,
-        engine_seconds=time.perf_counter() - begin,
-        threads=workers,
+        **done.columns(unit),
     )
 
 
@@ -285,53 +276,30 @@ def independent(
     far Student's t is off in the mean (derived).
     """
     waits = c.delay.law.sample()
-    share, wait = (
-        np.repeat(born.share / waits.size, waits.size),
-        np.tile(waits, born.share.size),
-    )
-    travel, birth = (
-        np.repeat(born.travel, waits.size),
-        np.repeat(born.birth, waits.size),
-    )
-    stiffness = np.repeat(born.stiffness, waits.size)
+    share = np.repeat(born.share / waits.size, waits.size)
+    wait = np.tile(waits, born.share.size)
+    stiffness, travel, birth = (np.repeat(part, waits.size) for part in born[1:])
     work, cycle = stiffness * travel * (birth + 0.5 * travel), travel + wait
-    square = stiffness**2 * travel * (birth**2 + travel * (birth + travel / 3.0))
-    force = np.sum(share * (work + drag * wait)) / np.sum(share * cycle)
-    deviation = (
-        square - 2.0 * force * work + force**2 * travel + (drag - force) ** 2 * wait
-    )
-    residual = deviation - np.sum(share * deviation) / np.sum(share * cycle) * cycle
-    noise = float(np.sum(share * residual**2) / np.sum(share * cycle))
+    square, length = square_of(stiffness, travel, birth), np.sum(share * cycle)
+    force = np.sum(share * (work + drag * wait)) / length
+    deviation = square - 2.0 * force * work + force**2 * travel
+    deviation += (drag - force) ** 2 * wait
+    residual = deviation - np.sum(share * deviation) / length * cycle
+    noise = float(np.sum(share * residual**2) / length)
 
     def alike(reward: Array, per: Array) -> float:
         with np.errstate(all="ignore"):
             residual = reward - np.sum(share * reward) / np.sum(share * per) * per
             residual *= np.abs(residual) > 1e-12 * np.abs(reward)  # rounding
             cubes = share * residual**3
-            square, cube = (
-                np.sum(share * residual**2),
-                max(np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0])),
-            )
-            return (
-                float(1.0 / np.sum(share * cycle) * square**3 / cube**2)
-                if cube > 0
-                else math.inf
-            )
+            rises, falls = np.sum(cubes[cubes > 0]), -np.sum(cubes[cubes < 0])
+            square, cube = np.sum(share * residual**2), max(rises, falls)
+            return float(1.0 / length * square**3 / cube**2) if cube > 0 else math.inf
 
     once = np.ones(travel.size)
-    reached, gone, begun = (
-        alike(birth + travel, once),
-        alike(travel, once),
-        alike(birth, once),
-    )
-    return (
-        (alike(work + drag * wait, cycle), alike(travel, cycle), reached, gone, begun, alike(deviation, cycle)), noise
-    )  # fmt: skip
-
-
-def _in_units(windows: Array, scales: Window) -> Window:
-    """Sums over batches and quarters as numbers."""
-    return Window(*(windows[name] / scale for name, scale in scales._asdict().items()))
+    ends = (alike(stretch, once) for stretch in (birth + travel, travel, birth))
+    force_and_pinned = alike(work + drag * wait, cycle), alike(travel, cycle)
+    return (*force_and_pinned, *ends, alike(deviation, cycle)), noise
 
 
 def _second_half(
@@ -346,23 +314,17 @@ def _second_half(
 
     def over(numerator: Array, denominator: Array) -> Estimate:
         found = ratio(numerator.sum(1), denominator.sum(1), lives)
-        if (
-            found.stderr is not None
-            and seen
-            and not (numerator is pinned and found.stderr == 0)
-        ):
+        exact = numerator is pinned and found.stderr == 0
+        if found.stderr is not None and seen and not exact:
             # nor does a sample of lives tell what fewer than about two of them do
-            found = replace(
-                found, stderr=math.hypot(found.stderr, 2.0 / seen * abs(known(found)))
-            )
+            unseen = 2.0 / seen * abs(known(found))
+            found = replace(found, stderr=math.hypot(found.stderr, unseen))
         steady = found.reliable and not drifts(numerator, denominator, sigmas=4.0)
         return replace(found, reliable=bool(steady and enough))
 
-    births = stretch - travel
-    return (
-        over(area + drag * (elapsed - pinned), elapsed), over(pinned, elapsed),
-        *(over(numerator, breaks) for numerator in (stretch, travel, births)),
-    )  # fmt: skip
+    of_lives = (over(part, breaks) for part in (stretch, travel, stretch - travel))
+    friction = over(area + drag * (elapsed - pinned), elapsed)
+    return friction, over(pinned, elapsed), *of_lives
 
 
 def _force_variance(
@@ -377,33 +339,24 @@ def _force_variance(
     over_time = noise / (0.5 * run.distance)
     at_once = max(float(level.fourth[0] - level.variance[0] ** 2), 0.0) / late.size
     value = float(np.mean(late)) * contacts / (contacts - 1)
-    return Estimate(
-        value, math.sqrt((over_time + at_once) / contacts), contacts * late.size
-    )
+    stderr = math.sqrt((over_time + at_once) / contacts)
+    return Estimate(value, stderr, contacts * late.size)
 
 
 def _is_over(estimate: Estimate, expected: Array, level: float) -> bool:
     """Whether the transient, as the law expects it, moves an average by less than half
     its error, or by rounding."""
-    return bool(
-        abs(np.mean(expected) - level)
-        <= 0.5 * (estimate.stderr or 0.0) + 1e-9 * abs(level)
-    )
+    least = 0.5 * (estimate.stderr or 0.0) + 1e-9 * abs(level)
+    return bool(abs(np.mean(expected) - level) <= least)
 
 
-def _widened(estimate: Estimate, relative: float) -> Estimate:
-    """With a relative error more."""
-    if not relative or estimate.value is None or estimate.stderr is None:
-        return estimate
-    return replace(
-        estimate, stderr=math.hypot(estimate.stderr, relative * estimate.value)
-    )
-
-
-def _in(estimate: Estimate, unit: float, trusted: bool) -> Estimate:
-    """In the user's unit, and unreliable unless `trusted`."""
-    value = None if estimate.value is None else estimate.value * unit
-    stderr = None if estimate.stderr is None else estimate.stderr * unit
-    return replace(
-        estimate, value=value, stderr=stderr, reliable=estimate.reliable and trusted
-    )
+def _shown(estimate: Estimate, unit: float, trusted: bool, bias: float) -> Estimate:
+    """In the user's unit, with a relative error `bias` more, and unreliable unless
+    `trusted`."""
+    value, stderr = estimate.value, estimate.stderr
+    if bias and value is not None and stderr is not None:
+        stderr = math.hypot(stderr, bias * value)
+    value = None if value is None else value * unit
+    stderr = None if stderr is None else stderr * unit
+    reliable = estimate.reliable and trusted
+    return replace(estimate, value=value, stderr=stderr, reliable=reliable)
