@@ -120,37 +120,23 @@ class Loop(NamedTuple):
         """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
         not 0, shape (n,)."""
         xi, share, kappa = self.births
-        rows = max(1, _AT_ONCE // xi.size)
-        return np.concatenate(
-            [
-                self._response(p[i : i + rows], xi, share, kappa)
-                for i in range(0, p.size, rows)
-            ]
-        )
-
-    def _response(self, p: Array, xi: Array, share: Array, kappa: Array) -> Array:
+        if p.size * xi.size > _AT_ONCE and p.size > 1:
+            return np.concatenate([self.response(p) for p in np.array_split(p, 2)])
         z = p[:, None] * xi
         lost = -np.expm1(-z)
         broken = lost @ share  # 1 - P
-        work = np.polynomial.polynomial.polyval(
-            np.where(np.abs(z) < 0.5, z, 0.0), _SERIES
-        )
         far = np.abs(z) >= 0.5
+        work = np.polynomial.polynomial.polyval(np.where(far, 0.0, z), _SERIES)
         work[far] = (lost[far] - z[far] * (1.0 - lost[far])) / z[far] ** 2
         M = work @ (share * kappa * xi**2)
         away = self.delay.forgotten(p)  # 1 - D
-        return np.asarray(
-            self.beta
-            * away
-            * (self.drag * broken - p * M)
-            / (away + (1.0 - away) * broken)
-        )
+        change = self.beta * away * (self.drag * broken - p * M)
+        return np.asarray(change / (away + (1.0 - away) * broken))
 
     def balance(self, p: Array, stiffness: float) -> Array:
         """The characteristic equation, shape (n,)."""
-        return np.asarray(
-            self.mass * p**2 + self.damping * p + stiffness + self.response(p)
-        )
+        held = self.mass * p**2 + self.damping * p + stiffness
+        return np.asarray(held + self.response(p))
 
 
 def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
@@ -221,11 +207,9 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         if faint or loop.damping * high > 2.0 * size:
             return best
         # |Z| falls as 1/w from here on
-        last = (
-            math.sqrt(2.0 * size * high / loop.damping)
-            if loop.mass > 0.0 and loop.damping > 0.0
-            else 0.0
-        )
+        last = 0.0
+        if loop.mass > 0.0 and loop.damping > 0.0:
+            last = math.sqrt(2.0 * size * high / loop.damping)
         low, high = float(w[-1]), max(2.0 * high, last if last > _MOST * step else 0.0)
 
 
@@ -238,9 +222,8 @@ def _crossing(loop: Loop, low: float, high: float) -> Border:
     if phase(low) * phase(high) > 0.0:  # the coarser nodes differ
         return Border(0.0, 0.0)
     w = float(optimize.brentq(phase, low, high, xtol=1e-14, rtol=1e-13))
-    return Border(
-        loop.mass * w**2 - float(loop.response(np.array([1j * w]))[0].real), w
-    )
+    stiffness = loop.mass * w**2 - float(loop.response(np.array([1j * w]))[0].real)
+    return Border(stiffness, w)
 
 
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
@@ -252,28 +235,15 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     left = -_LEFT / loop.cycle
     if loop.delay.mean and not isinstance(loop.delay, Fixed):
         left = max(left, -0.9 / loop.delay.mean)
-    scales = [
-        loop.cycle,
-        mean,
-        loop.delay.mean or mean,
-        stiffness / (loop.beta * stiff),
-    ]
-    scales += [loop.damping / stiffness] if loop.damping else []
-    scales += [math.sqrt(loop.mass / stiffness)] if loop.mass else []
+    scales = [loop.cycle, mean, loop.delay.mean, stiffness / (loop.beta * stiff)]
+    scales += [loop.damping / stiffness, math.sqrt(loop.mass / stiffness)]
+    scales = [scale for scale in scales if scale > 0.0]
     slow, fast = 0.2 / max(scales), 10.0 / min(scales)
-    w = np.concatenate(
-        (
-            [0.0],
-            np.geomspace(slow, fast, 24),
-            2.0 * math.pi / loop.cycle * np.arange(1, 9),
-        )
-    )
-    real = np.concatenate(
-        (left * np.array([0.6, 0.15]), [0.0], np.geomspace(0.3 * slow, fast, 4))
-    )
-    found = _newton(
-        coarse, (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle, stiffness
-    )
+    whole = 2.0 * math.pi / loop.cycle * np.arange(9)
+    w = np.append(whole, np.geomspace(slow, fast, 24))
+    real = np.append([0.6 * left, 0.15 * left, 0.0], np.geomspace(0.3 * slow, fast, 4))
+    grid = (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle
+    found = _newton(coarse, grid, stiffness)
     found = found[(found.real > left) & (found.imag >= -1e-12)]
     if not found.size:
         return None
@@ -293,9 +263,8 @@ def _newton(loop: Loop, p: Array, stiffness: float) -> Array:
     with np.errstate(all="ignore"):
         for _ in range(_ROUNDS):
             h = 1e-6 * np.abs(p) + 1e-12
-            f, beyond = loop.balance(np.concatenate((p, p + h)), stiffness).reshape(
-                2, -1
-            )
+            both = loop.balance(np.concatenate((p, p + h)), stiffness)
+            f, beyond = both.reshape(2, -1)
             step = f * h / (beyond - f)
             size, most = np.abs(step), 0.5 * (np.abs(p) + 0.1 / loop.cycle)
             after = p - step * np.minimum(1.0, most / np.maximum(size, 1e-300))

@@ -10,6 +10,7 @@ space.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,9 @@ _STARTS = (1.0, 0.5, 0.25)
 # How far a border is looked for, in octaves of the stiffness, and how closely.
 _OCTAVES = 6
 _CLOSE = 2e-3
+
+# An estimate of what there is none of.
+NO_VALUE = Estimate(None, None, 0)
 
 Progress = Callable[[int, float], None]
 
@@ -96,12 +100,10 @@ def mode_of(
         time = min(time, (_ENOUGH + 1.0) * longest)
         answer = _answer(ensemble, velocity, stage, kick, time)
     if float(np.abs(answer.u[round(longest / answer.dt) :]).max()) < _GONE * kick:
-        return Mode(Estimate(None, None, 0), Estimate(None, None, 0))
+        return Mode(NO_VALUE, NO_VALUE)
     last = _end(answer, typical)
-    start = next(
-        (part for part in _STARTS if last * answer.dt >= (part + 1.0) * longest),
-        _STARTS[-1],
-    )
+    seen = last * answer.dt / longest
+    start = next((part for part in _STARTS if seen >= part + 1.0), _STARTS[-1])
     first = min(round(start * longest / answer.dt), max(last - 16, 0))
     found = _rate(answer, first, last, 4)
     progress(most - 1, most)
@@ -128,24 +130,17 @@ def mode_of(
 def _answer(
     ensemble: Ensemble, velocity: float, stage: Stage, kick: float, time: float
 ) -> _Answer:
-    balance = (
-        known(reference(ensemble, Drive(velocity)).friction) + stage.damping * velocity
-    )
+    friction = known(reference(ensemble, Drive(velocity)).friction)
+    balance = friction + stage.damping * velocity
     found = []
-    for sign in (1.0, -1.0):
-        preload = balance / stage.stiffness + sign * kick
-        pulled = Stage(
-            stage.stiffness, stage.damping, stage.mass, preload, stage.tolerance
-        )
-        programme = Programme(
-            (Segment(velocity, time=time),), "stationary", velocity, pulled
-        )
+    segments = (Segment(velocity, time=time),)
+    for preload in balance / stage.stiffness + np.array([kick, -kick]):
+        pulled = replace(stage, preload=float(preload))
+        programme = Programme(segments, "stationary", velocity, pulled)
         found.append(pulled_of(ensemble, programme, programme.grid(_POINTS)))
     more, less = found
-    u, coarser = (
-        0.5 * (more.X - less.X) - kick,
-        0.5 * (more.coarser_X - less.coarser_X) - kick,
-    )
+    u = 0.5 * (more.X - less.X) - kick
+    coarser = 0.5 * (more.coarser_X - less.coarser_X) - kick
     return _Answer(u, coarser, time / (_POINTS - 1))
 
 
@@ -166,9 +161,8 @@ def _rate(answer: _Answer, first: int, last: int, order: int) -> complex:
     z = linalg.eigvals(linalg.lstsq(basis[:-1], basis[1:])[0])
     z = z[np.abs(z) > 1e-12]
     powers = z ** np.arange(u.size)[:, None]
-    size = np.abs(linalg.lstsq(powers, u.astype(complex))[0]) * np.sqrt(
-        (np.abs(powers) ** 2).mean(axis=0)
-    )
+    size = np.abs(linalg.lstsq(powers, u.astype(complex))[0])
+    size *= np.sqrt((np.abs(powers) ** 2).mean(axis=0))
     return complex(np.log(z[np.argmax(size)]) / answer.dt)
 
 
@@ -185,20 +179,13 @@ def border_by_kicks(
 
     def growth(octave: float) -> float:
         if octave not in errors:
-            softer = Stage(
-                stage.stiffness * 2.0**octave,
-                stage.damping,
-                stage.mass,
-                None,
-                stage.tolerance,
+            softer = replace(
+                stage, stiffness=stage.stiffness * 2.0**octave, preload=None
             )
-            mode = mode_of(ensemble, velocity, softer)
-            rate = (
-                mode.growth.value
-                if mode.growth.value is not None
-                else -velocity / ensemble.thresholds.mean
-            )
-            errors[octave] = rate, mode.growth.stderr or 0.0
+            found = mode_of(ensemble, velocity, softer).growth
+            rate = -velocity / ensemble.thresholds.mean
+            rate = rate if found.value is None else found.value
+            errors[octave] = rate, found.stderr or 0.0
             progress(len(errors), 2.0 * _OCTAVES)
         return errors[octave][0]
 
@@ -207,20 +194,16 @@ def border_by_kicks(
     while growth(end + direction) * direction > 0.0:
         end += direction
         if abs(end) >= _OCTAVES:
-            least = stage.stiffness * 2.0**end
-            return (
-                Estimate(None, None, 0, None, False)
-                if direction > 0
-                else Estimate(0.0, least, 0)
-            )
+            if direction > 0.0:
+                return Estimate(None, None, 0, None, False)
+            return Estimate(0.0, stage.stiffness * 2.0**end, 0)
     low, high = sorted((end, end + direction))
     root = float(optimize.brentq(growth, low, high, xtol=_CLOSE, rtol=_CLOSE))
     near = sorted(errors, key=lambda octave: abs(octave - root))[:2]
     slope = abs((errors[near[0]][0] - errors[near[1]][0]) / (near[0] - near[1]))
-    error = (
-        (max(errors[octave][1] for octave in near) / slope + _CLOSE) * math.log(2.0)
-        if slope
-        else math.inf
-    )
+    error = math.inf
+    if slope:
+        octaves = max(errors[octave][1] for octave in near) / slope + _CLOSE
+        error = octaves * math.log(2.0)
     value = stage.stiffness * 2.0**root
     return Estimate(value, value * error, 0)

@@ -259,14 +259,18 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
             return Cells(profile, fine, in_step * (in_step.max() > _RESOLVED), around)
 
 
+def middle_half(profile: Profile) -> tuple[float, float]:
+    """Travels between which half of all lives end."""
+    quick, slow = (np.argmax(profile.survive <= share) for share in (0.75, 0.25))
+    return float(profile.x[quick]), float(profile.x[slow])
+
+
 def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
     """The share of contacts that may be in step at each edge `x` of a grid that blurs
     it, and `Cells.around`."""
     h = x[1]
     broken = -np.diff(profile.survive, prepend=1.0)
-    quick, slow = (
-        float(profile.x[np.argmax(profile.survive <= share)]) for share in (0.75, 0.25)
-    )
+    quick, slow = middle_half(profile)
     cycle = contacts.delay.mean + slow
     k = np.geomspace(
         2 * math.pi / cycle,
