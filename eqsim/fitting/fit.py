@@ -111,6 +111,11 @@ class FitResult:
     correlation: Correlation | None = None
 
     @property
+    def folder(self) -> Path:
+        """The folder in which paths in the run file start."""
+        return self.file.folder
+
+    @property
     def values(self) -> dict[str, float]:
         """The best value of each parameter."""
         return self.problem.values(self.best.u)
