@@ -112,7 +112,7 @@ def test_command(folder):
     done = call("reference", out / "run.toml", "--json")
     assert done.exit_code == 0, done.output
     best = load(out / "run.toml")
-    assert best.thermal.kT == kT["estimate"]
+    assert best["thermal.kT"] == kT["estimate"]
     assert json.loads(done.output)["friction"] > 0
     twice = call(
         "fit",
@@ -434,7 +434,8 @@ def test_symmetries_are_refused_by_name(tmp_path, name):
                 "scale": scale,
                 "free": free,
             },
-        }
+        },
+        tmp_path,
     )
     with pytest.raises(InputError) as error:
         prepare(file, None, False)
