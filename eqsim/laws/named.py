@@ -25,8 +25,15 @@ class Named(Smooth):
     of any shape, and `moments` <u> and <u^2>."""
 
     name: ClassVar[str]
+    # least and greatest value of each of the `numbers`
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {}
     ends: ClassVar[tuple[float, float]] = (0.0, math.inf)
     x_star: float
+
+    def __post_init__(self) -> None:
+        require_number("x_star", self.x_star, **POSITIVE)
+        for name, (least, most) in self.ranges.items():
+            require_number(name, getattr(self, name), least=least, most=most)
 
     @property
     def unit(self) -> float:
@@ -44,19 +51,19 @@ class Named(Smooth):
         """<u> and <u^2>."""
         raise NotImplementedError
 
-    def density(self, u: Array) -> Array:
+    def density(self, u: Array) -> Any:
         """Of u within the `ends`."""
         raise NotImplementedError
 
-    def below(self, u: Array) -> Array:
+    def below(self, u: Array) -> Any:
         """P(U <= u)."""
         raise NotImplementedError
 
-    def above(self, u: Array) -> Array:
+    def above(self, u: Array) -> Any:
         """P(U > u)."""
         raise NotImplementedError
 
-    def exceeded(self, e: Array) -> Array:
+    def exceeded(self, e: Array) -> Any:
         """What a share exp(-e) of the contacts exceeds."""
         raise NotImplementedError
 
@@ -126,33 +133,51 @@ class Lognormal(Named):
     sigma: float
     x_star: float = 1.0
     name: ClassVar[str] = "lognormal"
-
-    def __post_init__(self) -> None:
-        require_number("sigma", self.sigma, least=1e-3, most=2.0)
-        require_number("x_star", self.x_star, **POSITIVE)
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {"sigma": (1e-3, 2.0)}
 
     @property
     def moments(self) -> tuple[float, float]:
         return math.exp(0.5 * self.sigma**2), math.exp(2.0 * self.sigma**2)
 
-    def density(self, u: Array) -> Array:
-        return np.asarray(
-            np.exp(-0.5 * (np.log(u) / self.sigma) ** 2)
-            / (u * self.sigma * math.sqrt(2.0 * math.pi))
+    def density(self, u: Array) -> Any:
+        return np.exp(-0.5 * (np.log(u) / self.sigma) ** 2) / (
+            u * self.sigma * math.sqrt(2.0 * math.pi)
         )
 
-    def below(self, u: Array) -> Array:
-        return np.asarray(special.ndtr(np.log(u) / self.sigma))
+    def below(self, u: Array) -> Any:
+        return special.ndtr(np.log(u) / self.sigma)
 
-    def above(self, u: Array) -> Array:
-        return np.asarray(special.ndtr(-np.log(u) / self.sigma))
+    def above(self, u: Array) -> Any:
+        return special.ndtr(-np.log(u) / self.sigma)
 
-    def exceeded(self, e: Array) -> Array:
-        return np.asarray(np.exp(-self.sigma * special.ndtri_exp(-e)))
+    def exceeded(self, e: Array) -> Any:
+        return np.exp(-self.sigma * special.ndtri_exp(-e))
+
+
+class StretchedExponential(Named):
+    """P(xi > x) = exp(-(x/x_*)^shape)."""
+
+    shape: float
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        return math.gamma(1.0 + 1.0 / self.shape), math.gamma(1.0 + 2.0 / self.shape)
+
+    def density(self, u: Array) -> Any:
+        return self.shape * u ** (self.shape - 1.0) * np.exp(-(u**self.shape))
+
+    def below(self, u: Array) -> Any:
+        return -np.expm1(-(u**self.shape))
+
+    def above(self, u: Array) -> Any:
+        return np.exp(-(u**self.shape))
+
+    def exceeded(self, e: Array) -> Any:
+        return e ** (1.0 / self.shape)
 
 
 @dataclass(frozen=True)
-class Weibull(Named):
+class Weibull(StretchedExponential):
     """P(xi > x) = exp(-(x/x_*)^shape); of shape 2 it is the gamma law with n = 0.
 
     Parameters
@@ -171,32 +196,11 @@ class Weibull(Named):
     shape: float
     x_star: float = 1.0
     name: ClassVar[str] = "weibull"
-
-    def __post_init__(self) -> None:
-        require_number("shape", self.shape, least=0.5, most=1000.0)
-        require_number("x_star", self.x_star, **POSITIVE)
-
-    @property
-    def moments(self) -> tuple[float, float]:
-        return math.gamma(1.0 + 1.0 / self.shape), math.gamma(1.0 + 2.0 / self.shape)
-
-    def density(self, u: Array) -> Array:
-        return np.asarray(
-            self.shape * u ** (self.shape - 1.0) * np.exp(-(u**self.shape))
-        )
-
-    def below(self, u: Array) -> Array:
-        return np.asarray(-np.expm1(-(u**self.shape)))
-
-    def above(self, u: Array) -> Array:
-        return np.asarray(np.exp(-(u**self.shape)))
-
-    def exceeded(self, e: Array) -> Array:
-        return np.asarray(e ** (1.0 / self.shape))
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {"shape": (0.5, 1000.0)}
 
 
 @dataclass(frozen=True)
-class Exponential(Named):
+class Exponential(StretchedExponential):
     """P(xi > x) = exp(-x/x_*).
 
     Parameters
@@ -207,25 +211,7 @@ class Exponential(Named):
 
     x_star: float = 1.0
     name: ClassVar[str] = "exponential"
-
-    def __post_init__(self) -> None:
-        require_number("x_star", self.x_star, **POSITIVE)
-
-    @property
-    def moments(self) -> tuple[float, float]:
-        return 1.0, 2.0
-
-    def density(self, u: Array) -> Array:
-        return np.asarray(np.exp(-u))
-
-    def below(self, u: Array) -> Array:
-        return np.asarray(-np.expm1(-u))
-
-    def above(self, u: Array) -> Array:
-        return np.asarray(np.exp(-u))
-
-    def exceeded(self, e: Array) -> Array:
-        return e
+    shape: ClassVar[float] = 1.0  # type: ignore[misc]
 
 
 @dataclass(frozen=True)
@@ -252,7 +238,7 @@ class Normal(Named):
     name: ClassVar[str] = "normal"
 
     def __post_init__(self) -> None:
-        require_number("x_star", self.x_star, **POSITIVE)
+        super().__post_init__()
         require_number(
             "std", self.std, least=1e-3 * self.x_star, most=10.0 * self.x_star
         )
@@ -275,22 +261,19 @@ class Normal(Named):
         mean = 1.0 + s * self._at_cut
         return mean, s * s + mean
 
-    def density(self, u: Array) -> Array:
+    def density(self, u: Array) -> Any:
         (s,) = self.numbers
-        return np.asarray(
-            np.exp(-0.5 * ((u - 1.0) / s) ** 2)
-            / (s * math.sqrt(2.0 * math.pi) * special.ndtr(1.0 / s))
+        return np.exp(-0.5 * ((u - 1.0) / s) ** 2) / (
+            s * math.sqrt(2.0 * math.pi) * special.ndtr(1.0 / s)
         )
 
-    def _near_cut(self, w: Array) -> Array:
+    def _near_cut(self, w: Array) -> Any:
         """int_0^w exp(y/s - y^2/2) dy, without the cancellation of two normal integrals
         that are almost the same."""
         y = np.multiply.outer(w, 0.5 + 0.5 * _NODES)
-        return np.asarray(
-            0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _WEIGHTS)
-        )
+        return 0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _WEIGHTS)
 
-    def below(self, u: Array) -> Array:
+    def below(self, u: Array) -> Any:
         (s,) = self.numbers
         z, nearest = 1.0 / s, 0.5 * min(1.0, s)
         far = (special.ndtr((u - 1.0) / s) - special.ndtr(-z)) / special.ndtr(z)
@@ -300,11 +283,11 @@ class Normal(Named):
             far,
         )
 
-    def above(self, u: Array) -> Array:
+    def above(self, u: Array) -> Any:
         (s,) = self.numbers
-        return np.asarray(special.ndtr((1.0 - u) / s) / special.ndtr(1.0 / s))
+        return special.ndtr((1.0 - u) / s) / special.ndtr(1.0 / s)
 
-    def exceeded(self, e: Array) -> Array:
+    def exceeded(self, e: Array) -> Any:
         (s,) = self.numbers
         z, nearest = 1.0 / s, 0.5 * min(1.0, s)
         far = 1.0 - s * special.ndtri_exp(special.log_ndtr(z) - e)
@@ -358,19 +341,19 @@ class Uniform(Named):
         (r,) = self.numbers
         return 0.5 * (1.0 + r), (1.0 + r + r * r) / 3.0
 
-    def density(self, u: Array) -> Array:
+    def density(self, u: Array) -> Any:
         return np.full(u.shape, 1.0 / (1.0 - self.numbers[0]))
 
-    def below(self, u: Array) -> Array:
+    def below(self, u: Array) -> Any:
         (r,) = self.numbers
-        return np.asarray((u - r) / (1.0 - r))
+        return (u - r) / (1.0 - r)
 
-    def above(self, u: Array) -> Array:
-        return np.asarray((1.0 - u) / (1.0 - self.numbers[0]))
+    def above(self, u: Array) -> Any:
+        return (1.0 - u) / (1.0 - self.numbers[0])
 
-    def exceeded(self, e: Array) -> Array:
+    def exceeded(self, e: Array) -> Any:
         (r,) = self.numbers
-        return np.asarray(r - (1.0 - r) * np.expm1(-e))
+        return r - (1.0 - r) * np.expm1(-e)
 
 
 @dataclass(frozen=True)
@@ -395,10 +378,7 @@ class Pareto(Named):
     x_star: float = 1.0
     name: ClassVar[str] = "pareto"
     ends: ClassVar[tuple[float, float]] = (1.0, math.inf)
-
-    def __post_init__(self) -> None:
-        require_number("exponent", self.exponent, least=3.05, most=1000.0)
-        require_number("x_star", self.x_star, **POSITIVE)
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {"exponent": (3.05, 1000.0)}
 
     @property
     def moments(self) -> tuple[float, float]:
@@ -406,17 +386,17 @@ class Pareto(Named):
             self.exponent - 2.0
         )
 
-    def density(self, u: Array) -> Array:
-        return np.asarray(self.exponent * u ** (-self.exponent - 1.0))
+    def density(self, u: Array) -> Any:
+        return self.exponent * u ** (-self.exponent - 1.0)
 
-    def below(self, u: Array) -> Array:
-        return np.asarray(-np.expm1(-self.exponent * np.log(u)))
+    def below(self, u: Array) -> Any:
+        return -np.expm1(-self.exponent * np.log(u))
 
-    def above(self, u: Array) -> Array:
-        return np.asarray(u**-self.exponent)
+    def above(self, u: Array) -> Any:
+        return u**-self.exponent
 
-    def exceeded(self, e: Array) -> Array:
-        return np.asarray(np.exp(e / self.exponent))
+    def exceeded(self, e: Array) -> Any:
+        return np.exp(e / self.exponent)
 
 
 NAMED: tuple[type[Named], ...] = (

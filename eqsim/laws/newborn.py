@@ -43,12 +43,7 @@ _RAREST = 470.0  # -ln J_c of a threshold that counts as the greatest
 _FIRST_OCTAVE = -40
 
 
-class _Stretch(NamedTuple):
-    stretch: float
-    table: Array = NO_TABLE
-
-
-class DeltaBirths(_Stretch, Law):
+class DeltaBirths(NamedTuple("DeltaNumbers", [("stretch", float)]), Law):
     """All births at `stretch`."""
 
     __slots__ = ()
@@ -72,13 +67,9 @@ class DeltaBirths(_Stretch, Law):
         return float(self.stretch > y)
 
 
-class _Bounds(NamedTuple):
-    low: float
-    high: float
-    table: Array = NO_TABLE
-
-
-class UniformBirths(_Bounds, Law):
+class UniformBirths(
+    NamedTuple("UniformNumbers", [("low", float), ("high", float)]), Law
+):
     """Births from `low` to `high`; methods are those of `DeltaBirths`."""
 
     __slots__ = ()
@@ -100,12 +91,7 @@ class UniformBirths(_Bounds, Law):
         return min(max((self.high - y) / (self.high - self.low), 0.0), 1.0)
 
 
-class _Mean(NamedTuple):
-    mean: float
-    table: Array = NO_TABLE
-
-
-class ExponentialBirths(_Mean, Law):
+class ExponentialBirths(NamedTuple("ExponentialNumbers", [("mean", float)]), Law):
     """Positive births of this mean; methods are those of `DeltaBirths`."""
 
     __slots__ = ()
@@ -123,13 +109,10 @@ class ExponentialBirths(_Mean, Law):
         return math.exp(-max(y, 0.0) / self.mean)
 
 
-class _MeanAndWidth(NamedTuple):
-    mean: float
-    std: float
-    table: Array
-
-
-class NormalBirths(_MeanAndWidth, Law):
+class NormalBirths(
+    NamedTuple("NormalNumbers", [("mean", float), ("std", float), ("table", Array)]),
+    Law,
+):
     """Births of this mean and standard deviation; methods are those of `DeltaBirths`.
     `table`: |z| of a normal deviate against -ln P(|Z| > |z|)."""
 

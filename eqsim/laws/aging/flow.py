@@ -24,13 +24,8 @@ from eqsim.numerics.roots import Bracket, newton
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 
 
-class _Numbers(NamedTuple):
-    final2: float
-    alpha: float
-
-
 @along_paths
-class Flow(_Numbers, Drift):
+class Flow(NamedTuple("FlowNumbers", [("final2", float), ("alpha", float)]), Drift):
     """Every threshold moves with the scale of the law. The stiffness of the sqrt law
     follows it."""
 

@@ -15,13 +15,12 @@ from eqsim.laws.stiffness import Springs
 MOST_ALPHA = 1e6
 
 
-class _Numbers(NamedTuple):
-    final2: float
-    alpha: float
-    shape: float
-
-
-class Langevin(_Numbers, Drift):
+class Langevin(
+    NamedTuple(
+        "LangevinNumbers", [("final2", float), ("alpha", float), ("shape", float)]
+    ),
+    Drift,
+):
     """The norm of an Ornstein-Uhlenbeck process of 2 shape + 2 components, shape = n.
     The stiffness of the sqrt law follows it."""
 

@@ -20,13 +20,10 @@ from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 
-class _Numbers(NamedTuple):
-    beta: float
-    per_time: float
-
-
 @along_paths
-class Logarithmic(_Numbers, AgingLaw):
+class Logarithmic(
+    NamedTuple("LogarithmicNumbers", [("beta", float), ("per_time", float)]), AgingLaw
+):
     """Growth 1 + beta ln(1 + per_time x)."""
 
     __slots__ = ()
