@@ -152,29 +152,22 @@ def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Sur
     life = _Life(aging, stiffness, barrier)
     coarse, middle, fine = (_Grid(life, cells * _CELL) for cells in _RATIOS)
     first = _march(life, coarse)
-    halved = _march(
-        life, coarse, np.sort(np.append(first.x, 0.5 * (first.x[1:] + first.x[:-1])))
-    )
+    middles = 0.5 * (first.x[1:] + first.x[:-1])
+    halved = _march(life, coarse, np.sort(np.append(first.x, middles)))
     second, third = _march(life, middle, first.x), _march(life, fine, first.x)
-    values, errors = _without_steps(
-        first.values, second.values, third.values, halved.values[:, ::2] - first.values
-    )
+    halving = halved.values[:, ::2] - first.values
+    ways = first.values, second.values, third.values
+    values, errors = _without_steps(*ways, halving)
     # along x a front that passes the nodes makes the error swing through 0; its
     # neighbours know how far
     size = np.maximum(np.abs(values), 1e-300)
     errors = largest_nearby(errors / size, 15) * size
     halving = halved.totals[:, ::2] - first.totals
-    totals, total_errors = _without_steps(
-        first.totals, second.totals, third.totals, halving
-    )
+    ways = first.totals, second.totals, third.totals
+    totals, missed = _without_steps(*ways, halving)
     # the worst on the way to the end, where errors may cancel by chance
-    return Survival(
-        first.x,
-        values,
-        errors,
-        *totals[:, -1].tolist(),
-        *total_errors.max(axis=1).tolist(),
-    )
+    ends = *totals[:, -1].tolist(), *missed.max(axis=1).tolist()
+    return Survival(first.x, values, errors, *ends)
 
 
 def _without_steps(
@@ -188,12 +181,8 @@ def _without_steps(
     last = extrapolated(early, late, h[0] / h[2]) - late
     # steps are of fourth order, so that a fifteenth of `halving` is left; a hundredth
     # of the bare change guards against a last correction that is small by chance
-    error = (
-        np.abs(last)
-        + 0.01 * np.abs(third - second)
-        + np.abs(halving) / 3.0
-        + 1e-9 * np.abs(late)
-    )
+    error = np.abs(last) + 0.01 * np.abs(third - second)
+    error += np.abs(halving) / 3.0 + 1e-9 * np.abs(late)
     return late + last + halving, error
 
 
@@ -203,12 +192,8 @@ class _Life:
     def __init__(
         self, aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier
     ) -> None:
-        self.n, self.final2, self.stiffness, self.barrier = (
-            aging.shape,
-            aging.final2,
-            stiffness,
-            barrier,
-        )
+        self.n, self.final2 = aging.shape, aging.final2
+        self.stiffness, self.barrier = stiffness, barrier
         self.mobility = max(0.25 * aging.alpha * aging.final2, _LEAST_MOBILITY)
         law = Gamma(self.n)
         self.rms = law.rms
@@ -217,9 +202,8 @@ class _Life:
         # the mean
         self.top = float(law.inverse_survival(45.0 + max(barrier.log_w, 0.0)))
         most = 2 * self.top * max(1.0, aging.final)
-        self.end = float(
-            optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, most)
-        )
+        end = optimize.brentq(lambda x: x - self.top * self.scale(x), 0.0, most)
+        self.end = float(end)
 
     def scale(self, x: float) -> float:
         """s(x), the scale of the unbroken law."""
@@ -230,9 +214,9 @@ class _Life:
         j, shape (3, N)."""
         s = self.scale(x)
         eta = x / s + grid.y
-        boundary = 1.0 / s - 2.0 * self.mobility * x / s * (
-            1.0 / s**2 - 1.0 / self.final2
-        )  # d(x/s)/dx
+        # d(x/s)/dx
+        slope = 2.0 * self.mobility * x / s
+        boundary = 1.0 / s - slope * (1.0 / s**2 - 1.0 / self.final2)
         spread = self.mobility / s**2
         drift = (boundary + spread * ((2 * self.n + 1) / eta - 2.0 * eta)) * grid.first
         a: Array = spread * grid.second
@@ -240,11 +224,9 @@ class _Life:
         a[2] += drift
         if self.barrier.thermal:
             xi = x + s * grid.y
+            b = self.barrier.b * self.kappa(xi)
             with np.errstate(divide="ignore"):  # xi = x to rounding
-                a[1] -= np.exp(
-                    self.barrier.log_w
-                    + self.barrier.log_rate(x, xi, self.barrier.b * self.kappa(xi))
-                )
+                a[1] -= np.exp(self.barrier.log_w + self.barrier.log_rate(x, xi, b))
         return a
 
     def kappa(self, xi: Array) -> Array:
@@ -255,11 +237,8 @@ class _Life:
         """S, E[kappa; pinned] and E[kappa^2; pinned] at stretch x."""
         s = self.scale(x)
         eta = x / s + grid.y
-        share = (
-            np.exp(self.log_norm + (2 * self.n + 1) * np.log(eta) - eta**2)
-            * grid.width
-            * u
-        )
+        log_law = self.log_norm + (2 * self.n + 1) * np.log(eta) - eta**2
+        share = np.exp(log_law) * grid.width * u
         kappa = self.kappa(s * eta)
         return np.array([share.sum(), np.dot(share, kappa), np.dot(share, kappa**2)])
 
@@ -279,46 +258,35 @@ class _Grid:
         self.least = 1e-3 * min(life.mobility / high, low, low**2 / life.mobility)
         self.front, self.crowd = (0.0, 0.0), 0.0
         if life.barrier.thermal:
-            self.front, self.crowd = (
-                _front(life, low, high),
-                _CROWD * min(max(life.barrier.log_w, 0.0), 60.0),
-            )
+            self.front = _front(life, low, high)
+            self.crowd = _CROWD * min(max(life.barrier.log_w, 0.0), 60.0)
             self.least = min(self.least, 0.1 * math.exp(self.front[0]))
         self.least = max(self.least, _LEAST_GAP)
         count = math.ceil(float(self._z(np.array([life.top]))[0]) / dz)
-        y, slope = self._invert(
-            0.5 * dz * np.arange(1, 2 * count + 2)
-        )  # at y_1/2, y_1, y_3/2 ...
+        # at y_1/2, y_1, y_3/2 ...
+        y, slope = self._invert(0.5 * dz * np.arange(1, 2 * count + 2))
         cell = slope * dz  # dy/dj
         self.y, self.width = y[1::2], cell[1::2].copy()
         self.first = 0.5 / self.width  # of the differences u_j+1 - u_j-1
         left, right = 1.0 / (cell[:-1:2] * self.width), 1.0 / (cell[2::2] * self.width)
-        left[-1], right[-1], self.first[-1] = (
-            left[-1] + right[-1],
-            0.0,
-            0.0,
-        )  # du/dy = 0 at the far end
+        # du/dy = 0 at the far end
+        left[-1] += right[-1]
+        right[-1] = self.first[-1] = 0.0
         self.second = np.array([left, -left - right, right])
         self.width[-1] *= 0.5
 
     def _z(self, y: Array) -> Array:
         t = np.log(np.append(0.0, y) + self.least)
-        near, far = (
-            _BLEND * np.logaddexp(0.0, (t - edge) / _BLEND) for edge in self.front
-        )
-        return np.asarray(
-            (t + self.crowd * (near - far))[1:]
-            - (t + self.crowd * (near - far))[0]
-            + y / _WIDE
-        )
+        near, far = (np.logaddexp(0.0, (t - edge) / _BLEND) for edge in self.front)
+        z = t + self.crowd * _BLEND * (near - far)
+        return np.asarray(z[1:] - z[0] + y / _WIDE)
 
     def _slope(self, y: Array) -> Array:
         """dz/dy."""
         t = np.log(y + self.least)
         near, far = (special.expit((t - edge) / _BLEND) for edge in self.front)
-        return np.asarray(
-            (1.0 + self.crowd * (near - far)) / (y + self.least) + 1.0 / _WIDE
-        )
+        crowding = 1.0 + self.crowd * (near - far)
+        return np.asarray(crowding / (y + self.least) + 1.0 / _WIDE)
 
     def _invert(self, z: Array) -> tuple[Array, Array]:
         """y and dy/dz, by Newton's method in t = ln(1 + y/least)."""
@@ -378,10 +346,8 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
                 np.abs(step.gain_error) / (totals[-1] + step.gain),
                 [0.1 * error.max() / step.end.u.max()],
             )
-            size = np.append(
-                np.concatenate(sizes) / _TOLERANCE,
-                ((state.survivors[0] - step.end.survivors[0]) / _FALL) ** 4,
-            )
+            fall = (state.survivors[0] - step.end.survivors[0]) / _FALL
+            size = np.append(np.concatenate(sizes) / _TOLERANCE, fall**4)
             worst = max(float(np.where(size >= 0.0, size, np.inf).max()), 1e-9)
             following = h * min(5.0, max(0.1, 0.9 * worst**-0.25))
             if worst > 1.0:
@@ -395,11 +361,8 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
         values.append(state.survivors)
         totals.append(totals[-1] + step.gain)
         left = state.survivors[:2] * (life.end - after, life.end**2)
-        if (
-            (np.all(left < _NEGLIGIBLE * totals[-1]) or after >= life.end)
-            if stops is None
-            else len(path) == stops.size
-        ):
+        over = bool(np.all(left < _NEGLIGIBLE * totals[-1])) or after >= life.end
+        if over if stops is None else len(path) == stops.size:
             return _March(np.array(path), np.array(values).T, np.array(totals).T)
     raise ArithmeticError(
         f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}"

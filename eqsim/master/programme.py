@@ -226,66 +226,47 @@ def _edges(
     """Steps that end at ends of segments, whole delays after these, and sharp instants;
     many contacts that are born or break at one instant do so in a step of next to no
     time before it."""
-    fastest = np.abs(course.velocity).max()
-    instant = (
-        min(max(_INSTANT * width / fastest, _LEAST_INSTANT), _LONGEST_INSTANT)
-        if fastest
-        else _LEAST_INSTANT
-    )
+    fastest, instant = np.abs(course.velocity).max(), _LEAST_INSTANT
+    if fastest:
+        instant = min(max(_INSTANT * width / fastest, instant), _LONGEST_INSTANT)
     atoms = np.array([s.t for s in sharp if s.order < 0.0])
     smooth = np.concatenate((course.ends, [s.t for s in sharp], atoms - instant))
     steep = np.array([s.t for s in sharp if s.order == -0.5])
+    same = _LEAST_INSTANT / 2
     marks: list[float] = []
     t, last, since, kinks = [0.0], course.before, 0.0, np.empty(0)
     for end, velocity in zip(course.ends, course.velocity, strict=True):
-        if (
-            abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last))
-            or t[-1] == 0.0
-        ):
+        changed = abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last))
+        if changed or t[-1] == 0.0:
             since, after = 0.0, t[-1] + tau * np.arange(1, _KINKS + 1)
-            kinks = np.unique(
-                np.round(np.append(kinks[kinks > t[-1]], after), 11)
-            )  # rounding makes no step
+            kinks = np.append(kinks[kinks > t[-1]], after)
+            kinks = np.unique(np.round(kinks, 11))  # rounding makes no step
         last = velocity
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
         begins = np.append(kinks, atoms)
         graded = np.add.outer(steep, longest * np.append(_GRADED, -_GRADED)).ravel()
-        inexact = np.append(
-            graded, kinks
-        )  # these are moved to what is sharp, never the other way
-        inexact = inexact[
-            np.abs(inexact[:, None] - smooth).min(axis=1) > _LEAST_INSTANT
-        ]
-        inner = np.sort(np.append(inexact, smooth))
-        inner = inner[
-            (inner > t[-1] + _LEAST_INSTANT / 2) & (inner < end - _LEAST_INSTANT / 2)
-        ]
-        inner = inner[np.diff(inner, prepend=-1.0) > _LEAST_INSTANT / 2]
+        # these are moved to what is sharp, never the other way
+        inexact = np.append(graded, kinks)
+        apart = np.abs(inexact[:, None] - smooth).min(axis=1) > _LEAST_INSTANT
+        inner = np.sort(np.append(inexact[apart], smooth))
+        inner = inner[(inner > t[-1] + same) & (inner < end - same)]
+        inner = inner[np.diff(inner, prepend=-1.0) > same]
         for mark in np.append(inner, end):
             begin, elapsed = t[-1], [0.0]
-            since = (
-                0.0
-                if begins.size and np.abs(begins - begin).min() < _LEAST_INSTANT / 2
-                else since
-            )
+            if np.abs(begins - begin).min(initial=1.0) < same:
+                since = 0.0
             while elapsed[-1] < (mark - begin) * (1.0 - 1e-9):
-                step = min(
-                    max(_FIRST * quickest, _GROWTH * (since + elapsed[-1])), longest
-                )
-                elapsed.append(elapsed[-1] + step)
+                step = max(_FIRST * quickest, _GROWTH * (since + elapsed[-1]))
+                elapsed.append(elapsed[-1] + min(step, longest))
                 if len(t) + len(elapsed) > MOST_STEPS:
                     raise InputError(
                         f"programme: takes more than {MOST_STEPS} steps of the renewal equation"
                     )
             since += mark - begin
-            t += (
-                begin + np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])
-            ).tolist()
+            stretched = np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])
+            t += (begin + stretched).tolist()
             t[-1] = float(mark)
-            if (
-                min(np.abs(smooth - mark).min(), np.abs(kinks - mark).min(initial=1.0))
-                < _LEAST_INSTANT / 2
-            ):
+            if np.abs(np.append(smooth, kinks) - mark).min() < same:
                 marks.append(t[-1])
     return Edges(np.array(t), np.array(marks))
 
@@ -306,11 +287,7 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     unit = ensemble.thresholds.scale
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
-    before = (
-        programme.velocity
-        if programme.start == "stationary" and programme.velocity
-        else 0.0
-    )
+    before = (programme.start == "stationary" and programme.velocity) or 0.0
     legs(ensemble, programme)  # refuses what is out of range
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
     return reduced(ensemble, unit / time), Course(
@@ -345,16 +322,8 @@ class Numerics(NamedTuple):
     ) -> Path:
         """Through edges, arrays (edges,)."""
         cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
-        return Path(
-            t,
-            X,
-            self.width / fine,
-            _GROWTH / fine,
-            cohorts,
-            self.before,
-            choices,
-            NEVER,
-        )
+        width, share = self.width / fine, _GROWTH / fine
+        return Path(t, X, width, share, cohorts, self.before, choices, NEVER)
 
 
 def _typical(contacts: Reduced, reach: float) -> float:
@@ -362,9 +331,8 @@ def _typical(contacts: Reduced, reach: float) -> float:
     more than `reach`: thresholds beyond, such as stand for contacts that never break,
     do not count, nor does their mean if most are far less."""
     law = contacts.law
-    typical = (
-        min(law.mean, 2.0 * float(law.inverse_survival(math.log(2.0)))) / law.scale
-    )
+    median = float(law.inverse_survival(math.log(2.0)))
+    typical = min(law.mean, 2.0 * median) / law.scale
     if typical <= reach:
         return typical
     share = float(law.cdf(reach * law.scale))
@@ -377,34 +345,24 @@ def _typical(contacts: Reduced, reach: float) -> float:
 def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     """How to resolve contacts that are stretched by no more than `reach`. Raises
     InputError for contacts whose lives are too different for a stationary start."""
-    low, high = (
-        np.asarray(contacts.law.inverse_survival(np.array([0.17, 1.8])))
-        / contacts.law.scale
-    )  # two standard deviations
-    typical = (
-        contacts.law.mean / contacts.law.scale
-        if course.before
-        else _typical(contacts, reach)
-    )
-    width = _PATH * (
-        min(max(1.5 * (high - low), 0.02 * typical), typical) if high > low else typical
-    )
-    strongest = life = float(contacts.law.inverse_survival(36.0)) / contacts.law.scale
-    for _ in range(
-        50 if course.before else 0
-    ):  # towards the root of x = xi growth(x/v)
-        life = strongest * max(
-            1.0, float(contacts.aging.growth_at(np.array([life / course.before]))[0])
-        )
-    if course.before and life > _MOST_COHORTS * width:
+    law, aging, v = contacts.law, contacts.aging, course.before
+    # two standard deviations, and the strongest that counts
+    exponents = np.array([0.17, 1.8, 36.0])
+    low, high, strongest = np.asarray(law.inverse_survival(exponents)) / law.scale
+    typical = law.mean / law.scale if v else _typical(contacts, reach)
+    width = typical
+    if high > low:
+        width = min(max(1.5 * (high - low), 0.02 * typical), typical)
+    width, life = _PATH * width, float(strongest)
+    for _ in range(50 if v else 0):  # towards the root of x = xi growth(x/v)
+        life = strongest * max(1.0, float(aging.growth_at(np.array([life / v]))[0]))
+    if v and life > _MOST_COHORTS * width:
         raise InputError(
             "programme: contacts whose thresholds are thousands of times the width of their law still matter, and have "
             'no reference with start = "stationary"; start "fresh"'
         )
-    growth = _growth_of(
-        contacts, 1.0 + (life / course.before if course.before else 0.0)
-    )
-    return Numerics(contacts, typical, width, life, course.before, growth)
+    growth = _growth_of(contacts, 1.0 + (life / v if v else 0.0))
+    return Numerics(contacts, typical, width, life, v, growth)
 
 
 def solve(
@@ -413,53 +371,42 @@ def solve(
     """Times of kinks; and of edges, with what `march` finds there, on three grids, each
     with twice the steps of the one before."""
     reach = float(np.ptp(course.at(np.append(0.0, course.ends))))
-    numerics, ages = (
-        numerics_of(contacts, course, reach or math.inf),
-        np.geomspace(1e-15, 1.0, 1000),
-    )
-    grown = (
-        np.abs(
-            contacts.aging.growth_at(ages) / contacts.aging.growth_at(np.zeros(1)) - 1.0
-        )
-        > _GROWN
-    )
-    quickest = [
-        1.0,
-        contacts.delay.mean or 1.0,
-        float(ages[np.argmax(grown)]) if grown.any() else 1.0,
-    ]
-    quickest.append(
-        math.exp(-contacts.barrier.log_w) if contacts.barrier.thermal else 1.0
-    )
-    fixed = isinstance(contacts.delay, Fixed)
-    sharp = sharp_instants(
-        Corners(np.append(0.0, course.ends), course.at(np.append(0.0, course.ends))),
-        levels_of(contacts.law),
-        None if isinstance(contacts.aging, Unaged) else contacts.aging.growth_at,
+    numerics = numerics_of(contacts, course, reach or math.inf)
+    aging, delay, thermal = (
+        contacts.aging,
         contacts.delay.mean,
+        contacts.barrier.thermal,
+    )
+    ages = np.append(np.geomspace(1e-15, 1.0, 1000), 1.0)
+    growth = aging.growth_at(ages) / aging.growth_at(np.zeros(1))
+    grown = np.append(np.abs(growth[:-1] - 1.0) > _GROWN, True)
+    quickest = min(1.0, delay or 1.0, float(ages[np.argmax(grown)]))
+    if thermal:
+        quickest = min(quickest, math.exp(-contacts.barrier.log_w))
+    fixed, ages_change = (
+        isinstance(contacts.delay, Fixed),
+        not isinstance(aging, Unaged),
+    )
+    corners = np.append(0.0, course.ends)
+    sharp = sharp_instants(
+        Corners(corners, course.at(corners)),
+        levels_of(contacts.law),
+        aging.growth_at if ages_change else None,
+        delay,
         not fixed,
         course.before == 0.0,
-        bool(contacts.barrier.thermal or contacts.delay.mean)
-        or not isinstance(contacts.aging, Unaged),
+        bool(thermal or delay) or ages_change,
     )
-    t, kinks = _edges(
-        course,
-        numerics.width,
-        min(quickest),
-        contacts.delay.mean if fixed else 0.0,
-        sharp,
-    )
+    t, kinks = _edges(course, numerics.width, quickest, delay if fixed else 0.0, sharp)
 
     def on_grid(fine: int) -> tuple[Array, History]:
-        edges = np.interp(
-            np.arange(fine * (t.size - 1) + 1) / fine, np.arange(t.size), t
-        )
+        index = np.arange(fine * (t.size - 1) + 1) / fine
+        edges = np.interp(index, np.arange(t.size), t)
         path = numerics.path(edges, course.at(edges), fine)._replace(stop=threads.stop)
         return edges, march(numerics.contacts(fine), path)
 
-    with ThreadPool(
-        2
-    ) as threads:  # the finest takes as long as twice the others, or more
+    # the finest takes as long as twice the others, or more
+    with ThreadPool(2) as threads:
         finest, middle, coarse = threads.map(on_grid, (4, 2, 1))
     return kinks, [coarse, middle, finest]
 

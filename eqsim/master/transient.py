@@ -242,10 +242,9 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
     discrete = contacts.law.steps.size > 0
     least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
-    # every threshold of a discrete law takes time in every cell
-    finest = (
-        _FINEST // (4 * np.unique(contacts.law.steps).size) if discrete else _FINEST
-    )
+    finest = _FINEST
+    if discrete:  # every threshold takes time in every cell
+        finest //= 4 * np.unique(contacts.law.steps).size
     smooth = None if discrete and not contacts.newborn.active else profile_of(contacts)
     while True:
         cells = int(least)
@@ -272,11 +271,8 @@ def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]
     broken = -np.diff(profile.survive, prepend=1.0)
     quick, slow = middle_half(profile)
     cycle = contacts.delay.mean + slow
-    k = np.geomspace(
-        2 * math.pi / cycle,
-        max(100.0 / quick, 200.0 / cycle),
-        400 if profile.jumps else 50,
-    )
+    highest, count = max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50
+    k = np.geomspace(2 * math.pi / cycle, highest, count)
     many = broken > 1e-8
     broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
     phase = np.outer(k, profile.x[many] - 0.5 * width)
@@ -289,13 +285,11 @@ def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]
     at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
     share = together[np.minimum(at, k.size - 1)] ** m
     share[0] = 0.0
-    around = (
-        2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (contacts.delay.mean + quick))))
-        if profile.jumps
-        else 0
-    )
-    if profile.jumps and around * h < min(quick, contacts.delay.mean or quick):
-        share[:] = 0.0  # what is in step is longer than the grid blurs it
+    around, delay = 0, contacts.delay.mean
+    if profile.jumps:
+        around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (delay + quick))))
+        if around * h < min(quick, delay or quick):
+            share[:] = 0.0  # what is in step is longer than the grid blurs it
     return share, 2 * around + 1
 
 
@@ -325,10 +319,8 @@ def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive, first = (
-        np.append(1.0, profile.at(x[1:])[0]),
-        from_birth(profile, contacts, x, 1),
-    )
+    survive = np.append(1.0, profile.at(x[1:])[0])
+    first = from_birth(profile, contacts, x, 1)
     size = fft.next_fast_len(_AROUND * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -338,13 +330,11 @@ def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     def back(product: Array) -> Array:
         return np.asarray(fft.irfft(product, size)[:cells] / damping)
 
-    alive, work = (
-        transform(np.diff(profile.integral(x, power)[power]) / h) for power in (0, 1)
-    )
+    means = [np.diff(profile.integral(x, power)[power]) / h for power in (0, 1)]
+    alive, work = map(transform, means)
     waiting = transform(contacts.delay.waiting(h, cells))
-    z = _WRAPPED ** (1.0 / size) * np.exp(
-        -2j * math.pi / size * np.arange(waiting.size)
-    )
+    turns = np.exp(-2j * math.pi / size * np.arange(waiting.size))
+    z = _WRAPPED ** (1.0 / size) * turns
     reborn = 1.0 - (1.0 - z) * waiting
     breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
@@ -364,11 +354,8 @@ def _squares(
         births = means.breaks + np.diff(means.pinned) / x[1]
         first = from_birth(profile, contacts, x, 2)
         later = convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
-        found.append(
-            (first + np.append(0.0, later) + contacts.drag**2 * (1.0 - means.pinned))[
-                :: 3 - step
-            ]
-        )
+        waiting = contacts.drag**2 * (1.0 - means.pinned)
+        found.append((first + np.append(0.0, later) + waiting)[:: 3 - step])
     best, missed = _without_cells(*found)
     error = missed + profile.error * np.abs(best)
     return best, error + _beside_jumps(found[0]) if profile.jumps else error
@@ -463,11 +450,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
-    s, unit, distance = (
-        settled(ensemble, drive.velocity),
-        ensemble.thresholds.scale,
-        drive.over(ensemble),
-    )
+    s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
+    distance = drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError(
             'stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"'
@@ -509,22 +493,16 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     error = missed * (3 if profile.jumps else 1)
     # of a variance little is left where contacts hardly differ, but errors of a profile
     # are those of mean squares
-    error += (profile.error + cells.in_step) * (
-        np.abs(best).max() + mean**2
-    ) + missed_beyond[2, 2] / cycle
-    error += abs(
-        best[0] - known(exact.force_variance) / unit**2
-    )  # by another quadrature, as far as there is one
+    error += (profile.error + cells.in_step) * (np.abs(best).max() + mean**2)
+    error += missed_beyond[2, 2] / cycle
+    # by another quadrature, as far as there is one
+    error += abs(best[0] - known(exact.force_variance) / unit**2)
     if points > best.size:
         error += _between_edges(best)
     lag = np.linspace(0.0, distance, points)
-    return Fluctuations(
-        lag,
-        *(
-            np.interp(lag / unit, cells.x[::2], part) * unit**2
-            for part in (best, error)
-        ),
-    )
+    x = cells.x[::2]
+    columns = [np.interp(lag / unit, x, part) * unit**2 for part in (best, error)]
+    return Fluctuations(lag, *columns)
 
 
 def _beyond(profile: Profile, contacts: Reduced) -> tuple[Array, Array]:
@@ -548,9 +526,8 @@ def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
     total = CubicSpline(x, fresh).antiderivative()
     if contacts.delay.mean == 0:
         return total(x), np.zeros_like(x)
-    return _REBORN[type(contacts.delay)](
-        fresh, x, total, contacts.delay.mean, contacts.drag
-    )
+    reborn = _REBORN[type(contacts.delay)]
+    return reborn(fresh, x, total, contacts.delay.mean, contacts.drag)
 
 
 def _after_fixed(
@@ -558,9 +535,9 @@ def _after_fixed(
 ) -> tuple[Array, Array]:
     """`_reborn` after delays of the same length; `total` is the integral of `fresh`."""
     late = total(np.maximum(x - delay, 0.0))
-    return drag * np.minimum(x, delay) + late, drag * np.maximum(
-        1.0 - x / delay, 0.0
-    ) + (total(x) - late) / delay
+    left = np.maximum(1.0 - x / delay, 0.0)
+    force = drag * left + (total(x) - late) / delay
+    return drag * np.minimum(x, delay) + late, force
 
 
 def _after_exponential(
@@ -574,11 +551,8 @@ def _after_exponential(
     ratio = x[1] / delay
     keep, first = math.exp(-ratio), -math.expm1(-ratio)
     slope = 1.0 - first / ratio
-    y = lfilter(
-        [1.0],
-        [1.0, -keep],
-        np.append(0.0, (first - slope) * fresh[:-1] + slope * fresh[1:]),
-    )
+    gained = (first - slope) * fresh[:-1] + slope * fresh[1:]
+    y = lfilter([1.0], [1.0, -keep], np.append(0.0, gained))
     fading = np.exp(-x / delay)
     return drag * delay * (1.0 - fading) + total(x) - delay * y, drag * fading + y
 
