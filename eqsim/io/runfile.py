@@ -162,7 +162,7 @@ class RunFile:
         Where paths in the file start.
     """
 
-    given: dict[str, Any]
+    given: dict[str, Any] = field(compare=False)
     settings: dict[str, Any] = field(repr=False)
     text: str = field(default="", repr=False, compare=False)
     folder: Path = field(default=Path(), repr=False, compare=False)
