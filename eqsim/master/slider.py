@@ -77,6 +77,8 @@ _FATES = 128
 # stable: faster motions have ended within a step.
 _PIECE = 0.0625
 _PIECES = 24
+# A mass that next to nothing pulls back: one piece misses 2e-3 of how far it coasts.
+_PIECES_OF_A_MASS = 2
 # Times of the motion in a step beyond which what runs away is taken to be at infinity.
 _RUNAWAY = 30.0
 # The shortest step over the whole time: more than rounding.
@@ -172,10 +174,10 @@ def moved(
     fast = abs(stiffness) * dt
     if stiffness <= 0.0 and (fast > _RUNAWAY * slow or damping + mass == 0.0):
         return math.inf, math.inf
-    pieces = 1
+    pieces = 1 if mass == 0.0 else _PIECES_OF_A_MASS
     if slow > 0.0:
         most = _PIECES if stiffness > 0.0 else math.inf
-        pieces = math.ceil(max(min(fast / (_PIECE * slow), most), 1.0))
+        pieces = max(pieces, math.ceil(min(fast / (_PIECE * slow), most)))
     h, X = dt / pieces, 0.0
     inertia, spring = mass / h, stiffness * h
     # of both stages, in the velocities v1 and v2 at h/3 and h
