@@ -160,7 +160,7 @@ def test_command_on_processes(command):
 
 
 def test_command_refuses_in_one_line(command, monkeypatch, tmp_path):
-    def silent(**_):
+    def silent(*_, **__):
         raise TimeoutError("timed out")
 
     def refused(message, *args):
