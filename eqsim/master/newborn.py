@@ -43,6 +43,7 @@ from eqsim.master import annealed, quenched
 from eqsim.master.quenched import Moments, beyond, different_steps, kappa_of
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 METHOD = "joint kinetic equation, births stretched"
@@ -655,7 +656,7 @@ def _gaps(contacts: Reduced, bound: float, gap: Array, e: Array) -> Array:
     near = (gap < 0.1 * bound) & (e < 0.1)
     if not near.any():
         return gap
-    nodes, weights = np.polynomial.legendre.leggauss(5)
+    nodes, weights = gauss_legendre(5)
     scale = contacts.law.scale
     share = float(contacts.law.sf(bound * scale)) * -np.expm1(-e[near])
     g = share / max(float(contacts.law.pdf(bound * scale)) * scale, 1e-300)

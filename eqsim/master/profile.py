@@ -21,6 +21,7 @@ from eqsim.master import (
 from eqsim.master.solvers import solver
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 # Relative error of the panels that Gauss-Legendre nodes integrate between the jumps of
@@ -133,7 +134,7 @@ class _Steps:
             contacts,
             np.unique(np.append(quenched.panels_between_steps(contacts), x[x > 0])),
         )
-        nodes, weights = np.polynomial.legendre.leggauss(6)
+        nodes, weights = gauss_legendre(6)
         edge = np.append(0.0, self.x)
         half = 0.5 * np.diff(edge)[:, None]
         inner = edge[:-1, None] + half * (1 + nodes)

@@ -39,6 +39,7 @@ from eqsim.laws.threshold import ThresholdLaw
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
 from eqsim.model.drive import Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 from eqsim.validation.comparison import Asked, Found, Point, attempt
 from eqsim.validation.points import Suite
@@ -99,7 +100,7 @@ def nodes(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
     if law.steps.size:
         xi, count = np.unique(law.steps, return_counts=True)
         return xi, count / law.steps.size
-    x, weight = np.polynomial.legendre.leggauss(each)
+    x, weight = gauss_legendre(each)
     octave = 2.0 ** np.array(_OCTAVES)[:, None]
     e = (octave * (1.5 + 0.5 * x)).ravel()
     share = (0.5 * octave * weight).ravel() * np.exp(-e)
