@@ -1,4 +1,4 @@
-"""How far a run can go: `python -m analysis.limits` prints peak memory and time per
+"""Limits of a run: `python -m analysis.limits` prints peak memory and time per
 life, each case in a process of its own, for more and more contacts, points and lives of
 a contact."""
 
@@ -19,7 +19,7 @@ CASES = [
 
 
 class Measured(NamedTuple):
-    """Of one run: lives, nanoseconds per life and thread, peak memory of its process in
+    """Lives of a run, nanoseconds per life and thread, peak memory of its process in
     MB."""
 
     lives: int

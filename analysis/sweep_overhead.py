@@ -1,4 +1,4 @@
-"""What a sweep costs beyond its points: `python -m analysis.sweep_overhead` runs a grid
+"""Cost of a sweep beyond its points: `python -m analysis.sweep_overhead` runs a grid
 of velocity, temperature and delay (quenched contacts, relative error 1e-2) on all cores
 and prints time per point, in the engine and the reference, and in everything else
 (start of the workers included)."""

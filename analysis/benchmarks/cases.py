@@ -1,4 +1,4 @@
-"""What is timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and
+"""Contacts and sizes that are timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and
 warm, plain and general."""
 
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ CASES = [
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is timed; lengths in x_*. The stepped script gets fewer contacts, over a
+    """Sizes that are timed; lengths in x_*. The stepped script gets fewer contacts, over a
     shorter distance."""
 
     contacts: int = 100_000
@@ -78,7 +78,7 @@ class Sizes:
 
     @property
     def contact_steps(self) -> float:
-        """How many times more contact-steps the stepped script would need for the whole
+        """Factor by which the stepped script would need more contact-steps for the whole
         trajectory."""
         return (
             self.contacts

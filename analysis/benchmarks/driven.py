@@ -218,7 +218,7 @@ def stepped(case: Case, count: int, contacts: int, seed: int) -> float:
 def pulled(
     case: Case, contacts: int, points: int, seed: int, threads: int = 1
 ) -> tuple[float, int]:
-    """What `stepped` gives, by eqsim, and how many lives it took."""
+    """The trajectory of `stepped` by eqsim, and the lives that it took."""
     programme = Programme((Segment(10 * VELOCITY, distance=PULLED),), stage=STAGE)
     found = trajectory(
         case.ensemble(contacts), programme, points=points, seed=seed, threads=threads

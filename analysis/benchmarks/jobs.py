@@ -200,7 +200,7 @@ def summary(
 
 
 def calls(owner: type, name: str, run: Callable[[], object]) -> int:
-    """How often `run` calls a method of a class."""
+    """Number of times that `run` calls a method of a class."""
     with patch.object(
         owner, name, autospec=True, side_effect=getattr(owner, name)
     ) as counted:

@@ -35,7 +35,7 @@ STYLES = dict(zip(DELAYS, (SERIES[0], SERIES[3], SERIES[2], SERIES[4]), strict=T
 
 
 def name(model: str, v_d: float) -> str:
-    """Of a curve at fixed tau."""
+    """Name of a curve at fixed tau."""
     return f"{model}, tau = {X_INITIAL / C_0 / v_d:.4g}"
 
 

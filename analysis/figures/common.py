@@ -1,5 +1,5 @@
-"""What the figures share: a curve to compute, models of aging contacts, and how curves,
-particles and scores look."""
+"""Common parts of the figures: a curve to compute, models of aging contacts, and how
+curves, particles and scores look."""
 
 import math
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ class Curve:
         )
 
     def row(self) -> dict[str, Any]:
-        """What identifies it in the table."""
+        """Columns of the table that identify the curve."""
         contacts = self.ensemble
         aging = contacts.aging if contacts.aging.active else Aging()
         return {

@@ -115,7 +115,9 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
                 raise InputError(
                     f"{where}{name}_stderr is there without a value of {name}"
                 )
-        rows.append(Row(changes, kelvin / unit, cells.get("set", "").strip(), line.number))
+        rows.append(
+            Row(changes, kelvin / unit, cells.get("set", "").strip(), line.number)
+        )
         temperatures.append(kelvin)
     if not measured:
         raise InputError("fit.data: there is no measurement in it")

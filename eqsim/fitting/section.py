@@ -7,23 +7,44 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import pydantic
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from eqsim.errors import POSITIVE, InputError, meant, require_number, shown
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    meant,
+    require_number,
+    shown,
+)
 from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.laws.named import threshold_parameters
 
 # Free keys of a record that no contact knows, and their names in [fit].
 NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}
-# What a value that must be a section looks like.
+# Values of keys that must be sections.
 _EXAMPLES = {
-    "free": ", such as { bounds = [0.1, 10.0] }",
-    "scale": ", such as { start = 1.0, bounds = [0.01, 100.0] }, or a number",
+    "free": "{ bounds = [0.1, 10.0] }",
+    "prior": "{ normal = [mean, sd] }",
+    "scale": "{ start = 1.0, bounds = [0.01, 100.0] }, or a number",
+    "noise": "{ relative = 0.05, absolute = 0.0 }",
+    "record": '{ file = "step.csv" }',
 }
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, le=1e100, allow_inf_nan=False)]
-Positive = Annotated[float, Field(ge=1e-100, le=1e100, allow_inf_nan=False)]
+
+def _checked(**bounds: float) -> Any:
+    """Validate a number as `require_number` does."""
+
+    def check(value: float) -> float:
+        require_number("", value, **bounds)
+        return value
+
+    return AfterValidator(check)
+
+
+Finite = Annotated[float, _checked()]
+NotNegative = Annotated[float, _checked(**NOT_NEGATIVE)]
+Positive = Annotated[float, _checked(**POSITIVE)]
 
 
 class _Section(BaseModel):
@@ -149,13 +170,17 @@ class Parameter(NamedTuple):
         """The key's value, from the variable, any shape."""
         return _TRANSFORMS[self.transform].value(u)
 
+    def value_or_none(self, u: float | None) -> float | None:
+        """The key's value; None if there is none."""
+        return None if u is None else float(self.value(u))
+
     def variable(self, value: float) -> float:
         """The variable in which a value is fitted."""
         return _TRANSFORMS[self.transform].variable(value)
 
     @property
     def variable_name(self) -> str:
-        """What the variable is, such as "ln thermal.kT"."""
+        """The name of the variable, such as "ln thermal.kT"."""
         return _TRANSFORMS[self.transform].name.format(self.key)
 
 
@@ -228,9 +253,12 @@ def _explain(error: pydantic.ValidationError) -> str:
     if first["type"] == "missing":
         return f"{field}: is required"
     if first["type"] in ("model_type", "dict_type"):
-        return f"{field} = {value}: must be a section{_EXAMPLES.get(place[0], '')}"
+        example = _EXAMPLES[place[-1] if place[-1] in _EXAMPLES else place[0]]
+        return f"{field} = {value}: must be a section, such as {example}"
     allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
-    return f"{field} = {value}: {allowed}"
+    if first["type"] == "value_error":  # of `require_number`
+        allowed = allowed.partition(": ")[2]
+    return f"{field} = {value}: {allowed.replace('a valid string', 'text')}"
 
 
 def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
@@ -240,7 +268,7 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
         field = f"fit.free.{key}"
         if key in NUISANCES:
             if fit.record is None:
-                raise InputError(f"{field}: only of a record; these are tabulated data")
+                raise InputError(f"{field}: only of a record; there is no fit.record")
             value: Any = getattr(fit, NUISANCES[key])
             if "transform" not in free.model_fields_set:
                 free = free.model_copy(update={"transform": "linear"})

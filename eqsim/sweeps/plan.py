@@ -5,28 +5,20 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import pyarrow
+from pyarrow import parquet as pq
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
 from eqsim.laws.threshold import Table
-from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
+from eqsim.sweeps.rows import Task
 
 MOST_POINTS = 1_000_000
-
-
-class Task(NamedTuple):
-    """A point as a worker needs it."""
-
-    seed: int
-    ensemble: Ensemble
-    drive: Drive | Programme
-    points: int
-    replicas: int
 
 
 class Plan:
@@ -91,7 +83,7 @@ class Plan:
         return identity(point, ensemble)
 
     def changes(self, index: int) -> dict[str, Any]:
-        """What distinguishes a point from the run file."""
+        """Keys and values in which a point differs from the run file."""
         found: list[dict[str, Any]] = []
         for axis in reversed(self.axes):
             index, place = divmod(index, len(axis))
@@ -104,14 +96,9 @@ class Plan:
 
     def task(self, index: int) -> Task:
         """The point for a worker."""
-        point = self.at(index)
-        return Task(
-            seed_of(self.ids[index]),
-            point.ensemble,
-            point.drive,
-            point.output.points,
-            point.output.replicas,
-        )
+        point, seed = self.at(index), seed_of(self.ids[index])
+        points, replicas = point.output.points, point.output.replicas
+        return Task(seed, point.ensemble, point.drive, points, replicas)
 
 
 def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
@@ -224,9 +211,6 @@ def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
 def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     """Explicit points, one per row of a Parquet file; null: as in the run file. Raises
     InputError."""
-    import pyarrow
-    from pyarrow import parquet as pq
-
     wanted = "a Parquet file whose columns are keys"
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of {wanted}")

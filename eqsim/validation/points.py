@@ -51,7 +51,7 @@ _SHAPES = {
 
 
 class Suite(NamedTuple):
-    """How many parameter points, how many of them are also tested for fluctuations,
+    """Numbers of parameter points, of those that are also tested for fluctuations,
     contacts and ensembles of these tests in turn, the fewest contacts of a transient,
     for as long as they take fewer than `lives` lives, how many sliders on a few
     contacts behind a spring are followed, and the tolerance of their steps in holds."""

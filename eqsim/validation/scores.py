@@ -134,9 +134,9 @@ def compared(point: Point, plan: Suite) -> Found:
 
 
 def _followed(ensemble: Ensemble) -> bool:
-    """Whether there is a reference along programmes, and it takes no minutes, as of
-    quenched contacts that heat breaks and whose smooth law is so narrow that steps are
-    very short."""
+    """True if there is a reference along programmes. It takes minutes of quenched
+    contacts that heat breaks and whose smooth law is so narrow that steps are very
+    short: these are left out."""
     if ensemble.self_consistent or ensemble.fluctuates or ensemble.newborn.active:
         return False
     law, warm = ensemble.thresholds, ensemble.thermal.kT > 0.0
@@ -356,7 +356,7 @@ def programmes(point: Point, plan: Suite) -> Found:
 
 
 def _many(pilot: Array) -> bool:
-    """Whether many contacts make the mean of squares of which a pilot found these, in
+    """True if many contacts make the mean of squares of which a pilot found these, in
     _GROUPS groups: its relative error is as if _ENOUGH_SQUARES had equal parts, and is
     not of one group (as with tails so heavy that there is no error)."""
     off = (pilot - pilot.mean()) ** 2
@@ -367,7 +367,7 @@ def _many(pilot: Array) -> bool:
 
 
 def _drag(ensemble: Ensemble, v: float) -> float:
-    """What a detached contact adds to F/k, if there are any."""
+    """The drag of a detached contact over k, if there are any."""
     if not ensemble.delay.time:
         return 0.0
     return drag_of(ensemble, v) * ensemble.thresholds.scale

@@ -64,7 +64,7 @@ class Verdict:
 
 @dataclass(frozen=True, repr=False)
 class Validation:
-    """What a suite found.
+    """Result of a suite.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Whether every kind passes, and the program declined no more of any than it
+        """True if every kind passes, and the program declined no more of any than it
         made."""
         return all(verdict.passed for verdict in self.verdicts) and not self.declined
 
@@ -121,7 +121,7 @@ class Validation:
 
 
 def left_out(unscored: list[Unscored]) -> dict[str, dict[str, int]]:
-    """How many comparisons were not made, by kind and reason."""
+    """Numbers of comparisons that were not made, by kind and reason."""
     found: dict[str, dict[str, int]] = {}
     for one in unscored:
         reasons = found.setdefault(one.kind, {})
@@ -130,7 +130,7 @@ def left_out(unscored: list[Unscored]) -> dict[str, dict[str, int]]:
 
 
 def declined(kind: str, count: int, left: dict[str, dict[str, int]]) -> bool:
-    """Whether the program would not do, or not be trusted with, more comparisons of a
+    """True if the program would not do, or not be trusted with, more comparisons of a
     kind than were made."""
     return sum(left.get(kind, {}).get(reason, 0) for reason in DECLINED) > count
 
