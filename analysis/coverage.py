@@ -241,7 +241,7 @@ def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
 
 
 def binomial(sets: int, share: float) -> tuple[float, float]:
-    """Shares between which a fair count of `sets` falls but in one of a thousand cases."""
+    """Shares between which a fair count of `sets` falls in 999 of 1000 cases."""
     low, high = stats.binom.ppf([0.5e-3, 1.0 - 0.5e-3], sets, share)
     return low / sets, high / sets
 
@@ -267,7 +267,8 @@ def main() -> None:
         temperatures = " and ".join(
             "T" if heat == 1.0 else f"{heat:g} T" for heat in case.heats
         )
-        where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}, {case.decades:g} decades"
+        where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}"
+        where += f", {case.decades:g} decades"
         print(f"  {where:50s}", *(f"{found[key]:8.3g}" for key in COLUMNS))
     for name, made in COVERED.items():
         if asked.only not in (None, name):
@@ -294,7 +295,8 @@ def _said(covered: dict[str, float], sets: int) -> str:
 def _calibration(sets: int, seed: int) -> None:
     every = list(below(prior_problem(), sets, seed))
     print(
-        f"share of {sets} truths of the prior that intervals of the posterior hold, and whether ranks are uniform"
+        f"share of {sets} truths of the prior that intervals of the posterior hold, "
+        f"and whether ranks are uniform"
     )
     for key in every[0]:
         ranks = np.array([one[key] for one in every])
@@ -303,7 +305,8 @@ def _calibration(sets: int, seed: int) -> None:
             for level, (low, high) in posterior.SHARES.items()
         }
         print(
-            f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = {stats.kstest(ranks, 'uniform').pvalue:.2f}"
+            f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = "
+            f"{stats.kstest(ranks, 'uniform').pvalue:.2f}"
         )
 
 

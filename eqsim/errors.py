@@ -74,7 +74,8 @@ def require_package(extra: str, *packages: str) -> Any:
             found = import_module(package)
         except ImportError:
             raise InputError(
-                f'--{extra}: needs the package "{package}" (pip install "eqsim[{extra}]")'
+                f'--{extra}: needs the package "{package}" '
+                f'(pip install "eqsim[{extra}]")'
             ) from None
     return found
 

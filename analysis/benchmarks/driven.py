@@ -147,9 +147,14 @@ def along(
 
 @numba.njit
 def steps(
-    law: tuple[float, bool, bool], delay: float, stage: tuple[float, float, float], dt: float, count: int,
-    contacts: int, seed: int,
-) -> Array:  # fmt: skip
+    law: tuple[float, bool, bool],
+    delay: float,
+    stage: tuple[float, float, float],
+    dt: float,
+    count: int,
+    contacts: int,
+    seed: int,
+) -> Array:
     """<F>/(N k) after each of `count` steps of a slider without mass; `stage` is
     spring, damping and velocity."""
     np.random.seed(seed)  # noqa: NPY002

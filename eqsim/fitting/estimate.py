@@ -126,8 +126,8 @@ def _refusal(problem: Problem, u: Array) -> InputError | None:
 
 @dataclass(frozen=True)
 class Tasks:
-    """Independent tasks, and a folder of their results for a computation that is stopped
-    and begun again.
+    """Independent tasks, whose results are kept for a computation that is stopped and
+    begun again.
 
     Attributes
     ----------

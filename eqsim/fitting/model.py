@@ -242,7 +242,7 @@ class Problem:
         return np.asarray(self._factor(values) * raw + sum(added))
 
     def _column(self, index: int, raw: Array) -> Array:
-        """Derivative of predictions with respect to a parameter in which they are linear."""
+        """Derivative of predictions with respect to a linear parameter."""
         scaled = np.where(self.scale_of == index, raw, 0.0)
         return self.nuisance.get(self.keys[index], scaled)
 

@@ -45,11 +45,11 @@ class Plan:
                 "drive.file: a sweep has columns for the segments of a drive.programme "
                 "only"
             )
-        elastic = file["elastic"]
-        if elastic is not None and isinstance(elastic["blocks"], list):
-            blocks = shown(elastic["blocks"])
+        blocks = file["elastic.blocks"] if file["elastic"] else None
+        if isinstance(blocks, list):
             raise InputError(
-                f"elastic.blocks = {blocks}: a sweep has a column for chains only"
+                f"elastic.blocks = {shown(blocks)}: must be a number; a sweep has a "
+                "column for chains only"
             )
         self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
@@ -145,7 +145,7 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
 
 
 def swept(file: RunFile) -> set[str]:
-    """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
+    """The keys that a [sweep] table sets at every point. Raises InputError."""
     return _everywhere(_axes(file))
 
 
@@ -154,14 +154,13 @@ def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
 
 
 def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """TOML reads the unquoted key drive.velocity as a table; take it as it was meant."""
+    """Keys and values of a table, also those of unquoted keys such as drive.velocity,
+    which TOML reads as tables."""
     sections = {key.split(".")[0] for key in keys() if "." in key}
 
     def parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-        nested = isinstance(value, dict) and (
-            key in sections or key.startswith(("drive.programme", "drive.stage"))
-        )
-        if nested and not {"log", "linear"} & value.keys():
+        above = key in sections or key.startswith(("drive.programme", "drive.stage"))
+        if above and isinstance(value, dict) and not {"log", "linear"} & value.keys():
             for name, part in value.items():
                 yield from parts(f"{key}.{name}", part)
         else:
@@ -228,9 +227,7 @@ def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
             _refuse_unknown(key, file)
-    return [
-        {key: value for key, value in row.items() if value is not None} for row in rows
-    ]
+    return [{key: x for key, x in row.items() if x is not None} for row in rows]
 
 
 def identity(point: RunFile, ensemble: Ensemble) -> str:

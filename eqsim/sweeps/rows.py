@@ -26,6 +26,7 @@ from eqsim.results import RESULTS_VERSION
 # Observables of any segment of a programme, and of a velocity step.
 OF_SEGMENT = ("end", "peak", "at")
 OF_STEP = ("direct", "evolution", "memory")
+_TOO_SHORT = "the second half is too short, or not steady"
 
 
 class Task(NamedTuple):
@@ -60,7 +61,8 @@ def compute(
     this worker's results are not of `version`."""
     if version != RESULTS_VERSION:
         raise InputError(
-            f"a worker runs other code (results version {RESULTS_VERSION}, not {version})"
+            "a worker runs other code (results version "
+            f"{RESULTS_VERSION}, not {version})"
         )
     return [_row(task, asked, threads) for task in tasks]
 
@@ -102,7 +104,7 @@ def _steady(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
         return row | _no_reference(row, error)
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= _beside(name, found.averages()[name], level)
+        row |= _cells(name, found.averages()[name], level)
     return row
 
 
@@ -112,34 +114,27 @@ def _elastic(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
     found = elastic_trajectory(ensemble, drive, **how)
     exact, friction = reference(ensemble, replace(drive, elastic=None)), found.friction
     reliable = friction.reliable and found.size.reliable
-    row: dict[str, Any] = {
-        "lives": found.lives,
-        "status": "ok" if reliable else "unreliable",
-        "message": None if reliable else "the second half is too short, or not steady",
-        "reference_method": exact.method,
-        **_estimated("friction", friction),
-        **_beside("friction", friction, exact.friction),
-        **_estimated("size", found.size),
-        **_estimated("single", found.single),
-    }
+    row = _judged(found.lives, [] if reliable else [_TOO_SHORT])
+    row |= {"reference_method": exact.method}
+    row |= _cells("friction", friction, exact.friction)
+    size = single = None
     law = ensemble.thresholds
-    if law.steps.size:  # equal thresholds break together: no law of sizes is known
-        return row
-    few = missed_by_few(law, blocks.load, blocks.contacts_per_block(ensemble.count))
-    single = float(size_law(law, blocks.load, 1)[0])
-    size = Estimate(blocks.mean_size, abs(few.mean), 0)
-    row |= _beside("size", found.size, size)
-    return row | _beside("single", found.single, Estimate(single, abs(few.single), 0))
+    if not law.steps.size:  # equal thresholds break together: no law of sizes is known
+        few = missed_by_few(law, blocks.load, blocks.contacts_per_block(ensemble.count))
+        size = Estimate(blocks.mean_size, abs(few.mean), 0)
+        alone = float(size_law(law, blocks.load, 1)[0])
+        single = Estimate(alone, abs(few.single), 0)
+    return (
+        row | _cells("size", found.size, size) | _cells("single", found.single, single)
+    )
 
 
 def _programme(task: Task, programme: Programme, how: dict[str, Any]) -> dict[str, Any]:
     found = trajectory(task.ensemble, programme, **how)
-    row: dict[str, Any] = {"lives": found.lives, "status": "ok", "message": None}
-    if not found.force_reliable:
-        said = "error bars of forces cannot be trusted"
-        row |= {"status": "unreliable", "message": said}
     if isinstance(found, SliderTrajectory):
-        return row | _slips(found)
+        return _slips(found)
+    doubt = "error bars of forces cannot be trusted"
+    row = _judged(found.lives, [] if found.force_reliable else [doubt])
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, task.points)
@@ -151,23 +146,18 @@ def _programme(task: Task, programme: Programme, how: dict[str, Any]) -> dict[st
     for index, segment in enumerate(found.segments):
         levels = _of_segment(exact[index]) if exact else {}
         for name, ours in _of_segment(segment).items():
-            row |= _estimated(f"segment_{index}_{name}", ours)
-            if name in levels:
-                row |= _beside(f"segment_{index}_{name}", ours, levels[name])
+            row |= _cells(f"segment_{index}_{name}", ours, levels.get(name))
     return row
 
 
 def _slips(found: SliderTrajectory) -> dict[str, Any]:
-    """Columns of the slips of a slider that a stage pulls."""
+    """Columns of the slips of a slider that a stage pulls; its forces are not asked
+    for."""
     period, drop = found.period, found.drop
     few = not period.reliable and not period.n == drop.n == 0
-    return {
-        "status": "unreliable" if few else "ok",
-        "message": "few slips" if few else None,
-        "slips": len(found.slips),
-        **_estimated("period", period),
-        **_estimated("drop", drop),
-    }
+    row = _judged(found.lives, ["few slips"] if few else [])
+    row |= {"slips": len(found.slips)}
+    return row | _cells("period", period) | _cells("drop", drop)
 
 
 def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
@@ -179,16 +169,21 @@ def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
 
 def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:
     """Columns of estimates, and what is wrong with them besides `problems`."""
-    row: dict[str, Any] = {"lives": lives}
-    doubtful = []
-    for name, e in averages.averages().items():
-        row |= _estimated(name, e)
-        doubtful += [name] * (not (e.reliable or e.diverges))
+    every = averages.averages()
+    doubtful = [name for name, e in every.items() if not (e.reliable or e.diverges)]
     if doubtful:
         said = f"error bars of {', '.join(doubtful)} cannot be trusted"
         problems = [said, *problems]
-    row["status"] = "unreliable" if problems else "ok"
-    return row | {"message": "; ".join(problems) or None}
+    row = _judged(lives, problems)
+    for name, e in every.items():
+        row |= _cells(name, e)
+    return row
+
+
+def _judged(lives: int, problems: list[str]) -> dict[str, Any]:
+    """Columns that say whether a row can be trusted."""
+    status = "unreliable" if problems else "ok"
+    return {"lives": lives, "status": status, "message": "; ".join(problems) or None}
 
 
 def _no_reference(row: dict[str, Any], error: InputError) -> dict[str, str]:
@@ -197,22 +192,21 @@ def _no_reference(row: dict[str, Any], error: InputError) -> dict[str, str]:
     return {"message": "; ".join(filter(None, said))}
 
 
-def _estimated(name: str, e: Estimate) -> dict[str, Any]:
-    """Columns of an estimate; the schema leaves out those that it has not."""
-    return {
-        name: e.value,
-        f"{name}_stderr": e.stderr,
-        f"{name}_dof": e.dof,
-        f"{name}_reliable": e.reliable,
+def _cells(name: str, ours: Estimate, level: Estimate | None = None) -> dict[str, Any]:
+    """Columns of an estimate, and of a reference; the schema leaves out those that it
+    has not."""
+    cells = {
+        name: ours.value,
+        f"{name}_stderr": ours.stderr,
+        f"{name}_dof": ours.dof,
+        f"{name}_reliable": ours.reliable,
     }
-
-
-def _beside(name: str, ours: Estimate, level: Estimate) -> dict[str, Any]:
-    """Columns of a reference, and how far our estimate is from it."""
+    if level is None:
+        return cells
     z = None
     if level.value is not None:
         z = z_score(ours, level.value, level.stderr or 0.0)
-    return {
+    return cells | {
         f"{name}_reference": level.value,
         f"{name}_reference_error": level.stderr,
         f"{name}_z": z,

@@ -1,12 +1,5 @@
 """Comparisons of a slider that a stage pulls through a spring, where contacts are few,
-or where it moves in avalanches:
-
-    hold             pinned share of one or two contacts after a hold of the stage, or of a hundred behind a spring
-                     that is all but rigid, against the exact law
-    pieces           pinned share of 2 to 100 contacts after the same hold, looked at once, against 50 times
-    steps            displacement of a slider on 10 to 100 contacts with steps as coarse as allowed, against fine ones
-    avalanche        breaks of an avalanche of a quasi-static slider in the mean, against `master.avalanche_sizes`
-    single break     fraction of avalanches that are a single break, likewise
+or where it moves in avalanches. Each function says what it compares.
 
 The mean field is exact for infinitely many contacts only: a break of one of a few moves
 the slider and stretches all others. Without mass and damping the slider is in balance
@@ -229,8 +222,9 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
 
 @compares("hold")
 def holds(point: Point, plan: Suite) -> Found:
-    """The pinned share of one or two contacts after a hold, all detached ones of which
-    stay so."""
+    """The pinned share of one or two contacts after a hold of the stage, or of a hundred
+    behind a spring that is all but rigid, against the exact law; all detached ones stay
+    so."""
     rng = point.rng(6)
     held = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     counts = [1, 2, _RIGID] if plan.replicas >= _REPLICAS_OF_ONE else [2, _RIGID]
@@ -314,8 +308,9 @@ def steps(point: Point, plan: Suite) -> Found:
 
 @compares("avalanche", "single break")
 def avalanches(point: Point, plan: Suite) -> Found:
-    """Avalanches of sliders that a stage pulls quasi-statically, from a stationary
-    start over three mean thresholds."""
+    """Breaks of an avalanche in the mean, and the fraction of single breaks, of sliders
+    that a stage pulls quasi-statically over three mean thresholds from a stationary
+    start, against `master.avalanche_sizes`."""
     kappa = float(10 ** point.rng(9).uniform(-0.6, 0.6))
     law, stiffness = point.ensemble.thresholds, point.ensemble.stiffness_law
     xi, share = nodes(law, _PER_OCTAVE[1])

@@ -1,25 +1,14 @@
-"""The comparisons made at one parameter point: each difference between contacts and the
-master equation as a score z in units of the quoted errors,
+"""Comparisons of contacts along a given drive with the master equation, as scores z in
+units of the quoted errors. Each function says what it compares.
 
-    friction, pinned, break_stretch    steady averages, rel_error 1e-4 (of `langevin` contacts from 65 536 lives)
-    transient                          F(X) from a fresh start, every X from its own ensemble, over 5 mean thresholds
-                                       or 2 lives and delays
-    transient variance                 variance over contacts of the force of one, at the same X
-    programme, programme variance      the same at the ends of steps, holds, crawls, jitter and reversals of a programme
-    hazard                             the integrated hazard at breaking is Exp(1): events less hazard, over its root
-    hazard law                         the whole law of it, by Kolmogorov and Smirnov, as the normal score of p
-    mean, variance, covariance         stationary F/(N k) at N = 20, 100, 10 000, the covariance at half a mean life
-
-Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias is
-below 1e-3, which is part of the quoted error: it does little to scores from 65 536
-lives, most of which are good to 1e-3 to 5e-3 without it, and counts where they are
-better, because thresholds hardly move. Their hazard is not known path by path; the
-whole law of x_b, S(x_b) uniform, stands in for it. Fluctuations of aging quenched
-contacts whose stiffness follows their thresholds (sqrt law) have no reference, nor have
-`langevin` contacts and annealed ones that age along programmes; of discrete laws the
-renewal equation in two times says little, as equal thresholds break together. Births of
-annealed contacts that age are found once a point, with the steady averages, and then
-held.
+Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias,
+below 1e-3, is part of the quoted error. Their hazard is not known path by path; the
+whole law of x_b, S(x_b) uniform, stands in for it. There is no reference for
+fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
+law), nor for `langevin` contacts and annealed ones that age along programmes. Of
+discrete laws the renewal equation in two times says little, as equal thresholds break
+together. Births of annealed contacts that age are found once a point, with the steady
+averages, and then held.
 
 Some quoted errors are bounds: what all randomisations may miss of a few thresholds,
 tables of laws whose density jumps, grids where F jumps, because equal thresholds break
@@ -154,7 +143,8 @@ def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
 
 
 def averages(point: Point, found: Steady) -> Found:
-    """Compare steady averages."""
+    """Steady averages, to a relative error of 1e-4, or of `langevin` contacts from
+    65 536 lives."""
     exact = reference(point.ensemble, Drive(point.velocity), variance=True).averages()
     scores: Found = []
     for name, ours in found.averages().items():
@@ -336,8 +326,8 @@ def _pieces(
 
 @compares("programme", "programme variance", each=_SEGMENTS)
 def programmes(point: Point, plan: Suite) -> Found:
-    """The end of each segment of a programme, from an ensemble of its own, and from
-    another its variance."""
+    """The force at the end of each segment of a programme (steps, holds, crawls, jitter,
+    reversals), from an ensemble of its own, and from another its variance."""
     whole, same, ends, moved = programme_of(point)
     sized = _affordable(point, plan, whole, 100_000, 4e6)
     try:
@@ -464,8 +454,9 @@ def _pooled(s: Reduced, x: Array) -> Array:
 
 @compares("mean", "variance", "covariance")
 def fluctuating(point: Point, plan: Suite) -> Found:
-    """Mean, variance and one autocovariance of F/(N k) of stationary ensembles. Raises
-    InputError where lives are too rare and too long to be found."""
+    """Mean, variance and the autocovariance at half a mean life of F/(N k) of
+    stationary ensembles of 20, 100 or 10 000 contacts. Raises InputError where lives
+    are too rare and too long to be found."""
     turn = point.number // (plan.points // plan.wide)
     count, ensembles = plan.sizes[turn % len(plan.sizes)]
     ensemble, shown, v = point.ensemble, point.shown, point.velocity
