@@ -178,8 +178,10 @@ def main(
                 if row.maximum
                 else "no maximum inside the curve"
             )
-            + f": f_k = {row.f_k:.7g} ± {row.error:.1g}, particles {row.particles:.6g} ± {row.particles_stderr:.1g} "
-            f"(z = {row.z:+.2f}); {row.fall_low:.1f} % lower at v = {LOW:g}, {row.fall_high:.1f} % at v = {HIGH:g}"
+            + f": f_k = {row.f_k:.7g} ± {row.error:.1g}, particles "
+            f"{row.particles:.6g} ± {row.particles_stderr:.1g} "
+            f"(z = {row.z:+.2f}); {row.fall_low:.1f} % lower at v = {LOW:g}, "
+            f"{row.fall_high:.1f} % at v = {HIGH:g}"
         )
 
 

@@ -1,5 +1,5 @@
-"""What steady friction can tell, expected (Fisher information), and whether intervals
-of fits cover the truth.
+"""Expected errors of what steady friction tells (Fisher information), and the coverage
+of intervals of fits.
 
     python -m analysis.coverage [--sets 40] [--seed 1] [--only NAME] [--posterior]
 
@@ -26,10 +26,11 @@ from eqsim import Ensemble, Gamma, Thermal
 from eqsim.fitting import posterior
 from eqsim.fitting.data import Row, Table
 from eqsim.fitting.estimate import covariance, minimise
-from eqsim.fitting.model import Problem, problem_of
+from eqsim.fitting.fit import problem_of
+from eqsim.fitting.model import Problem
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import record_problem, settled
-from eqsim.fitting.section import parameters_of, section_of
+from eqsim.fitting.record import settled
+from eqsim.fitting.section import section_of
 from eqsim.io.runfile import check
 
 NOISE, VELOCITIES, N = 0.05, 12, 1.0
@@ -48,7 +49,7 @@ class Case(NamedTuple):
 
     @property
     def velocities(self) -> np.ndarray:
-        """Of each temperature."""
+        """Velocities of the measurements at each temperature."""
         center = 1e-2
         if self.disorder == "annealed":
             contacts = Ensemble(
@@ -85,24 +86,14 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
         },
     }
     file = check(content)
-    fit = section_of(file)
     rows = [
         Row((("drive.velocity", float(v)),), heat, "")
         for heat in case.heats
         for v in case.velocities
     ]
-    ones = np.ones(len(rows))
-    table = Table(
-        rows,
-        np.arange(len(rows)),
-        ["friction"] * len(rows),
-        ones,
-        ones,
-        ["drive.velocity"],
-        ones,
-        "",
-    )
-    found = problem_of(file, fit, table, parameters_of(file, fit))
+    n, ones, names = len(rows), np.ones(len(rows)), ["drive.velocity"]
+    table = Table(rows, np.arange(n), ["friction"] * n, ones, ones, names, ones, "")
+    found = problem_of(file, section_of(file), table)
     exact = found.given(found.start)
     return replace(found, value=exact, sigma=NOISE * exact)
 
@@ -162,16 +153,13 @@ def record() -> Problem:
     """A velocity step of contacts at T = 0 that strengthen as ln t, through a spring:
     81 points, exact."""
     file = check(tomllib.loads(RECORD))
-    fit, time = section_of(file), np.linspace(0.0, 5.0, 81)
-    ones = np.ones(time.size)
-    table = Table(
-        [], np.zeros(time.size, int), [], ones, 0.003 * ones, [], ones, "", time
-    )
-    found = record_problem(file, fit, table, parameters_of(file, fit))
+    time = np.linspace(0.0, 5.0, 81)
+    ones, rows, names = np.ones(81), [Row((), 1.0, "")], ["friction"] * 81
+    row_of = np.zeros(81, int)
+    table = Table(rows, row_of, names, ones, 0.003 * ones, [], ones, "", time)
+    found = problem_of(file, section_of(file), table)
     found = settled(found, found.start)
-    return replace(
-        found, value=found.given(found.start), correlation=np.full(time.size - 1, RHO)
-    )
+    return replace(found, value=found.given(found.start), correlation=np.full(80, RHO))
 
 
 COVERED = {
@@ -201,7 +189,7 @@ def sample(exact: Problem, rng: np.random.Generator) -> Problem:
 
 
 def rises(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
-    """Of each synthetic data set and key: by how much the least chi-square with the key
+    """Rise of chi-square in each synthetic data set, by key: how much the least with it
     at its true value exceeds that with all free. An interval holds the truth if this is
     below its level."""
     rng = np.random.default_rng(seed)
@@ -233,7 +221,7 @@ def prior_problem() -> Problem:
 
 
 def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
-    """Of each data set and key: the share of the posterior below the truth, which comes
+    """Share of the posterior below the truth in each data set, by key; the truth comes
     from the prior."""
     rng = np.random.default_rng(seed)
     for _ in range(sets):
@@ -253,7 +241,7 @@ def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
 
 
 def binomial(sets: int, share: float) -> tuple[float, float]:
-    """Shares between which a fair count of `sets` falls but in one of a thousand cases."""
+    """Shares between which a fair count of `sets` falls in 999 of 1000 cases."""
     low, high = stats.binom.ppf([0.5e-3, 1.0 - 0.5e-3], sets, share)
     return low / sets, high / sets
 
@@ -279,7 +267,8 @@ def main() -> None:
         temperatures = " and ".join(
             "T" if heat == 1.0 else f"{heat:g} T" for heat in case.heats
         )
-        where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}, {case.decades:g} decades"
+        where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}"
+        where += f", {case.decades:g} decades"
         print(f"  {where:50s}", *(f"{found[key]:8.3g}" for key in COLUMNS))
     for name, made in COVERED.items():
         if asked.only not in (None, name):
@@ -306,7 +295,8 @@ def _said(covered: dict[str, float], sets: int) -> str:
 def _calibration(sets: int, seed: int) -> None:
     every = list(below(prior_problem(), sets, seed))
     print(
-        f"share of {sets} truths of the prior that intervals of the posterior hold, and whether ranks are uniform"
+        f"share of {sets} truths of the prior that intervals of the posterior hold, "
+        f"and whether ranks are uniform"
     )
     for key in every[0]:
         ranks = np.array([one[key] for one in every])
@@ -315,7 +305,8 @@ def _calibration(sets: int, seed: int) -> None:
             for level, (low, high) in posterior.SHARES.items()
         }
         print(
-            f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = {stats.kstest(ranks, 'uniform').pvalue:.2f}"
+            f"  {key:28s} {_said(covered, sets)}; Kolmogorov-Smirnov p = "
+            f"{stats.kstest(ranks, 'uniform').pvalue:.2f}"
         )
 
 

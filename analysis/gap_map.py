@@ -106,7 +106,8 @@ def main(
     (out / "gap_map.png").write_bytes(style.saved(picture(frame)))
     close = (frame.ratio - 1).abs() < 0.01
     print(
-        f"the ensembles agree to 1 % at {close.mean():.0%} of the plane; ratio up to {frame.ratio.max():.3g}"
+        f"the ensembles agree to 1 % at {close.mean():.0%} of the plane; ratio up to "
+        f"{frame.ratio.max():.3g}"
     )
 
 

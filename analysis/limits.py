@@ -1,4 +1,4 @@
-"""How far a run can go: `python -m analysis.limits` prints peak memory and time per
+"""Limits of a run: `python -m analysis.limits` prints peak memory and time per
 life, each case in a process of its own, for more and more contacts, points and lives of
 a contact."""
 
@@ -19,7 +19,7 @@ CASES = [
 
 
 class Measured(NamedTuple):
-    """Of one run: lives, nanoseconds per life and thread, peak memory of its process in
+    """Lives of a run, nanoseconds per life and thread, peak memory of its process in
     MB."""
 
     lives: int
@@ -55,11 +55,13 @@ def measure(contacts: int, distance: float, points: int) -> Measured:
 
 if __name__ == "__main__":
     print(
-        f"{'contacts':>12}{'distance/x_*':>14}{'points':>12}{'lives':>12}{'ns/life':>12}{'peak MB':>10}"
+        f"{'contacts':>12}{'distance/x_*':>14}{'points':>12}{'lives':>12}"
+        f"{'ns/life':>12}{'peak MB':>10}"
     )
     for case in CASES:
         lives, ns, megabytes = measure(*case)
         print(
-            f"{case[0]:12,}{case[1]:14g}{case[2]:12,}{lives:12.3g}{ns:12.4g}{megabytes:10.0f}",
+            f"{case[0]:12,}{case[1]:14g}{case[2]:12,}{lives:12.3g}"
+            f"{ns:12.4g}{megabytes:10.0f}",
             flush=True,
         )

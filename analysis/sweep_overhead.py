@@ -1,4 +1,4 @@
-"""What a sweep costs beyond its points: `python -m analysis.sweep_overhead` runs a grid
+"""Cost of a sweep beyond its points: `python -m analysis.sweep_overhead` runs a grid
 of velocity, temperature and delay (quenched contacts, relative error 1e-2) on all cores
 and prints time per point, in the engine and the reference, and in everything else
 (start of the workers included)."""
@@ -44,10 +44,12 @@ def main(
     inside = found["point_seconds"] / found["points"]
     outside = (found["seconds"] * workers - found["point_seconds"]) / found["points"]
     print(
-        f"{found['points']} points in {found['seconds']:.0f} s on {workers} workers, {found['failed']} failed"
+        f"{found['points']} points in {found['seconds']:.0f} s on {workers} workers, "
+        f"{found['failed']} failed"
     )
     print(
-        f"per point and worker: {1e3 * inside:.1f} ms engine and reference, {1e3 * outside:.1f} ms everything else"
+        f"per point and worker: {1e3 * inside:.1f} ms engine and reference, "
+        f"{1e3 * outside:.1f} ms everything else"
     )
 
 

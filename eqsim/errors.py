@@ -45,14 +45,16 @@ def shown(value: Any) -> str:
     return _Brief().repr(value)
 
 
-def meant(name: str, known: Iterable[str]) -> str:
+def meant(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """A hint which of the `known` keys, section.key or bare, may have been meant by
-    `name`; "" if none is close."""
+    `name`. If none is close it lists all after the words `otherwise`, or is empty."""
     known = list(known)
     last = name.rpartition(".")[2].lower()
     close = [key for key in known if key.rpartition(".")[2].lower() == last]
     close += difflib.get_close_matches(name, known, 1)
-    return f'did you mean "{close[0]}"?' if close else ""
+    if close:
+        return f'did you mean "{close[0]}"?'
+    return otherwise and otherwise + ", ".join(known)
 
 
 @contextmanager
@@ -72,7 +74,8 @@ def require_package(extra: str, *packages: str) -> Any:
             found = import_module(package)
         except ImportError:
             raise InputError(
-                f'--{extra}: needs the package "{package}" (pip install "eqsim[{extra}]")'
+                f'--{extra}: needs the package "{package}" '
+                f'(pip install "eqsim[{extra}]")'
             ) from None
     return found
 

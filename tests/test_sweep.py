@@ -43,9 +43,9 @@ from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps import rows as rows_module
 from eqsim.sweeps import store as store_module
 from eqsim.sweeps.plan import Plan, seed_of, swept
-from eqsim.sweeps.rows import SCHEMA, Asked, schema
+from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import Scheduler, sweep
-from eqsim.sweeps.store import Store
+from eqsim.sweeps.store import SCHEMA, Store, schema
 from eqsim.sweeps.workers import Workers
 
 GRID = (
@@ -218,7 +218,7 @@ def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
         (found, None),
     ):
         monkeypatch.setattr(
-            "eqsim.engine.steady.steady", lambda *_, result=result, **__: result
+            "eqsim.sweeps.rows.steady", lambda *_, result=result, **__: result
         )
         row = rows_module._row(task, Asked(), 1)
         assert (row["status"], row["message"]) == ("unreliable" if said else "ok", said)

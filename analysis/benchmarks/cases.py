@@ -1,5 +1,5 @@
-"""What is timed: contacts with k = omega = x_* = 1 and n = 1 at v = 0.01, cold and
-warm, plain and general."""
+"""Contacts and sizes that are timed: k = omega = x_* = 1 and n = 1 at v = 0.01, cold
+and warm, plain and general."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -56,8 +56,8 @@ CASES = [
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is timed; lengths in x_*. The stepped script gets fewer contacts, over a
-    shorter distance."""
+    """Sizes that are timed; lengths in x_*. The stepped script gets fewer contacts,
+    over a shorter distance."""
 
     contacts: int = 100_000
     distance: float = 200.0
@@ -78,8 +78,8 @@ class Sizes:
 
     @property
     def contact_steps(self) -> float:
-        """How many times more contact-steps the stepped script would need for the whole
-        trajectory."""
+        """Factor by which the stepped script would need more contact-steps for the
+        whole trajectory."""
         return (
             self.contacts
             * self.distance

@@ -147,9 +147,14 @@ def along(
 
 @numba.njit
 def steps(
-    law: tuple[float, bool, bool], delay: float, stage: tuple[float, float, float], dt: float, count: int,
-    contacts: int, seed: int,
-) -> Array:  # fmt: skip
+    law: tuple[float, bool, bool],
+    delay: float,
+    stage: tuple[float, float, float],
+    dt: float,
+    count: int,
+    contacts: int,
+    seed: int,
+) -> Array:
     """<F>/(N k) after each of `count` steps of a slider without mass; `stage` is
     spring, damping and velocity."""
     np.random.seed(seed)  # noqa: NPY002
@@ -218,7 +223,7 @@ def stepped(case: Case, count: int, contacts: int, seed: int) -> float:
 def pulled(
     case: Case, contacts: int, points: int, seed: int, threads: int = 1
 ) -> tuple[float, int]:
-    """What `stepped` gives, by eqsim, and how many lives it took."""
+    """The trajectory of `stepped` by eqsim, and the lives that it took."""
     programme = Programme((Segment(10 * VELOCITY, distance=PULLED),), stage=STAGE)
     found = trajectory(
         case.ensemble(contacts), programme, points=points, seed=seed, threads=threads

@@ -47,7 +47,7 @@ def interleaved(contenders: dict[str, Contender], repeats: int, seed: int) -> Ro
 
 
 def accuracy(ensemble: Ensemble, velocity: float, lives: int) -> float:
-    """The relative error that some 0.7 to 1.4 times so many plainly drawn lives give."""
+    """The relative error of some 0.7 to 1.4 times so many plainly drawn lives."""
     friction = steady(ensemble, Drive(velocity), rel_error=1.0, plain=True).friction
     return (
         1.3 * friction.stderr / friction.value * math.sqrt(friction.n / (0.7 * lives))
@@ -200,7 +200,7 @@ def summary(
 
 
 def calls(owner: type, name: str, run: Callable[[], object]) -> int:
-    """How often `run` calls a method of a class."""
+    """Number of times that `run` calls a method of a class."""
     with patch.object(
         owner, name, autospec=True, side_effect=getattr(owner, name)
     ) as counted:

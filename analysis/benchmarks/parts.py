@@ -266,7 +266,7 @@ def main(
         typer.Option("--quick", help="Small sizes: a smoke test, not a measurement."),
     ] = False,
 ) -> None:
-    """Time eqsim and rival C part by part, print a table, and write table and picture."""
+    """Time eqsim and rival C part by part; print and write a table, draw a picture."""
     console, sizes = (
         Console(),
         QUICK if quick else Sizes(contacts=20_000, scalar_lives=1_000_000),

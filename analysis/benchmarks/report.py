@@ -23,9 +23,10 @@ def short(ratio: float) -> str:
 
 
 def target(row: pd.Series) -> str:
-    """What the ratio to C should be, on one thread and on several, and whether it is."""
+    """The ratio to C that is wanted, on one thread and on several, and if it is met."""
     met = [row["C"] >= row["wanted"], row["C_both_threads"] >= row["wanted"]]
-    return f"{row['wanted']:.2f} {'met' if all(met) else 'in part' if any(met) else 'missed'}"
+    said = "met" if all(met) else "in part" if any(met) else "missed"
+    return f"{row['wanted']:.2f} {said}"
 
 
 def bias(row: pd.Series) -> str:
@@ -73,25 +74,36 @@ BARS = {  # figure: label and colour
 def notes(sizes: Sizes, threads: int) -> str:
     """How to read the figures."""
     return (
-        f"Medians over {sizes.repeats} interleaved rounds (plain averages: {sizes.plain_repeats}). A, B, C: seconds "
+        f"Medians over {sizes.repeats} interleaved rounds (plain averages: "
+        f"{sizes.plain_repeats}). A, B, C: seconds "
         "per second of eqsim, one thread each.\n"
-        f"A: NumPy script in steps of {STEP} x_*, {sizes.stepped_contacts} contacts over {sizes.stepped_distance:g} "
+        f"A: NumPy script in steps of {STEP} x_*, {sizes.stepped_contacts} contacts "
+        f"over {sizes.stepped_distance:g} "
         f"x_*, scaled by contact-steps (x{sizes.contact_steps:g}).\n"
-        f"B: scalar numba kernel of the same algorithm, mean force only; steady averages: plain Monte Carlo of "
-        f"{sizes.scalar_lives:.0e} lives,\n   compared per life, or scaled to as many as the asked error takes.\n"
-        "C: the same work by hand in C: eqsim's generator, exact lives, all that eqsim records; the limit of the "
+        f"B: scalar numba kernel of the same algorithm, mean force only; steady "
+        f"averages: plain Monte Carlo of "
+        f"{sizes.scalar_lives:.0e} lives,\n   compared per life, or scaled to as many "
+        f"as the asked error takes.\n"
+        "C: the same work by hand in C: eqsim's generator, exact lives, all that "
+        "eqsim records; the limit of the "
         "machine. wanted: least C.\n"
-        f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} threads over seconds on one "
+        f"s, ns: seconds of eqsim, nanoseconds per life. thr.: seconds on {threads} "
+        f"threads over seconds on one "
         f"({1 / threads:.2f} is ideal).\n"
-        f"Programme: B follows {sizes.scalar_contacts} contacts from event to event (scaled by contacts) and keeps the "
-        "forces at the ends of segments;\n   z: the farthest from 0 of these ten. P: time per life over that of a "
+        f"Programme: B follows {sizes.scalar_contacts} contacts from event to event "
+        f"(scaled by contacts) and keeps the "
+        "forces at the ends of segments;\n   z: the farthest from 0 of these ten. P: "
+        "time per life over that of a "
         "constant drive.\n"
-        f"Spring: {sizes.pulled_contacts} contacts, no slips; B follows all of them, too, in as many steps as eqsim "
-        "takes, but of one length,\n   and by the rate in the middle of a step. ns/step: nanoseconds of eqsim per step "
+        f"Spring: {sizes.pulled_contacts} contacts, no slips; B follows all of them, "
+        f"too, in as many steps as eqsim "
+        "takes, but of one length,\n   and by the rate in the middle of a step. "
+        "ns/step: nanoseconds of eqsim per step "
         "and contact.\n"
         "C on thr.: seconds of C per second of eqsim, both on so many threads.\n"
         "bias, z: of the rival's friction against eqsim's.\n"
-        "singly: seconds of twelve single solves over those of one for all. bytes: how much more peak memory "
+        "singly: seconds of twelve single solves over those of one for all. bytes: "
+        "how much more peak memory "
         f"{sizes.many:.0e} contacts take than 1000, per contact."
     )
 

@@ -100,7 +100,7 @@ def library(*flags: str) -> ctypes.CDLL:
 
 @functools.cache
 def available() -> bool:
-    """Whether there is a gcc that compiles the C."""
+    """True if there is a gcc that compiles the C."""
     try:
         return COMPILER is not None and library() is not None
     except subprocess.CalledProcessError:

@@ -18,7 +18,7 @@ DISORDERS = ("annealed", "quenched")
 
 
 def name(disorder: str, barrier: str, kT: float) -> str:
-    """Of a curve."""
+    """Name of a curve."""
     return f"{disorder}, {barrier}, kT = {kT:g}"
 
 

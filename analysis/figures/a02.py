@@ -81,7 +81,10 @@ def plot(table: pd.DataFrame) -> Figure:
     bottom[0].set_ylabel(SCORES_LABEL)
     handles, labels = top[0].get_legend_handles_labels()
     cold = r" (thin dashes: $T = 0$)" if (table.kT == 0).any() else ""
-    title = rf"$k_BT = k x_{{*f}}^2${cold};  $D$ in $\omega x_{{*f}}^2$;  $x_{{*i}} = 0.1\, x_{{*f}}$"
+    title = (
+        rf"$k_BT = k x_{{*f}}^2${cold};  $D$ in $\omega x_{{*f}}^2$;  $x_{{*i}} = "
+        rf"0.1\, x_{{*f}}$"
+    )
     figure.legend(handles, labels, loc="outside lower center", ncols=6, title=title)
     figure.align_ylabels()
     return figure

@@ -37,7 +37,7 @@ def curves() -> list[Curve]:
 
 
 def formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """Power laws of eta: rows of the fitted line, with `exponent` alpha and its error."""
+    """Power laws of eta: rows of the fitted line, `exponent` alpha and its error."""
     rows = []
     for model in MODELS:
         for D, _ in a02.rates(model):
@@ -108,7 +108,10 @@ def plot(table: pd.DataFrame) -> Figure:
     top[0].set_ylabel(r"kinetic friction  $f_k \,/\, x_{*f}$")
     bottom[0].set_ylabel(r"effective viscosity  $\eta\,\omega = f_k\,\omega/v$")
     handles, labels = top[0].get_legend_handles_labels()
-    title = r"$k_BT = k x_{*f}^2$;  $D$ in $\omega x_{*f}^2$;  thin dashes: fits $\eta \propto v^{-\alpha}$, doubled"
+    title = (
+        r"$k_BT = k x_{*f}^2$;  $D$ in $\omega x_{*f}^2$;  thin dashes: fits "
+        r"$\eta \propto v^{-\alpha}$, doubled"
+    )
     figure.legend(handles, labels, loc="outside lower center", ncols=6, title=title)
     figure.align_ylabels()
     return figure

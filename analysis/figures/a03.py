@@ -35,7 +35,7 @@ STYLES = dict(zip(DELAYS, (SERIES[0], SERIES[3], SERIES[2], SERIES[4]), strict=T
 
 
 def name(model: str, v_d: float) -> str:
-    """Of a curve at fixed tau."""
+    """Name of a curve at fixed tau."""
     return f"{model}, tau = {X_INITIAL / C_0 / v_d:.4g}"
 
 
@@ -91,7 +91,10 @@ def plot(table: pd.DataFrame) -> Figure:
         panel.set_ylabel(r"friction  $\langle F\rangle / (N k x_{*f})$")
     rows[2, 0].set_ylabel(SCORES_LABEL)
     handles, labels = rows[0, 0].get_legend_handles_labels()
-    title = r"lines: fixed $\tau$;  thin dashes: fixed $v_d$ (printed);  $v_d$ in $\omega x_{*f}$, $\tau$ in $1/\omega$"
+    title = (
+        r"lines: fixed $\tau$;  thin dashes: fixed $v_d$ (printed);  $v_d$ in "
+        r"$\omega x_{*f}$, $\tau$ in $1/\omega$"
+    )
     figure.legend(handles, labels, loc="outside lower center", ncols=4, title=title)
     figure.align_ylabels()
     return figure

@@ -111,7 +111,10 @@ def plot(table: pd.DataFrame) -> Figure:
         panel.set_title(f"{printed('star4')} against the exact curve: {source}")
     left.set_ylabel(r"|approximate / exact $-$ 1|")
     handles, labels = exact.get_legend_handles_labels()
-    title = r"$k_BT = k x_{*f}^2$;  $D$ in $\omega x_{*f}^2$;  $x_{*i} = 0.1\, x_{*f}$;  markers: simulated contacts"
+    title = (
+        r"$k_BT = k x_{*f}^2$;  $D$ in $\omega x_{*f}^2$;  $x_{*i} = 0.1\, "
+        r"x_{*f}$;  markers: simulated contacts"
+    )
     figure.legend(handles, labels, loc="outside lower center", ncols=6, title=title)
     figure.align_ylabels()
     return figure

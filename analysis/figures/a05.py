@@ -14,7 +14,7 @@ DISORDERS = ("annealed", "quenched")
 
 
 def name(disorder: str, layers: int) -> str:
-    """Of a curve."""
+    """Name of a curve."""
     return f"{disorder}, {layers} layers"
 
 

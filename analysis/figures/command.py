@@ -66,7 +66,8 @@ def figures(
     made.sort(key=lambda one: wanted.index(one.name))
     shown.report(
         {"out": str(out), "figures": [one._asdict() for one in made]},
-        title="figures: simulated contacts against the master equation of their ensemble",
+        title="figures: simulated contacts against the master equation of their "
+        "ensemble",
         columns=("", "Fig.", "curves", "estimates", "largest |z|", "chi-square p"),
         rows=[
             (
@@ -76,7 +77,8 @@ def figures(
             for f in made
         ],
         notes=[
-            f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and .parquet",
+            f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and "
+            f".parquet",
             f"Fig.: of {ARTICLE}",
         ],
     )

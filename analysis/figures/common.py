@@ -1,5 +1,5 @@
-"""What the figures share: a curve to compute, models of aging contacts, and how curves,
-particles and scores look."""
+"""Common parts of the figures: a curve to compute, models of aging contacts, and how
+curves, particles and scores look."""
 
 import math
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ class Curve:
         )
 
     def row(self) -> dict[str, Any]:
-        """What identifies it in the table."""
+        """Columns of the table that identify the curve."""
         contacts = self.ensemble
         aging = contacts.aging if contacts.aging.active else Aging()
         return {
@@ -97,8 +97,13 @@ def aging_contacts(model: str, D: float, kT: float, tau: float = 0.0) -> Ensembl
     disorder = "annealed" if model == "annealed" else "quenched"
     thresholds = Gamma(1.0, X_INITIAL)
     return Ensemble(
-        thresholds, Thermal(kT=kT), Delay(tau), aging=aging, stiffness_law="uniform", disorder=disorder
-    )  # fmt: skip
+        thresholds,
+        Thermal(kT=kT),
+        Delay(tau),
+        aging=aging,
+        stiffness_law="uniform",
+        disorder=disorder,
+    )
 
 
 def aging_name(model: str, D: float, kT: float) -> str:
@@ -128,9 +133,14 @@ def solved(table: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def draw(
-    axes: Axes, table: pd.DataFrame, name: str, style: dict[str, Any], label: str | None = None, y: str = "friction",
+    axes: Axes,
+    table: pd.DataFrame,
+    name: str,
+    style: dict[str, Any],
+    label: str | None = None,
+    y: str = "friction",
     **more: Any,
-) -> None:  # fmt: skip
+) -> None:
     """A curve as a line, its particles as open markers with bars of two standard
     errors."""
     line, look = solved(table, name), style | more
@@ -139,20 +149,34 @@ def draw(
     points = table[(table.curve == name) & (table.source == "particles")]
     scale = points[y] / points.friction
     axes.errorbar(
-        points.velocity, points[y], 2 * points.error * scale, fmt=marker, color=look["color"], markerfacecolor="white",
-        markeredgewidth=0.9, elinewidth=0.9, capsize=2, zorder=3,
-    )  # fmt: skip
+        points.velocity,
+        points[y],
+        2 * points.error * scale,
+        fmt=marker,
+        color=look["color"],
+        markerfacecolor="white",
+        markeredgewidth=0.9,
+        elinewidth=0.9,
+        capsize=2,
+        zorder=3,
+    )
 
 
 def scores(axes: Axes, table: pd.DataFrame, styles: dict[str, dict[str, Any]]) -> None:
-    """Strip of (particles - master equation) in standard errors, with the range of two."""
+    """Strip of (particles - master equation) in standard errors, and a band of two."""
     axes.axhspan(-2, 2, color="0.9", linewidth=0)
     for name, style in styles.items():
         points = table[(table.curve == name) & (table.source == "particles")]
         axes.plot(
-            points.velocity, points.z.astype(float), linestyle="none", color=style["color"], marker=style["marker"],
-            markerfacecolor="white", markersize=3.5, markeredgewidth=0.8,
-        )  # fmt: skip
+            points.velocity,
+            points.z.astype(float),
+            linestyle="none",
+            color=style["color"],
+            marker=style["marker"],
+            markerfacecolor="white",
+            markersize=3.5,
+            markeredgewidth=0.8,
+        )
     limit = max(3.5, 1.15 * table.z.abs().max())
     axes.set(ylim=(-limit, limit), yticks=(-2, 0, 2), xscale="log")
 

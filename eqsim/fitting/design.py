@@ -29,6 +29,16 @@ class Limits(NamedTuple):
     low: float
     high: float
 
+    def check(self, name: str) -> None:
+        """Raise InputError unless 0 < low <= high."""
+        for value in self:
+            require_number(f"--{name}", value, above=0)
+        if self.low > self.high:
+            raise InputError(
+                f"--{name} {self.low:g},{self.high:g}: the first must not be larger "
+                "than the second"
+            )
+
 
 class Step(NamedTuple):
     """A measurement of friction: where, and the standard deviation of the key's
@@ -40,9 +50,9 @@ class Step(NamedTuple):
 
 
 class Design(NamedTuple):
-    """What measurements would do for a key: its expected standard deviation now, after
-    repeating all measurements, and after each of some new ones, the best first; and
-    what the variable is, such as "ln thermal.kT"."""
+    """The expected standard deviation of a key now, after repeating all measurements,
+    and after each of some new ones, the best first; and the name of its variable, such
+    as "ln thermal.kT"."""
 
     key: str
     variable: str
@@ -72,45 +82,25 @@ def design(
     velocities: Limits | None = None,
     temperatures: Limits | None = None,
 ) -> Design:
-    """The next measurements of friction for a key, one after the other, each the best
-    given those before.
+    """The next measurements of friction for a free key of the fit in a folder, one
+    after the other, each the best given those before.
 
-    Parameters
-    ----------
-    file : RunFile
-        With the [fit] section that was fitted.
-    fitted : Path
-        Folder of that fit.
-    key : str
-        A free key.
-    count : int
-        How many measurements.
-    velocities, temperatures : Limits, optional
-        By default velocities up to ten times beyond those of the data, and the
-        temperatures of the data.
-
-    Returns
-    -------
-    Design
-
-    Raises
-    ------
-    InputError
-        If the folder holds no fit of these data, or the key is not free.
+    By default velocities go up to ten times beyond those of the data, and temperatures
+    are those of the data. Raises InputError if the folder holds no fit of these data,
+    or the key is not free.
     """
     require_integer("next", count, 1, 1000)
     prepared = prepare(file, None, True)
     problem = prepared.problem
     if key not in problem.keys:
-        hint = meant(key, problem.keys) or "known are " + ", ".join(problem.keys)
+        hint = meant(key, problem.keys, "known are ")
         raise InputError(f"--for {key}: is not a free key of this fit; {hint}")
     index, u = problem.keys.index(key), _best(fitted, prepared)
     jacobian = problem.jacobian(u)
     v, T = _candidates(prepared, velocities, temperatures)
     rows = _measurable(prepared, u, v, T).jacobian(u)[: v.size]
-    now = expected(jacobian, index)
     again = np.vstack((jacobian, jacobian[: problem.value.size]))
-    repeated, steps = expected(again, index), []
+    now, repeated, steps = expected(jacobian, index), expected(again, index), []
     for _ in range(count):
         after = [expected(np.vstack((jacobian, row)), index) for row in rows]
         best = int(np.argmin(after))
@@ -163,18 +153,10 @@ def _candidates(
         )
     measured = table.temperatures.tolist()
     temperatures = temperatures or Limits(min(measured), max(measured))
-    for name, limits in (("velocity", velocities), ("temperature", temperatures)):
-        low, high = limits
-        require_number(f"--{name}", low, above=0)
-        require_number(f"--{name}", high, above=0)
-        if low > high:
-            raise InputError(
-                f"--{name} {low:g},{high:g}: the first must not be larger than the "
-                "second"
-            )
-    v = np.geomspace(*velocities, _VELOCITIES if velocities[0] < velocities[1] else 1)
-    several = temperatures[0] < temperatures[1]
-    T = np.linspace(*temperatures, _TEMPERATURES if several else 1)
+    velocities.check("velocity")
+    temperatures.check("temperature")
+    v = np.unique(np.geomspace(*velocities, _VELOCITIES))
+    T = np.unique(np.linspace(*temperatures, _TEMPERATURES))
     return np.tile(v, T.size), np.repeat(T, v.size)
 
 
@@ -189,9 +171,7 @@ def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
             "for the next ones"
         )
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
-    heat = (
-        T / (fit.reference_temperature or 1.0) if fit.temperature else np.ones(T.size)
-    )
+    heat = T / (fit.reference_temperature or 1.0) if fit.temperature else T**0
     rows = [
         Row((("drive.velocity", speed),), warmth, table.sets[0])
         for speed, warmth in zip(v.tolist(), heat.tolist(), strict=True)

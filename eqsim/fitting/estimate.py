@@ -3,7 +3,7 @@ ladder of directions."""
 
 import math
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,9 +72,7 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         np.clip(u[searched], low + inset, high - inset),
         jacobian,
         (low, high),
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
+        **dict.fromkeys(("ftol", "xtol", "gtol"), _TOLERANCE),
         max_nfev=200,
     )
     full = u.copy()
@@ -103,15 +101,14 @@ def check_starts(problem: Problem, every: list[Array]) -> None:
             continue
         for i, one in enumerate(problem.parameters):
             nearer = np.where(np.arange(u.size) == i, problem.start, u)
-            if u is every[0] or one.linear or nearer[i] == u[i]:
-                continue
-            if _refusal(problem, nearer) is None:
+            moved = not one.linear and nearer[i] != u[i]
+            if moved and _refusal(problem, nearer) is None:
                 upper = u[i] > problem.start[i]
                 side, bound = ("upper", one.high) if upper else ("lower", one.low)
                 raise InputError(
                     f"fit.free.{one.key}: the reference refuses a start at "
-                    f"{float(one.value(u[i])):.4g}; its {side} bound "
-                    f"{float(one.value(bound)):g} must be nearer ({error})"
+                    f"{one.value(u[i]):.4g}; its {side} bound {one.value(bound):g} "
+                    f"must be nearer ({error})"
                 )
         raise InputError(f"fit.free: the reference refuses the start ({error})")
 
@@ -129,8 +126,8 @@ def _refusal(problem: Problem, u: Array) -> InputError | None:
 
 @dataclass(frozen=True)
 class Tasks:
-    """How independent tasks are computed, and where their results are kept for a
-    computation that is stopped and begun again.
+    """Independent tasks, whose results are kept for a computation that is stopped and
+    begun again.
 
     Attributes
     ----------
@@ -153,29 +150,32 @@ class Tasks:
     ) -> list[Any]:
         """Results in the order of the tasks, whoever computes them; those that are kept
         are not computed again. Raises InputError if one cannot be kept."""
-        found: dict[int, Any] = {}
-        for index in range(len(tasks)):
-            file = self.folder / f"{name}-{index}.pickle" if self.folder else None
-            if file is not None and file.is_file():
-                found[index] = pickle.loads(file.read_bytes())
+        files = [f"{name}-{index}.pickle" for index in range(len(tasks))]
+        found, missing = dict[str, Any](), dict[str, tuple[Any, ...]]()
+        for file, task in zip(files, tasks, strict=True):
+            if self.folder is not None and (self.folder / file).is_file():
+                found[file] = pickle.loads((self.folder / file).read_bytes())
                 done()
-
-        def keep(index: int, result: Any) -> None:
-            found[index] = result
+            else:
+                missing[file] = task
+        for file, result in self._computed(function, missing):
+            found[file] = result
             if self.folder is not None:
-                publish(self.folder, {f"{name}-{index}.pickle": pickle.dumps(result)})
+                publish(self.folder, {file: pickle.dumps(result)})
             done()
+        return [found[file] for file in files]
 
-        missing = [index for index in range(len(tasks)) if index not in found]
+    def _computed(
+        self, function: Callable[..., Any], tasks: dict[str, tuple[Any, ...]]
+    ) -> Iterator[tuple[str, Any]]:
+        """Results by name, as they are finished."""
         if self.executor is None:
-            for index in missing:
-                keep(index, function(*tasks[index]))
-        else:
-            submit = self.executor.submit
-            futures = {submit(function, *tasks[index]): index for index in missing}
-            for future in as_completed(futures):
-                keep(futures[future], future.result())
-        return [found[index] for index in range(len(tasks))]
+            yield from ((name, function(*task)) for name, task in tasks.items())
+            return
+        submit = self.executor.submit
+        futures = {submit(function, *task): name for name, task in tasks.items()}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
 
 
 def different(minima: Sequence[Minimum]) -> list[Minimum]:
@@ -206,16 +206,17 @@ def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
     found = []
     for value, row in zip((singular**2).tolist(), rows, strict=True):
         row = row * np.sign(row[np.argmax(np.abs(row))])
-        sd = 1.0 / math.sqrt(value) if value > 0 else math.inf
         components = dict(zip(keys, row.tolist(), strict=True))
-        ratio = value / singular[0] ** 2 if value > 0 else 0.0
-        found.append(Direction(value, float(ratio), sd, components, _name(components)))
+        ratio, sd = 0.0, math.inf
+        if value > 0:
+            ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
+        found.append(Direction(value, ratio, sd, components, _name(components)))
     return found
 
 
 def _name(components: dict[str, float]) -> str:
-    """Which keys a direction moves, as powers of the one that moves most: "thermal.kT
-    up, fit.scale down as its 0.9th power" in short."""
+    """A product of powers of the keys that a direction moves, that which moves most
+    first."""
     order = sorted(components.items(), key=lambda item: -abs(item[1]))
     powers = {key: part / order[0][1] for key, part in order}
     return " * ".join(

@@ -17,15 +17,16 @@ from eqsim.errors import InputError, require_integer
 from eqsim.fitting import estimate, profiles, symmetry
 from eqsim.fitting.data import Table, read_table
 from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum, Tasks
-from eqsim.fitting.model import STUDENT, Problem, problem_of
+from eqsim.fitting.model import STEP, STUDENT, Forward, Problem, SteadyForward
 from eqsim.fitting.record import (
+    STEP_CHOSEN,
     Correlation,
+    RecordForward,
     correlated,
     read_record,
-    record_problem,
     search,
 )
-from eqsim.fitting.section import Fit, parameters_of, section_of
+from eqsim.fitting.section import NUISANCES, Fit, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.numerics.tables import Array
@@ -51,8 +52,8 @@ Progress = Callable[[int, float], None]
 
 
 class Interval(NamedTuple):
-    """What is known of a key: its best value, the profile intervals with None for an
-    open side, and a status."""
+    """Knowledge of a key: its best value, the profile intervals with None for an open
+    side, and a status."""
 
     key: str
     estimate: float
@@ -63,9 +64,9 @@ class Interval(NamedTuple):
 
 
 class Goodness(NamedTuple):
-    """How well a model describes data: chi-square (priors included), degrees of
-    freedom, the probability of more (None without degrees of freedom), -2 ln L, and the
-    criteria of Akaike (corrected) and Bayes."""
+    """Agreement of a model with data: chi-square (priors included), degrees of freedom,
+    the probability of more (None without degrees of freedom), -2 ln L, and the criteria
+    of Akaike (corrected) and Bayes."""
 
     chi2: float
     dof: int
@@ -77,7 +78,7 @@ class Goodness(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class FitResult:
-    """What data say about a model.
+    """Result of a fit.
 
     Attributes
     ----------
@@ -111,11 +112,6 @@ class FitResult:
     correlation: Correlation | None = None
 
     @property
-    def folder(self) -> Path:
-        """The folder in which paths in the run file start."""
-        return self.file.folder
-
-    @property
     def values(self) -> dict[str, float]:
         """The best value of each parameter."""
         return self.problem.values(self.best.u)
@@ -128,7 +124,7 @@ class FitResult:
 
     @property
     def seed(self) -> int:
-        """What draws starts and posterior."""
+        """Seed of starts and posterior."""
         return self.file.output.seed
 
     @cached_property
@@ -145,7 +141,7 @@ class FitResult:
 
     @cached_property
     def goodness(self) -> Goodness:
-        """How well the best fit describes the data."""
+        """Agreement of the best fit with the data."""
         return goodness(self.problem, self.best.u)
 
     @cached_property
@@ -156,7 +152,7 @@ class FitResult:
 
     @cached_property
     def intervals(self) -> list[Interval]:
-        """What is known of each free key, and of scales."""
+        """Estimate, intervals and status of each free key, and of scales."""
         sd, found = np.sqrt(np.diag(self.covariance)).tolist(), []
         for one, error in zip(self.problem.parameters, sd, strict=True):
             low, high = self.profiles[one.key]
@@ -171,16 +167,15 @@ class FitResult:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What was noticed before the fit, and doubts about its numbers."""
+        """Warnings from before the fit, and doubts about its numbers."""
         found, rough = [*self.noticed], []
         if self.floor > _NOISE_FLOOR:
             found.append(
                 f"noise floor: the solver's own error is {self.floor:.2g} of a "
                 "measurement's standard error"
             )
-        for one, x, known in zip(
-            self.problem.parameters, self.best.u, self.intervals, strict=True
-        ):
+        parameters, sd = self.problem.parameters, np.sqrt(np.diag(self.covariance))
+        for one, x, error in zip(parameters, self.best.u, sd, strict=True):
             for bound in (one.low, one.high):
                 if abs(x - bound) < _AT_BOUND * (one.high - one.low):
                     found.append(
@@ -190,7 +185,7 @@ class FitResult:
             ends = [side.ends["95"] for side in self.profiles[one.key]]
             nearest = min((abs(u - x) for u in ends if u is not None), default=math.inf)
             # at a bound a covariance says nothing
-            if one.low < x < one.high and nearest < _NARROW * known.sd:
+            if one.low < x < one.high and nearest < _NARROW * error:
                 rough.append(one.key)
         if rough:
             found.append(
@@ -231,12 +226,12 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """Whether any start did."""
+        """True if any start converged."""
         return any(one.converged for one in self.minima)
 
     @property
     def rejected(self) -> bool:
-        """Whether the best fit is too far from the data for their errors."""
+        """True if the best fit is too far from the data for their errors."""
         return self.goodness.p is not None and self.goodness.p < REJECTED
 
 
@@ -269,27 +264,68 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
     loose = [one for one in free if one.prior is None]
     reasons = symmetry.refused(file, loose, bool(scales), seen)
     warnings = symmetry.check(reasons, allow_degenerate)
-    problem = _problem(file, section, table)
-    return Prepared(section, table, problem, warnings)
+    return Prepared(section, table, problem_of(file, section, table), warnings)
 
 
 def _measured(file: RunFile, section: Fit, data: Path | None) -> Table:
     """The measurements. Raises InputError."""
+    field, name = "fit.data", section.data
     if section.record is not None:
-        path = data or path_of("fit.record.file", file.folder, section.record.file)
-        return read_record(path, section)
-    if data is None and section.data is None:
+        field, name = "fit.record.file", section.record.file
+    if data is None and name is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
-    path = data or path_of("fit.data", file.folder, str(section.data))
+    path = data or path_of(field, file.folder, str(name))
+    if section.record is not None:
+        return read_record(path, section)
     table = read_table(path, file, section)
     _check_rows(file, table)
     return table
 
 
-def _problem(file: RunFile, section: Fit, table: Table) -> Problem:
+def problem_of(file: RunFile, section: Fit, table: Table) -> Problem:
     """The fit of a table or a record. Raises InputError."""
-    make = problem_of if table.time is None else record_problem
-    return make(file, section, table, parameters_of(file, section))
+    (scales, fixed), free = section.scales(table.sets), parameters_of(file, section)
+    rows, value = [table.rows[row] for row in table.row], table.value
+    names, nuisance = np.array(table.observable), dict[str, Array]()
+    spread, keys = names == "force_std", [one.key for one in free]
+    force = spread | (names == "friction")
+    forward: Forward = SteadyForward(file, rows, table.observable)
+    if section.record is not None and table.time is not None:
+        stiffness = section.record.machine_stiffness
+        if stiffness is not None and "drive.stage.stiffness" in keys:
+            raise InputError(
+                "fit.free.drive.stage.stiffness: not allowed with "
+                "fit.record.machine_stiffness"
+            )
+        forward = RecordForward(file, table.time, stiffness, fixed)
+        shapes = np.ones(table.time.size), table.time - table.time.mean()
+        for (key, name), shape in zip(NUISANCES.items(), shapes, strict=True):
+            if key in keys:
+                nuisance[key] = shape
+            else:
+                value = value - getattr(section, name) * shape
+    parameters = [one for one in free if one.key not in nuisance]
+    first, scale_of = len(parameters), np.full(names.size, -1)
+    unit = np.ones(names.size)
+    if scales:
+        sets = [table.sets.index(row.set) * (len(scales) > 1) for row in rows]
+        scale_of = np.where(force, first + np.array(sets), -1)
+    else:
+        root = math.sqrt(file["contacts.count"])
+        unit = np.where(spread, fixed / root, np.where(force, fixed, 1.0))
+    return Problem(
+        forward,
+        [*parameters, *scales, *(one for one in free if one.key in nuisance)],
+        value,
+        table.sigma,
+        scale_of,
+        unit,
+        spread,
+        file["contacts.stiffness"],
+        nuisance,
+        section.loss,
+        step=STEP if table.time is None else STEP_CHOSEN,
+    )
 
 
 def _check_rows(file: RunFile, table: Table) -> None:
@@ -301,13 +337,16 @@ def _check_rows(file: RunFile, table: Table) -> None:
                 f"drive.{name}: not allowed with fit.data, a table of steady values"
             )
     _ = file.ensemble  # what the run file itself has wrong is not a row's fault
-    lines = {row.changes: row.line for row in reversed(table.rows)}
-    for changes, line in lines.items():
+    seen = set()
+    for row in table.rows:
+        if row.changes in seen:
+            continue
+        seen.add(row.changes)
         try:
-            there = at(file, dict(changes))
+            there = at(file, dict(row.changes))
             _ = there.ensemble, there.constant_drive
         except InputError as error:
-            raise InputError(f"fit.data, line {line}: {error}") from None
+            raise InputError(f"fit.data, line {row.line}: {error}") from None
 
 
 def fit(
@@ -392,8 +431,8 @@ def _unfinished(out: Path, identity: str) -> Path:
 
 
 def _singular(problem: Problem, allowed: bool) -> list[str]:
-    """What cannot be told apart at the start, by the eigenvalues of J'J. Raises
-    InputError unless it is allowed."""
+    """Warnings of directions that the data do not separate at the start, by the
+    eigenvalues of J'J. Raises InputError unless these are allowed."""
     jacobian = problem.jacobian(problem.solved(problem.start).u)
     rungs = estimate.ladder(problem.keys, problem.unitless(jacobian))
     lost = [rung for rung in rungs if rung.ratio < DEGENERATE]
@@ -404,6 +443,11 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
             "these keys (--allow-degenerate fits all the same)"
         )
     return [f"at the start these data do not separate {rung.name}" for rung in lost]
+
+
+def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
+    """Least squares from one start, of a table or of a record."""
+    return search if isinstance(problem.forward, RecordForward) else estimate.minimise
 
 
 def _fitted(
@@ -425,8 +469,8 @@ def _fitted(
         progress(done, total)
 
     progress(0, total)
-    first = estimate.minimise if table.time is None else search
-    minima = tasks.results("start", first, [(problem, u) for u in every], count)
+    begin = [(problem, u) for u in every]
+    minima = tasks.results("start", _search(problem), begin, count)
     best, correlation = min(minima, key=lambda one: one.chi2), None
     alone = replace(tasks, executor=None)
     for again in range(_WHITENED if table.time is not None else 0):
@@ -462,9 +506,8 @@ def _fitted(
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:
-    """How well a fit with parameters `u` describes its data."""
-    predicted = problem.solved(u).predicted
-    r = problem.white((problem.value - predicted) / problem.sigma)
+    """Agreement of a fit with parameters `u` with its data."""
+    r = problem.whitened(problem.solved(u).predicted)
     n, k = problem.value.size, len(problem.parameters)
     priors = problem.residuals(u)[n:]
     dof = n + problem.priors - k
@@ -510,16 +553,15 @@ def derived(result: FitResult) -> dict[str, float]:
 
 
 def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
-    """How well another model describes the same measurements with the same errors.
-    Raises InputError."""
+    """Agreement of another model with the same measurements and errors. Raises
+    InputError."""
     section = section_of(other)
     if (section.record is None) != (result.table.time is None):
         raise InputError("--compare: one run file fits a table and the other a record")
     section = section.model_copy(update={"loss": result.fit.loss})
-    problem = _problem(other, section, result.table)
+    problem = problem_of(other, section, result.table)
     problem = replace(problem, correlation=result.problem.correlation)
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)
-    first = estimate.minimise if result.table.time is None else search
-    minima = [first(problem, u) for u in every]
+    minima = [_search(problem)(problem, u) for u in every]
     return goodness(problem, min(minima, key=lambda one: one.chi2).u)

@@ -1,5 +1,5 @@
-"""What a fit compares: predictions of the reference at measured points, and their
-distance from the measurements.
+"""Predictions of the reference at measured points, and their distance from the
+measurements.
 
 Free keys are changed in the variables of `Parameter`, in which bounds are a box. What
 is measured is linear in the scales of force (and in offset and drift of a record):
@@ -18,8 +18,8 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.estimate import known
-from eqsim.fitting.data import Row, Table
-from eqsim.fitting.section import Fit, Parameter
+from eqsim.fitting.data import Row
+from eqsim.fitting.section import Parameter
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.peak import first_peak
 from eqsim.master.transient import transient
@@ -28,10 +28,14 @@ from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-STEP = 1e-4  # of derivatives, in the variables of parameters
-STUDENT = 4.0  # degrees of freedom of the robust loss
-REFUSED = 1e4  # residual where the reference refuses
-AVERAGES = ("friction", "pinned", "break_stretch")  # observables of `Curve`
+# Step of derivatives, in the variables of parameters.
+STEP = 1e-4
+# Degrees of freedom of the robust loss.
+STUDENT = 4.0
+# Residual where the reference refuses.
+REFUSED = 1e4
+# Observables of `Curve`.
+AVERAGES = ("friction", "pinned", "break_stretch")
 
 
 def velocity_of(row: Row) -> float | None:
@@ -44,7 +48,7 @@ class Forward(Protocol):
 
     @property
     def scaled(self) -> bool:
-        """Whether they depend on the scale of force."""
+        """True if they depend on the scale of force."""
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """Values and errors at unit scale, (measurements,). Raises InputError."""
@@ -72,12 +76,11 @@ class SteadyForward:
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`. The standard deviation of the force is that of one contact
         over k, at unit scale."""
-        value, error = np.empty((2, len(self.rows)))
+        found = np.empty((len(self.rows), 2))
         for (rest, heat), members in self.groups.items():
             file = at(self.file, {**changes, **dict(rest)})
             if heat != 1.0:
                 file = at(file, {"thermal.kT": file["thermal.kT"] * heat})
-            ensemble = file.ensemble
             given = [velocity_of(self.rows[index]) for index in members]
             v = [file["drive.velocity"] if one is None else one for one in given]
             if None in v:
@@ -85,16 +88,15 @@ class SteadyForward:
                     "drive.velocity: is required, in the run file or as a data column"
                 )
             names = [self.observable[index] for index in members]
-            steady = None
             if not set(AVERAGES).isdisjoint(names):
-                steady = curve(ensemble, np.array(v))
+                steady = curve(file.ensemble, np.array(v))
             for place, (index, name) in enumerate(zip(members, names, strict=True)):
                 if name in AVERAGES:
-                    value[index] = getattr(steady, name)[place]
-                    error[index] = getattr(steady, f"{name}_error")[place]
+                    pair = getattr(steady, name), getattr(steady, f"{name}_error")
+                    found[index] = pair[0][place], pair[1][place]
                 else:
-                    speed = float(v[place] or 0.0)
-                    value[index], error[index] = other_observable(ensemble, speed, name)
+                    found[index] = other_observable(file.ensemble, v[place], name)
+        value, error = found.T
         return value, error
 
 
@@ -105,8 +107,9 @@ def other_observable(
     of a contact's force over k, or the static peak of `master.peak`, where it is and
     how far above the steady force. Raises InputError where there is none."""
     if name == "force_std":
-        drive = Drive(velocity, start="stationary")
-        still = transient(ensemble, drive, 2, variance=True)
+        still = transient(
+            ensemble, Drive(velocity, start="stationary"), 2, variance=True
+        )
         if still.force_variance is None or still.force_variance_error is None:
             raise InputError(
                 "force_std: contacts stay in step, the force has no steady variance"
@@ -184,13 +187,13 @@ class Problem:
     @cached_property
     def linear(self) -> Array:
         """Which parameters are found by linear least squares."""
-        roots = bool(np.any(self.spread & (self.scale_of >= 0)))
-        easy = self.loss == "gaussian" and not roots
-        solved = [self._exact(p) and easy and not p.prior for p in self.parameters]
-        return np.array(solved, bool)
+        roots = np.any(self.spread & (self.scale_of >= 0))
+        if roots or self.loss != "gaussian":
+            return np.zeros(len(self.parameters), bool)
+        return np.array([self._exact(p) and not p.prior for p in self.parameters])
 
     def _exact(self, one: Parameter) -> bool:
-        """Whether derivatives with respect to a parameter take no other solve."""
+        """True if derivatives with respect to a parameter take no other solve."""
         return one.linear and (one.key in self.nuisance or not self.forward.scaled)
 
     @cached_property
@@ -223,7 +226,7 @@ class Problem:
         }
 
     def _factor(self, values: dict[str, float]) -> Array:
-        """What multiplies predictions at unit scale. A free scale is N k: the standard
+        """The factor of predictions at unit scale. A free scale is N k: the standard
         deviation of the force is that of a contact, k times a length, and goes as the
         root of N."""
         factor, free = self.unit.copy(), self.scale_of >= 0
@@ -239,7 +242,7 @@ class Problem:
         return np.asarray(self._factor(values) * raw + sum(added))
 
     def _column(self, index: int, raw: Array) -> Array:
-        """What a parameter of which predictions are linear is multiplied by."""
+        """Derivative of predictions with respect to a linear parameter."""
         scaled = np.where(self.scale_of == index, raw, 0.0)
         return self.nuisance.get(self.keys[index], scaled)
 
@@ -276,9 +279,13 @@ class Problem:
             return np.full(self.value.size + self.priors, REFUSED)
         return self._deviates(u, predicted)
 
+    def whitened(self, predicted: Array) -> Array:
+        """Independent residuals of predictions, in standard errors."""
+        return self.white((self.value - predicted) / self.sigma)
+
     def _deviates(self, u: Array, predicted: Array) -> Array:
-        r = self.white((self.value - predicted) / self.sigma)
-        if self.loss == "student":  # of a Gaussian with the same likelihood
+        r = self.whitened(predicted)
+        if self.loss == "student":  # those of a Gaussian with the same likelihood
             r = np.sign(r) * np.sqrt((STUDENT + 1.0) * np.log1p(r**2 / STUDENT))
         pairs = zip(self.parameters, u, strict=True)
         priors = [(x - p.prior.mean) / p.prior.sd for p, x in pairs if p.prior]
@@ -293,7 +300,7 @@ class Problem:
 
     @cached_property
     def priors(self) -> int:
-        """How many parameters have one."""
+        """Number of parameters with a prior."""
         return sum(one.prior is not None for one in self.parameters)
 
     def jacobian(self, u: Array) -> Array:
@@ -301,26 +308,22 @@ class Problem:
         with respect to all parameters, the linear ones too, by central differences,
         shape (measurements + priors, parameters). Raises InputError."""
         raw = self.forward.predict(self.changes(u))[0]
-        columns = []
+        columns, priors = [], []
         for i, one in enumerate(self.parameters):
-            shift = self.step * (np.arange(u.size) == i)
-            down, up = u - shift, u + shift
+            unit = np.arange(u.size) == i
+            down, up = u - self.step * unit, u + self.step * unit
             if self._exact(one):
                 low, high = (self._combined(raw, self.values(x)) for x in (down, up))
                 slope = float(one.value(up[i]) - one.value(down[i])) / (2.0 * self.step)
                 change = (high - low) / (2.0 * self.step)
                 change = np.where(self.spread, change, self._column(i, raw) * slope)
-                columns.append(change / self.sigma)
             else:
                 down = np.maximum(down, np.minimum(u, self.low))
                 up = np.minimum(up, np.maximum(u, self.high))
                 change = (self.given(up) - self.given(down)) / (up[i] - down[i])
-                columns.append(change / self.sigma)
-        priors = [
-            np.eye(u.size)[i] / one.prior.sd
-            for i, one in enumerate(self.parameters)
-            if one.prior
-        ]
+            columns.append(change / self.sigma)
+            if one.prior:
+                priors.append(unit / one.prior.sd)
         return np.vstack((self.white(np.array(columns).T), *priors))
 
     def density(self, u: Array) -> float:
@@ -367,32 +370,3 @@ def _linear_least_squares(columns: Array, target: Array, bounds: Array) -> Array
     if best.size == 1:
         return np.clip(best, low, high)
     return np.asarray(optimize.lsq_linear(columns, target, (low, high)).x)
-
-
-def problem_of(file: RunFile, fit: Fit, table: Table, free: list[Parameter]) -> Problem:
-    """The fit of a table."""
-    scales, fixed = fit.scales(table.sets)
-    rows = [table.rows[row] for row in table.row]
-    names = np.array(table.observable)
-    spread, unit = names == "force_std", np.ones(names.size)
-    scale_of = np.full(names.size, -1)
-    force = spread | (names == "friction")
-    if scales:
-        sets = [
-            len(free) + table.sets.index(row.set) * (len(scales) > 1) for row in rows
-        ]
-        scale_of[force] = np.array(sets)[force]
-    else:
-        root = math.sqrt(file["contacts.count"])
-        unit = np.where(spread, fixed / root, np.where(force, fixed, 1.0))
-    return Problem(
-        SteadyForward(file, rows, table.observable),
-        [*free, *scales],
-        table.value,
-        table.sigma,
-        scale_of,
-        unit,
-        spread,
-        file["contacts.stiffness"],
-        loss=fit.loss,
-    )

@@ -62,13 +62,13 @@ class Posterior:
 
     @property
     def effective(self) -> float:
-        """How many independent draws these are worth."""
+        """Number of independent draws that these are worth."""
         return self.walkers * self.steps / self.autocorrelation
 
     @property
     def converged(self) -> bool:
-        """Whether the chain is so long that its autocorrelation time, and so its
-        quantiles, can be trusted."""
+        """True of a chain so long that its autocorrelation time, and so its quantiles,
+        can be trusted."""
         return self.steps >= _ENOUGH * self.autocorrelation
 
     @property
@@ -79,29 +79,25 @@ class Posterior:
 
     @property
     def intervals(self) -> dict[str, dict[str, Any]]:
-        """By key: median, and the ends of the central 68 and 95 %; None if the chain is
-        too short for them."""
+        """Median and ends of the central 68 and 95 % by key; None if the chain is too
+        short for them."""
         if not self.converged:
-            return {
-                key: dict.fromkeys(("median", *SHARES)) for key in self.problem.keys
-            }
+            none = dict.fromkeys(("median", *SHARES))
+            return {key: dict(none) for key in self.problem.keys}
         found: dict[str, dict[str, Any]] = {}
         for one, points in zip(self.problem.parameters, self.points.T, strict=True):
-            ends = {
-                name: one.value(np.quantile(points, shares)).tolist()
-                for name, shares in SHARES.items()
+            shares = {"median": 0.5, **SHARES}
+            found[one.key] = {
+                name: one.value(np.quantile(points, np.array(share))).tolist()
+                for name, share in shares.items()
             }
-            median = float(one.value(np.quantile(points, 0.5)))
-            found[one.key] = {"median": median, **ends}
         return found
 
     def summary(self) -> dict[str, Any]:
         """The content of fit.json about the posterior."""
+        renamed = {"68": "interval_68", "95": "interval_95"}
         parameters = {
-            key: {
-                "median": one["median"],
-                **{f"interval_{name}": one[name] for name in SHARES},
-            }
+            key: {renamed.get(name, name): value for name, value in one.items()}
             for key, one in self.intervals.items()
         }
         return {
@@ -173,10 +169,10 @@ def posterior(
         If emcee is not installed.
     """
     require_integer("workers", workers, 1, 1024)
+    rng, best = np.random.default_rng(result.seed), result.best.u
+    about = result.problem, best, result.covariance, rng
     with Workers(workers).executor() as executor:
-        rng = np.random.default_rng(result.seed)
-        u, covariance = result.best.u, result.covariance
-        return sample(result.problem, u, covariance, rng, executor, progress)
+        return sample(*about, executor, progress)
 
 
 def sample(
@@ -202,7 +198,7 @@ def sample(
         walkers, best.size, densities, moves=moves, vectorize=True
     )
     state = np.random.RandomState(rng.integers(2**32)).get_state()
-    begin = _around(problem, best, covariance, walkers, rng)
+    begin = _around(problem, best, covariance, rng, walkers)
     progress(0, _MOST)
     tau = math.inf
     for _ in sampler.sample(emcee.State(begin, random_state=state), iterations=_MOST):
@@ -226,19 +222,13 @@ def sample(
 
 
 def _around(
-    problem: Problem,
-    best: Array,
-    covariance: Array,
-    count: int,
-    rng: np.random.Generator,
+    problem: Problem, best: Array, covariance: Array, rng: np.random.Generator, n: int
 ) -> Array:
     """Points about a best fit, spread as its covariance says, inside the bounds."""
-    low, high = problem.low, problem.high
-    width, zero = high - low, np.zeros(best.size)
-    finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    steps = rng.multivariate_normal(
-        zero, finite, count, method="eigh", check_valid="ignore"
-    )
+    low, high, zero = problem.low, problem.high, np.zeros(best.size)
+    finite, width = np.where(np.isfinite(covariance), covariance, 0.0), high - low
+    how: Any = {"method": "eigh", "check_valid": "ignore"}
+    steps = rng.multivariate_normal(zero, finite, n, **how)
     longest = np.maximum(np.max(np.abs(steps) / width, axis=1), 1e-300)
     steps *= np.minimum(1.0, 0.4 / longest)[:, None]
     # directions of no known width

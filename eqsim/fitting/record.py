@@ -20,11 +20,11 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.fitting.data import Row, Table
+from eqsim.fitting.data import Row, Table, lines
 from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
-from eqsim.fitting.section import Fit, Parameter
-from eqsim.io.csv import number, read
+from eqsim.fitting.section import Fit
+from eqsim.io.csv import read
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.programme import means_of
 from eqsim.master.slider import Steps, TooManySteps, force_of, steps_of
@@ -33,7 +33,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
 # Steps of derivatives: where solves choose their own steps, and where these are given.
-_STEP_CHOSEN = 2e-2
+STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
 # How often a search chooses the steps of solves anew, as long as chi-square falls by
 # more than this share.
@@ -51,61 +51,49 @@ def read_record(path: Path, fit: Fit) -> Table:
     """The points of a record, a CSV file with columns of time and force, and of
     standard errors. Errors of the file and of fit.noise add in quadrature. Raises
     InputError with the column or line that cannot be used."""
-    record = fit.record
+    record, noise = fit.record, fit.noise
     assert record is not None
-    sheet = read(path, f"fit.record.file = {path}")
-    columns = {"time": record.time, "force": record.force, "stderr": record.stderr}
-    for field, name in columns.items():
-        if name is not None and name not in sheet.columns:
+    field = f"fit.record.file = {path}"
+    sheet, points = read(path, field), list[tuple[float, float, float]]()
+    for key in ("time", "force", "stderr"):
+        name = getattr(record, key)
+        if name not in (None, *sheet.columns):
+            there = ", ".join(sheet.columns)
             raise InputError(
-                f'fit.record.{field} = "{name}": no such column; there are '
-                + ", ".join(sheet.columns)
+                f'fit.record.{key} = "{name}": no such column; there are {there}'
             )
         if name is not None:
             sheet.index(name)  # refuses a name that is there twice
-    points: list[_Instant] = []
-    for line, cells in sheet.rows():
-        if not any(cells):  # a spreadsheet's last lines
-            continue
-        given = dict(zip(sheet.columns, cells, strict=True))
-        where = f"fit.record.file, line {line}: "
-        t, force, error = (
-            0.0 if name is None else number(given[name], where + name)
-            for name in columns.values()
-        )
+    for line in lines(sheet, "fit.record.file"):
+        t, force = line.value(record.time), line.value(record.force)
+        error = 0.0 if record.stderr is None else line.value(record.stderr)
         if error < 0:
-            raise InputError(f"{where}{record.stderr} = {error:g}: must be >= 0")
-        sigma = math.hypot(error, fit.noise.absolute, fit.noise.relative * force)
+            raise InputError(f"{line.where}{record.stderr} = {error:g}: must be >= 0")
+        sigma = math.hypot(error, noise.absolute, noise.relative * force)
         if not sigma > 0:
             raise InputError(
-                f"{where}{record.force} has no error; give stderr > 0 or noise in [fit]"
+                f"{line.where}{record.force} has no error; give stderr > 0 or noise in "
+                "[fit]"
             )
-        if points and not t > points[-1].time:
+        if points and not t > points[-1][0]:
             raise InputError(
-                f"{where}{record.time} = {t:g}: must be later than the "
-                f"{points[-1].time:g} before it"
+                f"{line.where}{record.time} = {t:g}: must be later than the "
+                f"{points[-1][0]:g} before it"
             )
-        points.append(_Instant(t, force, sigma))
-    if not points or points[0].time < 0:
+        points.append((t, force, sigma))
+    if not points or points[0][0] < 0:
         wrong = "begins before time 0" if points else "is empty"
-        raise InputError(f"fit.record.file = {path}: {wrong}")
-    n, (time, value, sigmas) = len(points), np.array(points).T
-    row, row_of, names = Row((), 1.0, ""), np.zeros(n, int), ["friction"] * n
-    heat = np.ones(1)
-    return Table([row], row_of, names, value, sigmas, [], heat, sheet.sha256, time)
-
-
-class _Instant(NamedTuple):
-    """A point of a record, with its standard error."""
-
-    time: float
-    force: float
-    sigma: float
+        raise InputError(f"{field}: {wrong}")
+    time, value, sigmas = np.array(points).T
+    row_of, names = np.zeros(time.size, int), ["friction"] * time.size
+    rows = [Row((), 1.0, "")]
+    known = rows, row_of, names, value, sigmas, list[str](), np.ones(1), sheet.sha256
+    return Table(*known, time)
 
 
 class _Along(NamedTuple):
-    """What a record is predicted from: contacts, drive, the grid of instants, and which
-    of these are the record's."""
+    """Contacts and drive of a prediction, the grid of instants, and the indices of the
+    record's."""
 
     ensemble: Ensemble
     programme: Programme
@@ -133,7 +121,7 @@ class RecordForward:
 
     @property
     def scaled(self) -> bool:
-        """Whether predictions depend on the scale of force."""
+        """See `Forward`."""
         return self.machine_stiffness is not None
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
@@ -173,7 +161,7 @@ class RecordForward:
         return force[along.points]
 
     def _along(self, changes: dict[str, float]) -> _Along:
-        """What a record is predicted from at these parameters. Raises InputError."""
+        """Contacts, drive and grid at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
         file = at(self.file, keys)
         ensemble, programme = file.ensemble, file.drive
@@ -200,43 +188,6 @@ class RecordForward:
         X = np.interp(t, np.append(0.0, ends), np.append(0.0, np.cumsum(ways)))
         grid = Grid(t, X, segment)
         return _Along(ensemble, programme, grid, np.searchsorted(t, time))
-
-
-def record_problem(
-    file: RunFile, fit: Fit, table: Table, free: list[Parameter]
-) -> Problem:
-    """The fit of a record, with independent errors."""
-    time, record = table.time, fit.record
-    assert time is not None
-    assert record is not None
-    keys = {one.key for one in free}
-    if record.machine_stiffness is not None and "drive.stage.stiffness" in keys:
-        raise InputError(
-            "fit.free.drive.stage.stiffness: not allowed with "
-            "fit.record.machine_stiffness"
-        )
-    scales, fixed = fit.scales([""])
-    ones, value = np.ones(time.size), table.value
-    nuisance = {"fit.offset": ones, "fit.drift": time - time.mean()}
-    for key, size in (("fit.offset", fit.offset), ("fit.drift", fit.drift)):
-        if key not in keys:
-            value = value - size * nuisance.pop(key)
-    parameters = [one for one in free if one.key not in nuisance]
-    scale_of = np.full(time.size, len(parameters) if scales else -1)
-    parameters += [*scales, *(one for one in free if one.key in nuisance)]
-    return Problem(
-        RecordForward(file, time, record.machine_stiffness, fixed),
-        parameters,
-        value,
-        table.sigma,
-        scale_of,
-        fixed * ones,
-        np.zeros(time.size, bool),
-        file["contacts.stiffness"],
-        nuisance,
-        fit.loss,
-        step=_STEP_CHOSEN,
-    )
 
 
 class Correlation(NamedTuple):

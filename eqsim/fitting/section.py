@@ -2,12 +2,12 @@
 how noisy."""
 
 import math
-from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import pydantic
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from eqsim.errors import (
     NOT_NEGATIVE,
@@ -16,13 +16,35 @@ from eqsim.errors import (
     meant,
     require_number,
     shown,
-    under,
 )
 from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.laws.named import threshold_parameters
 
 # Free keys of a record that no contact knows, and their names in [fit].
 NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}
+# Values of keys that must be sections.
+_EXAMPLES = {
+    "free": "{ bounds = [0.1, 10.0] }",
+    "prior": "{ normal = [mean, sd] }",
+    "scale": "{ start = 1.0, bounds = [0.01, 100.0] }, or a number",
+    "noise": "{ relative = 0.05, absolute = 0.0 }",
+    "record": '{ file = "step.csv" }',
+}
+
+
+def _checked(**bounds: float) -> Any:
+    """Validate a number as `require_number` does."""
+
+    def check(value: float) -> float:
+        require_number("", value, **bounds)
+        return value
+
+    return AfterValidator(check)
+
+
+Finite = Annotated[float, _checked()]
+NotNegative = Annotated[float, _checked(**NOT_NEGATIVE)]
+Positive = Annotated[float, _checked(**POSITIVE)]
 
 
 class _Section(BaseModel):
@@ -45,8 +67,8 @@ class Scale(_Section):
 
 
 class Noise(_Section):
-    relative: float = 0.0
-    absolute: float = 0.0
+    relative: NotNegative = 0.0
+    absolute: NotNegative = 0.0
 
 
 class Record(_Section):
@@ -54,7 +76,7 @@ class Record(_Section):
     time: str = "t"
     force: str = "force"
     stderr: str | None = None
-    machine_stiffness: float | None = None
+    machine_stiffness: Positive | None = None
 
 
 class Fit(_Section):
@@ -64,26 +86,33 @@ class Fit(_Section):
     record: Record | None = None
     scale: Scale | float = 1.0
     temperature: str | None = None
-    reference_temperature: float | None = None
+    reference_temperature: Positive | None = None
     noise: Noise = Noise()
     loss: Literal["gaussian", "student"] = "gaussian"
-    offset: float = 0.0
-    drift: float = 0.0
-    area: float | None = None
-    normal_stress: float | None = None
+    offset: Finite = 0.0
+    drift: Finite = 0.0
+    area: Positive | None = None
+    normal_stress: Positive | None = None
     free: dict[str, Free] = Field(default_factory=dict)
 
     def scales(self, sets: list[str]) -> tuple[list["Parameter"], float]:
         """A free scale of force for each set, or none and the fixed value. Raises
         InputError."""
         if not isinstance(self.scale, Scale):
-            require_number("fit.scale", self.scale, **POSITIVE)
             return [], self.scale
         free = Free(bounds=self.scale.bounds)
-        one = _parameter("fit.scale", "fit.scale", self.scale.start, free)
+        scale = _parameter("fit.scale", "fit.scale", self.scale.start, free)
         if len(sets) < 2:
-            return [one], 1.0
-        return [one._replace(key=f"fit.scale.{name}") for name in sets], 1.0
+            return [scale], 1.0
+        return [scale._replace(key=f"fit.scale.{name}") for name in sets], 1.0
+
+
+_SECTIONS: dict[str, type[BaseModel]] = {
+    "free": Free,
+    "scale": Scale,
+    "noise": Noise,
+    "record": Record,
+}
 
 
 class NormalPrior(NamedTuple):
@@ -93,8 +122,25 @@ class NormalPrior(NamedTuple):
     sd: float
 
 
+class _Transform(NamedTuple):
+    """The variable of a key, the key from its variable, what the variable is called,
+    and what the key is greater than."""
+
+    variable: Callable[[float], float]
+    value: Callable[[Any], Any]
+    name: str
+    above: float
+
+
+_TRANSFORMS = {
+    "log": _Transform(math.log, np.exp, "ln {}", 0.0),
+    "log1p": _Transform(math.log1p, np.expm1, "ln(1 + {})", -1.0),
+    "linear": _Transform(float, np.positive, "{}", -math.inf),
+}
+
+
 class Parameter(NamedTuple):
-    """What is fitted.
+    """A parameter of a fit.
 
     Attributes
     ----------
@@ -104,8 +150,8 @@ class Parameter(NamedTuple):
     transform : str
         The variable in which it is fitted is ln x ("log"), ln(1 + x) ("log1p") or x
         ("linear").
-    low, high : float
-        Bounds of it, and `start`, in that variable.
+    low, high, start : float
+        Bounds and start, in that variable.
     prior : NormalPrior, optional
         Of that variable.
     linear : bool
@@ -122,7 +168,7 @@ class Parameter(NamedTuple):
 
     def value(self, u: Any) -> Any:
         """The key's value, from the variable, any shape."""
-        return {"log": np.exp, "log1p": np.expm1}.get(self.transform, lambda x: x)(u)
+        return _TRANSFORMS[self.transform].value(u)
 
     def value_or_none(self, u: float | None) -> float | None:
         """The key's value; None if there is none."""
@@ -130,17 +176,12 @@ class Parameter(NamedTuple):
 
     def variable(self, value: float) -> float:
         """The variable in which a value is fitted."""
-        return _variable(self.transform, value)
+        return _TRANSFORMS[self.transform].variable(value)
 
     @property
     def variable_name(self) -> str:
-        """What the variable is, such as "ln thermal.kT"."""
-        names = {"log": "ln {}", "log1p": "ln(1 + {})", "linear": "{}"}
-        return names[self.transform].format(self.key)
-
-
-def _variable(transform: str, value: float) -> float:
-    return {"log": math.log, "log1p": math.log1p}.get(transform, float)(value)
+        """The name of the variable, such as "ln thermal.kT"."""
+        return _TRANSFORMS[self.transform].name.format(self.key)
 
 
 def section_of(file: RunFile) -> Fit:
@@ -156,44 +197,29 @@ def section_of(file: RunFile) -> Fit:
     if isinstance(given.get("free"), dict):
         given["free"] = dict(_flat(given["free"]))
     try:
-        found = Fit.model_validate(given)
+        fit = Fit.model_validate(given)
     except pydantic.ValidationError as error:
         raise InputError(_explain(error)) from None
-    if not found.free:
+    if not fit.free:
         raise InputError("fit.free: is empty; at least one key must be free")
-    with under("fit"):
-        _check_numbers(found)
-    if found.area is None and found.normal_stress is None:
-        found = found.model_copy(update=_of_interface(file))
-    if found.data is not None and found.record is not None:
+    if isinstance(fit.scale, float):
+        require_number("fit.scale", fit.scale, **POSITIVE)
+    if fit.area is None and fit.normal_stress is None:
+        fit = fit.model_copy(update=_of_interface(file))
+    if fit.data is not None and fit.record is not None:
         raise InputError(
             "fit.record: not allowed with fit.data; a fit takes one of both"
         )
-    pair = ("temperature", "reference_temperature")
-    missing = [name for name in pair if getattr(found, name) is None]
-    if len(missing) == 1:
-        raise InputError(
-            f"fit.{missing[0]}: is required; kT of a row is thermal.kT "
-            "T/reference_temperature"
-        )
-    return found
-
-
-def _check_numbers(fit: Fit) -> None:
-    """Raise InputError for a number that is out of its range."""
-    stiffness = fit.record.machine_stiffness if fit.record is not None else None
-    for name, value, bounds in (
-        ("noise.relative", fit.noise.relative, NOT_NEGATIVE),
-        ("noise.absolute", fit.noise.absolute, NOT_NEGATIVE),
-        ("offset", fit.offset, {}),
-        ("drift", fit.drift, {}),
-        ("record.machine_stiffness", stiffness, POSITIVE),
-        ("reference_temperature", fit.reference_temperature, POSITIVE),
-        ("area", fit.area, POSITIVE),
-        ("normal_stress", fit.normal_stress, POSITIVE),
+    for name, other in (
+        ("temperature", "reference_temperature"),
+        ("reference_temperature", "temperature"),
     ):
-        if value is not None:
-            require_number(name, value, **bounds)
+        if getattr(fit, name) is None and getattr(fit, other) is not None:
+            raise InputError(
+                f"fit.{name}: is required with fit.{other}; kT of a row is thermal.kT "
+                "T/reference_temperature"
+            )
+    return fit
 
 
 def _of_interface(file: RunFile) -> dict[str, float]:
@@ -221,74 +247,82 @@ def _explain(error: pydantic.ValidationError) -> str:
     place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
     field, value = ".".join(["fit", *place]), shown(first["input"])
     if first["type"] == "extra_forbidden":
-        sections: dict[str, type[BaseModel]] = {
-            "free": Free,
-            "scale": Scale,
-            "noise": Noise,
-            "record": Record,
-        }
-        known = list(sections.get(place[0] if place[1:] else "", Fit).model_fields)
-        hint = meant(place[-1], known) or "known here: " + ", ".join(known)
+        section = _SECTIONS[place[0]] if place[1:] else Fit
+        hint = meant(place[-1], section.model_fields, "known here: ")
         return f"{field}: unknown key; {hint}"
+    if first["type"] == "missing":
+        return f"{field}: is required"
     if first["type"] in ("model_type", "dict_type"):
-        free = ", such as { bounds = [0.1, 10.0] }" if place[:1] == ["free"] else ""
-        return f"{field} = {value}: must be a section{free}"
+        example = _EXAMPLES[place[-1] if place[-1] in _EXAMPLES else place[0]]
+        return f"{field} = {value}: must be a section, such as {example}"
     allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
-    return f"{field} = {value}: {allowed}"
+    if first["type"] == "value_error":  # of `require_number`
+        allowed = allowed.partition(": ")[2]
+    return f"{field} = {value}: {allowed.replace('a valid string', 'text')}"
 
 
 def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
     """Free keys of the run file, in its order. Raises InputError."""
-    known, values = keys(file), parameters(file)
-    found = []
+    known, values, found = keys(file), parameters(file), []
     for key, free in fit.free.items():
         field = f"fit.free.{key}"
         if key in NUISANCES:
             if fit.record is None:
-                raise InputError(f"{field}: only of a record")
+                raise InputError(f"{field}: only of a record; there is no fit.record")
             value: Any = getattr(fit, NUISANCES[key])
             if "transform" not in free.model_fields_set:
                 free = free.model_copy(update={"transform": "linear"})
+        elif key not in known:
+            hint = meant(key, [*known, *NUISANCES], "known are ")
+            raise InputError(f"{field}: is not a key of the run file; {hint}")
         else:
-            if key not in known:
-                hint = meant(key, [*known, *NUISANCES])
-                hint = hint or "known are " + ", ".join(known)
-                raise InputError(f"{field}: is not a key of the run file; {hint}")
-            if known[key] is not float:
-                kind = "text" if known[key] is str else "an integer"
-                raise InputError(
-                    f"{field}: its value is {kind}; only numbers with a fraction can "
-                    "be fitted"
-                )
+            _check_effect(file, key, known[key])
             value = values[key]
-            _check_effect(file, key, field)
             if value is None:
                 raise InputError(f"{field}: has no value in the run file, its start")
         found.append(_parameter(key, field, float(value), free))
     return found
 
 
-def _check_effect(file: RunFile, key: str, field: str) -> None:
-    """Raise InputError for a key that the laws of the run file do not know."""
+def _check_effect(file: RunFile, key: str, kind: type) -> None:
+    """Raise InputError for a key that holds no number with a fraction, or that the laws
+    of the run file do not know."""
     law, (section, _, name) = file["thresholds.law"], key.partition(".")
-    if key == "thermal.temperature":
-        raise InputError(f"{field}: must be thermal.kT, to which it is proportional")
-    if section == "thresholds" and name not in threshold_parameters(law):
-        raise InputError(f'{field}: has no effect with thresholds.law = "{law}"')
-    if section == "aging" and file["aging.rule"] == "none":
-        raise InputError(
-            f'{field}: has no effect with aging.rule = "none", contacts that do not age'
-        )
+    wrong = ""
+    if kind is not float:
+        text = "text" if kind is str else "an integer"
+        wrong = f"its value is {text}; only numbers with a fraction can be fitted"
+    elif key == "thermal.temperature":
+        wrong = "must be thermal.kT, to which it is proportional"
+    elif section == "thresholds" and name not in threshold_parameters(law):
+        wrong = f'has no effect with thresholds.law = "{law}"'
+    elif section == "aging" and file["aging.rule"] == "none":
+        wrong = 'has no effect with aging.rule = "none", contacts that do not age'
+    if wrong:
+        raise InputError(f"fit.free.{key}: {wrong}")
 
 
 def _parameter(key: str, field: str, value: float, free: Free) -> Parameter:
     """The variable, bounds and start of a free key. Raises InputError."""
-    low, high = _bounds(field, free.bounds, free.transform)
-    if not free.bounds[0] <= value <= free.bounds[1]:
-        where = f"[{free.bounds[0]:g}, {free.bounds[1]:g}]"
+    given, transform = f"{field}.bounds = {shown(free.bounds)}", free.transform
+    variable, _, _, above = _TRANSFORMS[transform]
+    if len(free.bounds) != 2 or not all(map(math.isfinite, free.bounds)):
+        raise InputError(f"{given}: must be two finite numbers")
+    low, high = free.bounds
+    if not low < high:
+        raise InputError(
+            f"{given}: must be [least, greatest], the first smaller than the second"
+        )
+    if not low > above:
+        other = '; transform = "linear" or "log1p" may begin at 0'
+        raise InputError(
+            f'{given}: must be > {above:g} with transform = "{transform}"'
+            f"{other if transform == 'log' else ''}"
+        )
+    if not low <= value <= high:
         raise InputError(
             f"{field}: starts at {value:g}, the run file's value; must be inside its "
-            f"bounds {where}"
+            f"bounds [{low:g}, {high:g}]"
         )
     prior = None
     if free.prior is not None:
@@ -297,25 +331,5 @@ def _parameter(key: str, field: str, value: float, free: Free) -> Parameter:
             given = f"{field}.prior.normal = {shown(normal)}"
             raise InputError(f"{given}: must be [mean, sd] with sd > 0")
         prior = NormalPrior(*normal)
-    start, linear = _variable(free.transform, value), key.startswith("fit.")
-    return Parameter(key, free.transform, low, high, start, prior, linear)
-
-
-def _bounds(field: str, bounds: list[float], transform: str) -> tuple[float, float]:
-    """Bounds in the variable that is fitted. Raises InputError."""
-    given = f"{field}.bounds = {shown(bounds)}"
-    if len(bounds) != 2 or not all(map(math.isfinite, bounds)):
-        raise InputError(f"{given}: must be two finite numbers")
-    low, high = bounds
-    if not low < high:
-        raise InputError(
-            f"{given}: must be [least, greatest], the first smaller than the second"
-        )
-    least = {"log": 0.0, "log1p": -1.0, "linear": -math.inf}[transform]
-    if not low > least:
-        other = '; transform = "linear" or "log1p" may begin at 0'
-        raise InputError(
-            f'{given}: must be > {least:g} with transform = "{transform}"'
-            f"{other if transform == 'log' else ''}"
-        )
-    return _variable(transform, low), _variable(transform, high)
+    ends = variable(low), variable(high), variable(value)
+    return Parameter(key, transform, *ends, prior, key.startswith("fit."))

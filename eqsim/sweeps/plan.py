@@ -5,28 +5,20 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import pyarrow
+from pyarrow import parquet as pq
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
 from eqsim.laws.threshold import Table
-from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
+from eqsim.sweeps.rows import Task
 
 MOST_POINTS = 1_000_000
-
-
-class Task(NamedTuple):
-    """A point as a worker needs it."""
-
-    seed: int
-    ensemble: Ensemble
-    drive: Drive | Programme
-    points: int
-    replicas: int
 
 
 class Plan:
@@ -53,11 +45,11 @@ class Plan:
                 "drive.file: a sweep has columns for the segments of a drive.programme "
                 "only"
             )
-        elastic = file["elastic"]
-        if elastic is not None and isinstance(elastic["blocks"], list):
-            blocks = shown(elastic["blocks"])
+        blocks = file["elastic.blocks"] if file["elastic"] else None
+        if isinstance(blocks, list):
             raise InputError(
-                f"elastic.blocks = {blocks}: a sweep has a column for chains only"
+                f"elastic.blocks = {shown(blocks)}: must be a number; a sweep has a "
+                "column for chains only"
             )
         self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
@@ -91,7 +83,7 @@ class Plan:
         return identity(point, ensemble)
 
     def changes(self, index: int) -> dict[str, Any]:
-        """What distinguishes a point from the run file."""
+        """Keys and values in which a point differs from the run file."""
         found: list[dict[str, Any]] = []
         for axis in reversed(self.axes):
             index, place = divmod(index, len(axis))
@@ -104,14 +96,9 @@ class Plan:
 
     def task(self, index: int) -> Task:
         """The point for a worker."""
-        point = self.at(index)
-        return Task(
-            seed_of(self.ids[index]),
-            point.ensemble,
-            point.drive,
-            point.output.points,
-            point.output.replicas,
-        )
+        point, seed = self.at(index), seed_of(self.ids[index])
+        points, replicas = point.output.points, point.output.replicas
+        return Task(seed, point.ensemble, point.drive, points, replicas)
 
 
 def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
@@ -158,7 +145,7 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
 
 
 def swept(file: RunFile) -> set[str]:
-    """The keys that a run file's [sweep] table sets at every point. Raises InputError."""
+    """The keys that a [sweep] table sets at every point. Raises InputError."""
     return _everywhere(_axes(file))
 
 
@@ -167,14 +154,13 @@ def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
 
 
 def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """TOML reads the unquoted key drive.velocity as a table; take it as it was meant."""
+    """Keys and values of a table, also those of unquoted keys such as drive.velocity,
+    which TOML reads as tables."""
     sections = {key.split(".")[0] for key in keys() if "." in key}
 
     def parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-        nested = isinstance(value, dict) and (
-            key in sections or key.startswith(("drive.programme", "drive.stage"))
-        )
-        if nested and not {"log", "linear"} & value.keys():
+        above = key in sections or key.startswith(("drive.programme", "drive.stage"))
+        if above and isinstance(value, dict) and not {"log", "linear"} & value.keys():
             for name, part in value.items():
                 yield from parts(f"{key}.{name}", part)
         else:
@@ -224,9 +210,6 @@ def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
 def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     """Explicit points, one per row of a Parquet file; null: as in the run file. Raises
     InputError."""
-    import pyarrow
-    from pyarrow import parquet as pq
-
     wanted = "a Parquet file whose columns are keys"
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of {wanted}")
@@ -244,9 +227,7 @@ def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
             _refuse_unknown(key, file)
-    return [
-        {key: value for key, value in row.items() if value is not None} for row in rows
-    ]
+    return [{key: x for key, x in row.items() if x is not None} for row in rows]
 
 
 def identity(point: RunFile, ensemble: Ensemble) -> str:

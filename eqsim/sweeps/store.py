@@ -1,12 +1,12 @@
 """The folder of a sweep.
 
-It holds `sweep.parquet`, the rows in the order of the grid (`eqsim.sweeps.rows`), and
-`_sweep.json`, what was asked for. While a sweep runs its rows are in `parts/`, in files
-named by a digest of their content; when all are there, that folder becomes `_parts`
-just before the table gets its name. Names that begin with "_" are not part of the
-dataset: `pandas.read_parquet(FOLDER)` reads the rows that there are, each once. The
-metadata key `eqsim` holds the run file, the settings, versions and the version of the
-schema.
+It holds `sweep.parquet`, the rows in the order of the grid with the columns of
+`schema` (null where one does not apply), and `_sweep.json`, what was asked for. While a
+sweep runs its rows are in `parts/`, in files named by a digest of their content; when
+all are there, that folder becomes `_parts` just before the table gets its name. Names
+that begin with "_" are not part of the dataset: `pandas.read_parquet(FOLDER)` reads the
+rows that there are, each once. The metadata key `eqsim` holds the run file, the
+settings, versions and the version of the schema.
 """
 
 import dataclasses
@@ -20,17 +20,81 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
 from eqsim.errors import InputError
+from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
-from eqsim.io.runfile import parameters
+from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
+from eqsim.io.units import Quantity, quantities
+from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.plan import Plan, entries, seed_of
-from eqsim.sweeps.rows import SCHEMA, Asked, physical, schema
+from eqsim.sweeps.rows import OF_SEGMENT, OF_STEP, Asked
 
+try:
+    import fcntl
+except ImportError:  # a system without locks
+    fcntl = None  # type: ignore[assignment]
+
+# Version of the columns.
+SCHEMA = 2
 _LOCK = "_lock"
-_VERSION = "results version"  # where a manifest has it
+# Where a manifest has the version of results.
+_VERSION = "results version"
+# Rows that are written at once.
 _FLUSH_ROWS = 256
+
+
+def schema(file: RunFile) -> Any:
+    """The pyarrow schema of the dataset of a run file's sweep."""
+    number, integer, text = pa.float64(), pa.int64(), pa.string()
+    others = {"dof": integer, "reliable": pa.bool_()}
+    exact = ("reference", "reference_error", "z")
+
+    def columns(name: str, *ends: str) -> dict[str, Any]:
+        return {name: number} | {
+            f"{name}_{end}": others.get(end, number) for end in ("stderr", *ends)
+        }
+
+    types = {float: number, int: integer, str: text}
+    fields = {"id": text, **{key: types[kind] for key, kind in keys(file).items()}}
+    fields |= {"kind": text, "status": text, "message": text}
+    for name in OBSERVABLES:
+        fields |= columns(name, "dof", "reliable", *exact)
+    for one in _quantities(file, Ensemble()):
+        fields |= columns(one.column, "reference")
+    for name in ("size", "single") if file["elastic"] else ():
+        fields |= columns(name, "reference", "z")
+    pulled = file["drive.stage"]
+    if pulled:
+        fields |= {"slips": integer, **columns("period"), **columns("drop")}
+    for index in range(0 if pulled else len(file["drive.programme"] or [])):
+        for name in (*OF_SEGMENT, *OF_STEP):
+            fields |= columns(f"segment_{index}_{name}", *exact)
+    fields |= {"reference_method": text, "lives": integer, "seed": integer}
+    fields |= {"seconds": number, "eqsim_version": text}
+    return pa.schema(list(fields.items()))
+
+
+def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
+    """Quantities that friction is at the interface, where there are averages."""
+    programmed = file["drive.programme"] or file["drive.stage"]
+    return () if programmed else quantities(ensemble, file.units, file.interface)
+
+
+def physical(file: RunFile, row: dict[str, Any]) -> dict[str, float]:
+    """The columns of a point that say what its friction is at the interface; none of a
+    point that failed."""
+    if row.get("friction") is None or not _quantities(file, Ensemble()):
+        return {}
+    return {
+        one.column + end: row[f"friction{end}"] * one.factor
+        for one in _quantities(file, file.ensemble)
+        for end in ("", "_stderr", "_reference")
+        if row.get(f"friction{end}") is not None
+    }
 
 
 class Store:
@@ -83,15 +147,14 @@ class Store:
         # Permissions modulo umask: the folder may be a group's.
         handle = os.open(self.out / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(handle)
             raise InputError(
                 f"--out {self.out}: another sweep is at work in this folder"
             ) from None
-        except (ImportError, OSError):  # a system or a file system without locks
+        except OSError:  # a file system without locks
             pass
         return handle
 
@@ -172,21 +235,15 @@ class Store:
         self.done = self._on_disk()
 
     def _on_disk(self) -> set[str]:
-        return {
-            point_id for table in self.tables for point_id in table["id"].to_pylist()
-        } & set(self.plan.ids)
+        names = (table["id"].to_pylist() for table in self.tables)
+        return set().union(*names) & set(self.plan.ids)
 
     def add(self, index: int, row: dict[str, Any]) -> None:
         """Keep the row of a point; it reaches the disk with `flush`."""
         point_id, point = self.plan.ids[index], self.plan.at(index)
-        known = {
-            "id": point_id,
-            "seed": seed_of(point_id),
-            "kind": self.kind,
-            "eqsim_version": _version(),
-        }
-        at_interface = physical(point, row)
-        self.rows.append({**parameters(point), **row, **at_interface, **known})
+        row = {**parameters(point), **row, **physical(point, row)}
+        row |= {"id": point_id, "seed": seed_of(point_id), "kind": self.kind}
+        self.rows.append(row | {"eqsim_version": _version()})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -195,8 +252,6 @@ class Store:
         """Write the rows at hand to a file if the last one is `older` seconds old."""
         if not self.rows or time.monotonic() - self.flushed < older:
             return
-        import pyarrow as pa
-
         table = pa.Table.from_pylist(self.rows, self.schema)
         content = storage.as_parquet(table)
         path = self.out / SWEEP_PARTS / f"part-{_digest(content)}.parquet"
@@ -214,8 +269,6 @@ class Store:
     def compact(self) -> Any:
         """All rows in one file, in the order of the grid, each once; a death in between
         loses and doubles nothing. Returns them as a pyarrow table."""
-        import pyarrow as pa
-
         self.flush()
         table = pa.concat_tables(self.tables)
         rows = reversed([*enumerate(table["id"].to_pylist())])

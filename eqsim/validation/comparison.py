@@ -1,11 +1,9 @@
 """A comparison at a point of the parameter space: what it is made of, how it is scored,
 and what is not scored."""
 
-import dataclasses
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from operator import attrgetter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,24 +11,30 @@ from scipy import stats
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate, known, z_score
-from eqsim.laws.aging import RULES
-from eqsim.laws.newborn import Newborn
+from eqsim.laws.aging import RULES, Aging
 from eqsim.model.drive import Drive, Stage, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 from eqsim.validation.points import Suite, law_text
 
+# Reasons why a comparison is left out; the first three are the program's own.
 DECLINED = ("refused", "unreliable", "vague")
 REASONS = (*DECLINED, "few contacts", "too many lives", "no reference")
-_SHARE = 0.2  # of a quoted error that may be a bound: scatter then makes 98 % of it
-_VAGUE = 0.1  # a bound, relative to what it bounds, that leaves nothing to compare
+# Share of a quoted error that may be a bound: scatter then makes 98 % of it.
+_BOUND_OF_ERROR = 0.2
+# A bound, relative to what it bounds, that leaves nothing to compare.
+_VAGUE = 0.1
+
+
+class LeftOut(Exception):
+    """No comparison can be made, for one of `REASONS`."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """One comparison: its kind, the ensemble and velocity, what the engine and the
-    master said, and z; `even` if sigma is scatter, so that z is normal; elsewhere
-    bounds add to it, and z is small.
+    """A comparison: its kind, the ensemble and velocity, what the engine and the master
+    said, and z; `even` if sigma is scatter, so that z is normal; elsewhere bounds add
+    to it, and z is small.
 
     Of a hazard law these are the distance of Kolmogorov and Smirnov, 0, and n^(-1/2) of
     n lives. Of a slider that a stage pulls there are the `stage`, the `count` of its
@@ -48,11 +52,6 @@ class Score:
     count: int = 0
     time: float = math.nan
 
-    def behind(self, stage: Stage, count: int, time: float) -> "Score":
-        """The same score, of `count` contacts of a slider behind the spring of a stage
-        after that time."""
-        return dataclasses.replace(self, stage=stage, count=count, time=time)
-
 
 class Unscored(NamedTuple):
     """A comparison that was asked for and not made, and why: one of `REASONS`, and what
@@ -64,17 +63,14 @@ class Unscored(NamedTuple):
     reason: str
     message: str = ""
 
-    def behind(self, stage: Stage, count: int, time: float) -> "Unscored":
-        """The same: it has no row in the table of scores."""
-        return self
-
 
 Found = list[Score | Unscored]
 
 
 class Point(NamedTuple):
     """A point of the parameter space: its number, the ensemble, the one that the engine
-    is shown, its seed and that of the suite, and the threads that simulate it."""
+    is shown, its seed and that of the suite, and the threads that simulate it; of a
+    slider that a stage pulls also the last three of `Score`."""
 
     number: int
     ensemble: Ensemble
@@ -83,59 +79,78 @@ class Point(NamedTuple):
     seed: int
     suite_seed: int
     threads: int = 1
+    stage: Stage | None = None
+    contacts: int = 0
+    time: float = math.nan
 
     def stream(self, *numbers: int) -> int:
         """A seed for something drawn here."""
         return stream(self.seed, *numbers)
 
+    def rng(self, number: int) -> np.random.Generator:
+        """A generator for something drawn here."""
+        return np.random.default_rng((self.seed, number))
+
     def drive(self, distance: float, start: Start = "fresh") -> Drive:
-        """At the velocity of this point."""
+        """A drive at the velocity of this point."""
         return Drive(self.velocity, distance, start)
 
     def without(self, kinds: tuple[str, ...], reason: str, message: str = "") -> Found:
         """None of these comparisons made."""
-        return [
-            Unscored(kind, self.ensemble, self.velocity, reason, message)
-            for kind in kinds
-        ]
+        where = self.ensemble, self.velocity
+        return [Unscored(kind, *where, reason, message) for kind in kinds]
 
     def score(
-        self, kind: str, ours: Estimate, exact: Estimate, bound: float
+        self, kind: str, ours: Estimate, exact: Estimate, bound: float | None = None
     ) -> Score | Unscored:
-        """An estimate against an exact value with its error; of both quoted errors, so
-        much is a `bound`."""
+        """Score an estimate against an exact value with its error. So much of both
+        errors is a `bound`, by default that of the exact value."""
         value, error = known(exact), exact.stderr or 0.0
         sigma, z = math.hypot(ours.stderr or 0.0, error), z_score(ours, value, error)
-        even = bound <= _SHARE * sigma
+        bound = error if bound is None else bound
+        even, where = bound <= _BOUND_OF_ERROR * sigma, (self.ensemble, self.velocity)
         if not even and bound > _VAGUE * abs(value):
-            return Unscored(kind, self.ensemble, self.velocity, "vague")
-        where = kind, self.ensemble, self.velocity
+            return Unscored(kind, *where, "vague")
         score = math.inf if z is None else z
-        return Score(*where, known(ours), value, sigma, score, even)
+        numbers = known(ours), value, sigma, score
+        return Score(kind, *where, *numbers, even, self.stage, self.contacts, self.time)
 
     def uniform(self, share: Array) -> Score:
         """Test whether numbers are uniform, as they should be."""
         distance, p = stats.kstest(share, "uniform")
         # low if it is too even
         z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))
-        root, distance = 1 / math.sqrt(share.size), float(distance)
-        kind = "hazard law", self.ensemble, self.velocity
-        return Score(*kind, distance, 0.0, root, z)
+        root, where = 1 / math.sqrt(share.size), (self.ensemble, self.velocity)
+        return Score("hazard law", *where, float(distance), 0.0, root, z)
 
 
-# Kinds of comparisons, and what makes them at a point.
-Asked = tuple[tuple[str, ...], Callable[[Point, Suite], Found]]
+@dataclass(frozen=True)
+class Comparison:
+    """Comparisons of some kinds at a point, `each` of every kind."""
 
+    kinds: tuple[str, ...]
+    each: int
+    make: Callable[[Point, Suite], Found]
 
-def attempt(point: Point, plan: Suite, asked: list[Asked]) -> Found:
-    """The comparisons that are asked for; those that the program refuses are unscored."""
-    scores: Found = []
-    for kinds, compare in asked:
+    def __call__(self, point: Point, plan: Suite) -> Found:
+        """Make the comparisons; those that are refused or left out are unscored."""
         try:
-            scores += compare(point, plan)
+            return self.make(point, plan)
+        except LeftOut as reason:
+            return self.without(point, str(reason))
         except InputError as error:
-            scores += point.without(kinds, "refused", str(error))
-    return scores
+            return self.without(point, "refused", str(error))
+
+    def without(self, point: Point, reason: str, message: str = "") -> Found:
+        """None of the comparisons made."""
+        return point.without(self.each * self.kinds, reason, message)
+
+
+def compares(
+    *kinds: str, each: int = 1
+) -> Callable[[Callable[[Point, Suite], Found]], Comparison]:
+    """Make a `Comparison` of a function that finds scores of these kinds."""
+    return lambda make: Comparison(kinds, each, make)
 
 
 def stream(*numbers: int) -> int:
@@ -143,42 +158,43 @@ def stream(*numbers: int) -> int:
     return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0] >> 1)
 
 
-_COLUMNS = {
-    "kind": "kind", "disorder": "ensemble.disorder", "barrier": "ensemble.thermal.barrier",
-    "stiffness_law": "ensemble.stiffness_law", "thresholds": "ensemble.thresholds", "kT": "ensemble.thermal.kT",
-    "aging": "ensemble.aging.rule", "aging_rate": "ensemble.aging.rate", "x_star_final": "ensemble.aging.x_star_final",
-    "beta": "ensemble.aging.beta", "cutoff_time": "ensemble.aging.cutoff_time",
-    "delay": "ensemble.delay.time", "delay_law": "ensemble.delay.law", "eta": "ensemble.eta", "velocity": "velocity",
-    "value": "value", "reference": "reference", "sigma": "sigma", "z": "z", "even": "even",
-    "contacts": "count", "time": "time",
-    **{f"newborn_{field.name}": f"ensemble.newborn.{field.name}" for field in dataclasses.fields(Newborn)},
-}  # fmt: skip
-
-
 def columns(scores: list[Score]) -> dict[str, list[Any]]:
     """The scores as columns of a table, one row per comparison."""
-    if not scores:
-        return {}
-    table = {
-        name: [attrgetter(path)(score) for score in scores]
-        for name, path in _COLUMNS.items()
-    }
-    table["thresholds"] = [law_text(law) for law in table["thresholds"]]
+    rows = [dict(_row(score)) for score in scores]
+    return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
+
+
+def _row(score: Score) -> Iterator[tuple[str, Any]]:
+    """Name and content of each cell of a comparison; NaN where there is none."""
+    of, aging = score.ensemble, score.ensemble.aging
+    yield from {
+        "kind": score.kind,
+        "disorder": of.disorder,
+        "barrier": of.thermal.barrier,
+        "stiffness_law": of.stiffness_law,
+        "thresholds": law_text(of.thresholds),
+        "kT": of.thermal.kT,
+        "aging": aging.rule,
+        "aging_rate": aging.rate,
+    }.items()
+    takes = RULES[aging.rule].keys if aging.rule in RULES else ()
+    for name in (field.name for field in fields(Aging)[2:]):
+        yield name, getattr(aging, name) if name in takes else math.nan
+    yield from {
+        "delay": of.delay.time,
+        "delay_law": of.delay.law,
+        "eta": of.eta,
+        "velocity": score.velocity,
+        "value": score.value,
+        "reference": score.reference,
+        "sigma": score.sigma,
+        "z": score.z,
+        "even": score.even,
+        "contacts": score.count,
+        "time": score.time,
+    }.items()
+    others = {f"newborn_{name}": x for name, x in vars(of.newborn).items()}
     for name in ("stiffness", "damping", "preload"):
-        table[f"stage_{name}"] = [
-            _number(getattr(score.stage, name, None)) for score in scores
-        ]
-    for name in ("x_star_final", "beta", "cutoff_time"):
-        ages = zip(table["aging"], table[name], strict=True)
-        table[name] = [
-            value if rule in RULES and name in RULES[rule].keys else math.nan
-            for rule, value in ages
-        ]
-    for name in (name for name in table if name.startswith("newborn_")):
-        table[name] = [math.nan if value is None else value for value in table[name]]
-    return table
-
-
-def _number(value: float | None) -> float:
-    """A number for a table, NaN if there is none."""
-    return math.nan if value is None else value
+        others[f"stage_{name}"] = getattr(score.stage, name, None)
+    for name, value in others.items():
+        yield name, math.nan if value is None else value

@@ -13,10 +13,10 @@ are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean thre
 where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
 """
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,13 +34,14 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table, ThresholdLaw
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.tables import Array
 
-LAWS = (  # without aging
-    "gamma", "few", "lognorm", "sample", "weibull_min", "two", "pareto", "histogram", "uniform", "arcsine", "triang",
-    "loglaplace", "few", "delta", "narrow",
-)  # fmt: skip
+# Laws of thresholds that do not drift, in turn.
+LAWS = (
+    *("gamma", "few", "lognorm", "sample", "weibull_min", "two", "pareto", "histogram"),
+    *("uniform", "arcsine", "triang", "loglaplace", "few", "delta", "narrow"),
+)
 
+# Ranges of the shape of laws of SciPy.
 _SHAPES = {
     "lognorm": (0.1, 2.0),
     "weibull_min": (0.4, 10.0),
@@ -50,7 +51,7 @@ _SHAPES = {
 
 
 class Suite(NamedTuple):
-    """How many parameter points, how many of them are also tested for fluctuations,
+    """Numbers of parameter points, of those that are also tested for fluctuations,
     contacts and ensembles of these tests in turn, the fewest contacts of a transient,
     for as long as they take fewer than `lives` lives, how many sliders on a few
     contacts behind a spring are followed, and the tolerance of their steps in holds."""
@@ -93,13 +94,8 @@ def sample(
         np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6)
     )
     ages = aging.permutation(count) < count // 3
-    kinds = dict(
-        zip(
-            laws.permutation(np.flatnonzero(~ages)).tolist(),
-            itertools.cycle(LAWS),
-            strict=False,
-        )
-    )
+    others = laws.permutation(np.flatnonzero(~ages)).tolist()
+    kinds = dict(zip(others, itertools.cycle(LAWS), strict=False))
     barriers, delays = tuple(BARRIERS), tuple(DELAYS)
     for index in range(count):
         v = 10 ** rng.uniform(-4, 2)
@@ -120,16 +116,14 @@ def sample(
         elif ensemble.disorder == "quenched" and growing.random() < 1 / 3:
             beta, slid = 10 ** growing.uniform(-3, 0.5), 10 ** growing.uniform(-6, 2)
             grows = Aging("logarithmic", beta=beta, cutoff_time=slid / v)
-            ensemble = dataclasses.replace(ensemble, aging=grows)
+            ensemble = replace(ensemble, aging=grows)
         elif newborn.random() < 1 / 4:
             ensemble = _born_stretched(ensemble, newborn)
         if index % step != first:
             continue  # lives take time
         if delay:
             time = delay * typical_life(ensemble, v * unit) / (v * unit)
-            ensemble = dataclasses.replace(
-                ensemble, delay=Delay(time, ensemble.delay.law)
-            )
+            ensemble = replace(ensemble, delay=Delay(time, ensemble.delay.law))
         yield index, ensemble, v * unit
 
 
@@ -141,61 +135,56 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
         orders = [0.0, 0.5, 1.0, 2.5, rng.uniform(0, 10), rng.uniform(0, 10)]
         return Gamma(float(orders[rng.integers(6)]), unit)
     if kind == "delta":
-        return Delta(float(_brief(np.array(unit))))
+        return Delta(*_brief(unit))
     if kind == "two":
-        low, high = _brief(unit * np.array([1.0, 10 ** rng.uniform(0.01, 2)]))
-        return Table(np.repeat([low, high], rng.integers(1, 6, 2)))
+        both = _brief(unit, unit * 10 ** rng.uniform(0.01, 2))
+        return Table(np.repeat(both, rng.integers(1, 6, 2)))
     if kind == "narrow":
-        width, scale = _brief(np.array([10 ** rng.uniform(-3, -1.7), unit])).tolist()
+        width, scale = _brief(10 ** rng.uniform(-3, -1.7), unit)
         if rng.random() < 0.5:
             return Lognormal(width, scale)
         return Gamma(float(round(0.25 / width**2)), scale)
     if kind == "few":
-        low, decades = math.log10(unit), rng.uniform(0.05, 4)
-        low, high = low - decades / 2, low + decades / 2
-        steps = 10 ** rng.uniform(low, high, rng.integers(2, 13))
+        middle, half = math.log10(unit), rng.uniform(0.05, 4) / 2
+        steps = 10 ** rng.uniform(middle - half, middle + half, rng.integers(2, 13))
         times = rng.integers(1, 4, steps.size) if rng.random() < 0.5 else 1
-        return Table(np.repeat(_brief(steps), times))
+        return Table(np.repeat(_brief(*steps), times))
     if kind == "sample":
         size = round(10 ** rng.uniform(1.3, 2.7))
-        return Table(_brief(unit * rng.lognormal(0.0, rng.uniform(0.1, 0.8), size)))
+        return Table(_brief(*unit * rng.lognormal(0.0, rng.uniform(0.1, 0.8), size)))
     if kind == "histogram":
         bins = int(rng.integers(2, 11))
         # with gaps
         heights = np.append(rng.integers(0, 10, bins - 1), 1 + rng.integers(10))
         first = rng.choice([0.0, 0.2, 1.0])
         widths = np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))
-        edges = _brief(unit * (first + widths))
+        edges = _brief(*unit * (first + widths))
         return Distribution(stats.rv_histogram((heights, edges), density=True))
-    low = rng.uniform(0.05, 0.95) * unit
-    scale, low = _brief(np.array([unit, low])).tolist()
+    scale, low = _brief(unit, rng.uniform(0.05, 0.95) * unit)
     if kind == "uniform":
         return Distribution(stats.uniform(low, scale))
     if kind == "arcsine":
         shapes = [0.5, 0.5]
         if rng.random() < 0.5:
-            shapes = _brief(rng.uniform(0.4, 0.9, 2)).tolist()
+            shapes = _brief(*rng.uniform(0.4, 0.9, 2))
         return Distribution(stats.beta(*shapes, loc=low, scale=scale))
     if kind == "triang":
-        peak = float(_brief(np.array(rng.uniform(0.0, 1.0))))
-        return Distribution(stats.triang(peak, loc=low, scale=scale))
+        peak = _brief(rng.uniform(0.0, 1.0))
+        return Distribution(stats.triang(*peak, loc=low, scale=scale))
     least, most = _SHAPES[kind]
-    shape = float(_brief(np.exp(rng.uniform(math.log(least), math.log(most)))))
-    return Distribution(getattr(stats, kind)(shape, scale=scale))
+    shape = _brief(float(np.exp(rng.uniform(math.log(least), math.log(most)))))
+    return Distribution(getattr(stats, kind)(*shape, scale=scale))
 
 
 def _born_stretched(ensemble: Ensemble, rng: np.random.Generator) -> Ensemble:
     """The same contacts, with thresholds of a gamma law (references of others take
     long), born stretched by up to about a typical one, along the motion or against it.
     """
-    thresholds = Gamma(
-        float(rng.choice([0.0, 0.5, 1.0, 2.5])), ensemble.thresholds.scale
-    )
-    size, kind = float(_brief(np.array(10 ** rng.uniform(-1.5, 0)))), rng.integers(6)
-    unit, sign = ensemble.thresholds.scale, float(rng.choice([-1.0, 1.0]))
-    low, high = sorted(
-        float(_brief(np.array(part))) for part in rng.uniform(-1.0, 1.0, 2)
-    )
+    unit = ensemble.thresholds.scale
+    thresholds = Gamma(float(rng.choice([0.0, 0.5, 1.0, 2.5])), unit)
+    (size,), kind = _brief(10 ** rng.uniform(-1.5, 0)), rng.integers(6)
+    sign = float(rng.choice([-1.0, 1.0]))
+    low, high = sorted(_brief(*rng.uniform(-1.0, 1.0, 2)))
     laws = (
         Newborn("delta", stretch=sign * size * unit),
         Newborn("uniform", low=low * size * unit, high=high * size * unit),
@@ -204,12 +193,12 @@ def _born_stretched(ensemble: Ensemble, rng: np.random.Generator) -> Ensemble:
         Newborn("delta", "threshold", stretch=0.9 * sign * size),
         Newborn("uniform", "threshold", low=low, high=high),
     )
-    return dataclasses.replace(ensemble, thresholds=thresholds, newborn=laws[kind])
+    return replace(ensemble, thresholds=thresholds, newborn=laws[kind])
 
 
-def _brief(x: Array) -> Array:
-    """Rounded to four digits."""
-    return np.vectorize(lambda number: float(f"{number:.4g}"))(x)
+def _brief(*numbers: float) -> list[float]:
+    """Numbers rounded to four digits."""
+    return [float(f"{number:.4g}") for number in numbers]
 
 
 def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
@@ -222,12 +211,9 @@ def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
     at_once, cold = rng.random() < 0.15, rng.random() < 0.25
     if at_once and (ensemble.disorder == "annealed" or not RULES[rule].fluctuates):
         rate, rule = math.inf, "flow"  # all the same to annealed contacts
-    thermal = (
-        dataclasses.replace(ensemble.thermal, kT=0.0) if cold else ensemble.thermal
-    )
-    return dataclasses.replace(
-        ensemble, thermal=thermal, aging=Aging(rule, rate, final)
-    )
+    if cold:
+        ensemble = replace(ensemble, thermal=replace(ensemble.thermal, kT=0.0))
+    return replace(ensemble, aging=Aging(rule, rate, final))
 
 
 def typical_life(ensemble: Ensemble, v: float) -> float:
@@ -253,8 +239,6 @@ def law_text(law: ThresholdLaw) -> str:
     if isinstance(frozen, stats.rv_histogram):
         heights, edges = (np.asarray(part).tolist() for part in frozen._histogram)
         return f"Distribution(stats.rv_histogram(({heights}, {edges}), density=True))"
-    shape = [
-        *map(repr, frozen.args),
-        *(f"{name}={value!r}" for name, value in frozen.kwds.items()),
-    ]
+    shape = [repr(value) for value in frozen.args]
+    shape += [f"{name}={value!r}" for name, value in frozen.kwds.items()]
     return f"Distribution(stats.{frozen.dist.name}({', '.join(shape)}))"

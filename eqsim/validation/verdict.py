@@ -18,7 +18,6 @@ between kinds (Bonferroni).
 
 import html
 import math
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -26,9 +25,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from eqsim.errors import InputError
+from eqsim.errors import require_choice
 from eqsim.model.ensemble import Ensemble
-from eqsim.validation import pulled
+from eqsim.validation import pulled, scores
 from eqsim.validation.comparison import (
     DECLINED,
     Found,
@@ -39,10 +38,8 @@ from eqsim.validation.comparison import (
     stream,
 )
 from eqsim.validation.points import SUITES, WHOLE, Part, sample
-from eqsim.validation.scores import KINDS as RIGID
-from eqsim.validation.scores import compared
 
-KINDS = (*RIGID, *pulled.KINDS)
+KINDS = (*scores.KINDS, *pulled.KINDS)
 
 ALARM = 1e-4
 
@@ -52,7 +49,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of the `count` scores of a kind, `even` of which make its chi-square: both
+    """The `count` scores of a kind, `even` of which make its chi-square: both
     probabilities, the largest |z|, and whether it passes."""
 
     kind: str
@@ -67,7 +64,7 @@ class Verdict:
 
 @dataclass(frozen=True, repr=False)
 class Validation:
-    """What a suite found.
+    """Result of a suite.
 
     Attributes
     ----------
@@ -94,20 +91,19 @@ class Validation:
 
     def __repr__(self) -> str:
         said = "passed" if self.passed else "FAILED"
-        return f"Validation(suite {self.suite}, seed {self.seed}: {said}, {len(self.scores)} comparisons)"
+        count = f"{len(self.scores)} comparisons"
+        return f"Validation(suite {self.suite}, seed {self.seed}: {said}, {count})"
 
     def _repr_html_(self) -> str:
         """The verdict on each kind."""
         import pandas as pd
 
-        shown: str = pd.DataFrame(
-            [asdict(verdict) for verdict in self.verdicts]
-        ).to_html(index=False)
-        return f"{html.escape(repr(self))}{shown}"
+        verdicts = pd.DataFrame([asdict(verdict) for verdict in self.verdicts])
+        return f"{html.escape(repr(self))}{verdicts.to_html(index=False)}"
 
     @property
     def passed(self) -> bool:
-        """Whether every kind passes, and the program declined no more of any than it
+        """True if every kind passes, and the program declined no more of any than it
         made."""
         return all(verdict.passed for verdict in self.verdicts) and not self.declined
 
@@ -115,11 +111,7 @@ class Validation:
     def declined(self) -> list[str]:
         """Kinds of which the program refused more than was scored."""
         left = left_out(self.unscored)
-        return [
-            verdict.kind
-            for verdict in self.verdicts
-            if declined(verdict.kind, verdict.count, left)
-        ]
+        return [v.kind for v in self.verdicts if declined(v.kind, v.count, left)]
 
     @property
     def p_overall(self) -> float:
@@ -129,30 +121,24 @@ class Validation:
 
 
 def left_out(unscored: list[Unscored]) -> dict[str, dict[str, int]]:
-    """How many comparisons were not made, by kind and reason."""
+    """Numbers of comparisons that were not made, by kind and reason."""
     found: dict[str, dict[str, int]] = {}
-    for (kind, reason), count in Counter(
-        (one.kind, one.reason) for one in unscored
-    ).items():
-        found.setdefault(kind, {})[reason] = count
+    for one in unscored:
+        reasons = found.setdefault(one.kind, {})
+        reasons[one.reason] = reasons.get(one.reason, 0) + 1
     return found
 
 
-def declined(kind: str, scores: int, left: dict[str, dict[str, int]]) -> bool:
-    """Whether the program would not do, or not be trusted with, more comparisons of a
+def declined(kind: str, count: int, left: dict[str, dict[str, int]]) -> bool:
+    """True if the program would not do, or not be trusted with, more comparisons of a
     kind than were made."""
-    return sum(left.get(kind, {}).get(reason, 0) for reason in DECLINED) > scores
+    return sum(left.get(kind, {}).get(reason, 0) for reason in DECLINED) > count
 
 
 def p_overall(verdicts: list[Verdict]) -> float:
     """`Validation.p_overall` of these verdicts."""
-    p = [
-        p
-        for verdict in verdicts
-        if verdict.count
-        for p in (verdict.p_chi_square, verdict.p_largest)
-    ]
-    return min(1.0, len(p) * min(p, default=1.0))
+    pairs = [(v.p_chi_square, v.p_largest) for v in verdicts if v.count]
+    return min(1.0, 2 * len(pairs) * min(map(min, pairs), default=1.0))
 
 
 def judge(kind: str, scores: list[Score]) -> Verdict:
@@ -162,19 +148,15 @@ def judge(kind: str, scores: list[Score]) -> Verdict:
         return Verdict(kind, 0, 0, 0.0, 1.0, 0.0, 1.0, True)
     z = np.array([score.z for score in of_kind])
     even = z[[score.even for score in of_kind]]
-    total, largest = float(np.sum(even**2)), float(np.abs(z).max())
-    p_square = (
-        2 * min(stats.chi2.cdf(total, even.size), stats.chi2.sf(total, even.size))
-        if even.size
-        else 1.0
-    )
-    p_largest = -math.expm1(
-        z.size * math.log1p(-min(2 * stats.norm.sf(largest), 1 - 1e-16))
-    )
+    total, largest, p_square = float(np.sum(even**2)), float(np.abs(z).max()), 1.0
+    if even.size:
+        tails = stats.chi2.cdf(total, even.size), stats.chi2.sf(total, even.size)
+        p_square = float(2 * min(tails))
+    beyond = min(2 * stats.norm.sf(largest), 1 - 1e-16)
+    p_largest = -math.expm1(z.size * math.log1p(-beyond))
     passed = bool(p_square > ALARM and p_largest > ALARM)
-    return Verdict(
-        kind, z.size, even.size, total, float(p_square), largest, p_largest, passed
-    )
+    sizes = kind, z.size, even.size
+    return Verdict(*sizes, total, p_square, largest, p_largest, passed)
 
 
 def validate(
@@ -214,24 +196,17 @@ def validate(
     InputError
         For an unknown suite.
     """
-    if suite not in SUITES:
-        raise InputError(
-            f"suite = {suite!r}: must be one of "
-            + ", ".join(f'"{name}"' for name in SUITES)
-        )
-    plan = SUITES[suite]
-    first, step = part
+    require_choice("suite", suite, (*SUITES,))
+    plan, (first, step), found = SUITES[suite], part, Found()
     total = len(range(first, plan.points, step))
-    found: Found = []
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         shown = wrong(ensemble) if wrong else ensemble
-        own = stream(seed, index)
-        point = Point(index, ensemble, shown, v, own, seed, threads)
-        found += compared(point, plan) + pulled.compared(point, plan)
+        drawn = stream(seed, index)
+        point = Point(index, ensemble, shown, v, drawn, seed, threads)
+        found += scores.compared(point, plan) + pulled.compared(point, plan)
         if progress:
             progress(done, total)
-    scores = [one for one in found if isinstance(one, Score)]
+    made = [one for one in found if isinstance(one, Score)]
     unscored = [one for one in found if isinstance(one, Unscored)]
-    return Validation(
-        suite, seed, scores, [judge(kind, scores) for kind in KINDS], unscored
-    )
+    verdicts = [judge(kind, made) for kind in KINDS]
+    return Validation(suite, seed, made, verdicts, unscored)
