@@ -1,8 +1,14 @@
 """The public names of eqsim."""
 
 from eqsim.engine.breaks import Breaks, breaks
-from eqsim.engine.elastic import ElasticTrajectory, elastic_trajectory
-from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Slip, Trajectory
+from eqsim.engine.elastic import elastic_trajectory
+from eqsim.engine.records import (
+    ElasticTrajectory,
+    ProgrammeTrajectory,
+    SliderTrajectory,
+    Slip,
+    Trajectory,
+)
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError

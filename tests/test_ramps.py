@@ -12,7 +12,7 @@ from eqsim import Aging, Delay, Ensemble, Thermal
 from eqsim.engine import recorder, segments
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
-from eqsim.engine.lanes import ROUNDS, Lives, idle_lanes
+from eqsim.engine.lanes import ROUNDS, idle_lanes
 from eqsim.engine.recorder import (
     Columns,
     Deposit,
@@ -35,14 +35,8 @@ leave, leave_ramp, average = (
     compiled(recorder.leave_ramp),
     compiled(recorder.average),
 )
-leave_ramps, leave_uniform_ramps = (
-    compiled(recorder.leave_ramps),
-    compiled(recorder.leave_uniform_ramps),
-)
-join_uniform_ramps, leave_span = (
-    compiled(recorder.join_uniform_ramps),
-    compiled(segments.leave_span),
-)
+leave_ramps, join_ramps = compiled(recorder.leave_ramps), compiled(recorder.join_ramps)
+leave_span = compiled(segments.leave_span)
 cross_edges = compiled(segments.cross_edges)
 
 CONTACTS, DISTANCE, UNIT = (
@@ -193,17 +187,7 @@ def side_by_side(uniform, points, narrow=False):
     run, rows = Run(DISTANCE, points), lives(uniform, True)
     stiffness, born, broke, _ = padded(rows)
     found = empty(run, uniform, narrow, born.size)
-    if uniform:
-        leave_uniform_ramps(found, born, broke, born.size)
-    else:
-        leave_ramps(
-            found,
-            born,
-            broke,
-            Lives.empty(UNSTRESSED)._replace(stiffness=stiffness[None]),
-            0,
-            born.size,
-        )
+    leave_ramps(found, born, broke, stiffness, uniform)
     return found, rows
 
 
@@ -214,7 +198,7 @@ def joined(points, narrow=False):
     found = empty(run, True, narrow, born.size)
     for _ in range(CONTACTS):
         leave(found, 0, 1, 1.0, 0.0)
-    join_uniform_ramps(found, born, broke, born.size)
+    join_ramps(found, born, broke)
     return found, rows
 
 

@@ -27,6 +27,7 @@ from eqsim import (
     Estimate,
     Gamma,
     InputError,
+    Newborn,
     Table,
     Thermal,
     reference,
@@ -228,9 +229,8 @@ def test_heavy_tails_need_the_proposal(monkeypatch):
     monkeypatch.setattr(Proposal, "of", births)
     # what is known is not used
     monkeypatch.setattr(module, "proposal_of", proposal_of.__wrapped__)
-    friction = steady(
-        Ensemble(thermal=Thermal(1.0)), Drive(1e-6), rel_error=0.5
-    ).friction
+    warm = Ensemble(thermal=Thermal(1.0))
+    friction = steady(warm, Drive(1e-6), rel_error=0.5).friction
     assert not friction.reliable
     assert abs(friction.value / 1.323188 - 1) > 0.01
 
@@ -243,14 +243,21 @@ def test_forces_whose_squares_underflow(recwarn):
     assert not recwarn.list
 
 
+def test_births_of_contacts_that_are_hardly_ever_pinned():
+    """Errors of tables are those of the force while pinned, so that estimates end."""
+    law, delay = Table([0.5, 1.0, 2.0]), Delay(1.0)
+    how = {"disorder": "annealed", "newborn": Newborn("uniform", low=0.1, high=0.2)}
+    rare = Ensemble(law, Thermal(0.1), delay, **how)
+    found = steady(rare, Drive(1e90), max_lives=1e7)
+    assert found.friction.value == pytest.approx(1.13935e-90, rel=1e-3, abs=0)
+
+
 def test_a_law_without_an_end_is_unreliable():
     """With a tail index just above the third moment, thresholds beyond any table still
     matter."""
-    heavy = Distribution(scipy.stats.pareto(3.02))
-    assert not steady(Ensemble(heavy), Drive(1.0)).friction.reliable
-    assert steady(
-        Ensemble(Distribution(scipy.stats.pareto(5.0))), Drive(1.0)
-    ).friction.reliable
+    for exponent, reliable in ((3.02, False), (5.0, True)):
+        tail = Ensemble(Distribution(scipy.stats.pareto(exponent)))
+        assert steady(tail, Drive(1.0)).friction.reliable == reliable
 
 
 def random_tables(rng, disorder):

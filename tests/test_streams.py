@@ -49,13 +49,15 @@ def plain_philox(counter, k):
 
 @pytest.mark.parametrize(("counter", "k", "result"), KNOWN)
 def test_known_answers(counter, k, result):
-    assert tuple(map(int, philox(*words(*counter), *words(*k)))) == result
+    assert tuple(map(int, philox(*words(*counter), streams.Key(*words(*k))))) == result
     assert plain_philox(counter, k) == result
 
 
 def test_against_plain_integers():
     for row in np.random.default_rng(1).integers(0, 2**32, (200, 6)).tolist():
-        assert tuple(map(int, philox(*words(*row)))) == plain_philox(row[:4], row[4:])
+        assert tuple(
+            map(int, philox(*words(*row[:4]), streams.Key(*words(*row[4:]))))
+        ) == plain_philox(row[:4], row[4:])
 
 
 def test_layout_of_the_counter():

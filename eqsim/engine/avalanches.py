@@ -82,11 +82,9 @@ def queue_of(population: Array) -> Queue:
 def events_of(
     dtype: np.dtype[Any], kernel: Callable[..., tuple[int, bool]], *arguments: Any
 ) -> Array:
-    """Join the events that `kernel(*arguments, events)` finds.
-
-    The kernel fills an array, and returns the number of events and whether it has come
-    to its end. Else the array is full, and the kernel is called again.
-    """
+    """Join the events that `kernel(*arguments, events)` finds. The kernel fills an
+    array, and returns the number of events and whether it has come to its end. Else the
+    array is full, and the kernel is called again."""
     events = np.empty(_ROOM, dtype)
     found = []
     done = False
@@ -99,9 +97,7 @@ def events_of(
 @routine
 def put_back(heap: Array, contacts: Array, position: float) -> None:
     """Give the contact that is next another position, and restore the heap's order.
-
-    `heap` holds positions and `contacts` which contact each belongs to.
-    """
+    `heap` holds positions and `contacts` which contact each belongs to."""
     contact = contacts[0]
     n = heap.size
     i = 0
@@ -138,7 +134,7 @@ def _slip(now: Any, stiffness: float, x: float) -> None:
 
 
 @routine
-def _break(laws: Contacts, stream: Key, first: int, queue: Queue, now: Any) -> None:
+def _break(laws: Contacts, key: Key, first: int, queue: Queue, now: Any) -> None:
     """Break the next contact, and pin it again."""
     i = queue.contact[0]
     each = 1.0 / queue.threshold.size
@@ -146,7 +142,7 @@ def _break(laws: Contacts, stream: Key, first: int, queue: Queue, now: Any) -> N
     stiffness = kappa(laws.springs, xi)
     now.force -= stiffness * xi * each
     now.lost += 0.5 * stiffness * xi * xi * each
-    born, y, _ = draw_birth(laws.newborn, laws, stream, first + i, queue.lives[i])
+    born, y, _ = draw_birth(laws.newborn, laws, key, first + i, queue.lives[i])
     queue.threshold[i] = born
     queue.lives[i] += 1
     stiffness_born = kappa(laws.springs, born)
@@ -161,18 +157,16 @@ def _break(laws: Contacts, stream: Key, first: int, queue: Queue, now: Any) -> N
 @kernel
 def load(
     laws: Contacts,
-    stream: Key,
+    key: Key,
     first: int,
     queue: Queue,
     state: Array,
     way: Way,
     events: Array,
 ) -> tuple[int, bool]:
-    """Move the stage along its way, and note the avalanches that end (`EVENT`).
-
-    The first contact is number `first`; `state` (1,) is a `STATE`. Returns the number
-    of avalanches, and False if there are more than `events` has room for.
-    """
+    """Move the stage along its way, and note the avalanches that end (`EVENT`). The
+    first contact is number `first`; `state` (1,) is a `STATE`. Returns the number of
+    avalanches, and False if there are more than `events` has room for."""
     now = state[0]
     rows = 0
     while way.stop[0] == 0:
@@ -209,5 +203,5 @@ def load(
             _move(now, next_break)
             now.X_begun = next_break
             now.force_begun = now.force
-        _break(laws, stream, first, queue, now)
+        _break(laws, key, first, queue, now)
     return rows, True

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from eqsim.engine.recorder import BATCHES, DEPOSIT, WINDOW, Moments
+from eqsim.errors import InputError
 from eqsim.model.drive import MOST_SERIES
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, interruptibly
@@ -135,6 +136,15 @@ def _follow(
         job.simulate(total, blocks.edges[i], blocks.edges[i + 1])
         total.close_replica(job, blocks.contacts, i)
     return total
+
+
+def require_lives(expected: float, max_lives: float) -> None:
+    """Raise InputError if a run is expected to take more than `max_lives` lives."""
+    if not expected <= max_lives:
+        raise InputError(
+            f"this run needs about {expected:.3g} lives, more than max_lives = "
+            f"{max_lives:.3g}"
+        )
 
 
 def workers_of(threads: Threads) -> int:

@@ -8,14 +8,15 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.follow import admit, follow, note_lives
+from eqsim.engine.follow import follow, note_lives
 from eqsim.engine.lanes import LANES, Lanes, Lives, idle_lanes
 from eqsim.engine.steady import settled
 from eqsim.engine.trajectory import check_run
 from eqsim.errors import InputError
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.numerics.streams import TRAJECTORY
+from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.results import Drawn, Result
@@ -99,7 +100,7 @@ def breaks(
     expected = check_breaks(ensemble, drive, seed, replicas)
     c = contacts(ensemble, drive.velocity, settled(ensemble, drive, seed, threads))
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
-    distance, stream = drive.over(ensemble) / unit, key(seed, TRAJECTORY)
+    distance, key = drive.over(ensemble) / unit, key_of(seed, TRAJECTORY)
     each = expected / count
 
     def block(first: int) -> Array:
@@ -108,7 +109,7 @@ def breaks(
         while True:
             rows, number = np.empty(size, BREAK), np.zeros(1, np.int64)
             listed = BreakList(distance, rows, number, current_stop())
-            follow(c, listed, first, last, *idle_lanes(c, stream))
+            follow(c, listed, first, last, *idle_lanes(c, key))
             size = int(listed.number[0])
             if size <= listed.rows.size:
                 return listed.rows[:size]
@@ -143,12 +144,8 @@ def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> 
     return expected
 
 
-BREAK = np.dtype(
-    [
-        ("contact", np.int64),
-        *((name, float) for name in ("X", "stretch", "travel", "stiffness")),
-    ]
-)
+_LENGTHS = [(name, float) for name in ("X", "stretch", "travel", "stiffness")]
+BREAK = np.dtype([("contact", np.int64), *_LENGTHS])
 
 
 class BreakList(NamedTuple):
@@ -160,17 +157,8 @@ class BreakList(NamedTuple):
     rows: Array
     number: Array
     stop: Array
+    begin: int = 0
     carries: bool = True
-
-
-@admit.register(BreakList)
-def _admit(
-    recorder: BreakList, c: Contacts, lanes: Lanes, lane: int, contact: int
-) -> bool:
-    lanes.contact[lane] = contact
-    lanes.age[lane] = 0
-    lanes.position[lane] = 0.0
-    return True
 
 
 @note_lives.register(BreakList)

@@ -19,14 +19,16 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError
-from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from eqsim.engine.avalanches import events_of, put_back
+from eqsim.engine.blocks import require_lives
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import draw_birth
+from eqsim.engine.records import ElasticTrajectory, by_replica
 from eqsim.engine.scatter import births, scatter
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
@@ -34,10 +36,10 @@ from eqsim.model.drive import Drive, check_output
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import kernel, routine
-from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.numerics.streams import TRAJECTORY, Key
+from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, interruptibly
-from eqsim.results import Drawn, Result
 
 _LEAF = 32  # blocks whose lowest threshold is a leaf of the tree
 _MOST_BATCHES = 16  # of the second half of a run, whose scatter tells the error
@@ -54,7 +56,7 @@ _CHANGES = "the response of blocks to a break would change with every break"
 _UNKNOWN = "the stationary state of coupled blocks is not known"
 
 # The run so far, and the avalanche that goes on.
-STATE = np.dtype(
+_PROGRESS = np.dtype(
     [
         ("level", np.float64),  # q D
         ("block", np.int64),  # where the avalanche began
@@ -69,7 +71,7 @@ STATE = np.dtype(
 )
 
 # An avalanche.
-EVENT = np.dtype(
+_AVALANCHE = np.dtype(
     [
         ("level", np.float64),
         ("block", np.int64),  # where it began
@@ -80,7 +82,7 @@ EVENT = np.dtype(
 )
 
 # A block at an instant.
-RECORD = np.dtype(
+_BLOCK = np.dtype(
     [
         ("X", np.float64),
         ("force", np.float64),
@@ -124,12 +126,12 @@ def _rounded(x: float, unit: float) -> float:
 
 
 @kernel
-def prepare(laws: Contacts, stream: Key, first: int, unit: float, b: Blocks) -> None:
+def prepare(laws: Contacts, key: Key, first: int, unit: float, b: Blocks) -> None:
     """Pin all contacts, of which the first is number `first`, with all blocks at 0."""
     blocks, n = b.position.shape
     for j in range(blocks):
         for contact in range(j * n, (j + 1) * n):
-            xi = draw_birth(laws.newborn, laws, stream, first + contact, 0).threshold
+            xi = draw_birth(laws.newborn, laws, key, first + contact, 0).threshold
             b.xi[contact] = _rounded(xi, unit)
             b.lives[contact] = 1
         order = np.argsort(b.xi[j * n : (j + 1) * n])
@@ -156,11 +158,9 @@ class Reached(NamedTuple):
 
 @routine(inline=True)
 def _push(b: Blocks, r: Response, reached: Reached, force: float) -> None:
-    """Move blocks, and mend the tree.
-
-    Indices are unsigned, so that numba does not look for ones that count from the end,
-    and loops vectorise. Four chains of minima do not wait for each other.
-    """
+    """Move blocks, and mend the tree. Indices are unsigned, so that numba does not look
+    for ones that count from the end, and loops vectorise. Four chains of minima do not
+    wait for each other."""
     row, begin, end = reached.row, reached.begin, reached.end
     big = r.unit * _ROUNDING
     start, shift = np.uint64(begin), np.uint64(reached.offset + begin)
@@ -237,7 +237,7 @@ def _lowest(b: Blocks) -> int:
 @kernel
 def load(
     laws: Contacts,
-    stream: Key,
+    key: Key,
     first: int,
     b: Blocks,
     r: Response,
@@ -245,11 +245,9 @@ def load(
     until: float,
     events: Array,
 ) -> tuple[int, bool]:
-    """Raise the level to `until`, and note the avalanches that end (`EVENT`).
-
-    The first contact of all is number `first`; `state` (1,) is a `STATE`. Returns the
-    number of avalanches, and False if there are more than `events` has room for.
-    """
+    """Raise the level to `until`, and note the avalanches that end (`_AVALANCHE`). The first
+    contact of all is number `first`; `state` (1,) is a `_PROGRESS`. Returns the number of
+    avalanches, and False if there are more than `events` has room for."""
     now = state[0]
     rows = 0
     n = b.position.shape[1]
@@ -291,74 +289,12 @@ def load(
         now.released += xi
         now.work += 0.5 * xi * xi
         lives, number = b.lives[contact], first + contact
-        born = draw_birth(laws.newborn, laws, stream, number, lives)
+        born = draw_birth(laws.newborn, laws, key, number, lives)
         b.xi[contact] = _rounded(born.threshold, r.unit)
         b.lives[contact] = lives + 1
         put_back(b.position[block], b.contact[block], position + b.xi[contact])
         b.h[block] += b.position[block, 0] - position
         _spread(b, r, block, xi / n)
-
-
-@dataclass(frozen=True, repr=False)
-class ElasticTrajectory(Result):
-    """Motion of coupled blocks while the plate moves, in the mean over blocks and
-    replicas.
-
-    Attributes
-    ----------
-    D, t : ndarray, shape (points,)
-        Displacement of the plate (length) and time.
-    X, force : ndarray, shape (points,)
-        Mean displacement of the blocks, and F/(N k) (length).
-    force_stderr : ndarray, shape (points,)
-        Standard error of `force` from the scatter between replicas; of a single
-        replica, that of independent contacts at the same displacements.
-    force_reliable : bool
-        Whether replicas are enough (8). One replica does not show how far its X is from
-        that of others.
-    force_replica_std, X_replica_std : ndarray, shape (points,), or None
-        Standard deviations between replicas, if there are several.
-    friction, size, single : Estimate
-        Averages over the second half of the plate's way, from batches: int F dX/Delta X
-        of all blocks (length), breaks per avalanche, and fraction of single breaks
-        among them.
-    avalanches : dict of ndarray
-        Columns: time `t`, plate `D` (length), `block` where it began, `breaks`,
-        `blocks` that broke, `drop` of F/(N k) (length), and the `replica`.
-    blocks : dict of ndarray
-        Columns, with a row for each record of each block: `t`, `D`, `block`, its
-        displacement `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the
-        `replica`.
-    lives : int
-        Number of lives of contacts that were simulated.
-    seed, engine_seconds, threads
-        Seed of the random numbers, seconds that kernels took, and threads.
-    """
-
-    drawn: ClassVar[Drawn] = Drawn(
-        x="D",
-        y="force",
-        error="force_stderr",
-        x_label="displacement of the plate  D",
-        y_label="friction force  F/(N k)",
-    )
-    t: Array
-    D: Array
-    X: Array
-    force: Array
-    force_stderr: Array
-    force_replica_std: Array | None
-    X_replica_std: Array | None
-    force_reliable: bool
-    friction: Estimate
-    size: Estimate
-    single: Estimate
-    avalanches: dict[str, Array]
-    blocks: dict[str, Array]
-    lives: int
-    seed: int
-    engine_seconds: float
-    threads: int
 
 
 def check_elastic(
@@ -369,11 +305,9 @@ def check_elastic(
     replicas: int,
     max_lives: float,
 ) -> tuple[Elastic, float]:
-    """Blocks of a run, and its predicted lives.
-
-    Raises InputError if contacts are not those of the quasi-static model, or if the run
-    takes more than `max_lives` lives or too much memory.
-    """
+    """Blocks of a run, and its predicted lives. Raises InputError if contacts are not
+    those of the quasi-static model, or the run takes too many lives or too much
+    memory."""
     check_output(points, seed, replicas)
     elastic = drive.elastic
     if elastic is None:
@@ -401,11 +335,7 @@ def check_elastic(
     distance = drive.over(ensemble) / ensemble.thresholds.mean
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
     lives = ensemble.count * replicas * (1.0 + distance)
-    if not lives <= max_lives:
-        raise InputError(
-            f"this run needs about {lives:.3g} lives, more than max_lives = "
-            f"{max_lives:.3g}"
-        )
+    require_lives(lives, max_lives)
     if points * elastic.count * replicas > _MOST_RECORDS:
         raise InputError(
             f"output.points = {points}: records of all blocks and replicas must be <= "
@@ -433,9 +363,9 @@ class _Totals(NamedTuple):
 class _Run(NamedTuple):
     """Record of a replica."""
 
-    records: Array  # `RECORD`, shape (points, B)
+    records: Array  # `_BLOCK`, shape (points, B)
     totals: _Totals
-    avalanches: Array  # `EVENT`
+    avalanches: Array  # `_AVALANCHE`
     breaks: int
 
 
@@ -443,7 +373,7 @@ class _Interface(NamedTuple):
     """Contacts and blocks for kernels; lengths in units of the threshold scale."""
 
     laws: Contacts
-    stream: Key
+    key: Key
     contacts: int
     elastic: Elastic
     response: Response
@@ -460,14 +390,12 @@ class _Interface(NamedTuple):
         response = _response_of(elastic, distance / unit)
         # Blocks follow a share of the plate's motion at once.
         levels = np.linspace(0.0, distance / unit * (1.0 - elastic.load), points)
-        batches = int(
-            np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _MOST_BATCHES)
-        )
-        edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
+        batches = np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _MOST_BATCHES)
+        edges = np.linspace(0.5 * levels[-1], levels[-1], int(batches) + 1)
         between = math.ceil(count * distance / mean / _BETWEEN_PAUSES)
         pauses = np.linspace(0.0, levels[-1], 1 + between)
-        laws, stream = contacts(ensemble, drive.velocity), key(seed, TRAJECTORY)
-        return cls(laws, stream, count, elastic, response, levels, edges, pauses)
+        laws, key = contacts(ensemble, drive.velocity), key_of(seed, TRAJECTORY)
+        return cls(laws, key, count, elastic, response, levels, edges, pauses)
 
 
 def _blocks_of(elastic: Elastic, n: int) -> Blocks:
@@ -500,22 +428,22 @@ def _response_of(elastic: Elastic, distance: float) -> Response:
 
 def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) -> _Run:
     """Follow a replica. `told` gets the number of breaks since, now and then."""
-    laws, stream, count, elastic, response, levels, edges, pauses = interface
+    laws, key, count, elastic, response, levels, edges, pauses = interface
     n = count // elastic.count
     first = replica * count
     b = _blocks_of(elastic, n)
-    prepare(laws, stream, first, response.unit, b)
-    state = np.zeros(1, STATE)
+    prepare(laws, key, first, response.unit, b)
+    state = np.zeros(1, _PROGRESS)
     now = state[0]
     records, totals, events = [], [], []
     for level in np.unique(np.concatenate((levels, edges, pauses))):
         before = int(now["breaks"])
-        loaded = laws, stream, first, b, response, state, level
-        events.append(events_of(EVENT, load, *loaded))
+        loaded = laws, key, first, b, response, state, level
+        events.append(events_of(_AVALANCHE, load, *loaded))
         told(int(now["breaks"]) - before)
         X = b.position[:, 0] - b.h[: elastic.count] + level
         if level in levels:
-            record = np.empty(X.size, RECORD)
+            record = np.empty(X.size, _BLOCK)
             record["X"] = X
             record["force"] = X - b.births / n
             record["variance"] = np.maximum(b.squares / n - (b.births / n) ** 2, 0.0)
@@ -579,7 +507,6 @@ def elastic_trajectory(
 
     Examples
     --------
-    >>> from eqsim import Drive, Elastic, Ensemble, elastic_trajectory
     >>> ensemble = Ensemble(count=200, stiffness_law="uniform")
     >>> chain = Elastic(blocks=20, coupling=1.0, drive_stiffness=0.5)
     >>> drive = Drive(velocity=1.0, distance=5.0, elastic=chain)
@@ -592,11 +519,9 @@ def elastic_trajectory(
     elastic, _ = check_elastic(ensemble, drive, points, seed, replicas, max_lives)
     unit, count = ensemble.thresholds.scale, ensemble.count
     interface = _Interface.of(ensemble, drive, elastic, points, seed)
+    none, levels = np.empty(0), interface.levels[:1]
     nothing = interface._replace(
-        contacts=elastic.count,
-        levels=interface.levels[:1],
-        edges=np.empty(0),
-        pauses=np.empty(0),
+        contacts=elastic.count, levels=levels, edges=none, pauses=none
     )
     # Kernels are compiled here, so that seconds are those of the work.
     interruptibly(_simulate, nothing, 0, lambda _: None)
@@ -606,9 +531,10 @@ def elastic_trajectory(
     D = np.linspace(0.0, drive.over(ensemble), points)
     t = np.linspace(0.0, drive.over(ensemble) / drive.velocity, points)
     records = np.array([run.records for run in runs])
-    X, force = (records[name].mean(axis=2) for name in ("X", "force"))  # over blocks
+    # over blocks
+    X, force, variance = (records[name].mean(2) for name in ("X", "force", "variance"))
     X_std = force_std = None
-    stderr = np.sqrt(np.mean(records["variance"].mean(axis=2) / count, axis=0)) * unit
+    stderr = np.sqrt(np.mean(variance / count, axis=0)) * unit
     if replicas > 1:
         X_std, force_std = (np.std(one, axis=0, ddof=1) * unit for one in (X, force))
         stderr = force_std / math.sqrt(replicas)
@@ -616,10 +542,11 @@ def elastic_trajectory(
     estimates = _estimates(runs, unit)
     error = (estimates[0].stderr or 0.0) / unit
     over = _transient_is_over(interface.laws, X, error)
-    friction, size, single = (
-        replace(one, reliable=one.reliable and over) for one in estimates
-    )
-    share = 1.0 - elastic.load
+    averages = [replace(one, reliable=one.reliable and over) for one in estimates]
+    friction, size, single = averages
+    of = elastic, count, unit, drive.velocity
+    events = [_avalanches(run.avalanches, *of) for run in runs]
+    blocks = by_replica([_of_blocks(run.records, t, D, unit) for run in runs])
     return ElasticTrajectory(
         D=D,
         t=t,
@@ -632,8 +559,8 @@ def elastic_trajectory(
         friction=friction,
         size=size,
         single=single,
-        avalanches=_avalanches(runs, unit, share, count, drive.velocity),
-        blocks=_of_blocks(records, t, D, unit),
+        avalanches=by_replica(events),
+        blocks=blocks,
         lives=count * replicas + sum(run.breaks for run in runs),
         seed=seed,
         engine_seconds=seconds,
@@ -689,9 +616,7 @@ def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estim
 
 def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
     """Whether the start moves friction by less than half its error, in the second half.
-
-    The answer is that for independent contacts, whose law is exact.
-    """
+    The answer is that for independent contacts, whose law is exact."""
     born = births(laws)
     level = scatter(laws, born, None, 0.0)
     late = scatter(laws, born, float(X[-1]), 0.0)
@@ -701,36 +626,26 @@ def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
 
 
 def _avalanches(
-    runs: list[_Run], unit: float, share: float, count: int, velocity: float
+    events: Array, elastic: Elastic, count: int, unit: float, velocity: float
 ) -> dict[str, Array]:
-    """Avalanches of all replicas by column, in the user's units.
-
-    Force is lost by breaks and gained by the motion that they cause: a fraction `share`
-    of the loss is left.
-    """
-    events = np.concatenate([run.avalanches for run in runs])
-    sizes = [run.avalanches.size for run in runs]
+    """Avalanches of a replica by column, in the user's units. Force is lost by breaks
+    and gained by the motion that they cause: what is left of the loss is the share of
+    the plate's motion that blocks follow at once."""
+    share = 1.0 - elastic.load
     D = events["level"] * (unit / share)
-    return {
-        "t": D / velocity,
-        "D": D,
-        "block": events["block"],
-        "breaks": events["breaks"],
-        "blocks": events["blocks"],
-        "drop": events["released"] * (unit * share / count),
-        "replica": np.repeat(np.arange(len(runs)), sizes),
-    }
+    columns = {name: events[name] for name in ("block", "breaks", "blocks")}
+    drop = events["released"] * (unit * share / count)
+    return {"t": D / velocity, "D": D, **columns, "drop": drop}
 
 
 def _of_blocks(records: Array, t: Array, D: Array, unit: float) -> dict[str, Array]:
-    """Records of all blocks, (replicas, points, B), by column in the user's units."""
-    replicas, points, blocks = records.shape
+    """Records of all blocks of a replica, (points, B), by column in the user's units."""
+    points, blocks = records.shape
     return {
-        "t": np.tile(np.repeat(t, blocks), replicas),
-        "D": np.tile(np.repeat(D, blocks), replicas),
-        "block": np.tile(np.arange(blocks), points * replicas),
+        "t": np.repeat(t, blocks),
+        "D": np.repeat(D, blocks),
+        "block": np.tile(np.arange(blocks), points),
         "X": records["X"].ravel() * unit,
         "force": records["force"].ravel() * unit,
         "breaks": records["breaks"].ravel(),
-        "replica": np.repeat(np.arange(replicas), points * blocks),
     }

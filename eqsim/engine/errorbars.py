@@ -51,9 +51,8 @@ def hidden_errors(
     others = math.hypot(rare_clocks(c, proposal, count), uneven_thresholds(c, count))
     # both lower the mean square, so that they add up
     unmet = 0.0 if diverges else unmet_squares(c, proposal, count)
-    return Unseen(
-        math.hypot(tables.means, others), math.hypot(tables.squares + unmet, others)
-    )
+    squares = math.hypot(tables.squares + unmet, others)
+    return Unseen(math.hypot(tables.means, others), squares)
 
 
 def rare_clocks(c: Contacts, proposal: Proposal | None, count: int) -> float:
@@ -89,19 +88,15 @@ def unmet_squares(c: Contacts, proposal: Proposal | None, count: int) -> float:
 
 
 def uneven_thresholds(c: Contacts, count: int) -> float:
-    """Error that a few different thresholds may hide; 0 for laws with a density.
-
-    A scrambled Sobol sequence gives each distinct threshold its expected number of
-    lives to within one. If a threshold is rare, all sequences may round the same way,
-    and their scatter is 0. One life more or less shifts a mean by at most (max -
-    min)/count per jump of the quantile function. Three times that is returned; an error
-    z times as large has probability exp(-3 z).
-    """
+    """Error that a few different thresholds may hide; 0 for laws with a density. A
+    scrambled Sobol sequence gives each distinct threshold its expected number of lives
+    to within one. If a threshold is rare, all sequences may round the same way, and
+    their scatter is 0. One life more or less shifts a mean by at most (max - min)/count
+    per jump of the quantile function. Three times that is returned; an error z times as
+    large has probability exp(-3 z)."""
     steps = c.thresholds.steps
     jumps = np.unique(steps).size - 1
     if isinstance(c.barrier, Pooled) or jumps < 1:
         return 0.0
     parts = steps, steps ** (3 if c.springs.slope else 2)
-    return max(
-        3.0 * float(np.ptp(part) / part.mean()) / jumps / count for part in parts
-    )
+    return max(3.0 * float(np.ptp(x) / x.mean()) / jumps / count for x in parts)

@@ -28,23 +28,22 @@ from eqsim.numerics.compiled import by_law, kernel
 
 @by_law
 def admit(recorder: Any, c: Contacts, lanes: Lanes, lane: int, contact: int) -> bool:
-    """Put a contact into an idle lane, unless it has come to its end.
-
-    Fills its number, how often lives of it were drawn, and where its next one begins.
-    """
-    raise TypeError("no recorder")
+    """Put a contact into an idle lane, unless it has come to its end. Fills its number,
+    how often lives of it were drawn, and where its next one begins: that is
+    `recorder.begin` times, and at 0, unless a recorder knows better."""
+    lanes.contact[lane] = contact
+    lanes.age[lane] = recorder.begin
+    lanes.position[lane] = 0.0
+    return True
 
 
 @by_law
 def note_lives(
     recorder: Any, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Note the lives of round r of the `active` lanes.
-
-    Moves these contacts to their next births. Lanes from there to `padded(active)` are
-    idle, and may be used. Returns whether any contact has come to its end, and has its
-    next birth at infinity.
-    """
+    """Note the lives of round r of the `active` lanes. Moves these contacts to their
+    next births. Lanes from there to `padded(active)` are idle, and may be used. Returns
+    whether any contact has come to its end, and has its next birth at infinity."""
     raise TypeError("no recorder")
 
 
@@ -57,12 +56,9 @@ def move_lane(recorder: Any, source: int, target: int) -> None:
 def follow(
     c: Contacts, recorder: Any, first: int, last: int, lanes: Lanes, lives: Lives
 ) -> None:
-    """Follow contacts first <= i < last to their ends.
-
-    `lanes` are idle, and `lives` empty. Contacts begin together, so that they all write
-    in one stretch of a grid, and new ones fill the lanes only when half of them have
-    come to their ends.
-    """
+    """Follow contacts first <= i < last to their ends. `lanes` are idle, and `lives`
+    empty. Contacts begin together, so that they all write in one stretch of a grid, and
+    new ones fill the lanes only when half of them have come to their ends."""
     contact, age, position = lanes.contact, lanes.age, lanes.position
     active = np.int64(0)  # typed: a literal 0 would be compiled for itself
     upcoming = np.int64(first)

@@ -15,17 +15,9 @@ from eqsim.laws.delay import delay_draw
 from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
+from eqsim.numerics import streams
 from eqsim.numerics.compiled import by_law, routine
-from eqsim.numerics.streams import (
-    ROUGH,
-    Key,
-    bits,
-    fill_words,
-    fine_product,
-    product,
-    uniform,
-    uniforms,
-)
+from eqsim.numerics.streams import Key, fine_product, uniform, uniforms
 from eqsim.numerics.tables import Array, look_up_all
 from eqsim.numerics.vector_math import log
 
@@ -80,10 +72,8 @@ class Lives(NamedTuple):
 
     @classmethod
     def empty(cls, c: Contacts, followed: Any = (), rounds: int = ROUNDS) -> "Lives":
-        """Lives that clocks never end.
-
-        Contacts are born unstressed, as stiff as uniform ones, with the mean delay.
-        """
+        """Lives that clocks never end. Contacts are born unstressed, as stiff as
+        uniform ones, with the mean delay."""
         lives = np.zeros((7, rounds, LANES))
         lives[2] = math.inf
         lives[3] = c.delay.mean
@@ -144,11 +134,8 @@ def _draw_stretched(
 def draw_unstressed(
     law: Thresholds, heat: bool, lanes: Lanes, lives: Lives, count: int
 ) -> None:
-    """Draw thresholds and, if heat breaks contacts, clocks.
-
-    Half of a Philox result serves one draw. Without a clock the two halves are the
-    thresholds of two lives.
-    """
+    """Draw thresholds and, if heat breaks contacts, clocks. Half of a Philox result
+    serves one draw. Without a clock the two halves are the thresholds of two lives."""
     key, contact, age = lanes.key, lanes.contact, lanes.age
     number, words = lanes.number, lanes.words
     threshold, clock, rank = lives.threshold, lives.clock, lives.rank
@@ -156,22 +143,21 @@ def draw_unstressed(
         if heat or r == 0:
             for i in range(count):
                 number[i] = ROUNDS * age[i] + r if heat else age[i]
-            fill_words(key, contact, number, _THRESHOLD, words, count)
+            streams.fill_words(key, contact, number, _THRESHOLD, words, count)
         half = 0 if heat else r
         if law.exponentials == 2:
             rough = 0
             for i in range(count):
-                u = product(words[2 * half, i], words[2 * half + 1, i])
+                u = streams.product(words[2 * half, i], words[2 * half + 1, i])
                 rank[i] = u
-                rough += u < ROUGH
+                rough += u < streams.ROUGH
             if rough > 0:
                 for i in range(count):
-                    if rank[i] < ROUGH:
-                        draw, low = _FINE_THRESHOLD + half, words[2 * half, i]
-                        high = words[2 * half + 1, i]
-                        rank[i] = fine_product(
-                            key, contact[i], number[i], draw, low, high
-                        )
+                    if rank[i] < streams.ROUGH:
+                        draw, who = _FINE_THRESHOLD + half, contact[i]
+                        low, high = words[2 * half, i], words[2 * half + 1, i]
+                        life = number[i]
+                        rank[i] = fine_product(key, who, life, draw, low, high)
         else:
             for i in range(count):
                 rank[i] = uniform(words[2 * half, i], words[2 * half + 1, i])
@@ -206,7 +192,7 @@ def draw_thresholds(
 def draw_delays(c: Contacts, lanes: Lanes, lives: Lives, count: int) -> None:
     """Draw the delays after the next ROUNDS lives, where they are random."""
     words, delay, law = lanes.words, lives.delay, c.delay
-    fill_words(lanes.key, lanes.contact, lanes.age, _DELAY, words, count)
+    streams.fill_words(lanes.key, lanes.contact, lanes.age, _DELAY, words, count)
     for r in range(ROUNDS):
         for i in range(count):
             delay[r, i] = delay_draw(law, uniform(words[2 * r, i], words[2 * r + 1, i]))
@@ -217,11 +203,11 @@ def draw_birth(law: Any, c: Contacts, key: Key, contact: int, number: int) -> Bi
     """Draw life `number` of a contact as `draw_lives` does, by the law of births."""
     heat, turn, half = thermal(c.barrier), number // ROUNDS, number % ROUNDS
     row = number if heat else turn
-    a, b, d, e = bits(key, contact, row, _THRESHOLD)
+    a, b, d, e = streams.bits(key, contact, row, _THRESHOLD)
     low, high = (d, e) if half == 1 and not heat else (a, b)
     if c.thresholds.exponentials == 2:
-        u = product(low, high)
-        if u < ROUGH:
+        u = streams.product(low, high)
+        if u < streams.ROUGH:
             draw = _FINE_THRESHOLD + (0 if heat else half)
             u = fine_product(key, contact, row, draw, low, high)
     else:
@@ -285,10 +271,8 @@ def _walk_lives(law: Langevin, c: Contacts, lives: Lives, r: int, count: int) ->
         number[i] = ROUNDS * lanes.age[i] + r
     threshold = lives.threshold[r, :count]
     carried, work = lives.travel[r], lives.work[r]
-    paths = langevin.Paths(
-        lanes.contact, number, threshold, lives.clock[r], carried, work
-    )
-    walkers = lives.followed.walkers
+    begun = lanes.contact, number, threshold, lives.clock[r]
+    paths, walkers = langevin.Paths(*begun, carried, work), lives.followed.walkers
     langevin.walk_all(langevin.pinned(c), lanes.key, langevin.STEP, paths, walkers)
 
 

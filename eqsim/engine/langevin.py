@@ -184,10 +184,8 @@ def pace(
     gap = max(xi - x, 1e-16 * xi)  # rounding may leave nothing
     drift = rate2 * (xi / final2 - (c.aging.shape + 0.5) / xi)
     speed = abs(c.moves) + max(0.0, drift)
-    far, least = (
-        reaches(gap, sigma / step, speed),
-        reaches(0.25 * step * xi, sigma, speed),
-    )
+    far = reaches(gap, sigma / step, speed)
+    least = reaches(0.25 * step * xi, sigma, speed)
     h = min(max(far, least), most)
     h = most if c.moves == 0.0 and x == 0.0 else h  # no threshold comes down to 0
     if not thermal(c.barrier):
@@ -201,9 +199,8 @@ def pace(
     quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)
     slight = step * (1.0 + 0.5 * quiet)
     far = reaches(max(quiet - _MOST_QUIET, 0.0) / slope, sigma / step, speed)
-    least = min(
-        reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed), slight / alpha
-    )
+    least = reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed)
+    least = min(least, slight / alpha)
     h = min(h, max(far, least))
     # what comes long after the clock has stopped says little about when it stops
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
@@ -238,11 +235,9 @@ def bridge_of(c: Pinned, xi: float, x: float, h: float, end: float) -> Bridge:
 @routine(inline=True)
 def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) -> bool:
     """Whether a threshold that went from `xi` to `end` has met the stretch in between;
-    `passage` is a uniform. Some of these passages are yet to be `confirmed`.
-
-    The chance is that of a Brownian bridge kept away from 0, corrected for how the
-    drift differs, to first order, on a path that touches and on one that does not.
-    """
+    `passage` is a uniform. Some of these passages are yet to be `confirmed`. The chance
+    is that of a Brownian bridge kept away from 0, corrected for how the drift differs,
+    to first order, on a path that touches and on one that does not."""
     gap, ahead, variance, touch, swerve, pull = bridge_of(c, xi, x, h, end)
     if ahead <= 0.0:
         return True
@@ -278,11 +273,9 @@ def heats(
     """Thermal rates half-way, averaged over the bridge, and at the end."""
     xi, spread = middle
     slid = c.moves * h
-    higher, lower = (
-        heat(c, xi + spread, x + 0.5 * slid),
-        heat(c, xi - spread, x + 0.5 * slid),
-    )
-    return 0.5 * (higher + lower), heat(c, end, x + slid)
+    half = x + 0.5 * slid
+    mean = 0.5 * (heat(c, xi + spread, half) + heat(c, xi - spread, half))
+    return mean, heat(c, end, x + slid)
 
 
 @routine(inline=True)
@@ -376,10 +369,8 @@ def conclude(
     if thermal(c.barrier):
         xi, x = path.xi, path.x
         if broke:
-            between = Halfway(
-                0.5 * (xi + end), 0.5 * math.sqrt(variance_rate(c.aging) * h)
-            )
-            half, last = heats(c, between, x, h, end)
+            spread = 0.5 * math.sqrt(variance_rate(c.aging) * h)
+            half, last = heats(c, Halfway(0.5 * (xi + end), spread), x, h, end)
             rates = Rates(rates.first, half, last, rates.slope)
         now = moved(path, draw, xi, x, path.left)
         burnt, h, end, spent, draw = burn(c, now, h, end, rates)
@@ -559,11 +550,9 @@ def begin_paths(
 
 @routine
 def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None:
-    """Follow lives from birth to breaking, the same bits as by `follow`.
-
-    Paths advance side by side, one loop for each part of a step, and where one has
-    ended the next begins.
-    """
+    """Follow lives from birth to breaking, the same bits as by `follow`. Paths advance
+    side by side, one loop for each part of a step, and where one has ended the next
+    begins."""
     xi, x, left, work, h, rate, slope = w.xi, w.x, w.left, w.work, w.h, w.rate, w.slope
     along, end, lost, between, last = w.along, w.end, w.lost, w.between, w.last
     spent, passage, broke, special = w.spent, w.passage, w.broke, w.special

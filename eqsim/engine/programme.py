@@ -8,30 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eqsim.engine import recorder, scatter
 from eqsim.engine.blocks import Progress, Threads, Totals, simulated
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.recorder import (
-    Extent,
-    Moments,
-    Run,
-    Scales,
-    moments,
-    recorded_alone,
-    recorder_for,
-)
+from eqsim.engine.recorder import Extent, Moments, Run, Scales
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.sample import typical_lives
-from eqsim.engine.scatter import (
-    RARE,
-    Scatter,
-    births,
-    known_variance,
-    pinned_variance,
-    scatter,
-)
+from eqsim.engine.scatter import Scatter
 from eqsim.engine.segments import Population, begin_stationary, waits_at_rest
 from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.errors import InputError, require_number, under
@@ -41,7 +27,8 @@ from eqsim.model import reduced
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.streams import TRAJECTORY, Key, key
+from eqsim.numerics.streams import TRAJECTORY, Key
+from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 
 # Contacts that go through all segments together: their population stays in the cache.
@@ -52,8 +39,8 @@ _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 
 def check_programme(ensemble: Ensemble, programme: Programme) -> None:
     """Raise InputError for contacts that do not follow a programme."""
-    births, rule, stage = ensemble.newborn, ensemble.aging.rule, programme.stage
-    lengths = births.active and births.of == "length"
+    born, rule, stage = ensemble.newborn, ensemble.aging.rule, programme.stage
+    lengths = born.active and born.of == "length"
     refused = (
         (
             ensemble.self_consistent,
@@ -64,8 +51,8 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
         (
             ensemble.disorder == "annealed"
             and lengths
-            and births.reduced(1.0).range[0] < 0,
-            f'newborn.law = "{births.law}": the published master equation knows no '
+            and born.reduced(1.0).range[0] < 0,
+            f'newborn.law = "{born.law}": the published master equation knows no '
             "mechanical breaking of contacts stretched against the motion, which a "
             'programme may reverse; take disorder = "quenched"',
         ),
@@ -113,7 +100,7 @@ class Steps(NamedTuple):
 
     steps: tuple[Step, ...]
     start: Fresh | Stationary
-    stream: Key  # of random numbers
+    key: Key  # of random numbers
     before: Contacts | None = None  # of a stationary start of a programme
 
     @property
@@ -129,7 +116,9 @@ class Steps(NamedTuple):
     def simulate(self, total: Totals, first: int, last: int) -> None:
         one, held = len(self.steps) == 1, self.steps[0].run.moves == 0
         handed_on = not one or self.before is not None or held
-        kind = recorder_for({recorded_alone(s.contacts, s.run) for s in self.steps})
+        kind = recorder.recorder_for(
+            {recorder.recorded_alone(s.contacts, s.run) for s in self.steps}
+        )
         together = _HANDED_ON_TOGETHER if handed_on else max(last - first, 1)
         # Once if there are no contacts at all, which compiles kernels.
         for begin in range(first, max(last, first + 1), together):
@@ -137,8 +126,8 @@ class Steps(NamedTuple):
             start = self._population(begin, end - begin) if handed_on else self.start
             for step in self.steps:
                 c = step.contacts
-                recorder = kind.of(c, step.run, step.scales, start, total, step.row)
-                follow(c, recorder, begin, end, *idle_lanes(c, self.stream))
+                record = kind.of(c, step.run, step.scales, start, total, step.row)
+                follow(c, record, begin, end, *idle_lanes(c, self.key))
                 if total.stop[0]:
                     return
 
@@ -146,13 +135,13 @@ class Steps(NamedTuple):
         """Make contacts that are handed on from one segment to another."""
         population = Population.fresh(first, contacts)
         if self.before is not None:
-            begin_stationary(self.before, self.start, self.stream, population)
+            begin_stationary(self.before, self.start, self.key, population)
         return population
 
     def moments(self, deposits: Array, contacts: int) -> Moments:
         parts = []
         for _, run, scales, drag, row in self.steps:
-            found = moments(deposits[row:], scales, run, contacts, drag)
+            found = recorder.moments(deposits[row:], scales, run, contacts, drag)
             # A segment begins where another has ended.
             force, pinned, variance = (x[1 if row else 0 :] for x in found)
             parts.append((run.sign * force, pinned, variance))
@@ -164,11 +153,11 @@ def constant_drive(
     start: Fresh | Stationary,
     run: Run,
     scales: Scales,
-    stream: Key,
+    key: Key,
     drag: float,
 ) -> Steps:
     """Make the job of a drive at constant velocity: a programme of one segment."""
-    return Steps((Step(c, run, scales, drag, 0),), start, stream)
+    return Steps((Step(c, run, scales, drag, 0),), start, key)
 
 
 def steps_of(
@@ -196,9 +185,7 @@ def steps_of(
         hold = np.append(0.0, (grid.t[here] - begin) * (leg.pace / unit))
         # From a fresh start no stretch is beyond what has been slid.
         first = before is None and index == 0 and leg.sign != 0
-        goes_on = (
-            before is not None and index == 0 and (leg.pace, leg.sign) == (pace, 1)
-        )
+        goes_on = bool(before) and index == 0 and (leg.pace, leg.sign) == (pace, 1)
         run = Run(
             leg.length,
             here.size + 1,
@@ -231,7 +218,7 @@ def steps_of(
         row += run.points + 1  # the last of which is beyond the grid
         pace = leg.pace
     start = stationary(before) if before else Fresh()
-    return Steps(tuple(steps), start, key(seed, TRAJECTORY), before)
+    return Steps(tuple(steps), start, key_of(seed, TRAJECTORY), before)
 
 
 def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
@@ -263,7 +250,7 @@ def along(
     variance, reliable = _variance(ensemble, programme, grid, found, count)
     bias = step_bias(job.steps)
     variance = variance + (bias * found.force) ** 2
-    of_pinned = pinned_variance(found.pinned, count, delayed)
+    of_pinned = scatter.pinned_variance(found.pinned, count, delayed)
     of_pinned += (bias * found.pinned * (1.0 - found.pinned)) ** 2
     rounding = 1e-15 * max(step.run.distance for step in job.steps)
     force, stderr = found.force * unit, np.sqrt(variance + rounding**2) * unit
@@ -296,12 +283,10 @@ def step_bias(steps: tuple[Step, ...]) -> float:
 def _variance(
     ensemble: Ensemble, programme: Programme, grid: Grid, found: Moments, count: int
 ) -> tuple[Array, bool]:
-    """Variance of the mean force, in units of the thresholds' scale.
-
-    It is that of the sample. The shape of its scatter (kurtosis, ...) is taken from the
-    law in steady sliding, at the worst of some velocities from the slowest to the
-    fastest. Also returns whether five standard errors mean what they say.
-    """
+    """Variance of the mean force, in units of the thresholds' scale. It is that of the
+    sample. The shape of its scatter (kurtosis, ...) is taken from the law in steady
+    sliding, at the worst of some velocities from the slowest to the fastest. Also
+    returns whether five standard errors mean what they say."""
     paces = {leg.pace for leg in reduced.legs(ensemble, programme) if leg.sign}
     every = sorted(paces | {programme.velocity or 0.0} - {0.0})
     if not every:  # nothing moves, and nothing has
@@ -326,15 +311,15 @@ def _variance(
                 most=reach**2,
                 lives=float(count),
             )
-        here, unlikely = known_variance(law, level, found.variance, count)
-        _, always = known_variance(level, level, level.variance, count)
+        here, unlikely = scatter.known_variance(law, level, found.variance, count)
+        _, always = scatter.known_variance(level, level, level.variance, count)
         variance = np.maximum(variance, here)
         rare = max(rare, min(float(np.mean(unlikely)), float(always[0])))
-    return variance, bool(rare < RARE)
+    return variance, bool(rare < scatter.RARE)
 
 
 @lru_cache(maxsize=64)
 def _steady_scatter(ensemble: Ensemble, pace: float) -> Scatter:
     """Scatter of forces in steady sliding. Cached: takes 20 ms, and seeds share it."""
     c = contacts(ensemble, pace)
-    return scatter(c, births(c), None, drag_of(ensemble, pace))
+    return scatter.scatter(c, scatter.births(c), None, drag_of(ensemble, pace))

@@ -62,8 +62,7 @@ def lives_on_grid(c: Contacts, u: Array, v: Array) -> Sample:
 class Density(NamedTuple):
     """A density of an exponential variable e, drawn by inversion: ln e is piecewise
     linear in a uniform p, with a `slope` in each cell. `guide` holds the cell of each
-    of many equidistant p: where a search begins, and nearly ends.
-    """
+    of many equidistant p: where a search begins, and nearly ends."""
 
     p: Array
     log_e: Array
@@ -121,10 +120,9 @@ class Squares(NamedTuple):
     def unmet(self, lives: float) -> float:
         """The share of the mean square by lives so rare that of so many `lives` fewer
         than _EXPECTED_UNMET are expected."""
-        drawn, made = (
-            integrate.cumulative_trapezoid(part[::-1], -self.log_e[::-1], initial=0.0)
-            for part in (self.density, self.contribution)
-        )  # from the rarest on
+        parts = np.array([self.density, self.contribution])[:, ::-1]  # the rarest first
+        log_e = -self.log_e[::-1]
+        drawn, made = integrate.cumulative_trapezoid(parts, log_e, initial=0.0)
         if not math.isfinite(made[-1]):
             return math.inf
         if made[-1] == 0.0:  # squares of forces so small underflow
@@ -147,11 +145,9 @@ class Squares(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn.
-
-    `covered` is False if thresholds rarer than e = 500 would still contribute to means.
-    `squares` says where mean squares come from.
-    """
+    """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn. `covered`
+    is False if thresholds rarer than e = 500 would still contribute to means. `squares`
+    says where mean squares come from."""
 
     threshold: Density
     clock: Density

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.follow import admit, follow, note_lives
+from eqsim.engine.follow import follow, note_lives
 from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, idle_lanes, life_work
 from eqsim.engine.proposal import RANDOMISATIONS, Proposal, births_vary
 from eqsim.engine.sample import Sample, Source, lives, square_of
@@ -23,7 +23,8 @@ from eqsim.laws.delay import Waits
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import kernel
 from eqsim.numerics.sobol import Sobol
-from eqsim.numerics.streams import STEADY, Key, key
+from eqsim.numerics.streams import STEADY, Key, generator
+from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.numerics.vector_math import third
@@ -49,7 +50,7 @@ def randomise(job: Job, c: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, travel, square of the force added up
     over the travel and stretch at birth; the largest single share of the first two, and
     of the third, shape (RANDOMISATIONS, 6)."""
-    stream = key(job.seed, STEADY + job.identity)
+    key = key_of(job.seed, STEADY + job.identity)
     together = 1
     sequences: Iterator[Sobol | None] = repeat(None)
     if job.proposal:
@@ -60,8 +61,8 @@ def randomise(job: Job, c: Contacts, size: int) -> Array:
 
     def some(group: range, sobol: Sobol | None) -> Array:
         if job.proposal is None or sobol is None:
-            return _plainly(c, stream, group.start, size, stop)
-        source = Source(stream, group.start * size, job.step)
+            return _plainly(c, key, group.start, size, stop)
+        source = Source(key, group.start * size, job.step)
         return _weighted(job.proposal, c, source, sobol, size, stop)
 
     if job.proposal:
@@ -80,15 +81,16 @@ def randomise(job: Job, c: Contacts, size: int) -> Array:
     return np.array(rows)
 
 
-def _plainly(c: Contacts, stream: Key, index: int, size: int, stop: Array) -> Array:
+def _plainly(c: Contacts, key: Key, index: int, size: int, stop: Array) -> Array:
     """`randomise` by `size` independent lives of contacts of their own."""
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
     sums = PlainSums.empty(index * LANES, rounds, 2 * rounds, stop)
     without = c._replace(delay=Waits(c.delay.mean, 0.0))  # no sum depends on a delay
-    lanes = idle_lanes(without, stream)
+    lanes = idle_lanes(without, key)
     follow(without, sums, sums.first, sums.first + LANES, *lanes)
     # one after the other
-    *means, work = (np.cumsum(part)[-1] for part in sums.parts())
+    parts = sums.work, sums.travel, sums.square, sums.birth, sums.size
+    *means, work = (np.cumsum(part)[-1] for part in parts)
     largest = max(sums.most_work.max() / work, sums.most_travel.max() / means[1])
     # of squares, `errorbars.unmet_squares` says more than the largest one
     return np.array([[*(mean / size for mean in means), largest, 0.0]])
@@ -97,12 +99,9 @@ def _plainly(c: Contacts, stream: Key, index: int, size: int, stop: Array) -> Ar
 class PlainSums(NamedTuple):
     """A recorder of `engine.follow` that adds up plainly drawn lives: those of the
     LANES contacts from `first` on, from the age `begin` up to `end`, ROUNDS lives each
-    time.
-
-    Sums and largest values are those of each lane, arrays (LANES,): a single sum would
-    have to wait for every addition. They are work over k, travel, square of the force
-    along it, stretch at birth and |work|, and the largest |work| and travel.
-    """
+    time. Sums and largest values are those of each lane, arrays (LANES,): a single sum
+    would have to wait for every addition. They are work over k, travel, square of the
+    force along it, stretch at birth and |work|, and the largest |work| and travel."""
 
     first: int
     begin: int
@@ -121,20 +120,6 @@ class PlainSums(NamedTuple):
     def empty(cls, first: int, begin: int, end: int, stop: Array) -> "PlainSums":
         """Sums of nothing."""
         return cls(first, begin, end, stop, *np.zeros((7, LANES)))
-
-    def parts(self) -> tuple[Array, ...]:
-        """The sums."""
-        return self.work, self.travel, self.square, self.birth, self.size
-
-
-@admit.register(PlainSums)
-def _admit(
-    recorder: PlainSums, c: Contacts, lanes: Lanes, lane: int, contact: int
-) -> bool:
-    lanes.contact[lane] = contact
-    lanes.age[lane] = recorder.begin
-    lanes.position[lane] = 0.0
-    return recorder.begin < recorder.end
 
 
 @note_lives.register(PlainSums)
@@ -170,10 +155,8 @@ def _sequences(
     for first in range(0, len(groups), at_once):
         some = groups[first : first + at_once]
         begin, end = some[0].start, some[-1].stop
-        names = [(job.seed, STEADY, job.identity, size, i) for i in range(begin, end)]
-        # the child of a name, which is what SciPy's own sequence would draw from
-        seeds = [np.random.SeedSequence(name, spawn_key=(0,)) for name in names]
-        generators = [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
+        names = ((job.seed, STEADY, job.identity, size, i) for i in range(begin, end))
+        generators = [generator(*name) for name in names]
         sobol = Sobol.of(generators, dimensions, size)
         for group in some:
             yield sobol.some(slice(group.start - begin, group.stop - begin))
@@ -233,5 +216,7 @@ def add_weighted(
             most_work = max(most_work, abs(one))
             most_travel = max(most_travel, abs(way))
             most_square = max(most_square, two)
-        total[:4] = work, travel, square, birth
-        total[4:] = size, most_work, most_travel, most_square
+        # one by one: to assign a tuple to a slice takes seconds to compile
+        total[0], total[1], total[2], total[3] = work, travel, square, birth
+        total[4], total[5] = size, most_work
+        total[6], total[7] = most_travel, most_square

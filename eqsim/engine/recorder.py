@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.lanes import LANES, Lives
+from eqsim.engine.lanes import LANES
 from eqsim.engine.sample import typical_lives
 from eqsim.engine.stationary import extremes
 from eqsim.errors import InputError
@@ -27,9 +27,8 @@ from eqsim.numerics.rows import add_rows, take_rows
 from eqsim.numerics.tables import Array, search
 
 BATCHES = 64  # independent groups of contacts, whose scatter tells errors of averages
-_LEAST_FORCE = (
-    2.0**10
-)  # of a typical contact, in units of the last bit: far below noise
+# Force of a typical contact, in units of the last bit: rounding is far below noise.
+_LEAST_FORCE = 2.0**10
 # Mean work of a life in its units. Laws so broad that it matters scatter far more.
 _LEAST_WORK = 2.0**5
 _BITS = 62  # of a sum; the sign and one more are left
@@ -40,10 +39,8 @@ _NARROW_FROM = 2 ** (_BITS - 51)
 
 
 class Deposit(NamedTuple):
-    """What a life leaves at a point of the grid: numbers, or arrays of them.
-
-    Y = -X0, with X0 the displacement at which its spring would be slack.
-    """
+    """What a life leaves at a point of the grid: numbers, or arrays of them. Y = -X0,
+    with X0 the displacement at which its spring would be slack."""
 
     count: Any  # 1
     force: Any  # kappa Y
@@ -79,9 +76,7 @@ class Run(NamedTuple):
     averages: bool = True  # over the second half; lives are then followed to their ends
     batch_by_life: bool = False  # few contacts: whole lives are the independent samples
     moves: int = 1  # 0 in a hold
-    sign: float = (
-        1.0  # direction of motion; stretches along the segment are positive in it
-    )
+    sign: float = 1.0  # direction of motion, in which stretches are positive
     ratio: float = 1.0  # pace over that of the segment before
     goes_on: bool = False  # a stationary start goes on at its own velocity
     last: bool = True  # no segment follows
@@ -148,11 +143,9 @@ class Scales(NamedTuple):
         usual: float = 0.0,
     ) -> "Scales":
         """Find the finest scales with which no sum over all contacts can overflow.
-
         Bounds are those of the longest life, or of the stretch up to which contacts are
         `carried` to the beginning; `usual` is a typical force of such contacts. Raises
-        InputError if these scales are too coarse for the typical contact.
-        """
+        InputError if these scales are too coarse for the typical contact."""
         strong, x, distance = lives.stiffness, lives.stretch, run.distance
         x = max(x if run.stationary else min(x, distance + lives.birth), carried)
         reach = distance + x + lives.birth
@@ -201,33 +194,27 @@ class Averaging(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Scratch for what contacts side by side leave, arrays of integers.
-
-    The fields of `Deposit` are added at the point `begins` and taken back at `ends`.
-    """
+    """Scratch for the fields of `Deposit` that lives side by side leave at the points
+    `begins` and take back at `ends`, arrays of integers."""
 
     begins: Array
     ends: Array
+    ones: Array
     force: Array
     square: Array
     slope: Array
     slope2: Array
     ramp2: Array
-    once: Array  # 1 everywhere
-    never: Array  # 0 everywhere
 
     @classmethod
     def empty(cls, contacts: int = LANES) -> "Columns":
         """Scratch for so many contacts."""
-        numbers = np.zeros((8, contacts), np.int64)
-        return cls._make((*numbers[:7], np.ones(contacts, np.int64), numbers[7]))
+        return cls(*np.ones((8, contacts), np.int64))
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave along a segment.
-
-    Some lives are recorded together, others one by one.
-    """
+    """Where kernels add up what contacts leave along a segment. Some lives are recorded
+    together, others one by one."""
 
     run: Run
     start: Any  # `Fresh`, `Stationary` or `Population`: how contacts come in
@@ -249,9 +236,7 @@ class Recorder(NamedTuple):
         cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0
     ) -> "Recorder":
         """Record contacts that come in from `start` in the sums of a `blocks.Totals`.
-
-        Deposits are those from `row` on.
-        """
+        Deposits are those from `row` on."""
         alone = recorded_alone(c, run)
         return cls(
             run,
@@ -272,7 +257,7 @@ class Recorder(NamedTuple):
 
 
 class Together(Recorder):
-    """A recorder of all lanes at once: a type, so that kernels leave out the rest."""
+    """A recorder of all lanes at once, of which kernels compile nothing else."""
 
     __slots__ = ()
 
@@ -289,11 +274,9 @@ def recorder_for(alone: set[bool]) -> type[Recorder]:
 
 
 def recorded_alone(c: Contacts, run: Run) -> bool:
-    """Whether lives along a segment are recorded one by one.
-
-    These are lives of few contacts, of contacts born stretched or whose stiffness
-    varies, those in a hold, and paths that end with the segment.
-    """
+    """Whether lives along a segment are recorded one by one. These are lives of few
+    contacts, of contacts born stretched or whose stiffness varies, those in a hold, and
+    paths that end with the segment."""
     varies = c.aging.stiffens and c.springs.slope > 0.0
     few = run.batch_by_life or run.moves == 0
     return few or varies or isinstance(c.newborn, Stretched) or _follows_paths(c, run)
@@ -340,10 +323,8 @@ def moments(
 
 
 class Ramp(NamedTuple):
-    """A life with the force stiffness (X - origin) at born <= X < broke.
-
-    In a hold the force is -stiffness origin from one instant to another.
-    """
+    """A life with the force stiffness (X - origin) at born <= X < broke. In a hold the
+    force is -stiffness origin from one instant to another."""
 
     stiffness: float
     origin: float
@@ -359,11 +340,9 @@ def fixed(x: float, scale: float) -> int:
 
 @routine(inline=True)
 def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
-    """x in fixed point, up to 2^51 if it is `narrow`.
-
-    Narrow numbers are the last bits of their sum with 1.5 2^52. Few processors convert
-    more than one number at a time.
-    """
+    """x in fixed point, up to 2^51 if it is `narrow`. Narrow numbers are the last bits
+    of their sum with 1.5 2^52. Few processors convert more than one number at a
+    time."""
     if narrow:
         return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
     return int(np.rint(x * scale))
@@ -427,10 +406,8 @@ def leave_pinned(recorder: Recorder, born: float, broke: float) -> None:
 
 @routine(inline=True)
 def edge_after(run: Run, x: float) -> float:
-    """End of the half or quarter that x lies in; infinite beyond the segment.
-
-    Without averages the segment has one part.
-    """
+    """End of the half or quarter that x lies in; infinite beyond the segment. Without
+    averages the segment has one part."""
     if run.averages and x <= 0.75 * run.length:
         return (0.5 if x <= 0.5 * run.length else 0.75) * run.length
     return run.length if x <= run.length else math.inf
@@ -463,94 +440,72 @@ def average(recorder: Recorder, batch: int, life: Ramp, reborn: float) -> None:
 
 
 @routine(inline=True)
-def point_after(x: float, run: Run, per_step: float) -> Any:
-    """Find the first grid point at or after x >= 0; `run.points` beyond the last."""
-    at = np.ceil(min(x * per_step, float(run.points))) + 2.0**52
-    return np.float64(at).view(np.int64) - _UNITS
-
-
-@routine(inline=True)
 def find_points(run: Run, x: Array, points: Array, count: int) -> None:
-    """Find the grid points at or after the first `count` of x.
-
-    Here and below a loop fills one array: with more, the compiler would have to find
-    out whether any of them overlap, and gives up vectors.
-    """
+    """Find the grid points at or after the first `count` of x >= 0; `run.points` beyond
+    the last. Here and below a loop fills one array: with more, the compiler would have
+    to find out whether any of them overlap, and gives up vectors."""
     per_step = (run.points - 1) / run.length
     for i in range(count):
-        points[i] = point_after(x[i], run, per_step)
+        at = np.ceil(min(x[i] * per_step, float(run.points))) + 2.0**52
+        points[i] = np.float64(at).view(np.int64) - _UNITS
 
 
 @routine(inline=True)
 def leave_ramps(
-    recorder: Recorder, born: Array, broke: Array, lives: Lives, r: int, count: int
+    recorder: Recorder, born: Array, broke: Array, stiffness: Array, uniform: bool
 ) -> None:
-    """Record round r of the first `count` lanes, pinned at 0 <= `born` <= X < `broke`.
-
-    `count` is a multiple of four.
-    """
+    """Record lives side by side, a multiple of four, pinned at 0 <= `born` <= X <
+    `broke`. Of equally stiff contacts (`uniform`) count and force stand for other
+    fields."""
     scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
-    force, square, stiffness = columns.force, columns.square, lives.stiffness
-    slope, slope2, ramp2 = columns.slope, columns.slope2, columns.ramp2
-    find_points(recorder.run, born, columns.begins, count)
-    find_points(recorder.run, broke, columns.ends, count)
+    begins, ends, ones, force, square, slope, slope2, ramp2 = columns
+    count = born.size
+    find_points(recorder.run, born, begins, count)
+    find_points(recorder.run, broke, ends, count)
     for i in range(count):
-        force[i] = fixed_narrow(stiffness[r, i] * born[i], -scales.force, narrow)
+        force[i] = fixed_narrow(stiffness[i] * born[i], -scales.force, narrow)
     for i in range(count):
-        ramp = stiffness[r, i] * born[i]
-        square[i] = fixed_narrow(ramp * ramp, scales.square, narrow)
+        stretched = stiffness[i] * born[i]
+        square[i] = fixed_narrow(stretched * stretched, scales.square, narrow)
+    if uniform:
+        for i in range(count):
+            begin = recorder.deposits[np.uint64(begins[i])]
+            end = recorder.deposits[np.uint64(ends[i])]
+            ramp, ramp_square = force[i], square[i]
+            begin.count += 1
+            begin.force += ramp
+            begin.square += ramp_square
+            end.count -= 1
+            end.force -= ramp
+            end.square -= ramp_square
+        return
     for i in range(count):
-        slope[i] = fixed_narrow(stiffness[r, i], scales.slope, narrow)
+        slope[i] = fixed_narrow(stiffness[i], scales.slope, narrow)
     for i in range(count):
-        kappa2 = stiffness[r, i] * stiffness[r, i]
+        kappa2 = stiffness[i] * stiffness[i]
         slope2[i] = fixed_narrow(kappa2, scales.slope2, narrow)
     for i in range(count):
-        kappa = stiffness[r, i]
+        kappa = stiffness[i]
         ramp2[i] = fixed_narrow(kappa * (kappa * born[i]), -scales.ramp2, narrow)
-    numbers = columns.once, force, square, slope, slope2, ramp2
+    numbers = ones, force, square, slope, slope2, ramp2
     for i in range(0, count, 4):
-        add_rows(recorder.deposits, columns.begins, numbers, i)
-        take_rows(recorder.deposits, columns.ends, numbers, i)
+        add_rows(recorder.deposits, begins, numbers, i)
+        take_rows(recorder.deposits, ends, numbers, i)
 
 
 @routine(inline=True)
-def leave_uniform_ramps(
-    recorder: Recorder, born: Array, broke: Array, count: int
-) -> None:
-    """Record lives as `leave_ramps` does, of contacts that are equally stiff.
-
-    Count and force stand for the other fields.
-    """
+def join_ramps(recorder: Recorder, born: Array, broke: Array) -> None:
+    """Record lives of equally stiff contacts as `leave_ramps` does, where a life begins
+    as another ends: only the square and the place of birth change there."""
     scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
-    force, square = columns.force, columns.square
-    find_points(recorder.run, born, columns.begins, count)
-    find_points(recorder.run, broke, columns.ends, count)
-    for i in range(count):
-        force[i] = fixed_narrow(born[i], -scales.force, narrow)
-    for i in range(count):
-        square[i] = fixed_narrow(born[i] * born[i], scales.square, narrow)
-    numbers = columns.once, force, square, columns.never
-    for i in range(0, count, 4):
-        add_rows(recorder.deposits, columns.begins, numbers, i)
-        take_rows(recorder.deposits, columns.ends, numbers, i)
-
-
-@routine(inline=True)
-def join_uniform_ramps(
-    recorder: Recorder, born: Array, broke: Array, count: int
-) -> None:
-    """Record lives as `leave_uniform_ramps` does, where a life begins as another ends.
-
-    Only the square and the place of birth change there.
-    """
-    scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
-    force, square = columns.force, columns.square
+    force, square, count = columns.force, columns.square, born.size
     find_points(recorder.run, broke, columns.ends, count)
     for i in range(count):
         force[i] = fixed_narrow(broke[i] - born[i], -scales.force, narrow)
     for i in range(count):
         difference = (broke[i] - born[i]) * (born[i] + broke[i])
         square[i] = fixed_narrow(difference, scales.square, narrow)
-    numbers = columns.never, force, square, columns.never
-    for i in range(0, count, 4):
-        add_rows(recorder.deposits, columns.ends, numbers, i)
+    for i in range(count):
+        end = recorder.deposits[np.uint64(columns.ends[i])]
+        end.force += force[i]
+        end.square += square[i]

@@ -17,8 +17,8 @@ from eqsim.results import Drawn, Result
 
 
 @dataclass(frozen=True, repr=False)
-class Record(Result):
-    """An ensemble's force along a drive.
+class Course(Result):
+    """Force of an interface while it is pulled.
 
     Attributes
     ----------
@@ -27,48 +27,61 @@ class Record(Result):
     force, force_stderr : ndarray, shape (points,)
         <F>/(N k) (length), averaged over replicas, and its standard error.
     force_reliable : bool
-        False where too few contacts make the force for five standard errors to mean
-        what they say; `force_replica_std` then misses what the sample did.
-    pinned, pinned_stderr : ndarray, shape (points,)
-        <N_c>/N, averaged over replicas, and its standard error.
+        False where too few contacts or replicas make the force for five standard errors
+        to mean what they say.
     force_replica_std : ndarray, shape (points,), or None
         Standard deviation of F/(N k) between replicas, if there are several.
-    force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several, of threads, and no more
-        than 2e7 numbers.
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds, threads
         How it was computed.
     """
 
-    drawn: ClassVar[Drawn] = Drawn(
-        "X", "force", "force_stderr", "displacement  X", "friction force  F/(N k)"
-    )
     X: Array
     t: Array
     force: Array
     force_stderr: Array
     force_reliable: bool
-    pinned: Array
-    pinned_stderr: Array
     force_replica_std: Array | None
-    force_replicas: Array | None
     lives: int
     seed: int
     engine_seconds: float
     threads: int
 
     # in the order in which they are written
-    names: ClassVar[tuple[str, ...]] = (
-        *("X", "t", "force", "pinned"),
-        *("force_stderr", "pinned_stderr", "force_replica_std"),
-    )
+    names: ClassVar[tuple[str, ...]]
 
     def columns(self) -> dict[str, Array]:
         """The arrays by name; those between replicas only if there are several."""
         found = {name: getattr(self, name) for name in self.names}
         return {name: column for name, column in found.items() if column is not None}
+
+
+@dataclass(frozen=True, repr=False)
+class Record(Course):
+    """An ensemble's force along a drive.
+
+    Attributes are those of `Course`, and
+
+    Attributes
+    ----------
+    pinned, pinned_stderr : ndarray, shape (points,)
+        <N_c>/N, averaged over replicas, and its standard error.
+    force_replicas : ndarray, shape (replicas, points), or None
+        F/(N k) of every replica (length), if there are several, of threads, and no more
+        than 2e7 numbers.
+    """
+
+    drawn: ClassVar[Drawn] = Drawn(
+        "X", "force", "force_stderr", "displacement  X", "friction force  F/(N k)"
+    )
+    pinned: Array
+    pinned_stderr: Array
+    force_replicas: Array | None
+    names: ClassVar[tuple[str, ...]] = (
+        *("X", "t", "force", "pinned"),
+        *("force_stderr", "pinned_stderr", "force_replica_std"),
+    )
 
     def replicas(self) -> dict[str, Array]:
         """The series of every replica, one after the other, by column: `replica`, `t`,
@@ -288,6 +301,59 @@ class SliderTrajectory(ProgrammeTrajectory):
         return replace(found, stderr=math.hypot(found.stderr, missed))
 
 
+@dataclass(frozen=True, repr=False)
+class ElasticTrajectory(Course):
+    """Motion of coupled blocks while the plate moves, in the mean over blocks and
+    replicas.
+
+    Attributes are those of `Course`, with X the mean displacement of the blocks, and
+
+    Attributes
+    ----------
+    D : ndarray, shape (points,)
+        Displacement of the plate (length).
+    X_replica_std : ndarray, shape (points,), or None
+        Standard deviation of X between replicas, if there are several.
+    friction, size, single : Estimate
+        Averages over the second half of the plate's way, from batches: int F dX/Delta X
+        of all blocks (length), breaks per avalanche, and fraction of single breaks
+        among them.
+    avalanches : dict of ndarray
+        Columns: time `t`, plate `D` (length), `block` where it began, `breaks`,
+        `blocks` that broke, `drop` of F/(N k) (length), and the `replica`.
+    blocks : dict of ndarray
+        Columns, with a row for each record of each block: `t`, `D`, `block`, its
+        displacement `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the
+        `replica`.
+
+    The error of the force comes from the scatter between replicas, of which 8 are
+    enough; that of a single one is of independent contacts at the same displacements,
+    and does not show how far its X is from that of others.
+    """
+
+    drawn: ClassVar[Drawn] = Record.drawn._replace(
+        x="D", x_label="displacement of the plate  D"
+    )
+    D: Array
+    X_replica_std: Array | None
+    friction: Estimate
+    size: Estimate
+    single: Estimate
+    avalanches: dict[str, Array]
+    blocks: dict[str, Array]
+    names: ClassVar[tuple[str, ...]] = (
+        *("t", "D", "X", "force"),
+        *("force_stderr", "force_replica_std", "X_replica_std"),
+    )
+
+
+def by_replica(tables: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Tables of several replicas, by column, as one with the `replica` of each row."""
+    columns = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
+    sizes = [next(iter(table.values())).size for table in tables]
+    return columns | {"replica": np.repeat(np.arange(len(tables)), sizes)}
+
+
 # slips from which on the scatter of a sample says something about its mean
 _ENOUGH_SLIPS = 5
 
@@ -298,9 +364,8 @@ def _mean_over(
     """The mean of what the slips of each replica are worth, without its first one,
     which depends on the start, and what the record ends in."""
     values: list[float] = []
-    for replica in sorted({slip.replica for slip in slips}):
-        whole = [slip for slip in slips if slip.replica == replica and slip.ended][1:]
-        values += of(whole)
+    for _, whole in itertools.groupby(slips, key=lambda slip: slip.replica):
+        values += of([slip for slip in whole if slip.ended][1:])
     n = len(values)
     if n < 2:
         return Estimate(values[0] if values else None, None, n, reliable=False)
@@ -344,13 +409,10 @@ def _falls(
                 half = 0.5 * (spring[high] + spring[low])
                 j = high + 1 + int(np.argmax(spring[high + 1 : low + 1] <= half))
                 share = (spring[j - 1] - half) / (spring[j - 1] - spring[j])
-                middle, place = (
-                    float(y[j - 1] + share * (y[j] - y[j - 1])) for y in (t, X)
-                )
+                middle, x = (y[j - 1] + share * (y[j] - y[j - 1]) for y in (t, X))
                 drop, ended = float(spring[high] - spring[low]), low < t.size - 1
-                found.append(
-                    Slip(middle, place, drop, time, distance, 0, high > 0, ended)
-                )
+                at = float(middle), float(x)
+                found.append(Slip(*at, drop, time, distance, 0, high > 0, ended))
             high, low = min(i, t.size - 1), -1
     return found
 
@@ -396,13 +458,11 @@ def extreme(
     x: Array, force: Array, stderr: Array, direction: float = 0
 ) -> tuple[Estimate, Estimate]:
     """The force that differs most from the first one, if a `direction` (1 or -1) is
-    given that way, and the `x` where it is; arrays (points,).
-
-    The largest of many values with errors is too large. The vertex of a parabola
-    through all values that cannot be told from it is not, and how far the two differ is
-    part of the error. A vertex beyond these values is none of the record: the largest
-    value and its place are told then.
-    """
+    given that way, and the `x` where it is; arrays (points,). The largest of many
+    values with errors is too large. The vertex of a parabola through all values that
+    cannot be told from it is not, and how far the two differ is part of the error. A
+    vertex beyond these values is none of the record: the largest value and its place
+    are told then."""
     change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
     near = np.abs(force - force[top]) <= 2.0 * stderr[top]

@@ -31,13 +31,12 @@ from eqsim.engine.recorder import (
     edge_after,
     fixed,
     instant,
-    join_uniform_ramps,
+    join_ramps,
     leave,
     leave_force,
     leave_pinned,
     leave_ramp,
     leave_ramps,
-    leave_uniform_ramps,
     point_at,
 )
 from eqsim.engine.sample import spread, typical_uniforms
@@ -59,11 +58,9 @@ _MOST_CYCLES = 32000  # tried for a snapshot; one in e^32 contacts finds none
 
 
 class Population(NamedTuple):
-    """Contacts between two segments, arrays (contacts,).
-
-    Times are displacements at the pace of the segment before. All but `wait` is of
-    pinned contacts; where thresholds fluctuate, `threshold` is the one now.
-    """
+    """Contacts between two segments, arrays (contacts,). Times are displacements at the
+    pace of the segment before. All but `wait` is of pinned contacts; where thresholds
+    fluctuate, `threshold` is the one now."""
 
     pinned: Array
     wait: Array  # time until a detached contact is pinned
@@ -100,8 +97,6 @@ class Span(NamedTuple):
 
 
 @admit.register(Recorder)
-@admit.register(Together)
-@admit.register(OneByOne)
 def _admit(
     recorder: Recorder, c: Contacts, lanes: Lanes, lane: int, contact: int
 ) -> bool:
@@ -123,8 +118,6 @@ def _admit(
 
 
 @move_lane.register(Recorder)
-@move_lane.register(Together)
-@move_lane.register(OneByOne)
 def _move_lane(recorder: Recorder, source: int, target: int) -> None:
     averaging = recorder.averaging
     averaging.edge[target] = averaging.edge[source]
@@ -138,11 +131,9 @@ def _move_lane(recorder: Recorder, source: int, target: int) -> None:
 def enter(
     start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int
 ) -> tuple[float, int]:
-    """Take a contact through what it comes in with, by the type of the start.
-
-    Returns where its next life begins, infinity if that is in a later segment, and how
-    often lives of it were drawn.
-    """
+    """Take a contact through what it comes in with, by the type of the start. Returns
+    where its next life begins, infinity if that is in a later segment, and how often
+    lives of it were drawn."""
     return 0.0, 0
 
 
@@ -158,9 +149,7 @@ def found_at_start(
     law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> float:
     """Record what a snapshot of the stationary state finds, by the law of aging.
-
-    Returns where the contact is pinned again.
-    """
+    Returns where the contact is pinned again."""
     batch, seen = contact % BATCHES, snapshot(c.newborn, c, start, key, contact)
     if not seen.pinned:
         average(recorder, batch, Ramp(0.0, 0.0, 0.0, 0.0), seen.wait)
@@ -179,12 +168,10 @@ def found_at_start(
 def _path_at_start(
     law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> float:
-    """Try cycles of life and delay until one is under way at X = 0.
-
-    Each has begun at a uniform time before X = 0, within the longest cycle, so that a
-    cycle is found in proportion to its length (derived). An exponential delay counts as
-    a fixed one of the same mean: what is left of it is exponential again.
-    """
+    """Try cycles of life and delay until one is under way at X = 0. Each has begun at a
+    uniform time before X = 0, within the longest cycle, so that a cycle is found in
+    proportion to its length (derived). An exponential delay counts as a fixed one of
+    the same mean: what is left of it is exponential again."""
     batch, delay = contact % BATCHES, c.delay.mean
     born, broke, reborn = 0.0, 0.0, 0.0
     for attempt in range(_MOST_CYCLES):
@@ -224,11 +211,8 @@ def _enter_between(
 def go_on(
     law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
 ) -> float:
-    """Take a pinned contact through the segment, by the law of aging.
-
-    Returns where it breaks, infinity if it does not; then its state at the end is
-    noted.
-    """
+    """Take a pinned contact through the segment, by the law of aging. Returns where it
+    breaks, infinity if it does not; then its state at the end is noted."""
     run, stiffness = recorder.run, p.stiffness[i]
     y, age = run.sign * p.stretch[i], p.age[i] * run.ratio
     contact = Held(p.threshold[i], stiffness, y, age)
@@ -272,11 +256,9 @@ def _pinned_along(law: Langevin, c: Contacts, run: Run) -> Pinned:
 def note_together(
     recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Record the lives of all lanes at once.
-
-    A contact's lives come in order of position, so what they leave in averages is added
-    up on the way, and noted when a life crosses the edge of a window.
-    """
+    """Record the lives of all lanes at once. A contact's lives come in order of
+    position, so what they leave in averages is added up on the way, and noted when a
+    life crosses the edge of a window."""
     averaging, position, count = recorder.averaging, lanes.position, padded(active)
     broke, reborn, edge = averaging.broke, averaging.reborn, averaging.edge
     work, pinned = averaging.work, averaging.pinned
@@ -287,15 +269,13 @@ def note_together(
     if recorder.joined:
         for i in range(count):
             reborn[i] = broke[i]
-        join_uniform_ramps(recorder, position, broke, count)
+        join_ramps(recorder, position[:count], broke[:count])
     else:
         for i in range(count):
             pinned[i] += travel[r, i]
             reborn[i] = broke[i] + delay[r, i]
-        if c.springs.slope == 0.0:
-            leave_uniform_ramps(recorder, position, broke, count)
-        else:
-            leave_ramps(recorder, position, broke, lives, r, count)
+        uniform, born = c.springs.slope == 0.0, position[:count]
+        leave_ramps(recorder, born, broke[:count], stiffness[r, :count], uniform)
     crossing = 0
     for i in range(active):
         crossing += reborn[i] > edge[i]
@@ -317,10 +297,8 @@ def drawn_life(lanes: Lanes, lives: Lives, r: int, i: int) -> Path:
 def cross_edges(
     recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Note what contacts whose lives cross the edge of a window have left in it.
-
-    Notes these lives, too. Returns whether any has come to the end of the segment.
-    """
+    """Note what contacts whose lives cross the edge of a window have left in it. Notes
+    these lives, too. Returns whether any has come to the end of the segment."""
     run, averaging, scales = recorder.run, recorder.averaging, recorder.window_scales
     edge, broke, reborn = averaging.edge, averaging.broke, averaging.reborn
     position, ended = lanes.position, False
@@ -407,11 +385,9 @@ def batch_of(run: Run, life: Path) -> Any:
 def leave_life(
     law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
 ) -> tuple[float, float]:
-    """Record a life that is born in the segment, by the law of aging.
-
-    Contacts are carried over `travel`, but for paths and in a hold. Returns the
-    stiffness whose work is yet to be averaged, and where the life ends.
-    """
+    """Record a life that is born in the segment, by the law of aging. Contacts are
+    carried over `travel`, but for paths and in a hold. Returns the stiffness whose work
+    is yet to be averaged, and where the life ends."""
     run, stiffness = recorder.run, kappa(c.springs, life.xi)
     if run.moves == 0:
         contact, longest = Held(life.xi, stiffness, life.x, 0.0), run.length - born
@@ -435,10 +411,8 @@ def _leave_drawn_path(
 def time_in_hold(
     start: Any, c: Contacts, contact: Held, longest: float, clock: float
 ) -> float:
-    """How long a contact is pinned in a hold, by the type of the start.
-
-    Infinite if that is longer than the hold lasts. Only programmes have holds.
-    """
+    """How long a contact is pinned in a hold, by the type of the start. Infinite if
+    that is longer than the hold lasts. Only programmes have holds."""
     return math.inf
 
 
@@ -451,10 +425,8 @@ def _time_in_hold(
 
 @routine
 def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float:
-    """Record the force of a contact that is pinned for a span of a segment.
-
-    Returns the stiffness whose work is yet to be averaged, 0 where that is done.
-    """
+    """Record the force of a contact that is pinned for a span of a segment. Returns the
+    stiffness whose work is yet to be averaged, 0 where that is done."""
     run, begins, stiffness = recorder.run, span.begins, span.stiffness
     ends = begins + span.travel
     if not stiffness_varies(c.aging, c.springs):
@@ -481,11 +453,9 @@ def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float
 def leave_path(
     laws: Pinned, recorder: Recorder, batch: int, path: Path, begins: float
 ) -> tuple[float, Path]:
-    """Record the path of a contact whose threshold fluctuates, from `begins` on.
-
-    It may be on its way, stretched at the beginning. Returns where it breaks, or
-    infinity if that is in a later segment, and its path there.
-    """
+    """Record the path of a contact whose threshold fluctuates, from `begins` on. It may
+    be on its way, stretched at the beginning. Returns where it breaks, or infinity if
+    that is in a later segment, and its path there."""
     run = recorder.run
     if laws.springs.slope == 0.0:
         origin = begins - path.x if run.moves != 0 else -path.x
@@ -506,9 +476,7 @@ def leave_path_at_rest(
     laws: Pinned, recorder: Recorder, path: Path, begins: float
 ) -> tuple[float, Path]:
     """Record a path in a hold, of a contact whose stiffness follows its threshold.
-
-    Steps end at the instants that are recorded.
-    """
+    Steps end at the instants that are recorded."""
     run, now = recorder.run, begins
     for j in range(point_at(run, begins), run.points):
         longest = run.instants[j] - now
@@ -527,10 +495,8 @@ def leave_stiffening_path(
     laws: Pinned, recorder: Recorder, batch: int, path: Path, begins: float
 ) -> tuple[float, Path]:
     """Record a path in motion, of a contact whose stiffness follows its threshold.
-
     Steps end at grid points and at edges of windows of averages. The path is not
-    followed beyond the last one.
-    """
+    followed beyond the last one."""
     run = recorder.run
     step, quarters, y = run.length / (run.points - 1), 0.25 * run.length, path.x
     s, broken = 0.0, False  # travel so far, which the stretch may not resolve
@@ -576,9 +542,7 @@ def hand_on(
     delay: float,
 ) -> None:
     """Note the state of a contact after its last birth in a segment, for the next one.
-
-    Only a `Population` takes it.
-    """
+    Only a `Population` takes it."""
 
 
 @hand_on.register(Population)
@@ -670,11 +634,8 @@ def begin_stationary(
 
 
 def waits_at_rest(c: Contacts, most: float) -> Array:
-    """Durations of lives at rest, up to `most`, at mid-points of equal shares.
-
-    64 x 64 shares of thresholds and clocks, or roughly 16 x 16 where thresholds
-    fluctuate.
-    """
+    """Durations of lives at rest, up to `most`, at mid-points of equal shares. 64 x 64
+    shares of thresholds and clocks, or roughly 16 x 16 where thresholds fluctuate."""
     u, v = typical_uniforms(c)
     waits = np.empty(u.size)
     fill_waits(c, u, v, spread(u.size), most, waits)
@@ -697,9 +658,7 @@ def wait_at_rest(
     law: Any, c: Contacts, contact: Held, clock: float, most: float, i: int
 ) -> float:
     """Duration of a life at rest, by the law of aging; path i if thresholds fluctuate.
-
-    Infinite, or anything longer, if it is more than `most`.
-    """
+    Infinite, or anything longer, if it is more than `most`."""
     return spend(law, c, contact, 0, most, clock)[0]
 
 

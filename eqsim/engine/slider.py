@@ -106,11 +106,9 @@ class Piece(NamedTuple):
 def advance(
     laws: Contacts, piece: Piece, key: Key, first: int, population: Array, sums: Array
 ) -> None:
-    """Follow contacts along a piece, and add up each block of them.
-
-    `population` holds records of type `CONTACT`, of contacts from `first` on; `sums`
-    holds a record of type `_SUMS` for each block, which are 0 before.
-    """
+    """Follow contacts along a piece, and add up each block of them. `population` holds
+    records of type `CONTACT`, of contacts from `first` on; `sums` holds a record of
+    type `_SUMS` for each block, which are 0 before."""
     for block in range(sums.size):
         begin = block * _BLOCK
         for i in range(begin, min(begin + _BLOCK, population.size)):
@@ -215,31 +213,24 @@ class State(NamedTuple):
 
 class Behind(NamedTuple):
     """What the slider would be ahead in `distance` and `velocity` had no estimate
-    missed F.
-
-    To be made up for within the time `over` (derived, of first order in the missed F).
-    """
+    missed F. To be made up for within the time `over` (derived, of first order in the
+    missed F)."""
 
     distance: float = 0.0
     velocity: float = 0.0
     over: float = 0.0
 
     def within(self, dt: float) -> "Behind":
-        """Share that a step of dt makes up for.
-
-        What a longer step has missed takes as long as that step, so that the
-        displacement vanishes with dt.
-        """
+        """Share that a step of dt makes up for. What a longer step has missed takes as
+        long as that step, so that the displacement vanishes with dt."""
         share = min(1.0, dt / self.over) if self.over > 0.0 else 0.0
         return Behind(share * self.distance, share * self.velocity, self.over)
 
 
 class BreakRates:
-    """Change of F by breaks, per displacement (rho) and per time (r).
-
-    Means over the last `_MEMORY` breaks, or over those of the last step where these are
-    more; rho is never taken over less than `shortest`.
-    """
+    """Change of F by breaks, per displacement (rho) and per time (r). Means over the
+    last `_MEMORY` breaks, or over those of the last step where these are more; rho is
+    never taken over less than `shortest`."""
 
     def __init__(self, shortest: float) -> None:
         self.shortest = shortest
@@ -287,10 +278,8 @@ def _relaxed(
 
 class Slider:
     """A slider on the contacts of an ensemble, pulled by the stage of a programme.
-
     Contacts are number `first` and the following ones. Steps are `longer` times as long
-    as the tolerance of the stage asks for.
-    """
+    as the tolerance of the stage asks for."""
 
     def __init__(
         self,
@@ -404,10 +393,8 @@ class Slider:
         return theta, inertia + damping + 0.5 * self._elastic
 
     def _estimate(self, dt: float, speed: float) -> tuple[float, float]:
-        """Displacement in a step of dt, and the velocity at its end.
-
-        The displacement is infinite where the slider is unstable and nothing limits it.
-        """
+        """Displacement in a step of dt, and the velocity at its end. The displacement
+        is infinite where the slider is unstable and nothing limits it."""
         now, pull, behind = self.state, self.pull, self.behind.within(dt)
         elastic = self._elastic
         net = pull.stiffness * (now.Y - now.X) - now.sums.force
@@ -424,10 +411,8 @@ class Slider:
         return behind.distance + moved, V + (moved / dt - V) / theta
 
     def _fall_behind(self, dt: float, missed: float) -> Behind:
-        """Find what is left to make up for after a step of dt.
-
-        Its estimate `missed` F so far at its end, and before in proportion to time.
-        """
+        """Find what is left to make up for after a step of dt. Its estimate `missed` F
+        so far at its end, and before in proportion to time."""
         if self.pull.mass == 0.0:
             damping = self._damping(self.state.sums)
             distance = _relaxed(0.0, -missed / dt, self._elastic, damping, dt)
@@ -476,11 +461,9 @@ class Slider:
         return self.state
 
     def _next_step(self, dt: float, cut: bool, missed: float, before: State) -> float:
-        """Length of the next step that the tolerance allows after one of dt.
-
-        `missed` is the error of the estimate of F; `before` the state before the step,
-        which is `cut` if it was not as long as it might have been.
-        """
+        """Length of the next step that the tolerance allows after one of dt. `missed`
+        is the error of the estimate of F; `before` the state before the step, which is
+        `cut` if it was not as long as it might have been."""
         sums = self.state.sums
         noise = _NOISE * math.sqrt(sums.scatter / self.count)
         error = max(abs(missed) - noise, 0.0)
@@ -499,12 +482,9 @@ class Slider:
 
     def _until_a_break(self) -> float:
         """Longest step in which so few contacts break by heat that their estimate
-        holds.
-
-        A time without a break tells no more than that the rate of breaks is about one
-        in that time. A step may have as many as move the slider by the longest
-        displacement.
-        """
+        holds. A time without a break tells no more than that the rate of breaks is
+        about one in that time. A step may have as many as move the slider by the
+        longest displacement."""
         sums = self.state.sums
         if not self.waits or sums.square <= 0.0:
             return math.inf
@@ -532,10 +512,8 @@ class Slider:
     def _account(
         self, dt: float, dX: float, dY: float, V: float, sums: Sums, force: float
     ) -> None:
-        """Take a step in which F is taken for `force` in the mean.
-
-        Damping takes what is left of the work of the spring.
-        """
+        """Take a step in which F is taken for `force` in the mean. Damping takes what
+        is left of the work of the spring."""
         now, pull = self.state, self.pull
         spring = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
         damped = (spring - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from eqsim.engine import avalanches
 from eqsim.engine.blocks import Progress, Threads, workers_of
-from eqsim.engine.records import SliderTrajectory, Slip, shown_by, slips_of
+from eqsim.engine.records import SliderTrajectory, Slip, by_replica, shown_by, slips_of
 from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
@@ -31,27 +31,18 @@ _TOLD_AFTER_STEPS = 64  # when progress is told
 _TOLD_AFTER_LIVES = 1000.0  # in a step, when progress is told at once
 _SLIP_NOISE = 6.0  # standard deviations of the force above which a fall of it is a slip
 
-# A slider at an instant of the grid; forces and energies are per contact.
-_INSTANT = np.dtype(
-    [
-        ("X", np.float64),
-        ("stage", np.float64),  # displacement of the stage
-        ("friction", np.float64),  # force of all contacts
-        ("pinned", np.float64),  # share of contacts
-        ("variance", np.float64),  # of the force, if contacts were independent
-        ("work", np.float64),  # of the stage
-        ("stored", np.float64),  # energy, more than at first
-        ("dissipated", np.float64),  # energy
-        ("missed", np.float64),  # energy
-        ("behind", np.float64),  # error of X, since the last steps have missed F
-    ]
-)
+# A slider at an instant of the grid; forces and energies are per contact. `friction` is
+# the force of all contacts, `variance` that of it if they were independent, `stored` the
+# energy beyond that at first, and `behind` the error of X as the last steps missed F.
+_MOTION = ("X", "stage", "friction", "pinned", "variance")
+_ENERGIES = ("work", "stored", "dissipated", "missed")
+_COURSE = np.dtype([(name, float) for name in (*_MOTION, *_ENERGIES, "behind")])
 
 
 class _Run(NamedTuple):
     """Record of a replica; avalanches by column if they were followed."""
 
-    course: Array  # `_INSTANT`
+    course: Array  # `_COURSE`
     slips: list[Slip]
     lives: int
     avalanches: dict[str, Array] | None = None
@@ -75,7 +66,7 @@ def _note(slider: Slider, row: np.void) -> None:
 
 def _in_steps(slider: Slider, instants: Array, told: Progress) -> _Run:
     """Pull a slider through its programme step by step; `told` gets lives so far."""
-    course = np.zeros(instants.size, _INSTANT)
+    course = np.zeros(instants.size, _COURSE)
     _note(slider, course[0])
     states = [slider.state]
     lives = float(slider.count)
@@ -117,7 +108,7 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
     now["Y"] = start.Y
     now["force"] = start.sums.force
     now["stiffness"] = start.sums.stiffness
-    course = np.zeros(instants.size, _INSTANT)
+    course = np.zeros(instants.size, _COURSE)
     course["stage"] = stages
     course["pinned"] = 1.0
     found = []
@@ -153,9 +144,8 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
 
 def coarse_instants(segment: Array) -> Array:
     """Instants of a grid that the second run records, of segments `segment` (points,).
-
-    These are the first one, and one in `_COARSER` counted from the end of each segment.
-    """
+    These are the first one, and one in `_COARSER` counted from the end of each
+    segment."""
     ends = np.flatnonzero(np.append(np.diff(segment) != 0, True))
     from_end = ends[segment] - np.arange(segment.size)
     recorded = from_end % _COARSER == 0
@@ -164,14 +154,12 @@ def coarse_instants(segment: Array) -> Array:
 
 
 def step_error(fine: Array, coarse: Array, recorded: Array) -> Array:
-    """Bound the error of finite steps in the mean over replicas, (points,).
-
-    `fine` is a quantity of shape (replicas, points), `coarse` the same at the instants
-    `recorded`, in steps four times as long. An error of first order in the step is four
-    times as large there, and a third of the difference; one of a higher order is less
-    than that. The difference has a scatter and may vanish by chance at an instant: its
-    standard error is added, and of neighbouring instants the largest counts.
-    """
+    """Bound the error of finite steps in the mean over replicas, (points,). `fine` is a
+    quantity of shape (replicas, points), `coarse` the same at the instants `recorded`,
+    in steps four times as long. An error of first order in the step is four times as
+    large there, and a third of the difference; one of a higher order is less than that.
+    The difference has a scatter and may vanish by chance at an instant: its standard
+    error is added, and of neighbouring instants the largest counts."""
     changed = coarse - fine[:, recorded]
     replicas = len(changed)
     error = np.mean(changed, axis=0)
@@ -189,11 +177,8 @@ def _slips_in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Sli
     return tuple(
         replace(
             slip,
-            t=slip.t / per_time,
-            X=slip.X * unit,
-            drop=slip.drop * unit,
-            duration=slip.duration / per_time,
-            distance=slip.distance * unit,
+            **{name: getattr(slip, name) / per_time for name in ("t", "duration")},
+            **{name: getattr(slip, name) * unit for name in ("X", "drop", "distance")},
             replica=replica,
         )
         for replica, run in enumerate(runs)
@@ -208,12 +193,11 @@ def _avalanches_in_units(
     found = [run.avalanches for run in runs if run.avalanches is not None]
     if not found:
         return None
-    columns = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    columns = by_replica(found)
     columns["t"] /= per_time
     for name in ("X", "drop", "distance"):
         columns[name] *= unit
-    sizes = [one["t"].size for one in found]
-    return columns | {"replica": np.repeat(np.arange(len(found)), sizes)}
+    return columns
 
 
 def pulled(
@@ -254,7 +238,7 @@ def pulled(
                 coarse.append(_in_steps(slider, instants[recorded], lambda _: told(0)))
     every = np.array([run.course for run in runs])
     again = np.array([run.course for run in coarse])
-    mean = {name: np.mean(every[name], axis=0) for name in _INSTANT.names or ()}
+    mean = {name: np.mean(every[name], axis=0) for name in _COURSE.names or ()}
     delayed = ensemble.delay.time > 0
     errors = {
         "X": np.zeros(grid.t.size),
@@ -278,7 +262,7 @@ def pulled(
     X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
     reliable = replicas >= _ENOUGH_REPLICAS
     shown = Grid(grid.t, X, grid.segment), force, stderr, reliable, X_stderr
-    energies = [mean[name] for name in ("work", "stored", "dissipated", "missed")]
+    energies = [mean[name] for name in _ENERGIES]
     return SliderTrajectory(
         X=X,
         t=grid.t,

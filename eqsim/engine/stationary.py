@@ -23,18 +23,13 @@ from eqsim.engine.contacts import Contacts
 from eqsim.engine.proposal import LOG_RANKS, Proposal, births_per_log
 from eqsim.engine.sample import unnamed_lives
 from eqsim.errors import InputError
+from eqsim.laws import threshold
 from eqsim.laws.aging.base import end, life, whole_hazard
 from eqsim.laws.barrier.base import travel
 from eqsim.laws.delay import residual_delay_draw
 from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
-from eqsim.laws.threshold import (
-    FIRST_OCTAVE,
-    LAST_OCTAVE,
-    NO_STEPS,
-    Thresholds,
-    threshold_draw,
-)
+from eqsim.laws.threshold import NO_STEPS, Thresholds, threshold_draw
 from eqsim.numerics import tables
 from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.quadrature import gauss_legendre
@@ -48,14 +43,12 @@ _ENVELOPE_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 
 class Stationary(NamedTuple):
-    """Tables of the stationary state, in the units of `Contacts`.
-
-    `pinned` is the pinned fraction. A smooth law has `biased`, e of a threshold found
-    against -ln of a uniform, and `life`, m against e; a discrete one has `share`, the
-    cumulative share of its thresholds, and `step_life`, m of each. Contacts of
-    `langevin` thresholds and contacts born stretched, whose lives are found by trying,
-    only have `longest`: no life is longer.
-    """
+    """Tables of the stationary state, in the units of `Contacts`. `pinned` is the
+    pinned fraction. A smooth law has `biased`, e of a threshold found against -ln of a
+    uniform, and `life`, m against e; a discrete one has `share`, the cumulative share
+    of its thresholds, and `step_life`, m of each. Contacts of `langevin` thresholds and
+    contacts born stretched, whose lives are found by trying, only have `longest`: no
+    life is longer."""
 
     pinned: float = 1.0
     longest: float = math.inf
@@ -104,12 +97,13 @@ def stationary(c: Contacts) -> Stationary:
 def _octaves(power: Any) -> Array:
     """The table of a function whose logarithm is interpolated in that of its
     argument, constant beyond the nodes."""
-    edges = tables.octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
+    first = threshold.FIRST_OCTAVE
+    edges = tables.octave_edges(first, threshold.LAST_OCTAVE)
     log_x = np.log(edges)
     at = np.clip(log_x, power.x[0], power.x[-1])
     y = np.exp(power(at))
     slope = np.where(at == log_x, y * power(at, 1) / edges, 0.0)
-    return tables.octave_table(FIRST_OCTAVE, y, slope)
+    return tables.octave_table(first, y, slope)
 
 
 def _longest(c: Contacts) -> float:
@@ -137,11 +131,8 @@ def _longest(c: Contacts) -> float:
 
 def mean_lives(c: Contacts, xi: Array) -> Array:
     """m(xi) = E[x_b|xi] = int_0^inf x_b(xi, E) exp(-E) dE by Gauss-Legendre panels in
-    ln E, shape of `xi`.
-
-    The integrand has a kink where x_b reaches xi, at the integrated hazard of xi;
-    panels shrink towards it.
-    """
+    ln E, shape of `xi`. The integrand has a kink where x_b reaches xi, at the
+    integrated hazard of xi; panels shrink towards it."""
     if not c.aging.closed:
         ends, kink = np.empty(xi.size), np.empty(xi.size)
         whole_lives(c, xi, ends, kink)

@@ -281,19 +281,17 @@ def _averages(
         # of all randomisations together: few lives of one make much of its mean square
         largest = float((sums[:, 5] * square).max() / square.sum())
         of_second = (square + drag**2 * delay - second * cycle) / cycle.mean()
-        variance = estimate(
-            second - friction**2,
-            of_second - 2.0 * friction * of_friction,
-            unseen.squares * second,
-            unit * unit,
-        )
+        value, error = second - friction**2, unseen.squares * second
+        of_variance = of_second - 2.0 * friction * of_friction
+        variance = estimate(value, of_variance, error, unit * unit)
     value, stderr = known(variance), variance.stderr or 0.0
     finite = math.isfinite(value) and math.isfinite(stderr)
     if stiffness_varies(c.aging, c.springs) or not finite:
         variance = Estimate(None, None, n)
     elif stderr > _BROAD * abs(value) or largest >= _DOMINANT:
         variance = replace(variance, reliable=False)
-    force = max(abs(friction), math.sqrt(second) if birth.any() else 0.0)
+    # births along the motion and against it cancel; <|f|>^2 <= pinned <f^2>
+    force = max(abs(friction), math.sqrt(second * pinned) if birth.any() else 0.0)
     gone, begun = float(np.mean(np.abs(travel))), float(np.mean(np.abs(birth)))
     waiting = hidden * pinned * (delay / float(cycle.mean()))
     reached, mean_travel = travel + birth, float(travel.mean())

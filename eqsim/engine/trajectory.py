@@ -12,45 +12,24 @@ from typing import overload
 
 import numpy as np
 
-from eqsim.engine.blocks import Progress, Threads, simulated, workers_of
+from eqsim import estimate
+from eqsim.engine import programme, scatter
+from eqsim.engine.blocks import Progress, Threads, require_lives, simulated, workers_of
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.programme import (
-    along,
-    check_programme,
-    constant_drive,
-    cycles,
-    step_bias,
-)
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.sample import rough_stretch, square_of, typical_lives
-from eqsim.engine.scatter import (
-    ENOUGH,
-    RARE,
-    Births,
-    Scatter,
-    births,
-    known_variance,
-    pinned_variance,
-    scatter,
-)
+from eqsim.engine.scatter import Births, Scatter
 from eqsim.engine.slider_runs import pulled
 from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import (
-    OBSERVABLES,
-    Averages,
-    Estimate,
-    drifts,
-    infinite,
-    known,
-    ratio,
-)
+from eqsim.estimate import Averages, Estimate
 from eqsim.model.drive import Drive, Programme, check_output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.numerics.streams import TRAJECTORY
+from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 
 _UNCOUNTED = 1000  # lives, which are over before anybody counts them
@@ -63,7 +42,7 @@ def predicted_lives(
     Wald's identity a contact that uses up min(life and delay, distance) each time fills
     the distance."""
     if isinstance(drive, Programme):
-        lives = sum(cycles(ensemble, drive))
+        lives = sum(programme.cycles(ensemble, drive))
         if drive.stage:
             lives += abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
         return ensemble.count * replicas * lives
@@ -86,17 +65,13 @@ def check_run(
     more than `max_lives` lives."""
     check_output(points, seed, replicas)
     if isinstance(drive, Programme):
-        check_programme(ensemble, drive)
+        programme.check_programme(ensemble, drive)
     else:
         require_drive(drive)
         distance = drive.over(ensemble) / ensemble.thresholds.scale
         require_number("distance / threshold", distance, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, replicas)
-    if not expected <= max_lives:
-        raise InputError(
-            f"this run needs about {expected:.3g} lives, more than max_lives = "
-            f"{max_lives:.3g}"
-        )
+    require_lives(expected, max_lives)
     return expected
 
 
@@ -194,7 +169,9 @@ def trajectory(
     if isinstance(drive, Programme) and drive.stage:
         return pulled(ensemble, drive, points, seed, replicas, threads, progress)
     if isinstance(drive, Programme):
-        return along(ensemble, drive, points, seed, replicas, threads, progress)
+        return programme.along(
+            ensemble, drive, points, seed, replicas, threads, progress
+        )
     workers = workers_of(threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)
@@ -204,43 +181,42 @@ def trajectory(
     run = Run(distance / unit, points, from_steady, batch_by_life=few)
     start = stationary(c) if run.stationary else Fresh()
     scales = Scales.of(c, run, count, replicas, drag)
-    job = constant_drive(c, start, run, scales, key(seed, TRAJECTORY), drag)
+    key = key_of(seed, TRAJECTORY)
+    job = programme.constant_drive(c, start, run, scales, key, drag)
     done = simulated(job, ensemble.count, replicas, threads, progress)
 
     force, pinned, variance = done.moments
     grid = np.arange(points) * (distance / (points - 1))
-    of_pinned = pinned_variance(pinned, count, c.delay.mean > 0)
+    of_pinned = scatter.pinned_variance(pinned, count, c.delay.mean > 0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         of_pinned[0] = 0.0
     one, way = replace(ensemble, count=1), None if run.stationary else run.distance
     expected_ones = _expected(one, drive.velocity, mean_stretch, way)
     law, level, (alike, noise) = expected_ones
-    of_force, rare = known_variance(law.at(grid / unit), level, variance, count)
-    _, always_rare = known_variance(level, level, level.variance, count)
-    bias = step_bias(job.steps)
+    of_force, rare = scatter.known_variance(law.at(grid / unit), level, variance, count)
+    _, always_rare = scatter.known_variance(level, level, level.variance, count)
+    bias = programme.step_bias(job.steps)
     of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
     of_force = of_force + (bias * force) ** 2
     rounding = 1e-15 * run.distance  # of the cumulative sums
-    windows = {
-        name: done.total.windows[name] / scale
-        for name, scale in scales.windows._asdict().items()
-    }
-    second_half = _second_half(Window(**windows), done.lives, count, drag)
+    sums = zip(Window._fields, scales.windows, strict=True)
+    windows = Window(*(done.total.windows[name] / scale for name, scale in sums))
+    second_half = _second_half(windows, done.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
-    spread = infinite(count)
+    spread = estimate.infinite(count)
     if not ensemble.divergence:
         spread = _force_variance(variance, level, run, count, noise)
     gone = _is_over(second_half[0], late.mean, level.mean[0])
     gone = gone and _is_over(second_half[1], late.pinned, level.pinned[0])
-    seen = [gone and n * 0.5 * run.distance * count >= ENOUGH for n in alike]
+    seen = [gone and n * 0.5 * run.distance * count >= scatter.ENOUGH for n in alike]
     seen[-1] = seen[-1] and _is_over(spread, late.variance, level.variance[0])
-    units = [shown.size(unit) for shown in OBSERVABLES.values()]
+    units = [shown.size(unit) for shown in estimate.OBSERVABLES.values()]
     parts = zip((*second_half, spread), units, seen, strict=True)
     return Trajectory(
         X=grid,
         t=grid / drive.velocity,
         force_stderr=np.sqrt(of_force + rounding**2 * (grid > 0)) * unit,
-        force_reliable=bool(min(np.mean(rare), always_rare[0]) < RARE),
+        force_reliable=bool(min(np.mean(rare), always_rare[0]) < scatter.RARE),
         pinned_stderr=np.sqrt(of_pinned),
         averages=Averages(*(_shown(*part, bias) for part in parts)),
         seed=seed,
@@ -259,9 +235,9 @@ def _expected(
     state, and of how many `independent` lives there are to a unit of displacement.
     Remembered: it takes 20 ms, and seeds share it."""
     c, drag = contacts(ensemble, velocity, mean_stretch), drag_of(ensemble, velocity)
-    born = births(c)
-    level = scatter(c, born, None, drag)
-    law = level if distance is None else scatter(c, born, distance, drag)
+    born = scatter.births(c)
+    level = scatter.scatter(c, born, None, drag)
+    law = level if distance is None else scatter.scatter(c, born, distance, drag)
     return law, level, independent(c, born, drag)
 
 
@@ -273,8 +249,7 @@ def independent(
     of (f - F)^2 added up along it, f the force of a contact. Of n lives with residuals
     r = work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2:
     their inverse square root bounds the skewness of the mean of r, and half of it how
-    far Student's t is off in the mean (derived).
-    """
+    far Student's t is off in the mean (derived)."""
     waits = c.delay.law.sample()
     share = np.repeat(born.share / waits.size, waits.size)
     wait = np.tile(waits, born.share.size)
@@ -313,14 +288,14 @@ def _second_half(
     enough = seen >= BATCHES and (contacts >= BATCHES or seen >= 4 * BATCHES)
 
     def over(numerator: Array, denominator: Array) -> Estimate:
-        found = ratio(numerator.sum(1), denominator.sum(1), lives)
+        found = estimate.ratio(numerator.sum(1), denominator.sum(1), lives)
         exact = numerator is pinned and found.stderr == 0
         if found.stderr is not None and seen and not exact:
             # nor does a sample of lives tell what fewer than about two of them do
-            unseen = 2.0 / seen * abs(known(found))
+            unseen = 2.0 / seen * abs(estimate.known(found))
             found = replace(found, stderr=math.hypot(found.stderr, unseen))
-        steady = found.reliable and not drifts(numerator, denominator, sigmas=4.0)
-        return replace(found, reliable=bool(steady and enough))
+        drifts = estimate.drifts(numerator, denominator, sigmas=4.0)
+        return replace(found, reliable=found.reliable and not drifts and bool(enough))
 
     of_lives = (over(part, breaks) for part in (stretch, travel, stretch - travel))
     friction = over(area + drag * (elapsed - pinned), elapsed)
@@ -343,20 +318,20 @@ def _force_variance(
     return Estimate(value, stderr, contacts * late.size)
 
 
-def _is_over(estimate: Estimate, expected: Array, level: float) -> bool:
+def _is_over(average: Estimate, expected: Array, level: float) -> bool:
     """Whether the transient, as the law expects it, moves an average by less than half
     its error, or by rounding."""
-    least = 0.5 * (estimate.stderr or 0.0) + 1e-9 * abs(level)
+    least = 0.5 * (average.stderr or 0.0) + 1e-9 * abs(level)
     return bool(abs(np.mean(expected) - level) <= least)
 
 
-def _shown(estimate: Estimate, unit: float, trusted: bool, bias: float) -> Estimate:
+def _shown(average: Estimate, unit: float, trusted: bool, bias: float) -> Estimate:
     """In the user's unit, with a relative error `bias` more, and unreliable unless
     `trusted`."""
-    value, stderr = estimate.value, estimate.stderr
+    value, stderr = average.value, average.stderr
     if bias and value is not None and stderr is not None:
         stderr = math.hypot(stderr, bias * value)
     value = None if value is None else value * unit
     stderr = None if stderr is None else stderr * unit
-    reliable = estimate.reliable and trusted
-    return replace(estimate, value=value, stderr=stderr, reliable=reliable)
+    reliable = average.reliable and trusted
+    return replace(average, value=value, stderr=stderr, reliable=reliable)

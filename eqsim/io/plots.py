@@ -14,8 +14,12 @@ from eqsim.model.drive import Drive
 from eqsim.numerics.tables import Array
 
 if TYPE_CHECKING:
-    from eqsim.engine.elastic import ElasticTrajectory
-    from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
+    from eqsim.engine.records import (
+        ElasticTrajectory,
+        ProgrammeTrajectory,
+        SliderTrajectory,
+        Trajectory,
+    )
     from eqsim.engine.steady import Steady
     from eqsim.io.runfile import RunFile
     from eqsim.master.stability import Stability

@@ -34,9 +34,9 @@ class Fixed(_Mean, Law):
     def residual_cdf(self, t: Any) -> Array:
         """P(rest of the delay <= t) of a contact found detached in the stationary state
         (derived, renewal theory)."""
-        return (
-            np.clip(np.asarray(t) / self.mean, 0.0, 1.0) if self.mean else self.cdf(t)
-        )
+        if not self.mean:
+            return self.cdf(t)
+        return np.clip(np.asarray(t) / self.mean, 0.0, 1.0)
 
     def rest(self, x: Array) -> Array:
         """E[(delay - x)+]."""
@@ -69,11 +69,9 @@ class Exponential(_Mean, Law):
     __slots__ = ()
 
     def cdf(self, t: Any) -> Array:
-        return (
-            -np.expm1(-np.maximum(t, 0.0) / self.mean)
-            if self.mean
-            else np.where(np.asarray(t) >= 0, 1.0, 0.0)
-        )
+        if not self.mean:
+            return np.where(np.asarray(t) >= 0, 1.0, 0.0)
+        return -np.expm1(-np.maximum(t, 0.0) / self.mean)
 
     def residual_cdf(self, t: Any) -> Array:
         return self.cdf(t)
@@ -82,12 +80,10 @@ class Exponential(_Mean, Law):
         return self.mean * np.exp(-x / self.mean) if self.mean else np.zeros_like(x)
 
     def waiting(self, h: float, cells: int) -> Array:
-        later = np.arange(cells)
         if not self.mean:
             return np.zeros(cells)
-        return np.asarray(
-            -math.expm1(-h / self.mean) * self.mean / h * np.exp(-h / self.mean * later)
-        )
+        first = -math.expm1(-h / self.mean) * self.mean / h
+        return np.asarray(first * np.exp(-h / self.mean * np.arange(cells)))
 
     def coherence(self, k: Array) -> Array:
         return np.asarray(1.0 / np.hypot(1.0, k * self.mean))

@@ -5,12 +5,9 @@ from typing import Any
 
 class Law:
     """Equality of laws, which are NamedTuples of their numbers: two of them are equal
-    if their types and numbers are.
-
-    Tuples of equal numbers are equal, so that `Soft(b, log_w) == Stiff(b, log_w)` would
-    hold, and a cache would take one law for the other. A law inherits from `Law` and a
-    NamedTuple, in any order.
-    """
+    if their types and numbers are. Tuples of equal numbers are equal, so that `Soft(b,
+    log_w) == Stiff(b, log_w)` would hold, and a cache would take one law for the other.
+    A law inherits from `Law` and a NamedTuple, in any order."""
 
     __slots__ = ()
 

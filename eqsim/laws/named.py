@@ -6,6 +6,7 @@ table of the quantile function (`laws.threshold.Smooth`).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
@@ -17,13 +18,17 @@ from eqsim.laws.threshold import Delta, Gamma, Smooth, ThresholdLaw
 from eqsim.numerics.tables import Array
 
 _NODES, _WEIGHTS = special.roots_legendre(12)
+_ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 class Named(Smooth):
-    """A law in units u = xi/unit. Each has `name`, `density`, `below` = P(U <= u),
-    `above` = P(U > u), and `exceeded`, which exp(-e) of the contacts exceed, of arrays
-    of any shape, and `moments` <u> and <u^2>."""
+    """A law in units u = xi/unit: formulas of arrays u of any shape within the `ends`,
+    or of e; what a share exp(-e) of the contacts exceeds is `exceeded`."""
 
+    density: Callable[[Array], Any]
+    below: Callable[[Array], Any]  # P(U <= u)
+    above: Callable[[Array], Any]  # P(U > u)
+    exceeded: Callable[[Array], Any]
     name: ClassVar[str]
     # least and greatest value of each of the `numbers`
     ranges: ClassVar[dict[str, tuple[float, float]]] = {}
@@ -49,22 +54,6 @@ class Named(Smooth):
     @property
     def moments(self) -> tuple[float, float]:
         """<u> and <u^2>."""
-        raise NotImplementedError
-
-    def density(self, u: Array) -> Any:
-        """Of u within the `ends`."""
-        raise NotImplementedError
-
-    def below(self, u: Array) -> Any:
-        """P(U <= u)."""
-        raise NotImplementedError
-
-    def above(self, u: Array) -> Any:
-        """P(U > u)."""
-        raise NotImplementedError
-
-    def exceeded(self, e: Array) -> Any:
-        """What a share exp(-e) of the contacts exceeds."""
         raise NotImplementedError
 
     @property
@@ -96,9 +85,8 @@ class Named(Smooth):
         u = np.asarray(x, float) / self.unit
         with np.errstate(all="ignore"):  # u = 0 and the tail
             found = self.density(np.clip(u, *self.ends)) / self.unit
-        return np.where(
-            (u >= self.ends[0]) & (u <= self.ends[1]) & ~np.isnan(found), found, 0.0
-        )
+        inside = (u >= self.ends[0]) & (u <= self.ends[1])
+        return np.where(inside & ~np.isnan(found), found, 0.0)
 
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
@@ -140,9 +128,8 @@ class Lognormal(Named):
         return math.exp(0.5 * self.sigma**2), math.exp(2.0 * self.sigma**2)
 
     def density(self, u: Array) -> Any:
-        return np.exp(-0.5 * (np.log(u) / self.sigma) ** 2) / (
-            u * self.sigma * math.sqrt(2.0 * math.pi)
-        )
+        z = np.log(u) / self.sigma
+        return np.exp(-0.5 * z**2) / (u * self.sigma * _ROOT_2PI)
 
     def below(self, u: Array) -> Any:
         return special.ndtr(np.log(u) / self.sigma)
@@ -239,9 +226,8 @@ class Normal(Named):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_number(
-            "std", self.std, least=1e-3 * self.x_star, most=10.0 * self.x_star
-        )
+        least, most = 1e-3 * self.x_star, 10.0 * self.x_star
+        require_number("std", self.std, least=least, most=most)
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -251,9 +237,7 @@ class Normal(Named):
     def _at_cut(self) -> float:
         """Density of (xi - 0)/std at the cut."""
         z = 1.0 / self.numbers[0]
-        return (
-            math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) / float(special.ndtr(z))
-        )
+        return math.exp(-0.5 * z * z) / _ROOT_2PI / float(special.ndtr(z))
 
     @property
     def moments(self) -> tuple[float, float]:
@@ -263,9 +247,8 @@ class Normal(Named):
 
     def density(self, u: Array) -> Any:
         (s,) = self.numbers
-        return np.exp(-0.5 * ((u - 1.0) / s) ** 2) / (
-            s * math.sqrt(2.0 * math.pi) * special.ndtr(1.0 / s)
-        )
+        share = special.ndtr(1.0 / s)
+        return np.exp(-0.5 * ((u - 1.0) / s) ** 2) / (s * _ROOT_2PI * share)
 
     def _near_cut(self, w: Array) -> Any:
         """int_0^w exp(y/s - y^2/2) dy, without the cancellation of two normal integrals
@@ -277,11 +260,8 @@ class Normal(Named):
         (s,) = self.numbers
         z, nearest = 1.0 / s, 0.5 * min(1.0, s)
         far = (special.ndtr((u - 1.0) / s) - special.ndtr(-z)) / special.ndtr(z)
-        return np.where(
-            u < s * nearest,
-            self._at_cut * self._near_cut(np.minimum(u / s, nearest)),
-            far,
-        )
+        near = self._at_cut * self._near_cut(np.minimum(u / s, nearest))
+        return np.where(u < s * nearest, near, far)
 
     def above(self, u: Array) -> Any:
         (s,) = self.numbers
@@ -295,9 +275,8 @@ class Normal(Named):
             wanted = -np.expm1(-e) / self._at_cut
         w = np.minimum(np.log1p(z * wanted) / z, nearest)
         for _ in range(5):  # of Newton, from a first guess that misses y^2/2
-            w = np.minimum(
-                w - (self._near_cut(w) - wanted) * np.exp(0.5 * w * w - w * z), nearest
-            )
+            step = (self._near_cut(w) - wanted) * np.exp(0.5 * w * w - w * z)
+            w = np.minimum(w - step, nearest)
         return np.where(w < nearest, s * w, far)
 
 
@@ -382,9 +361,8 @@ class Pareto(Named):
 
     @property
     def moments(self) -> tuple[float, float]:
-        return self.exponent / (self.exponent - 1.0), self.exponent / (
-            self.exponent - 2.0
-        )
+        a = self.exponent
+        return a / (a - 1.0), a / (a - 2.0)
 
     def density(self, u: Array) -> Any:
         return self.exponent * u ** (-self.exponent - 1.0)
@@ -407,20 +385,15 @@ NAMED: tuple[type[Named], ...] = (
     Uniform,
     Pareto,
 )
-THRESHOLDS: dict[str, Any] = {
-    "gamma": Gamma,
-    "delta": Delta,
-    **{law.name: law for law in NAMED},
-}
+THRESHOLDS: dict[str, Any] = {"gamma": Gamma, "delta": Delta}
+THRESHOLDS |= {law.name: law for law in NAMED}
 
 
 def threshold_parameters(name: str) -> dict[str, float | None]:
     """The parameters of a law and their defaults, None of those that are required;
     empty for a law that has none."""
-    return {
-        field.name: None if field.default is MISSING else field.default
-        for field in (fields(THRESHOLDS[name]) if name in THRESHOLDS else ())
-    }
+    known = fields(THRESHOLDS[name]) if name in THRESHOLDS else ()
+    return {f.name: None if f.default is MISSING else f.default for f in known}
 
 
 def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:
@@ -429,7 +402,6 @@ def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:
     for key, default in threshold_parameters(name).items():
         if default is None and given.get(key) is None:
             raise InputError(f'{key}: is required with law = "{name}"')
-    law: ThresholdLaw = THRESHOLDS[name](
-        **{key: value for key, value in given.items() if value is not None}
-    )
+    known = {key: value for key, value in given.items() if value is not None}
+    law: ThresholdLaw = THRESHOLDS[name](**known)
     return law

@@ -83,9 +83,8 @@ class UniformBirths(
         return self.low, self.high
 
     def pdf(self, y: Array) -> Array:
-        return np.where(
-            (y >= self.low) & (y <= self.high), 1.0 / (self.high - self.low), 0.0
-        )
+        inside = (y >= self.low) & (y <= self.high)
+        return np.where(inside, 1.0 / (self.high - self.low), 0.0)
 
     def sf(self, y: float) -> float:
         return min(max((self.high - y) / (self.high - self.low), 0.0), 1.0)
@@ -101,9 +100,8 @@ class ExponentialBirths(NamedTuple("ExponentialNumbers", [("mean", float)]), Law
         return 0.0, 36.0 * self.mean
 
     def pdf(self, y: Array) -> Array:
-        return np.where(
-            y >= 0.0, np.exp(-np.maximum(y, 0.0) / self.mean) / self.mean, 0.0
-        )
+        density = np.exp(-np.maximum(y, 0.0) / self.mean) / self.mean
+        return np.where(y >= 0.0, density, 0.0)
 
     def sf(self, y: float) -> float:
         return math.exp(-max(y, 0.0) / self.mean)
@@ -139,11 +137,9 @@ def _deviates() -> Array:
     """|z| against e = -ln P(|Z| > |z|), for |z| up to 12."""
     first, last = -54, 7
     e = octave_edges(first, last)
-    z = np.where(
-        e < 1.0,
-        special.erfinv(-np.expm1(-e)),
-        special.erfcinv(np.exp(-np.minimum(e, 600.0))),
-    ) * math.sqrt(2.0)
+    low = special.erfinv(-np.expm1(-e))
+    high = special.erfcinv(np.exp(-np.minimum(e, 600.0)))
+    z = np.where(e < 1.0, low, high) * math.sqrt(2.0)
     return octave_table(first, z, np.exp(0.5 * z**2 - e) * math.sqrt(0.5 * math.pi))
 
 
@@ -199,7 +195,8 @@ class Newborn:
                 if value is not None:
                     taken = " and ".join(_NUMBERS[self.law]) or "no number"
                     raise InputError(
-                        f'{name} = {value!r}: not allowed with law = "{self.law}", which takes {taken}'
+                        f'{name} = {value!r}: not allowed with law = "{self.law}", '
+                        f"which takes {taken}"
                     )
             elif value is None:
                 raise InputError(f'{name}: is required with law = "{self.law}"')
@@ -211,11 +208,14 @@ class Newborn:
             raise InputError(f"high = {self.high!r}: must be > low = {self.low!r}")
         if self.of == "threshold":
             if self.law in ("exponential", "normal"):
-                raise InputError(f'law = "{self.law}": reaches beyond any threshold; of = "threshold" takes "delta" or '
-                                 '"uniform"')  # fmt: skip
+                raise InputError(
+                    f'law = "{self.law}": reaches beyond any threshold; of = '
+                    '"threshold" takes "delta" or "uniform"'
+                )
             if self.stretch is not None and not -1.0 < self.stretch < 1.0:
                 raise InputError(
-                    f'stretch = {self.stretch!r}: must be > -1 and < 1 with of = "threshold"'
+                    f"stretch = {self.stretch!r}: must be > -1 and < 1 with of = "
+                    '"threshold"'
                 )
             for name in ("low", "high"):
                 if self.law == "uniform":
@@ -224,9 +224,7 @@ class Newborn:
     @property
     def active(self) -> bool:
         """Whether any contact is born stretched."""
-        return self.law != "unstressed" and not (
-            self.law == "delta" and self.stretch == 0.0
-        )
+        return self.law != "unstressed" and self.stretch != 0.0
 
     @property
     def declared(self) -> tuple[Any, ...]:
@@ -238,9 +236,7 @@ class Newborn:
         """The law of births that are `active`, one of `LAWS`, lengths in units of
         `unit`."""
         scale = 1.0 if self.of == "threshold" else unit
-        numbers: list[Any] = [
-            getattr(self, name) / scale for name in _NUMBERS[self.law]
-        ]
+        numbers = [getattr(self, name) / scale for name in _NUMBERS[self.law]]
         if self.law == "normal":
             numbers.append(_deviates())
         return LAWS[self.law](*numbers)
@@ -252,34 +248,29 @@ class Newborn:
             return
         if ages:
             raise InputError(
-                f'law = "{self.law}": must be "unstressed" for contacts that age, or take aging.rule = "none"'
+                f'law = "{self.law}": must be "unstressed" for contacts that age, or '
+                'take aging.rule = "none"'
             )
         if self.of == "threshold":
             return
         law, unit = self.reduced(thresholds.scale), thresholds.scale
-        top = _greatest(thresholds)
-        below = (
-            1.0 - law.sf(-top)
-            if disorder == "quenched" or thresholds.steps.size == 1
-            else 0.0
-        )
-        if law.sf(top) + below > _LOST or (
-            law.range[1] >= top and law.range[0] == law.range[1]
-        ):
-            at = max(abs(part) for part in law.range) * unit
+        top, (low, high) = _greatest(thresholds), law.range
+        both = disorder == "quenched" or thresholds.steps.size == 1
+        below = 1.0 - law.sf(-top) if both else 0.0
+        if law.sf(top) + below > _LOST or (high >= top and low == high):
+            at = max(abs(low), abs(high)) * unit
             raise InputError(
-                f'law = "{self.law}": contacts are born with stretches up to {at:.3g}, but no threshold is above '
-                f"{top * unit:.3g}; a contact that forms is one that holds"
+                f'law = "{self.law}": contacts are born with stretches up to {at:.3g}, '
+                f"but no threshold is above {top * unit:.3g}; a contact that forms is "
+                "one that holds"
             )
 
 
 def _greatest(thresholds: ThresholdLaw) -> float:
     """The greatest threshold that counts, in units of the scale."""
     steps = thresholds.steps
-    return (
-        float(steps[-1] if steps.size else thresholds.inverse_survival(_RAREST))
-        / thresholds.scale
-    )
+    top = steps[-1] if steps.size else thresholds.inverse_survival(_RAREST)
+    return float(top) / thresholds.scale
 
 
 # ---------------------------------------------------------------------------------------------------------
@@ -315,9 +306,8 @@ class Stretched(NamedTuple):
         low, high = self.law.range
         if self.of_threshold:
             return xi * max(abs(low), abs(high))
-        return max(
-            min(high, self.most), min(-low, self.most) if self.two_sided else -low
-        )
+        below = min(-low, self.most) if self.two_sided else -low
+        return max(min(high, self.most), below)
 
 
 def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> Stretched:
@@ -327,14 +317,11 @@ def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> St
         return Stretched(law, True, two_sided, math.inf, ranks)
     if isinstance(thresholds, Gamma):
         ranks = _ranks(thresholds.n)
-    top = _greatest(thresholds)
-    return Stretched(
-        law, False, two_sided, top if not thresholds.steps.size else math.inf, ranks
-    )
+    top = math.inf if thresholds.steps.size else _greatest(thresholds)
+    return Stretched(law, False, two_sided, top, ranks)
 
 
-# It takes 0.6 ms, and sweeps and replicas ask for it again; 32 tables of 100 kB are 3
-# MB.
+# It takes 0.6 ms, and sweeps ask for it again; 32 tables of 100 kB are 3 MB.
 @functools.lru_cache(maxsize=32)
 def _ranks(n: float) -> Array:
     """-ln J_c of a gamma law against the stretch."""

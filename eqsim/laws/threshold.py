@@ -165,23 +165,18 @@ class Gamma(Continuous):
         """P_c(x) (PxPf2, normalised)."""
         u = np.asarray(x, float) / self.x_star
         inside = np.where(u > 0, u, 1.0)
-        log_pdf = (
-            (1 + 2 * self.n) * np.log(inside)
-            - inside**2
-            - special.gammaln(self.n + 1.0)
-        )
+        log_pdf = (1 + 2 * self.n) * np.log(inside) - inside**2
+        log_pdf -= special.gammaln(self.n + 1.0)
         return np.where(u > 0, 2.0 / self.x_star * np.exp(log_pdf), 0.0)
 
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
-        return np.asarray(
-            special.gammainc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2)
-        )
+        squares = (np.maximum(x, 0.0) / self.x_star) ** 2
+        return np.asarray(special.gammainc(self.n + 1.0, squares))
 
     def sf(self, x: Any) -> Array:
-        return np.asarray(
-            special.gammaincc(self.n + 1.0, (np.maximum(x, 0.0) / self.x_star) ** 2)
-        )
+        squares = (np.maximum(x, 0.0) / self.x_star) ** 2
+        return np.asarray(special.gammaincc(self.n + 1.0, squares))
 
     def inverse_survival(self, e: Any) -> Array:
         e = np.asarray(e, float)
@@ -192,10 +187,9 @@ class Gamma(Continuous):
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         u = self.inverse_survival(e) / self.x_star
-        # J_c/P_c
-        slope = 0.5 * np.exp(
-            u**2 - e + special.gammaln(self.n + 1.0) - (2 * self.n + 1) * np.log(u)
-        )
+        log_slope = u**2 - e + special.gammaln(self.n + 1.0)
+        log_slope -= (2 * self.n + 1) * np.log(u)
+        slope = 0.5 * np.exp(log_slope)  # J_c/P_c
         return octave_table(FIRST_OCTAVE, u, slope)
 
 
@@ -298,7 +292,8 @@ class Table(_Discrete):
         bad = steps[~((steps >= 1e-100) & (steps <= 1e100))]
         if bad.size:
             raise InputError(
-                f"threshold table: holds {bad[0]:g}; every threshold must be a number from 1e-100 to 1e100"
+                f"threshold table: holds {bad[0]:g}; every threshold must be a number "
+                "from 1e-100 to 1e100"
             )
         if steps[-1] > 1e30 * steps[0]:
             raise InputError(
@@ -308,7 +303,8 @@ class Table(_Discrete):
         self.steps = steps
 
     def __repr__(self) -> str:
-        return f"Table({self.steps.size} thresholds from {self.steps[0]:g} to {self.steps[-1]:g})"
+        span = f"{self.steps[0]:g} to {self.steps[-1]:g}"
+        return f"Table({self.steps.size} thresholds from {span})"
 
 
 class Smooth(Continuous):
@@ -316,6 +312,9 @@ class Smooth(Continuous):
     quantile function."""
 
     scale: float
+    pdf: Callable[[Any], Array]
+    sf: Callable[[Any], Array]
+    inverse_survival: Callable[[Any], Array]
 
     @property
     def kinks(self) -> Array:
@@ -324,25 +323,14 @@ class Smooth(Continuous):
         ends = [end for end in self.support if 0.0 < end < math.inf]
         return np.union1d(self.breakpoints[self.breakpoints > 0.0], ends)
 
-    def pdf(self, x: Any) -> Array:
-        """P_c(x)."""
-        raise NotImplementedError
-
-    def sf(self, x: Any) -> Array:
-        """J_c(x) = P(xi > x)."""
-        raise NotImplementedError
-
-    def inverse_survival(self, e: Any) -> Array:
-        """The threshold that a fraction exp(-e) of the contacts exceeds."""
-        raise NotImplementedError
-
     def table(self) -> Array:
         """`inverse_survival` for kernels. Raises InputError where that is none."""
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         xi = self.inverse_survival(e)
         if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
             raise InputError(
-                "threshold distribution: its ppf and isf must be finite, positive and monotone"
+                "threshold distribution: its ppf and isf must be finite, positive and "
+                "monotone"
             )
         with np.errstate(all="ignore"):
             slope = self.sf(xi) / self.pdf(xi)
@@ -372,28 +360,22 @@ class Smooth(Continuous):
         edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
         matter = (edges[:-1] > 1e-6) & (edges[:-1] < rarest)
         e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
-        drawn, exact = (
-            self.table()[2:][matter] @ t ** np.arange(4)[:, None],
-            self.inverse_survival(e) / self.scale,
-        )
+        drawn = self.table()[2:][matter] @ t ** np.arange(4)[:, None]
+        exact = self.inverse_survival(e) / self.scale
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
+
+        def error(p: int) -> float:
+            missed = np.abs(drawn**p - exact**p).sum(1)
+            return float(share @ missed / (share @ (exact**p).sum(1)))
+
         # powers of extreme thresholds may overflow, of laws without such a mean
         with np.errstate(all="ignore"):
-            return [
-                float(
-                    share
-                    @ np.abs(drawn**p - exact**p).sum(1)
-                    / (share @ (exact**p).sum(1))
-                )
-                for p in powers
-            ]
+            return [error(p) for p in powers]
 
 
 # of the scale, how far a kink may be that is another; nearer to an infinite end a
 # density is rounded
 _SAME = 1e-6
-
-
 # Points between which the bins of a histogram are sought, in equal steps and in equal
 # shares.
 _SEEN = 4097
@@ -401,16 +383,12 @@ _SEEN = 4097
 
 def _bins(histogram: Any) -> Array:
     """Find where the density of an `rv_histogram` jumps, to the last bit, and the ends
-    of its support.
-
-    SciPy does not tell its bins. They are found by bisection between points whose
-    densities differ. Only bins that are both narrower and less likely than 1/4096 may
-    be hidden between two points of equal density.
-    """
+    of its support. SciPy does not tell its bins. They are found by bisection between
+    points whose densities differ. Only bins that are both narrower and less likely than
+    1/4096 may be hidden between two points of equal density."""
     low, high = histogram.support()
-    x = np.append(
-        np.linspace(low, high, _SEEN), histogram.ppf(np.linspace(0.0, 1.0, _SEEN))
-    )
+    shares = histogram.ppf(np.linspace(0.0, 1.0, _SEEN))
+    x = np.append(np.linspace(low, high, _SEEN), shares)
     x = np.unique(np.append(x, np.nextafter(low, -np.inf)))
     left, right = x[:-1], x[1:]
     while True:
@@ -451,7 +429,8 @@ class Distribution(Smooth):
             scalar = False
         if not scalar:
             raise InputError(
-                f"threshold distribution = {frozen!r}: must be a frozen continuous scipy.stats one"
+                f"threshold distribution = {frozen!r}: must be a frozen continuous "
+                "scipy.stats one"
             )
         self.frozen = frozen
         if not least >= 0.0:
@@ -471,9 +450,8 @@ class Distribution(Smooth):
         require_number("threshold distribution: <xi^3>", third, above=0)
         self.scale, self.rms = self.mean, math.sqrt(second)
         if breakpoints is None:
-            breakpoints = (
-                _bins(frozen) if isinstance(frozen, stats.rv_histogram) else NO_STEPS
-            )
+            binned = isinstance(frozen, stats.rv_histogram)
+            breakpoints = _bins(frozen) if binned else NO_STEPS
         self.breakpoints = np.asarray(breakpoints, float)
 
     def _third_diverges(self) -> bool:
@@ -493,15 +471,10 @@ class Distribution(Smooth):
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        given = [
-            *getattr(self.frozen, "args", ()),
-            *sorted(getattr(self.frozen, "kwds", {}).items()),
-        ]
-        flat = [
-            part
-            for item in given
-            for part in (item if isinstance(item, tuple) else (item,))
-        ]
+        named = sorted(getattr(self.frozen, "kwds", {}).items())
+        flat: list[Any] = []
+        for part in (*getattr(self.frozen, "args", ()), *named):
+            flat += part if isinstance(part, tuple) else (part,)
         # a histogram's are all it has
         return (1.0, self._name, *flat, self.breakpoints, self.cdf(self.breakpoints))
 
@@ -520,9 +493,8 @@ class Distribution(Smooth):
     def kinks(self) -> Array:
         """Kinks as in `ThresholdLaw`: SciPy does not tell those inside, which are
         sought in the density."""
-        share = np.concatenate(
-            (10.0 ** np.arange(-9.0, -2.5, 0.25), np.arange(0.005, 0.5, 0.005))
-        )
+        few = 10.0 ** np.arange(-9.0, -2.5, 0.25)
+        share = np.concatenate((few, np.arange(0.005, 0.5, 0.005)))
         e = np.concatenate((-np.log1p(-share), [math.log(2.0)], -np.log(share[::-1])))
         x = np.unique(self.inverse_survival(e))
         between = x[:-1] + np.multiply.outer(np.arange(3) / 3.0, np.diff(x))
@@ -536,19 +508,17 @@ class Distribution(Smooth):
         fails far out in the tail: where it is not finite, or beyond all that the
         density and the survival function know."""
         e = np.asarray(e, float)
+        law = self.frozen
         with np.errstate(all="ignore"):
-            xi = np.where(
-                e < 0.7, self.frozen.ppf(-np.expm1(-e)), self.frozen.isf(np.exp(-e))
-            )
-            lost = ~np.isfinite(xi) | (
-                (xi < self.support[1])
-                & (self.frozen.pdf(xi) + self.frozen.sf(xi) == 0.0)
-            )
+            xi = np.where(e < 0.7, law.ppf(-np.expm1(-e)), law.isf(np.exp(-e)))
+            nothing = law.pdf(xi) + law.sf(xi) == 0.0
+            lost = ~np.isfinite(xi) | ((xi < self.support[1]) & nothing)
         if np.any(lost):
             share = math.exp(-np.min(e[lost]))
             raise InputError(
-                f"threshold distribution: isf of SciPy's {self._name} fails at {share:.1e}, and must be right down to "
-                "1e-222; give another law, or a sample of this one as a Table"
+                f"threshold distribution: isf of SciPy's {self._name} fails at "
+                f"{share:.1e}, and must be right down to 1e-222; give another law, or "
+                "a sample of this one as a Table"
             )
         return xi
 
@@ -559,9 +529,8 @@ def tail_exponent(law: ThresholdLaw) -> float:
     large (above 15) for named laws but `Pareto`."""
     if law.steps.size or law.support[1] < math.inf:
         return math.inf
-    nearer, further = np.log(
-        law.inverse_survival(np.array([RAREST - _TAIL_STEP, RAREST])) / law.scale
-    )
+    ranks = np.array([RAREST - _TAIL_STEP, RAREST])
+    nearer, further = np.log(law.inverse_survival(ranks) / law.scale)
     return float(_TAIL_STEP / (further - nearer)) if further > nearer else math.inf
 
 
@@ -602,18 +571,15 @@ def means_above(
         kinks = -np.log(law.sf(law.breakpoints))
 
     def log_terms(e: Array) -> Array:
-        return np.asarray(
-            log_values(np.asarray(law.inverse_survival(e)) / law.scale) - e
-        )
+        xi = np.asarray(law.inverse_survival(e)) / law.scale
+        return np.asarray(log_values(xi) - e)
 
     end = max(RAREST, first + _PANEL)
     growing = np.exp2(np.arange(math.log2(_FINEST_PANEL), math.log2(_PANEL) + 1.0))
-    edges = np.concatenate(
-        (first + growing, np.arange(first + 2.0 * _PANEL, end, _PANEL), kinks)
-    )
-    edges = np.unique(
-        np.concatenate(([first, end], edges[(edges > first) & (edges < end)]))
-    )
+    even = np.arange(first + 2.0 * _PANEL, end, _PANEL)
+    edges = np.concatenate((first + growing, even, kinks))
+    inside = edges[(edges > first) & (edges < end)]
+    edges = np.unique(np.concatenate(([first, end], inside)))
     half = 0.5 * np.diff(edges)
     nodes = edges[:-1, None] + half[:, None] * (1.0 + _TAIL_NODES)
     # a value may vanish at x, or overflow where its mean diverges
@@ -628,14 +594,12 @@ def means_above(
         rest = np.exp(steps[:, 2]) / decay
         # a decay d(e) changes the rest by its derivative over d^2; logarithms of about
         # 500 are rounded by 1e-13
-        error += rest * (
-            np.abs(decay - before) / _TAIL_STEP / decay**2 + _ROUNDED / decay
-        )
+        change = np.abs(decay - before) / _TAIL_STEP
+        error += rest * (change / decay**2 + _ROUNDED / decay)
     negligible, lost = steps[:, 2] == -math.inf, ~(decay > _LEAST_DECAY)
     total = np.where(negligible, total, np.where(lost, math.inf, total + rest))
-    return total, np.where(
-        negligible, _ROUNDED * total, np.where(lost, math.inf, error)
-    )
+    error = np.where(lost, math.inf, error)
+    return total, np.where(negligible, _ROUNDED * total, error)
 
 
 # Ranks e above that of x where panels end: narrow ones next to x, then on the scale
@@ -667,16 +631,10 @@ def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Arr
         if math.isfinite(high) and np.isinf(law.pdf(law.support[1])):
             inside.append(high - (high - left) * _TOWARDS_INFINITE)
         if np.isinf(law.pdf(law.support[0])):
-            inside.append(
-                low
-                + (np.interp(math.log(2.0), e, xi) - low) * _TOWARDS_INFINITE
-                + np.zeros_like(left)
-            )
-    edges = np.sort(
-        np.concatenate(
-            (edges, *(np.clip(part, left, edges[:, -1:]) for part in inside)), axis=1
-        )
-    )
+            above = (np.interp(math.log(2.0), e, xi) - low) * _TOWARDS_INFINITE
+            inside.append(low + above + np.zeros_like(left))
+    parts = [np.clip(part, left, edges[:, -1:]) for part in inside]
+    edges = np.sort(np.concatenate((edges, *parts), axis=1))
     return np.concatenate((left, edges), axis=1)
 
 
@@ -694,9 +652,9 @@ class Thresholds(NamedTuple):
 @functools.lru_cache(maxsize=32)
 def for_kernels(law: ThresholdLaw) -> Thresholds:
     """The law for kernels, remembered: sweeps over velocity and temperature share it."""
-    exponentials = (
-        int(law.n) + 1 if isinstance(law, Gamma) and law.n in (0.0, 1.0) else 0
-    )
+    exponentials = 0
+    if isinstance(law, Gamma) and law.n in (0.0, 1.0):
+        exponentials = int(law.n) + 1
     return Thresholds(law.table(), law.steps / law.scale, exponentials)
 
 

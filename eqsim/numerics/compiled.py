@@ -30,12 +30,10 @@ _INLINED = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 
 class Kernel:
-    """A function that Python calls, compiled anew for each combination of types.
-
-    A dispatcher of numba keeps one index on disk for all types, which processes that
-    save at the same time take from each other. So each combination has a dispatcher and
-    a folder of its own here, which a process locks while it compiles or loads.
-    """
+    """A function that Python calls, compiled anew for each combination of types. A
+    dispatcher of numba keeps one index on disk for all types, which processes that save
+    at the same time take from each other. So each combination has a dispatcher and a
+    folder of its own here, which a process locks while it compiles or loads."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         functools.update_wrapper(self, function)
@@ -92,10 +90,9 @@ def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) ->
 
 def kernel(function: Callable[..., Any]) -> Kernel:
     """Compile a function that Python calls. Kernels cannot call it: they call routines.
-
     Arguments are arrays, numbers, None, and tuples and NamedTuples of these; a whole
-    number is of 64 bits. The machine code is kept on disk if a folder can be written.
-    """
+    number is of 64 bits. The machine code is kept on disk if a folder can be
+    written."""
     return Kernel(function)
 
 
@@ -131,22 +128,24 @@ def by_law(
 ) -> Any:
     """Make a routine that has another body for each type of law, its first argument:
     `functools.singledispatch` for kernels. Laws register theirs with
-    `@name.register(Law)`; `default`, which every other law has, may raise TypeError.
-
-    Kernels choose when they are compiled, by the NamedTuple that a law is, so that only
-    what is used is compiled. All bodies are inlined.
-    """
+    `@name.register(Law)`, also for what inherits from them; `default`, which every
+    other law has, may raise TypeError. Kernels choose when they are compiled, by the
+    NamedTuple that a law is, so that only what is used is compiled. All bodies are
+    inlined."""
     if default is None:
         return functools.partial(by_law, makes_arrays=makes_arrays)
     chosen_by_default = default
     bodies: dict[type, Callable[..., Any]] = {}
 
+    def body_of(kind: type) -> Callable[..., Any]:
+        return next((bodies[k] for k in kind.__mro__ if k in bodies), chosen_by_default)
+
     @functools.wraps(default)
     def call(law: Any, *arguments: Any) -> Any:
-        return bodies.get(type(law), chosen_by_default)(law, *arguments)
+        return body_of(type(law))(law, *arguments)
 
     def choose(law: Any, *arguments: Any) -> Any:
-        return bodies.get(getattr(law, "instance_class", type(None)), chosen_by_default)
+        return body_of(getattr(law, "instance_class", type(None)))
 
     # Left to LLVM, a body is a call from loops over contacts, which do not vectorise:
     # a life along a programme takes 2.5 times as long.

@@ -75,8 +75,7 @@ def kernel_folder() -> str | None:
 def locked_folder(name: str) -> Iterator[Path | None]:
     """Keep a folder for machine code to this thread of this process. It holds what was
     saved whole, or nothing. None, and other threads wait all the same, if nothing can
-    be kept: no folder can be written or locked, or another process takes too long.
-    """
+    be kept: no folder can be written or locked, or another process takes too long."""
     with ExitStack() as held:
         held.enter_context(_one_thread)
         _begins.append(time.monotonic())

@@ -22,11 +22,8 @@ def narrowed(
     bracket: Bracket, x: float, excess: float, guess: float
 ) -> tuple[Bracket, float]:
     """Cut a bracket at x, where the function is `excess`, and say where to look next:
-    at `guess`, or in the middle if that is outside or not a number.
-
-    A kernel cannot pass a function to another one, so each loop is its own and takes
-    this step.
-    """
+    at `guess`, or in the middle if that is outside or not a number. A kernel cannot
+    pass a function to another one, so each loop is its own and takes this step."""
     bracket = Bracket(bracket.low, x) if excess >= 0.0 else Bracket(x, bracket.high)
     if not bracket.low <= guess <= bracket.high:
         guess = 0.5 * (bracket.low + bracket.high)

@@ -40,44 +40,41 @@ def key(seed: int, purpose: int) -> Key:
     return Key(np.uint64(words[0]), np.uint64(words[1]))
 
 
+def generator(*name: int) -> np.random.Generator:
+    """NumPy's generator of a named stream: the child of the name, which is what SciPy's
+    own Sobol sequence would draw from."""
+    return np.random.Generator(
+        np.random.PCG64(np.random.SeedSequence(name, spawn_key=(0,)))
+    )
+
+
 def name_of(*declared: Any) -> int:
     """A 64-bit number that stands for declared parameters, texts and numbers (of any
-    shape), in the names of streams.
-
-    Of numbers only 33 bits count: one that was computed, 10**-1.5, may differ in its
-    last bits between processors, and still has to name the same stream.
-    """
+    shape), in the names of streams. Of numbers only 33 bits count: one that was
+    computed, 10**-1.5, may differ in its last bits between processors, and still has to
+    name the same stream."""
     digest = hashlib.sha256()
     for part in declared:
         if isinstance(part, str):
             digest.update(part.encode() + b"\0")
         else:
             mantissa, exponent = np.frexp(np.asarray(part, float))
-            digest.update(
-                np.ldexp(np.rint(mantissa * 2.0**33), exponent - 33)
-                .astype("<f8")
-                .tobytes()
-                + b"\0"
-            )
+            number = np.ldexp(np.rint(mantissa * 2.0**33), exponent - 33)
+            digest.update(number.astype("<f8").tobytes() + b"\0")
     return int.from_bytes(digest.digest()[:8])
 
 
 @routine(inline=True)
-def philox(
-    c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any
-) -> tuple[Any, Any, Any, Any]:
+def philox(c0: Any, c1: Any, c2: Any, c3: Any, key: Key) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
     # else the compiler multiplies 64 bits by 64 at first
-    c1, c3, k0, k1 = (c1 & _LOW, c3 & _LOW, k0 & _LOW, k1 & _LOW)
+    c1, c3 = c1 & _LOW, c3 & _LOW
+    low, high = key.low & _LOW, key.high & _LOW
     for _ in range(10):
         p0, p1 = _MULTIPLY_0 * c0, _MULTIPLY_1 * c2
-        c0, c1, c2, c3 = (
-            (p1 >> _HALF) ^ c1 ^ k0,
-            p1 & _LOW,
-            (p0 >> _HALF) ^ c3 ^ k1,
-            p0 & _LOW,
-        )
-        k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
+        c0, c1 = (p1 >> _HALF) ^ c1 ^ low, p1 & _LOW
+        c2, c3 = (p0 >> _HALF) ^ c3 ^ high, p0 & _LOW
+        low, high = (low + _WEYL_0) & _LOW, (high + _WEYL_1) & _LOW
     return c0, c1, c2, c3
 
 
@@ -87,9 +84,8 @@ def uniform(low: Any, high: Any) -> float:
     bits = (low | (high << _HALF)) >> np.uint64(1)
     # halves in the last bits of 2^84 and of 2^52, whose sum is rounded once: many
     # processors have no instruction that converts several 64-bit integers
-    upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64) - (
-        2.0**84 + 2.0**52
-    )
+    upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64)
+    upper -= 2.0**84 + 2.0**52
     whole = upper + np.uint64((bits & _LOW) | _UNITS).view(np.float64)
     return min((whole + 0.5) * 2.0**-63, 1.0 - 2.0**-53)
 
@@ -115,9 +111,8 @@ def fine_product(
     """`product` where it is small, its two cells divided by a further draw: uniforms
     down to 2^-96."""
     u, v = uniforms(key, contact, life, draw)
-    return ((np.float64(np.int64(low)) + u) * 2.0**-32) * (
-        (np.float64(np.int64(high)) + v) * 2.0**-32
-    )
+    first = (np.float64(np.int64(low)) + u) * 2.0**-32
+    return first * ((np.float64(np.int64(high)) + v) * 2.0**-32)
 
 
 @routine(inline=True)
@@ -127,11 +122,8 @@ def fill_words(
     """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of
     `words`, shape (4, lanes)."""
     for i in range(lanes):
-        c, j = np.uint64(contact[i]), np.uint64(life[i])
-        last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
-        words[0, i], words[1, i], words[2, i], words[3, i] = philox(
-            c & _LOW, c >> _HALF, j & _LOW, last, key.low, key.high
-        )
+        a, b, d, e = bits(key, contact[i], life[i], draw)
+        words[0, i], words[1, i], words[2, i], words[3, i] = a, b, d, e
 
 
 @routine(inline=True)
@@ -139,7 +131,7 @@ def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, A
     """The four words behind `uniforms`."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
-    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key.low, key.high)
+    return philox(c & _LOW, c >> _HALF, j & _LOW, last, key)
 
 
 @routine(inline=True)
@@ -158,9 +150,7 @@ def words(
     life < 2^32, draw < 2^31. None of their counters is one of `uniforms`."""
     c = np.uint64(contact)
     last = np.uint64(draw) | np.uint64(0x80000000)
-    a, b, d, e = philox(
-        c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key.low, key.high
-    )
+    a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key)
     return np.float64(a), np.float64(b), np.float64(d), np.float64(e)
 
 
@@ -171,9 +161,5 @@ def midpoints(
     """Four independent uniforms in (0, 1) of a contact's path, mid-points of cells
     2^-32 wide, from `words`."""
     a, b, d, e = words(key, contact, life, draw)
-    return (
-        (a + 0.5) * 2.0**-32,
-        (b + 0.5) * 2.0**-32,
-        (d + 0.5) * 2.0**-32,
-        (e + 0.5) * 2.0**-32,
-    )
+    unit = 2.0**-32
+    return (a + 0.5) * unit, (b + 0.5) * unit, (d + 0.5) * unit, (e + 0.5) * unit

@@ -42,13 +42,10 @@ def octave_edges(first: int, last: int) -> Array:
 
 def octave_table(first: int, y: Array, slope: Array) -> Array:
     """Coefficients (cells + 2, 4) from values and derivatives at `octave_edges(first,
-    last)`.
-
-    The slopes are limited as Fritsch and Carlson prescribe, so that data that rise give
-    a function that rises. Two rows come before those of the cells: the cell offset of
-    the first octave, 1 over its lower edge and the number of cells, for `look_up`; and
-    the line through the origin, of the argument over that edge.
-    """
+    last)`. The slopes are limited as Fritsch and Carlson prescribe, so that data that
+    rise give a function that rises. Two rows come before those of the cells: the cell
+    offset of the first octave, 1 over its lower edge and the number of cells, for
+    `look_up`; and the line through the origin, of the argument over that edge."""
     cells = len(y) - 1
     edges = octave_edges(first, first + cells // CELLS)
     width, rise = np.diff(edges), np.diff(y)

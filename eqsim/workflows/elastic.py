@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from eqsim.engine.elastic import ElasticTrajectory, check_elastic, elastic_trajectory
+from eqsim.engine.elastic import check_elastic, elastic_trajectory
+from eqsim.engine.records import ElasticTrajectory
 from eqsim.estimate import Estimate, difference
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile

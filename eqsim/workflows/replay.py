@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from eqsim.engine.elastic import ElasticTrajectory
-from eqsim.engine.records import SliderTrajectory
+from eqsim.engine.records import ElasticTrajectory, SliderTrajectory
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS

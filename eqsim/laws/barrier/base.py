@@ -113,9 +113,8 @@ class Barrier(Law):
     def whole_hazard(self, xi: Array, stiffness: Array) -> Array:
         """(omega/v) H(xi) of contacts of relative stiffness `stiffness`; beyond e^7
         about as much as that."""
-        return np.exp(
-            np.minimum(self.log_hazard(xi, xi, self.b * stiffness) + self.log_w, 7.0)
-        )
+        log_hazard = self.log_hazard(xi, xi, self.b * stiffness) + self.log_w
+        return np.exp(np.minimum(log_hazard, 7.0))
 
     # Where to look: only panels and grids depend on the following, which a law may
     # replace by closed forms.
@@ -198,74 +197,64 @@ def path_step(law: Any) -> float:
 
 
 @by_law
-def stretch(law: Any, table: Array, xi: float, stiffness: float, clock: float) -> float:
-    """Where a contact of threshold `xi` and relative stiffness `stiffness` breaks whose
+def stretch(law: Any, table: Array, xi: float, k: float, clock: float) -> float:
+    """Where a contact of threshold `xi` and relative stiffness `k` breaks whose
     clock shows `clock`."""
-    return _carried(law, xi, stiffness, 0.0, xi, clock, 1.0)
+    return _carried(law, xi, k, 0.0, xi, clock, 1.0)
 
 
 @by_law
-def hazard(law: Any, table: Array, xi: float, stiffness: float, x: float) -> float:
+def hazard(law: Any, table: Array, xi: float, k: float, x: float) -> float:
     """(omega/v) H at stretch 0 <= x <= xi; the inverse of `stretch`."""
-    return mean_rate(law, table, xi, stiffness, 0.0, x) * x
+    return mean_rate(law, table, xi, k, 0.0, x) * x
 
 
 @by_law
 def mean_rate(
-    law: Any, table: Array, xi: float, stiffness: float, x: float, length: float
+    law: Any, table: Array, xi: float, k: float, x: float, length: float
 ) -> float:
     """Mean of `rate` from stretch x to x + length, both from 0 to xi, to 1e-8 of
     itself. `length` may be less than the resolution of x; where it is 0 this is the
     rate at x."""
-    return _averaged(law, xi, stiffness, x, length)
+    return _averaged(law, xi, k, x, length)
 
 
 @by_law
-def rate(law: Any, xi: float, stiffness: float, x: float) -> float:
+def rate(law: Any, xi: float, k: float, x: float) -> float:
     """(omega/v) r at stretch 0 <= x <= xi."""
-    return math.exp(law.log_w - height(law, xi, x, law.b * stiffness)) * prefactor(
-        law, xi, x
-    )
+    return math.exp(law.log_w - height(law, xi, x, law.b * k)) * prefactor(law, xi, x)
 
 
 @by_law
-def onward(
-    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
-) -> float:
-    """How far a contact of threshold `xi` and relative stiffness `stiffness` is carried
+def onward(law: Any, c: Any, xi: float, k: float, y: float, clock: float) -> float:
+    """How far a contact of threshold `xi` and relative stiffness `k` is carried
     from stretch 0 < y < xi before it breaks, whose clock has `clock` left; to 1e-8 of
     itself, however short. `c` holds the tables."""
-    return _carried(law, xi, stiffness, y, xi - y, clock, 1.0)
+    return _carried(law, xi, k, y, xi - y, clock, 1.0)
 
 
 @by_law
 def back(
-    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+    law: Any, c: Any, xi: float, k: float, y: float, clock: float
 ) -> tuple[float, float]:
     """How far it is carried from stretch -y < 0 before it breaks, up to stretch 0, and
     what the clock has left there, less than 0 if it breaks before."""
-    left = clock - hazard(law, c.hazard_table, xi, stiffness, y)
-    return (
-        (y, left)
-        if left >= 0.0
-        else (_carried(law, xi, stiffness, y, y, clock, -1.0), -1.0)
-    )
+    left = clock - hazard(law, c.hazard_table, xi, k, y)
+    return (y, left) if left >= 0.0 else (_carried(law, xi, k, y, y, clock, -1.0), -1.0)
 
 
 @routine
-def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) -> float:
+def _averaged(law: Any, xi: float, k: float, x: float, length: float) -> float:
     """`mean_rate` of any law, by Gauss-Legendre nodes in cells that are halved until E
     varies little in them. In u = sqrt(xi - x) the rate of a barrier that vanishes at
     the threshold is smooth; dx = -2 u du."""
-    a = law.b * stiffness
+    a = law.b * k
     far, near = math.sqrt(max(xi - x, 0.0)), math.sqrt(max(xi - x - length, 0.0))
     if far + near == 0.0:
-        return rate(law, xi, stiffness, xi)
+        return rate(law, xi, k, xi)
     way = min(length / (far + near), far)  # far - near without cancellation
-    left, right = (
-        height(law, xi, xi - far * far, a),
-        height(law, xi, xi - near * near, a),
-    )
+    left = height(law, xi, xi - far * far, a)
+    right = height(law, xi, xi - near * near, a)
     least = min(left, right)
     total, level, index = 0.0, 0, 0
     while True:
@@ -276,18 +265,14 @@ def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) ->
         u = far - (t + 0.5 * width) * way
         middle = height(law, xi, xi - u * u, a)
         seen = level < _COARSEST or min(left, right) < least + _NEGLIGIBLE
-        varies = (
-            max(abs(right - left), abs(middle - left), abs(middle - right)) > _RANGE
-        )
-        if seen and varies and level < _DEEPEST:
+        varies = max(abs(right - left), abs(middle - left), abs(middle - right))
+        if seen and varies > _RANGE and level < _DEEPEST:
             level, index = level + 1, 2 * index
             continue
         if seen:
             for i in range(_NODES.size):
                 u = far - (t + 0.5 * width * (1.0 + _NODES[i])) * way
-                total += (
-                    0.5 * width * _WEIGHTS[i] * rate(law, xi, stiffness, xi - u * u) * u
-                )
+                total += 0.5 * width * _WEIGHTS[i] * rate(law, xi, k, xi - u * u) * u
         left, index = right, index + 1
         while index % 2 == 0 and level > 0:
             level, index = level - 1, index // 2
@@ -297,24 +282,18 @@ def _averaged(law: Any, xi: float, stiffness: float, x: float, length: float) ->
 
 @routine
 def _carried(
-    law: Any,
-    xi: float,
-    stiffness: float,
-    y: float,
-    most: float,
-    clock: float,
-    sign: float,
+    law: Any, xi: float, k: float, y: float, most: float, clock: float, sign: float
 ) -> float:
     """How far a contact is carried from stretch y, on (`sign` 1) or back (-1), before
     its hazard is `clock`; `most` if it is less until there. Newton's method for its
     logarithm, in a bracket."""
-    if _averaged(law, xi, stiffness, min(y, y + sign * most), most) * most <= clock:
+    if _averaged(law, xi, k, min(y, y + sign * most), most) * most <= clock:
         return most
-    bracket, now = Bracket(0.0, most), rate(law, xi, stiffness, y)
+    bracket, now = Bracket(0.0, most), rate(law, xi, k, y)
     s = min(clock / now, most) if now > 0.0 else 0.5 * most
     for _ in range(200):
-        spent = _averaged(law, xi, stiffness, min(y, y + sign * s), s) * s
-        slope, guess = s * rate(law, xi, stiffness, y + sign * s), math.nan
+        spent = _averaged(law, xi, k, min(y, y + sign * s), s) * s
+        slope, guess = s * rate(law, xi, k, y + sign * s), math.nan
         if slope > 0.0 and spent > 0.0:
             guess = s * math.exp(spent / slope * math.log(clock / spent))
         bracket, step = narrowed(bracket, s, spent - clock, guess)
@@ -325,16 +304,16 @@ def _carried(
 
 
 @routine
-def travel(c: Any, xi: float, stiffness: float, y: float, clock: float) -> float:
+def travel(c: Any, xi: float, k: float, y: float, clock: float) -> float:
     """How far a contact born at stretch y is carried before it breaks; `c` is an
     `engine.contacts.Contacts`."""
     if y > 0.0:
-        return onward(c.barrier, c, xi, stiffness, y, clock)
+        return onward(c.barrier, c, xi, k, y, clock)
     if y < 0.0:
-        s, clock = back(c.barrier, c, xi, stiffness, -y, clock)
+        s, clock = back(c.barrier, c, xi, k, -y, clock)
         if clock < 0.0:
             return s
-    return -y + stretch(c.barrier, c.barrier_table, xi, stiffness, clock)
+    return -y + stretch(c.barrier, c.barrier_table, xi, k, clock)
 
 
 @by_law

@@ -36,33 +36,26 @@ def _no_heat(law: Any) -> bool:
 
 
 @base.stretch.register(Mechanical)
-def _at_threshold(
-    law: Any, table: Array, xi: float, stiffness: float, clock: float
-) -> float:
+def _at_threshold(law: Any, table: Array, xi: float, k: float, clock: float) -> float:
     return xi
 
 
 @base.onward.register(Mechanical)
 def _up_to_threshold(
-    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+    law: Any, c: Any, xi: float, k: float, y: float, clock: float
 ) -> float:
     return xi - y
 
 
 @base.back.register(Mechanical)
 def _back(
-    law: Any, c: Any, xi: float, stiffness: float, y: float, clock: float
+    law: Any, c: Any, xi: float, k: float, y: float, clock: float
 ) -> tuple[float, float]:
     return y, clock
 
 
 @base.mean_rate.register(Mechanical)
 def _no_mean_rate(
-    law: Any, table: Array, xi: float, stiffness: float, x: float, length: float
+    law: Any, table: Array, xi: float, k: float, x: float, length: float
 ) -> float:
-    return 0.0
-
-
-@base.rate.register(Mechanical)
-def _no_rate(law: Any, xi: float, stiffness: float, x: float) -> float:
     return 0.0

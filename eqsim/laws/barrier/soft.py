@@ -57,10 +57,8 @@ class Soft(Numbers, Barrier):
         for _ in range(3):  # erfi(z) ~ exp(z^2)/(sqrt(pi) z)
             z2 = np.maximum(log_erfi + 0.5 * np.log(math.pi * z2), 1.0)
         small = 0.5 * math.sqrt(math.pi) * np.exp(np.minimum(log_erfi, 1.0))
-        return np.asarray(
-            np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0))
-            / np.sqrt(a)[:, None]
-        )
+        z = np.where(log_erfi > 1.0, np.sqrt(z2), np.minimum(small, 1.0))
+        return np.asarray(z / np.sqrt(a)[:, None])
 
     @classmethod
     def table(cls) -> Array:
@@ -81,10 +79,7 @@ def log_erfi(z: Any) -> Array:
 @functools.cache
 def erfi_inverse_table() -> Array:
     """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up
-    to s = 2^60.
-
-    The relative error is below 5e-10.
-    """
+    to s = 2^60. The relative error is below 5e-10."""
     first, last = -30, 60
     s = octave_edges(first, last)
     target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
@@ -148,10 +143,8 @@ def _height_slope(law: Soft, xi: float, x: float, a: float) -> float:
 
 
 @base.stretch.register(Soft)
-def _stretch(
-    law: Soft, table: Array, xi: float, stiffness: float, clock: float
-) -> float:
-    root = math.sqrt(law.b * stiffness)
+def _stretch(law: Soft, table: Array, xi: float, k: float, clock: float) -> float:
+    root = math.sqrt(law.b * k)
     rank = _rank(xi, root, law.log_w, _odds(xi, root, law.log_w, clock))
     return _end(xi, 1.0 / root, look_up(table, rank))
 
@@ -182,30 +175,27 @@ def _stretches(
 
 
 @base.hazard.register(Soft)
-def _hazard(law: Soft, table: Array, xi: float, stiffness: float, x: float) -> float:
-    a = law.b * stiffness
+def _hazard(law: Soft, table: Array, xi: float, k: float, x: float) -> float:
+    a = law.b * k
     per_dawson = look_up(table, max(math.sqrt(a) * x, _LEAST_Z))
     return math.exp(law.log_w - a * max(xi - x, 0.0) * (xi + x)) * x / per_dawson
 
 
 @base.mean_rate.register(Soft)
 def _mean_rate(
-    law: Soft, table: Array, xi: float, stiffness: float, x: float, length: float
+    law: Soft, table: Array, xi: float, k: float, x: float, length: float
 ) -> float:
     """Where it is short by its series about the middle: of the mean of exp(p t + q t^2)
     over -1 < t < 1 (derived)."""
     middle = x + 0.5 * length
-    p, q = (
-        law.b * stiffness * middle * length,
-        0.25 * law.b * stiffness * length * length,
-    )
+    p, q = (law.b * k * middle * length, 0.25 * law.b * k * length * length)
     if p > 0.25 or q > 0.004:
-        end = base.hazard(law, table, xi, stiffness, x + length)
-        return (end - base.hazard(law, table, xi, stiffness, x)) / length
+        end = base.hazard(law, table, xi, k, x + length)
+        return (end - base.hazard(law, table, xi, k, x)) / length
     p2 = p * p
     mean = 1.0 + p2 * (1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 / 5040.0))
     mean += q * (1.0 / 3.0 + p2 * (0.1 + p2 / 168.0) + q * (0.1 + p2 / 28.0 + q / 42.0))
-    return base.rate(law, xi, stiffness, middle) * mean
+    return base.rate(law, xi, k, middle) * mean
 
 
 # Travel from stretch y, with z = sqrt(a) y, s = sqrt(a) l and T = (v/omega) clock
@@ -243,10 +233,8 @@ def _short(z: float, ticks: float) -> float:
 
 
 @base.onward.register(Soft)
-def _onward(
-    law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
-) -> float:
-    a = law.b * stiffness
+def _onward(law: Soft, c: Any, xi: float, k: float, y: float, clock: float) -> float:
+    a = law.b * k
     root = math.sqrt(a)
     z, log_ticks = root * y, _log_ticks(law, xi, a, y, max(clock, 1e-300))
     ticks, D = math.exp(min(log_ticks, 700.0)), _dawson(c.hazard_table, z)
@@ -272,9 +260,9 @@ def _onward(
 
 @base.back.register(Soft)
 def _back(
-    law: Soft, c: Any, xi: float, stiffness: float, y: float, clock: float
+    law: Soft, c: Any, xi: float, k: float, y: float, clock: float
 ) -> tuple[float, float]:
-    a = law.b * stiffness
+    a = law.b * k
     root = math.sqrt(a)
     z, D = root * y, _dawson(c.hazard_table, root * y)
     ticks = math.exp(min(_log_ticks(law, xi, a, y, max(clock, 1e-300)), 700.0))
@@ -289,8 +277,7 @@ def _back(
     else:
         rest = D - ticks
         level = z * z + math.log(_SOFT * rest)  # ln erfi(z - s)
-        end = look_up(
-            c.barrier_table, math.log1p(math.exp(level)) if level < FLAT else level
-        )
+        rank = math.log1p(math.exp(level)) if level < FLAT else level
+        end = look_up(c.barrier_table, rank)
         s = max(math.log(_dawson(c.hazard_table, end) / rest), 0.0) / (z + end)
     return min(s / root, y), -1.0

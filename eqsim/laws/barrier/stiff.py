@@ -39,12 +39,8 @@ class Stiff(Numbers, Barrier):
         with np.errstate(divide="ignore"):  # x = xi
             # 1 - (1 - x/xi)^1.5 without cancellation
             gap15 = -np.expm1(1.5 * np.log1p(-x / xi))
-            return (
-                math.log(2 / 3)
-                - np.log(a * xi)
-                - c * (1 - gap15)
-                + np.log(-np.expm1(-c * gap15))
-            )
+            log_H = math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15)
+            return log_H + np.log(-np.expm1(-c * gap15))
 
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
@@ -56,12 +52,8 @@ class Stiff(Numbers, Barrier):
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         c = (a * xi**2)[:, None]
-        # 1 - (1 - x/xi)^1.5
-        spent = (
-            np.logaddexp(0.0, c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w)
-            / c
-        )
-        spent = np.minimum(spent, 1.0)
+        log_odds = c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w
+        spent = np.minimum(np.logaddexp(0.0, log_odds) / c, 1.0)  # 1 - (1 - x/xi)^1.5
         q = (1.0 - spent) ** (2.0 / 3.0)
         # 1 - q without cancellation
         return np.asarray(xi[:, None] * spent * (2.0 - spent) / (1.0 + q + q * q))
@@ -101,10 +93,8 @@ def _path_step(law: Stiff) -> float:
 
 
 @base.stretch.register(Stiff)
-def _stretch(
-    law: Stiff, table: Array, xi: float, stiffness: float, clock: float
-) -> float:
-    a = law.b * stiffness
+def _stretch(law: Stiff, table: Array, xi: float, k: float, clock: float) -> float:
+    a = law.b * k
     return _end(xi, _spent(xi, a, law.log_w, _odds(xi, a, law.log_w, clock)))
 
 
@@ -124,24 +114,21 @@ def _stretches(
 
 
 @base.hazard.register(Stiff)
-def _hazard(law: Stiff, table: Array, xi: float, stiffness: float, x: float) -> float:
-    a = law.b * stiffness
+def _hazard(law: Stiff, table: Array, xi: float, k: float, x: float) -> float:
+    a = law.b * k
     barrier = a * xi * xi
     spent = -math.expm1(1.5 * math.log1p(-min(x / xi, 1.0)))  # 1 - (1 - x/xi)^(3/2)
-    return (
-        -math.exp(law.log_w - barrier * (1.0 - spent))
-        * math.expm1(-barrier * spent)
-        / (1.5 * a * xi)
-    )
+    reached = -math.exp(law.log_w - barrier * (1.0 - spent))
+    return reached * math.expm1(-barrier * spent) / (1.5 * a * xi)
 
 
 @base.mean_rate.register(Stiff)
 def _mean_rate(
-    law: Stiff, table: Array, xi: float, stiffness: float, x: float, length: float
+    law: Stiff, table: Array, xi: float, k: float, x: float, length: float
 ) -> float:
     near, far = max(xi - x - length, 0.0) / xi, max(xi - x, 0.0) / xi
     whole, left, before = (
-        law.b * stiffness * xi * xi,
+        law.b * k * xi * xi,
         near * math.sqrt(near),
         far * math.sqrt(far),
     )
@@ -155,25 +142,22 @@ def _mean_rate(
 
 
 @base.onward.register(Stiff)
-def _onward(
-    law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float
-) -> float:
+def _onward(law: Stiff, c: Any, xi: float, k: float, y: float, clock: float) -> float:
     """As a contact of threshold xi - y at rest whose barrier is the one that is left at
     y (derived)."""
-    a, gap = law.b * stiffness, xi - y
+    a, gap = law.b * k, xi - y
     left = gap / xi
     barrier = max(a * xi * xi * left * math.sqrt(left), 1e-300)
     odds = 1.5 * a * xi * clock * bounded_exp(min(barrier - law.log_w, FLAT))
-    return _end(
-        gap, (log_one_plus(odds) + max(barrier - law.log_w - FLAT, 0.0)) / barrier
-    )
+    above = max(barrier - law.log_w - FLAT, 0.0)
+    return _end(gap, (log_one_plus(odds) + above) / barrier)
 
 
 @base.back.register(Stiff)
 def _back(
-    law: Stiff, c: Any, xi: float, stiffness: float, y: float, clock: float
+    law: Stiff, c: Any, xi: float, k: float, y: float, clock: float
 ) -> tuple[float, float]:
-    a, left = law.b * stiffness, (xi - y) / xi
+    a, left = law.b * k, (xi - y) / xi
     whole, start = a * xi * xi, left * math.sqrt(left)
     barrier = whole * start
     odds = 1.5 * a * xi * clock * bounded_exp(min(barrier - law.log_w, FLAT))
@@ -182,7 +166,7 @@ def _back(
         return y, clock * (1.0 - most / odds)
     rise = -math.log1p(-odds) / whole
     if rise < start:
-        return min(
-            xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise / start)), y
-        ), -1.0
-    return min(xi * ((start + rise) ** (2.0 / 3.0) - left), y), -1.0
+        s = xi * left * math.expm1(2.0 / 3.0 * math.log1p(rise / start))
+    else:
+        s = xi * ((start + rise) ** (2.0 / 3.0) - left)
+    return min(s, y), -1.0
