@@ -22,8 +22,9 @@ from eqsim import (
     trajectory,
 )
 from eqsim.errors import require_integer, require_number
-from eqsim.io.runfile import at, check, keys, parameters, read_thresholds, stored
+from eqsim.io.runfile import at, check, keys, parameters, stored
 from eqsim.io.storage import provenance
+from eqsim.io.tables import read_thresholds
 from eqsim.laws.stiffness import relative_stiffness
 
 

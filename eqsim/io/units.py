@@ -7,6 +7,16 @@ from typing import NamedTuple
 
 from scipy import constants
 
+from eqsim.catalogue import (
+    AREA,
+    ENERGY,
+    FORCE,
+    LENGTH,
+    PER_AREA,
+    STIFFNESS,
+    STRESS,
+    Dimension,
+)
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, shown
 from eqsim.estimate import OBSERVABLES, Averages, Estimate
 from eqsim.model.ensemble import Ensemble
@@ -24,27 +34,6 @@ _OTHERS = {
 _LONGEST = 20  # characters of a label
 
 
-class Dimension(NamedTuple):
-    """Powers of length, time and force."""
-
-    length: int = 0
-    time: int = 0
-    force: int = 0
-
-
-NUMBER, LENGTH, TIME, FORCE = (
-    Dimension(),
-    Dimension(1),
-    Dimension(0, 1),
-    Dimension(0, 0, 1),
-)
-VELOCITY, RATE, ENERGY, STIFFNESS = (
-    Dimension(1, -1),
-    Dimension(0, -1),
-    Dimension(1, 0, 1),
-    Dimension(-1, 0, 1),
-)
-STRESS, AREA, PER_AREA = Dimension(-2, 0, 1), Dimension(2), Dimension(-2)
 _NAMED = {(ENERGY, "N m"): "J", (STRESS, "N/m^2"): "Pa"}
 
 
@@ -402,9 +391,7 @@ def rows_of(
     several = bool(units or found)
     rows = []
     for name in averages.shown:
-        dimension = Dimension(
-            length={"length": 1, "length^2": 2}.get(OBSERVABLES[name].unit, 0)
-        )
+        dimension = OBSERVABLES[name].dimension
         rows.append((name, Row(name, (units.label(dimension),) * several)))
         if name == "friction":
             rows += [

@@ -1,7 +1,7 @@
 """Aging of pinned contacts: one file for each rule. This is where they are listed."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from eqsim.errors import (
@@ -63,7 +63,7 @@ class Aging:
 
     rule: str = "none"
     rate: float = 0.0
-    x_star_final: float = 1.0
+    x_star_final: float = field(default=1.0, metadata={"no_default_in_files": True})
     beta: float | None = None
     cutoff_time: float | None = None
 
@@ -84,17 +84,28 @@ class Aging:
             }
         )
 
+    @classmethod
+    def of_keys(cls, values: dict[str, Any], given: set[str]) -> "Aging":
+        """The aging of a run file, from the values of its keys, None of those that have
+        none, of which some are `given`. Raises InputError."""
+        aging = cls(**{k: v for k, v in values.items() if v is not None})
+        aging.check_keys(given)
+        for name in RULES[aging.rule].keys if aging.rule != "none" else ():
+            if values[name] is None:
+                raise InputError(f'{name}: is required with rule = "{aging.rule}"')
+        return aging
+
     def check_keys(self, given: set[str]) -> None:
         """Raise InputError if parameters are `given` that are not of this rule, or one
         is missing that has no default. Without a rule nothing is asked."""
         if self.rule == "none":
             return
-        for field in fields(self)[1:]:
-            own = field.name in RULES[self.rule].keys
-            if field.name in given and not own:
-                raise InputError(f'{field.name}: not allowed with rule = "{self.rule}"')
-            if own and getattr(self, field.name) is None:
-                raise InputError(f'{field.name}: is required with rule = "{self.rule}"')
+        for name in (one.name for one in fields(self)[1:]):
+            taken = name in RULES[self.rule].keys
+            if name in given and not taken:
+                raise InputError(f'{name}: not allowed with rule = "{self.rule}"')
+            if taken and getattr(self, name) is None:
+                raise InputError(f'{name}: is required with rule = "{self.rule}"')
 
     @property
     def active(self) -> bool:
