@@ -29,7 +29,7 @@ from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
 from eqsim.io.runfile import keys
 from eqsim.io.tables import read_thresholds
-from eqsim.model.reduced import groups
+from eqsim.model.groups import groups
 from eqsim.sweeps.plan import Plan
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine

@@ -3,6 +3,7 @@ run file."""
 
 import math
 import re
+from typing import Any
 
 from eqsim import catalogue
 from eqsim.catalogue import LENGTH, NUMBER, STRESS, Dimension
@@ -58,8 +59,9 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
         return words, entry.fixed_unit
     if entry.dimension == STRESS and units.size(STRESS) is not None:
         return words, "Pa"  # `units.quantities`
-    known = (getattr(units, part) or part for part in ("length", "time", "force"))
-    return words, Units(*known).label(entry.dimension)
+    parts = ("length", "time", "force")
+    known: dict[str, Any] = {part: getattr(units, part) or part for part in parts}
+    return words, Units(**known).label(entry.dimension)
 
 
 def _is_key(name: str) -> bool:
@@ -76,15 +78,13 @@ def _is_fraction(name: str, fractions: bool) -> bool:
 
 
 def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:
-    """A unit as pictures show it, in mathtext; if it is not known, that it is the run
-    file's, unless not `unknown`."""
+    """A unit as pictures show it, in mathtext, given or natural; if neither is known,
+    that it is the run file's, unless not `unknown`."""
     if of == NUMBER:
         return ""
-    label = units.label(of)
-    if label:
-        return _tex(label)
-    if not unknown:
-        return ""
+    label = _tex(units.label(of)) or units.natural_label(of)
+    if label or not unknown:
+        return label
     return f"length {_FREE}" if of == LENGTH else _FREE
 
 

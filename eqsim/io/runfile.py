@@ -103,7 +103,19 @@ class RunFile:
     @cached_property
     def units(self) -> Units:
         """The units of its numbers. Raises InputError."""
-        return self._section(Units, "units")
+        law, varied = self["thresholds.law"], repr((self.sweep, self.fit))
+        x_star = threshold_parameters(law).get("x_star") if law != "table" else None
+        keys = {
+            "x_*": ("x_star", self["thresholds.x_star"] or x_star),
+            "omega": ("attempt_frequency", self["thermal.attempt_frequency"]),
+            "k": ("stiffness", self["contacts.stiffness"]),
+        }
+        natural = tuple(
+            symbol
+            for symbol, (key, value) in keys.items()
+            if value == 1.0 and key not in varied and "file" not in self.sweep
+        )
+        return replace(self._section(Units, "units"), natural=natural)
 
     @cached_property
     def interface(self) -> Interface:

@@ -16,6 +16,7 @@ from eqsim.laws.aging.flow import Flow
 from eqsim.laws.aging.langevin import Langevin
 from eqsim.laws.aging.logarithmic import Logarithmic
 from eqsim.laws.aging.pooled import PooledThresholds
+from eqsim.laws.threshold import Gamma
 
 RULES: dict[str, type[AgingLaw]] = {
     "langevin": Langevin,
@@ -117,25 +118,30 @@ class Aging:
         if self.rule != "none":
             RULES[self.rule].check(self, law, disorder)
 
-    def alpha(self, x_star: float, velocity: float) -> float:
+    def final(self, x_star: float) -> float:
+        """x_*f/x_*i, the scale of the final law over that of the newborn one."""
+        return self.x_star_final / x_star
+
+    def declared(self, unit: float, velocity: float) -> tuple[Any, ...]:
+        """The dimensionless numbers of its rule, for `Ensemble.declared`."""
+        if self.cutoff_time is not None:
+            return self.beta, self.cutoff_time * velocity / unit
+        return self.rate / (unit * velocity), self.final(unit)
+
+    def alpha(self, x_star: float, velocity: float, most: float = 1e100) -> float:
         """4 D x_*i/(v x_*f^2), decay of x_*(t)^2 per x_*i of displacement. Raises
-        InputError beyond 1e100."""
+        InputError beyond `most`."""
         if not self.active or self.rate == math.inf:
             return math.inf if self.active else 0.0
-        alpha = (
-            4.0
-            * self.rate
-            / self.x_star_final
-            * (x_star / self.x_star_final)
-            / velocity
-        )
-        require_number(
-            "aging rate * x_star / (velocity * x_star_final^2)",
-            alpha,
-            least=0,
-            most=1e100,
-        )
+        decay = 4.0 * self.rate / self.x_star_final
+        alpha = decay * (x_star / self.x_star_final) / velocity
+        name = "4 rate x_star / (velocity x_star_final^2)"
+        require_number(name, alpha, least=0, most=most)
         return alpha
+
+    def pooled(self, law: Gamma, decay: float) -> PooledThresholds:
+        """The thresholds at birth of annealed contacts, see `PooledThresholds`."""
+        return PooledThresholds(law, self.x_star_final, decay)
 
     def law(self, thresholds: Any, velocity: float) -> AgingLaw:
         """What quenched contacts of these newborn thresholds do at `velocity`. Raises
