@@ -18,8 +18,8 @@ else:
     def __getattr__(name):
         if name == "__version__":
             return metadata.version("eqsim")
-        if name == "materials":
-            return import_module("eqsim.materials")
+        if name in ("catalogue", "materials"):
+            return import_module(f"eqsim.{name}")
         public = (
             vars(import_module("eqsim.api"))
             if name == "__all__" or not name.startswith("__")

@@ -1,12 +1,13 @@
 """Numbers with error bars, and how far they are from an exact value."""
 
 import math
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from eqsim import catalogue
 from eqsim.numerics.tables import Array
 from eqsim.results import Result, new_axes
 
@@ -76,18 +77,6 @@ def mean_of(values: Array, n: int, dof: int | None = None) -> Estimate:
     return Estimate(float(values.mean()), error, n, dof)
 
 
-class Observable(NamedTuple):
-    """How an observable is shown: `label` on axes and in tables; `unit`, "length",
-    "length^2" or "" for a number."""
-
-    label: str
-    unit: str
-
-    def size(self, unit: float) -> float:
-        """One of it where lengths are in units of `unit`."""
-        return {"length": unit, "length^2": unit * unit}.get(self.unit, 1.0)
-
-
 def infinite(n: int = 0) -> Estimate:
     """The estimate of a mean that diverges."""
     return Estimate(math.inf, None, n, None, False)
@@ -102,25 +91,15 @@ def known(estimate: Estimate) -> float:
 
 @dataclass(frozen=True, repr=False)
 class Averages(Result):
-    """Steady averages of an ensemble. Every observable is declared here, and here only:
-    what is printed, stored and plotted goes through `OBSERVABLES`."""
+    """Steady averages of an ensemble, the observables. What each is called and its unit
+    are in `eqsim.catalogue`."""
 
-    friction: Estimate = field(
-        metadata={"label": "friction  <F> / (N k)", "unit": "length"}
-    )
-    pinned: Estimate = field(metadata={"label": "pinned fraction  N_c / N", "unit": ""})
-    break_stretch: Estimate = field(
-        metadata={"label": "mean stretch at breaking", "unit": "length"}
-    )
-    travel: Estimate = field(
-        metadata={"label": "mean travel from birth to breaking", "unit": "length"}
-    )
-    birth_stretch: Estimate = field(
-        metadata={"label": "mean stretch at birth", "unit": "length"}
-    )
-    force_variance: Estimate = field(
-        metadata={"label": "force variance  Var(F) / (N k^2)", "unit": "length^2"}
-    )
+    friction: Estimate
+    pinned: Estimate
+    break_stretch: Estimate
+    travel: Estimate
+    birth_stretch: Estimate
+    force_variance: Estimate
 
     def averages(self) -> dict[str, Estimate]:
         """The estimates by name."""
@@ -212,8 +191,9 @@ class Averages(Result):
         return tuple(name for name in OBSERVABLES if name not in hidden)
 
 
-OBSERVABLES: dict[str, Observable] = {
-    part.name: Observable(**part.metadata) for part in fields(Averages)
+OBSERVABLES: dict[str, catalogue.Entry] = {
+    observable.name: catalogue.COLUMNS[observable.name]
+    for observable in fields(Averages)
 }
 
 

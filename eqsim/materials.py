@@ -11,9 +11,8 @@ r_c^2 rho)).
 import dataclasses
 import json
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from scipy import constants
 
@@ -56,13 +55,13 @@ class _Arrhenius:
         require_number("prefactor", self.prefactor, **POSITIVE)
         require_number("energy", self.energy, **NOT_NEGATIVE)
 
-    def _log_factor(self, temperature: float) -> float:
+    def _exponent(self, temperature: float) -> float:
         """E/(k_B T); infinite at T = 0."""
         require_number("temperature", temperature, **NOT_NEGATIVE)
-        if self.energy == 0:
-            return 0.0
         thermal = BOLTZMANN * temperature
-        return self.energy / thermal if thermal > 1e-300 * self.energy else math.inf
+        if thermal > 1e-300 * self.energy:
+            return self.energy / thermal
+        return math.inf if self.energy else 0.0
 
 
 class ArrheniusTime(_Arrhenius):
@@ -78,12 +77,11 @@ class ArrheniusTime(_Arrhenius):
 
     def value(self, temperature: float) -> float:
         """tau (s) at `temperature` (K). Raises InputError where it is beyond 1e100 s."""
-        log_factor = self._log_factor(temperature)
-        if math.log(self.prefactor) + log_factor > math.log(1e100):
-            raise InputError(
-                f"temperature = {temperature!r}: too low for the activated time, which exceeds 1e100 s"
-            )
-        return self.prefactor * math.exp(log_factor)
+        exponent = self._exponent(temperature)
+        if math.log(self.prefactor) + exponent > math.log(1e100):
+            said = "too low for the activated time, which exceeds 1e100 s"
+            raise InputError(f"temperature = {temperature!r}: {said}")
+        return self.prefactor * math.exp(exponent)
 
 
 class ArrheniusRate(_Arrhenius):
@@ -92,7 +90,7 @@ class ArrheniusRate(_Arrhenius):
 
     def value(self, temperature: float) -> float:
         """D (m^2/s) at `temperature` (K)."""
-        return self.prefactor * math.exp(-self._log_factor(temperature))
+        return self.prefactor * math.exp(-self._exponent(temperature))
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ class ActivatedAging:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material(ABC):
+class Material:
     """What the interfaces of this module share.
 
     Every method raises InputError for a temperature (K) that is not a number >= 0.
@@ -139,8 +137,24 @@ class Material(ABC):
         tau(T), the same for all contacts.
     aging : ActivatedAging, optional
         With D(T).
+
+    Attributes
+    ----------
+    stiffness, x_star, attempt_frequency : float
+        k (N/m), the threshold scale x_* (m), and omega (1/s).
+    contacts_per_area : float
+        1/a^2 (1/m^2).
+    elastic_modulus, hardness : float or None
+        E of the bodies that the contacts join, and the normal stress that the contacts
+        carry (Pa); None where they are not known.
     """
 
+    stiffness: ClassVar[Any]
+    x_star: ClassVar[Any]
+    attempt_frequency: ClassVar[Any]
+    contacts_per_area: ClassVar[Any]
+    elastic_modulus: ClassVar[Any] = None
+    hardness: ClassVar[Any] = None
     name: str
     density: float
     shear_strength: float
@@ -150,40 +164,9 @@ class Material(ABC):
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name not in ("name", "delay", "aging") and (
-                value is not None or field.default is not None
-            ):
+            required = value is not None or field.default is not None
+            if field.name not in ("name", "delay", "aging") and required:
                 require_number(field.name, value, above=0, least=1e-30, most=1e30)
-
-    @property
-    @abstractmethod
-    def stiffness(self) -> float:
-        """k (N/m)."""
-
-    @property
-    @abstractmethod
-    def x_star(self) -> float:
-        """Threshold scale x_* (m)."""
-
-    @property
-    @abstractmethod
-    def attempt_frequency(self) -> float:
-        """omega (1/s)."""
-
-    @property
-    @abstractmethod
-    def contacts_per_area(self) -> float:
-        """1/a^2 (1/m^2)."""
-
-    @property
-    def elastic_modulus(self) -> float | None:
-        """E of the bodies that the contacts join (Pa); None where it is not given."""
-        return None
-
-    @property
-    def hardness(self) -> float | None:
-        """Normal stress that the contacts carry (Pa); None where it is not known."""
-        return None
 
     @property
     def spacing_of_contacts(self) -> float:
@@ -220,9 +203,11 @@ class Material(ABC):
         InputError
             If they are out of range, or delay and aging are at this temperature.
         """
-        bare = Ensemble(
-            thresholds=Gamma(1.0, _decimal(self.x_star)),
-            thermal=self._thermal(temperature),
+        require_number("temperature", temperature, **NOT_NEGATIVE)
+        kT, omega = BOLTZMANN * temperature, self.attempt_frequency
+        newborn = Ensemble(
+            Gamma(1.0, _decimal(self.x_star)),
+            Thermal(_decimal(kT), _decimal(omega)),
             count=count,
             stiffness=_decimal(self.stiffness),
             stiffness_law=stiffness_law,
@@ -231,16 +216,10 @@ class Material(ABC):
         delay = Delay() if self.delay is None else Delay(self.delay.value(temperature))
         aging = Aging() if self.aging is None else self.aging.at(temperature)
         with under("aging"):
-            return dataclasses.replace(bare, delay=delay, aging=aging)
-
-    def _thermal(self, temperature: float) -> Thermal:
-        require_number("temperature", temperature, **NOT_NEGATIVE)
-        return Thermal(
-            _decimal(BOLTZMANN * temperature), _decimal(self.attempt_frequency)
-        )
+            return dataclasses.replace(newborn, delay=delay, aging=aging)
 
     def _newborn(self, temperature: float) -> Ensemble:
-        """Without delay and aging, which have no part in b and v_*."""
+        """Contacts without delay and aging, which have no part in b and v_*."""
         return dataclasses.replace(self, delay=None, aging=None).ensemble(temperature)
 
     def b(self, temperature: float = ROOM_TEMPERATURE) -> float:
@@ -360,7 +339,7 @@ class LubricantIslands(Material):
         """The paper's estimate of v_* (m/s) for b >> 1, k_B T/sqrt(a^5 h rho sigma_*
         gamma_c^3) (section VI): 1.9 % below `crossover_velocity`, because 2 * 1.15/(3
         C_0) was set to 1 (derived)."""
-        kT = self._thermal(temperature).kT
+        kT = self._newborn(temperature).thermal.kT
         film = self.thickness * self.density * self.shear_strength
         return kT / (self.spacing**2 * math.sqrt(self.spacing * film * self.gamma_c**3))
 
@@ -419,10 +398,8 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
     """
     given = {"name": name, **constants}
     if "kind" not in given:
-        raise InputError(
-            "kind: is required; must be one of "
-            + ", ".join(f'"{kind}"' for kind in KINDS)
-        )
+        kinds = ", ".join(f'"{kind}"' for kind in KINDS)
+        raise InputError(f"kind: is required; must be one of {kinds}")
     require_choice("kind", given.pop("kind"), tuple(KINDS))
     if not isinstance(given["name"], str):
         raise InputError(f"name = {shown(given['name'])}: must be text")
@@ -433,11 +410,8 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
 def constants_of(material: Material) -> dict[str, Any]:
     """The constants of which `from_constants` makes a material."""
     kind = next(kind for kind, made in KINDS.items() if isinstance(material, made))
-    return {"kind": kind} | {
-        key: value
-        for key, value in dataclasses.asdict(material).items()
-        if value is not None
-    }
+    given = dataclasses.asdict(material).items()
+    return {"kind": kind} | {key: value for key, value in given if value is not None}
 
 
 _PARTS: dict[str, type] = {
@@ -452,21 +426,20 @@ def _made(of: Any, given: dict[str, Any]) -> Any:
     fields = {field.name: field for field in dataclasses.fields(of)}
     for name in given:
         if name not in fields:
-            raise InputError(
-                f"{name}: unknown constant; {meant(name, fields) or 'known here: ' + ', '.join(fields)}"
-            )
-    required = [
-        name for name, field in fields.items() if field.default is dataclasses.MISSING
+            hint = meant(name, fields) or "known here: " + ", ".join(fields)
+            raise InputError(f"{name}: unknown constant; {hint}")
+    missing = [
+        name
+        for name, field in fields.items()
+        if field.default is dataclasses.MISSING and name not in given
     ]
-    missing = ", ".join(name for name in required if name not in given)
     if missing:
-        raise InputError(f"{missing}: required, in SI units")
+        raise InputError(f"{', '.join(missing)}: required, in SI units")
     values = dict(given)
     for name in _PARTS.keys() & given.keys():
         if not isinstance(given[name], dict):
-            raise InputError(
-                f"{name} = {shown(given[name])}: must be a section of constants"
-            )
+            said = "must be a section of constants"
+            raise InputError(f"{name} = {shown(given[name])}: {said}")
         with under(name):
             values[name] = _made(_PARTS[name], given[name])
     return of(**values)
@@ -517,70 +490,49 @@ def parameters(
 ) -> list[Parameter]:
     """The material's constants and what follows from them at `temperature` (K). Raises
     InputError."""
-    names = [
-        field.name for field in dataclasses.fields(material) if field.name in _UNITS
+    length, a = material.elastic_length, material.spacing_of_contacts
+    found = [
+        Parameter(
+            field.name, getattr(material, field.name), _UNITS[field.name], "given"
+        )
+        for field in dataclasses.fields(material)
+        if field.name in _UNITS
     ]
-    only_annealed = (
-        f"crossover velocity of the annealed ensemble ({equation('nt12')}); "
-        "quenched contacts have none there"
-    )
-    return [
-        *(
-            Parameter(name, getattr(material, name), _UNITS[name], "given")
-            for name in names
-        ),
+    found += [
         Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
         Parameter("k", material.stiffness, "N/m", "stiffness of a contact"),
         Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
         Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
         Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
-        *_elastic_lengths(material),
-        Parameter(
-            "b", material.b(temperature), "", f"k x_*^2/(2 kT) ({equation('nt08a')})"
-        ),
-        Parameter(
-            "v_*", material.crossover_velocity(temperature), "m/s", only_annealed
-        ),
-        Parameter(
-            "sigma_*",
-            material.shear_strength,
-            "Pa",
-            "shear stress = sigma_* friction/x_*",
-        ),
-        *_hardness(material),
     ]
-
-
-def _hardness(material: Material) -> list[Parameter]:
-    if material.hardness is None:
-        return []
-    return [
-        Parameter(
-            "H", material.hardness, "Pa", f"{_origin(material)}; mu = shear stress/H"
-        )
+    if length is not None:
+        where = "already between neighbours" if length < a else "beyond it"
+        size = f"elastic correlation length, a^2 E/k = {length / a:.2g} a"
+        doubt = f"{size}: the rigid slider is doubtful {where}"
+        found += [
+            Parameter("a", a, "m", "distance between neighbouring contacts"),
+            Parameter("lambda_c", length, "m", doubt),
+        ]
+    b, v_star = material.b(temperature), material.crossover_velocity(temperature)
+    of_annealed = f"crossover velocity of the annealed ensemble ({equation('nt12')})"
+    only = f"{of_annealed}; quenched contacts have none there"
+    stress = "shear stress = sigma_* friction/x_*"
+    found += [
+        Parameter("b", b, "", f"k x_*^2/(2 kT) ({equation('nt08a')})"),
+        Parameter("v_*", v_star, "m/s", only),
+        Parameter("sigma_*", material.shear_strength, "Pa", stress),
     ]
+    if material.hardness is not None:
+        use = f"{_origin(material)}; mu = shear stress/H"
+        found.append(Parameter("H", material.hardness, "Pa", use))
+    return found
 
 
 def _origin(material: Material) -> str:
-    given = getattr(material, "indentation_hardness", None)
-    return (
-        "hardness, given"
-        if given
-        else "hardness of plastic contacts, 3 sqrt(3) sigma_*"
-    )
-
-
-def _elastic_lengths(material: Material) -> list[Parameter]:
-    """lambda_c beside a, and what follows, if the modulus is known."""
-    length, a = material.elastic_length, material.spacing_of_contacts
-    if length is None:
-        return []
-    where = "already between neighbours" if length < a else "beyond it"
-    said = f"elastic correlation length, a^2 E/k = {length / a:.2g} a: the rigid slider is doubtful {where}"
-    return [
-        Parameter("a", a, "m", "distance between neighbouring contacts"),
-        Parameter("lambda_c", length, "m", said),
-    ]
+    """Where the hardness of a material is from."""
+    if getattr(material, "indentation_hardness", None):
+        return "hardness, given"
+    return "hardness of plastic contacts, 3 sqrt(3) sigma_*"
 
 
 _RUN_FILE = """title = {title}
@@ -664,26 +616,18 @@ def run_file_text(
     )
     wanted = _decimal(material.crossover_velocity()) if velocity is None else velocity
     drive = Drive(wanted, _decimal(20.0 * material.x_star))
-    title, load = (
-        json.dumps(material.name, ensure_ascii=False),
-        "# normal_stress = 1e6  # Pa, for a friction coefficient",
-    )
+    load = "# normal_stress = 1e6  # Pa, for a friction coefficient"
     if material.hardness is not None:
         load = f"normal_stress = {material.hardness:.4g}  # Pa, {_origin(material)}"
     decade = math.floor(math.log10(drive.velocity))
-    sections = (
-        _RUN_FILE
-        + (_AGING if material.aging else "")
-        + (_DELAY if material.delay else "")
-        + _DRIVE
+    sections = _RUN_FILE + _AGING * bool(material.aging) + _DELAY * bool(material.delay)
+    return (sections + _DRIVE).format(
+        title=json.dumps(material.name, ensure_ascii=False),
+        per_area=f"{material.contacts_per_area:.12g}",
+        load=load,
+        contacts=contacts,
+        drive=drive,
+        temperature=temperature,
+        low=decade - 2,
+        high=decade + 3,
     )
-    numbers = {
-        "per_area": f"{material.contacts_per_area:.12g}",
-        "load": load,
-        "contacts": contacts,
-        "drive": drive,
-        "temperature": temperature,
-        "low": decade - 2,
-        "high": decade + 3,
-    }
-    return sections.format(title=title, **numbers)

@@ -137,7 +137,7 @@ def test_alpha():
     )
     assert Aging("flow", math.inf).alpha(1.0, 1.0) == math.inf
     with pytest.raises(
-        InputError, match=r"^aging rate \* x_star / \(velocity \* x_star_final\^2\) = "
+        InputError, match=r"^4 rate x_star / \(velocity x_star_final\^2\) = "
     ):
         Aging("flow", 1e60).alpha(1.0, 1e-60)
     with pytest.raises(ValueError, match="mean stretch"):

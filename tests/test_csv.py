@@ -18,7 +18,8 @@ from eqsim.fitting.record import read_record
 from eqsim.fitting.section import section_of
 from eqsim.io import csv
 from eqsim.io.export import as_csv
-from eqsim.io.runfile import check, read_drive, read_thresholds
+from eqsim.io.runfile import check
+from eqsim.io.tables import read_drive, read_thresholds
 
 ROWS = [(0.0, 0.0), (1.0, 0.5), (2.0, 1.5), (3.0, 2.0)]
 # Two comments with an odd quote each: to a reader that looks for quotes first, all

@@ -15,7 +15,8 @@ from eqsim.fitting.record import read_record
 from eqsim.fitting.section import section_of
 from eqsim.io import csv
 from eqsim.io.export import meaning
-from eqsim.io.runfile import check, read_drive
+from eqsim.io.runfile import check
+from eqsim.io.tables import read_drive
 
 RUN = """title = "small # not a comment"
 [contacts]

@@ -444,43 +444,39 @@ def test_symmetries_are_refused_by_name(tmp_path, name):
     assert prepare(file, None, True).warnings
 
 
+@pytest.mark.parametrize("kind", [0, 1], ids=["length", "energy"])
 @pytest.mark.parametrize(
-    "powers", [symmetry._LENGTH, symmetry._ENERGY], ids=["length", "energy"]
+    "more",
+    [
+        {},
+        {"aging": {"rule": "flow", "rate": 0.3, "x_star_final": 2.0}},
+        {"newborn": {"law": "exponential", "mean": 0.2}},
+    ],
+    ids=["none", "aging", "newborn"],
 )
-@pytest.mark.parametrize(
-    "aging",
-    [{}, {"rule": "flow", "rate": 0.3, "x_star_final": 2.0}],
-    ids=["none", "aging"],
-)
-def test_symmetries_leave_every_prediction(powers, aging):
+def test_symmetries_leave_every_prediction(kind, more):
     """Measured friction of contacts with a delay and drag, annealed and quenched, to
     1e-9; but not if one key stays behind (negative control)."""
     for disorder in ("annealed", "quenched"):
         content = {
-            "disorder": disorder if not aging else "annealed",
+            "disorder": disorder if "aging" not in more else "annealed",
             "thermal": {"kT": 0.1, "attempt_frequency": 2.0},
             "thresholds": {"n": 0.5, "x_star": 1.5},
             "contacts": {"stiffness": 3.0},
             "delay": {"time": 0.4},
             "viscosity": {"eta": 0.7},
-            "aging": aging,
+            **more,
         }
-        file = check({key: part for key, part in content.items() if part})
+        file = check(content)
 
         def scaled(factor, file=file, left_out=None):
-            known = parameters(file)
-            keys = [
-                key
-                for key in powers
-                if known.get(key) and key not in (left_out, "fit.scale")
-            ]
-            changed = at(
-                file, {key: known[key] * factor ** powers[key] for key in keys}
-            ).ensemble
-            return (
-                factor ** powers.get("fit.scale", 0)
-                * curve(changed, VELOCITIES).friction
-            )
+            known = {
+                key: value * factor ** symmetry.powers_of(file, key)[kind]
+                for key, value in parameters(file).items()
+                if value and isinstance(value, float) and key != left_out
+            }
+            friction = curve(at(file, known).ensemble, VELOCITIES).friction
+            return factor ** symmetry.powers_of(file, "fit.scale")[kind] * friction
 
         np.testing.assert_allclose(scaled(1.7), scaled(1.0), rtol=1e-8)
         assert (

@@ -27,8 +27,9 @@ from typer.testing import CliRunner
 from eqsim import InputError, load, reference, steady
 from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
-from eqsim.io.runfile import keys, read_thresholds
-from eqsim.model.reduced import groups
+from eqsim.io.runfile import keys
+from eqsim.io.tables import read_thresholds
+from eqsim.model.groups import groups
 from eqsim.sweeps.plan import Plan
 
 SECONDS = 60  # for one case; the slowest takes a few on a loaded machine
@@ -559,14 +560,10 @@ def table_case(rng):
 
 
 def fuzz_tables(folder, seeds):
-    path = folder / "x é.csv"
     read = 0
     for seed in seeds:
-        path.unlink(missing_ok=True)
+        path = folder / f"x é {seed}.csv"
         path.write_bytes(table_case(random.Random(seed)))
-        read_thresholds.__globals__[
-            "_thresholds"
-        ].cache_clear()  # may be as long and as old as the one before
         try:
             with limited():
                 steps = read_thresholds(path).steps

@@ -44,7 +44,8 @@ from eqsim.laws.aging import Flow, Logarithmic, Unaged, along, base
 from eqsim.laws.delay import Fixed
 from eqsim.laws.stiffness import Springs
 from eqsim.master import flow, quenched
-from eqsim.model.reduced import Reduced, groups, reduced
+from eqsim.model.groups import groups
+from eqsim.model.reduced import Reduced, reduced
 from eqsim.validation.scores import _forces
 
 LIMIT = 4.5

@@ -37,7 +37,7 @@ from eqsim.io.runfile import check, load, parameters
 from eqsim.laws import threshold
 from eqsim.laws.named import NAMED, THRESHOLDS, threshold_parameters
 from eqsim.laws.threshold import for_kernels
-from eqsim.model.reduced import groups
+from eqsim.model.groups import groups
 from eqsim.numerics import streams
 from eqsim.numerics.streams import TRAJECTORY, key
 

@@ -71,7 +71,7 @@ def test_a_run_shows_its_title_its_contacts_and_its_transient(run_file):
         < 0.1 * whole.get_xlim()[1]
         == pytest.approx(10.0, rel=1e-12, abs=0)
     )
-    assert first.get_ylabel() == "friction  $F / (N k)$\n[length unit of the run file]"
+    assert first.get_ylabel() == "friction  $F / (N k)$\n[$x_*$]"
     assert any(
         "± 2 standard deviations between ensembles of N = 50" in text
         for text in texts(figure)
@@ -130,7 +130,7 @@ def test_exact_curves(tmp_path):
     every = {
         "force": {},
         "pinned fraction\n$N_c / N$": {"delay.time": 1.0},
-        "displacement\n[length unit of the run file]": {
+        "displacement\n[$x_*$]": {
             "contacts.stiffness_law": "uniform", "drive.stage.stiffness": 0.5, "drive.stage.damping": 0.1,
         },
         "time": {},
@@ -142,7 +142,7 @@ def test_exact_curves(tmp_path):
         columns = curve(file)
         figure = curve_picture(file, path.stem, columns)
         labels = [axes.get_ylabel() for axes in figure.axes]
-        assert labels[0] == "friction  $F / (N k)$\n[length unit of the run file]"
+        assert labels[0] == "friction  $F / (N k)$\n[$x_*$]"
         (line,) = figure.axes[0].lines
         along = "t" if label == "time" or "displacement" in label else "X"
         np.testing.assert_array_equal(line.get_xdata(), columns[along])
@@ -219,13 +219,7 @@ def test_every_key_and_observable_has_a_label(run_file):
             bare += [name] * (label == name)
             figure.text(0, 0, label)
     style.saved(figure)
-    assert {name.partition(".")[0] for name in bare} <= {
-        "newborn",
-        "output",
-        "drive",
-        "elastic",
-        "thresholds",
-    }
+    assert bare == []
     assert (
         labels.axis("drive.velocity", Units("um", "s"))
         == "driving velocity  $v$  [µm/s]"
@@ -236,6 +230,32 @@ def test_every_key_and_observable_has_a_label(run_file):
     )
     assert labels.axis("force_variance", Units("nm")).endswith("[nm$^{2}$]")
     assert labels.axis("friction", Units("x_*")).endswith("[$x_*$]")
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "unit"),
+    [
+        ({}, "friction", "[$x_*$]"),
+        ({}, "drive.velocity", r"[$x_*\,\omega$]"),
+        ({}, "thermal.kT", "[$k\\,x_*^2$]"),
+        ({}, "delay.time", r"[$1 / \omega$]"),
+        ({"thresholds.x_star": 2.0}, "friction", "[length unit of the run file]"),
+        ({"thresholds.x_star": 2.0}, "delay.time", r"[$1 / \omega$]"),
+        (
+            {"sweep.contacts.stiffness": [1.0, 2.0]},
+            "thermal.kT",
+            "[unit of the run file]",
+        ),
+        ({"units.length": "nm"}, "friction", "[nm]"),
+        ({"units.length": "nm"}, "drive.velocity", "[unit of the run file]"),
+    ],
+)
+def test_numbers_without_units_are_in_those_that_are_one(tmp_path, change, key, unit):
+    path = tmp_path / "run.toml"
+    path.write_text("[drive]\nvelocity = 1.0")
+    label = labels.axis(key, load(path, change).units)
+    assert label.endswith(unit)
+    matplotlib.figure.Figure().text(0, 0, label)
 
 
 def seen(color, matrix):

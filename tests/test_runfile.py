@@ -1,6 +1,7 @@
 """Run files: defaults, bad input in one line that names the field, and threshold
 tables."""
 
+import dataclasses
 import json
 import math
 import re
@@ -18,12 +19,16 @@ from eqsim import (
     Programme,
     Segment,
     Thermal,
+    catalogue,
     load,
     trajectory,
 )
 from eqsim.errors import require_integer, require_number
-from eqsim.io.runfile import at, check, keys, parameters, read_thresholds, stored
+from eqsim.io import schema
+from eqsim.io.runfile import at, check, keys, parameters, stored
 from eqsim.io.storage import provenance
+from eqsim.io.tables import read_thresholds
+from eqsim.laws.named import THRESHOLDS, threshold_parameters
 from eqsim.laws.stiffness import relative_stiffness
 
 
@@ -46,6 +51,26 @@ def test_defaults(tmp_path):
     assert file.drive.over(ensemble) == pytest.approx(
         200 * ensemble.thresholds.mean, rel=1e-15, abs=0
     )
+
+
+def test_every_key_is_in_the_catalogue():
+    """With its meaning, and no other; a section's dataclass has no field beside, but
+    for what other sections hold."""
+    sections = {
+        name: kind for name, kind in schema._DATACLASSES.items() if kind is not Ensemble
+    }
+    for name, kind in sections.items():
+        given = {field.name for field in dataclasses.fields(kind)} - {
+            "elastic",
+            "natural",
+        }
+        assert given <= schema.keys_of(name).keys(), name
+    thresholds = schema.keys_of("thresholds").keys()
+    assert all(set(threshold_parameters(law)) <= thresholds for law in THRESHOLDS)
+    for entry in catalogue.KEYS.values():
+        assert entry.meaning
+    for entry in (*catalogue.KEYS.values(), *catalogue.COLUMNS.values()):
+        assert entry.symbol.count("$") in (0, 2)
 
 
 def test_every_key(tmp_path):

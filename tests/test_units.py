@@ -9,13 +9,13 @@ import pytest
 from scipy import constants
 from typer.testing import CliRunner
 
-from eqsim import Ensemble, Estimate, load
+from eqsim import Ensemble, Estimate, catalogue, load
+from eqsim.catalogue import Dimension
 from eqsim.cli.app import app
 from eqsim.errors import InputError
 from eqsim.fitting.report import to_toml
-from eqsim.io import units as dimensions
 from eqsim.io.runfile import at, parameters
-from eqsim.io.units import Dimension, Interface, Units, quantities
+from eqsim.io.units import Interface, Units, quantities
 
 RUNS = Path(__file__).parent.parent / "runs"
 RUN = """
@@ -57,20 +57,20 @@ def call(*args):
 @pytest.mark.parametrize(
     ("units", "dimension", "label", "size"),
     [
-        (Units("nm", "s", "nN"), dimensions.VELOCITY, "nm/s", 1e-9),
-        (Units("um", "ms", "uN"), dimensions.VELOCITY, "um/ms", 1e-3),
-        (Units("µm", "min", "N"), dimensions.VELOCITY, "µm/min", 1e-6 / 60),
-        (Units("nm", "s", "nN"), dimensions.ENERGY, "nN nm", 1e-18),
-        (Units("m", "s", "N"), dimensions.ENERGY, "J", 1.0),
-        (Units("m", "s", "N"), dimensions.STRESS, "Pa", 1.0),
-        (Units("nm", "s", "nN"), dimensions.STRESS, "nN/nm^2", 1e9),
-        (Units("m", "h", "N"), dimensions.RATE, "1/h", 1 / 3600),
+        (Units("nm", "s", "nN"), catalogue.VELOCITY, "nm/s", 1e-9),
+        (Units("um", "ms", "uN"), catalogue.VELOCITY, "um/ms", 1e-3),
+        (Units("µm", "min", "N"), catalogue.VELOCITY, "µm/min", 1e-6 / 60),
+        (Units("nm", "s", "nN"), catalogue.ENERGY, "nN nm", 1e-18),
+        (Units("m", "s", "N"), catalogue.ENERGY, "J", 1.0),
+        (Units("m", "s", "N"), catalogue.STRESS, "Pa", 1.0),
+        (Units("nm", "s", "nN"), catalogue.STRESS, "nN/nm^2", 1e9),
+        (Units("m", "h", "N"), catalogue.RATE, "1/h", 1 / 3600),
         (Units("m", "s", "kN"), Dimension(-1, 1, 1), "kN s/m", 1e3),
-        (Units("m"), dimensions.AREA, "m^2", 1.0),
-        (Units("x_*"), dimensions.LENGTH, "x_*", None),
-        (Units("x_*"), dimensions.VELOCITY, "", None),
-        (Units("angstrom", "s"), dimensions.LENGTH, "angstrom", 1e-10),
-        (Units(), dimensions.NUMBER, "", 1.0),
+        (Units("m"), catalogue.AREA, "m^2", 1.0),
+        (Units("x_*"), catalogue.LENGTH, "x_*", None),
+        (Units("x_*"), catalogue.VELOCITY, "", None),
+        (Units("angstrom", "s"), catalogue.LENGTH, "angstrom", 1e-10),
+        (Units(), catalogue.NUMBER, "", 1.0),
     ],
 )
 def test_labels_and_sizes(units, dimension, label, size):

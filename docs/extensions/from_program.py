@@ -1,24 +1,21 @@
 """Reference pages that are made from the program: keys of run files, commands, observables, public names.
 
-What a key means is in `reference/keys.toml`; that each key has its entry there, and each entry its key, is checked.
+What a key means is in `eqsim/catalogue.toml`.
 """
 
 import inspect
-import tomllib
 import types
 import typing
 from pathlib import Path
 from typing import Any
 
-import pydantic
-from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from typer.models import ArgumentInfo
 
-from eqsim import OBSERVABLES, api
+from eqsim import OBSERVABLES, api, catalogue
 from eqsim.cli.app import app as command_line
-from eqsim.io.runfile import CONTENT
+from eqsim.io.schema import Key, keys_of
 from eqsim.laws.aging import RULES
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import DELAYS
@@ -29,7 +26,6 @@ from eqsim.model.elastic import Edges
 from eqsim.model.ensemble import Disorder
 from eqsim.paper import EQUATIONS, FIGURES
 
-MEANINGS = Path(__file__).parent.parent / "reference" / "keys.toml"
 CHOICES = {
     "disorder": typing.get_args(Disorder),
     "contacts.stiffness_law": typing.get_args(StiffnessLaw),
@@ -40,76 +36,40 @@ CHOICES = {
     "drive.start": typing.get_args(Start),
     "elastic.edges": typing.get_args(Edges),
 }
-NAMES = {
-    float: "number",
-    int: "whole number",
-    bool: "`true`, `false`",
-    str: "text",
-    Any: "whole number, or two",
-    dict: "table",
-}
+KINDS = {float: "number", int: "whole number", bool: "`true`, `false`", str: "text"}
 
 
-def sections(
-    model: type[pydantic.BaseModel], prefix: str = ""
-) -> dict[str, dict[str, FieldInfo]]:
-    """The keys of each section, by its name; "" for those outside of sections."""
-    found: dict[str, dict[str, FieldInfo]] = {prefix: {}}
-    for name, field in model.model_fields.items():
-        below = next((part for part in parts(field.annotation) if is_model(part)), None)
-        if below:
-            many = "[]" if typing.get_origin(parts(field.annotation)[0]) is list else ""
-            found |= sections(below, f"{prefix}.{name}{many}".removeprefix("."))
-        else:
-            found[prefix][name] = field
-    return found
+def allowed(name: str, key: Key) -> str:
+    """What a key may be."""
+    choices = CHOICES.get(name) or [
+        choice
+        for kind in parts(key.annotation)
+        if typing.get_origin(kind) is typing.Literal
+        for choice in typing.get_args(kind)
+    ]
+    if choices:
+        return ", ".join(f'`"{choice}"`' for choice in choices)
+    return catalogue.KEYS[name].values or KINDS[key.kind]
 
 
 def parts(annotation: Any) -> list[Any]:
     """A type, what a union is made of, and what lists are of."""
-    if (
-        isinstance(annotation, types.UnionType)
-        or typing.get_origin(annotation) is typing.Union
-    ):
-        return [part for one in typing.get_args(annotation) for part in parts(one)]
     if typing.get_origin(annotation) is list:
         return [annotation, *parts(typing.get_args(annotation)[0])]
-    if typing.get_origin(annotation) is typing.Annotated:
-        return parts(typing.get_args(annotation)[0])
+    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) in (
+        typing.Union,
+        typing.Annotated,
+    ):
+        return [part for one in typing.get_args(annotation) for part in parts(one)]
     return [annotation]
 
 
-def is_model(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)
-
-
-def allowed(key: str, field: FieldInfo, more: str) -> str:
-    """What a key may be."""
-    kinds = [kind for kind in parts(field.annotation) if kind is not types.NoneType]
-    choices = CHOICES.get(key) or tuple(
-        name
-        for kind in kinds
-        for name in typing.get_args(kind)
-        if isinstance(name, str)
-    )
-    if choices:
-        return ", ".join(f'`"{name}"`' for name in choices)
-    return more or " or ".join(
-        NAMES.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds
-    )
-
-
-def default(field: FieldInfo) -> str:
-    if field.is_required():
+def default(value: Any) -> str:
+    if value is ...:
         return "required"
-    value = field.default
-    return (
-        ""
-        if value is None or value == {}
-        else f'`"{value}"`'
-        if isinstance(value, str)
-        else f"`{str(value).lower()}`"
-    )
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    return "" if value in (None, {}) else f"`{str(value).lower()}`"
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
@@ -177,52 +137,20 @@ class RunFileKeys(FromProgram):
     """Tables of all keys of run files, one for each section."""
 
     def markdown(self) -> list[str]:
-        meanings, lines = tomllib.loads(MEANINGS.read_text(encoding="utf-8")), []
-        self.env.note_dependency(str(MEANINGS))
-        known: set[str] = set()
-        described: set[str] = set()
-        for section, fields in sections(CONTENT).items():
-            if not fields:
-                continue
-            here = meanings.get(section or "top", {})
-            lines += [
-                f"## `[{section}]`"
-                if section and "[]" not in section
-                else f"## {here['heading']}",
-                "",
-            ]
-            lines += [here.get("about", ""), ""]
+        self.env.note_dependency(str(Path(catalogue.__file__).with_suffix(".toml")))
+        lines: list[str] = []
+        for section, about in catalogue.SECTIONS.items():
             rows = []
-            for name, field in fields.items():
-                key = f"{section}.{name}".removeprefix(".")
-                known.add(f"{section or 'top'}.{name}")
-                known_as = here.get(name) or field.description  # in the program itself
-                if not known_as:
-                    raise self.error(f"{MEANINGS.name} says nothing of {key}")
-                entry = (
-                    known_as if isinstance(known_as, dict) else {"meaning": known_as}
-                )
-                described |= set() if name in here else {f"{section or 'top'}.{name}"}
-                rows.append(
-                    (
-                        f"`{name}`",
-                        entry.get("default", default(field)),
-                        allowed(key, field, entry.get("values", "")),
-                        entry["meaning"],
-                    )
-                )
+            for last, key in keys_of(section).items():
+                name = f"{section}.{last}".removeprefix(".")
+                entry = catalogue.KEYS[name]
+                if not entry.meaning:
+                    raise self.error(f"catalogue.toml says no meaning of {name}")
+                begins = entry.default or default(key.default)
+                rows.append((f"`{last}`", begins, allowed(name, key), entry.meaning))
+            heading = about.get("heading", f"`[{section}]`")
+            lines += [f"## {heading}", "", about["about"], ""]
             lines += [*table(("key", "default", "values", "meaning"), rows), ""]
-        told = {
-            f"{section}.{name}"
-            for section, entries in meanings.items()
-            for name in entries
-        } - {
-            f"{section}.{name}" for section in meanings for name in ("about", "heading")
-        }
-        if told != known - described:
-            raise self.error(
-                f"{MEANINGS.name} and the program differ in {sorted(told ^ (known - described))}"
-            )
         return lines
 
 

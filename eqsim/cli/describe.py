@@ -31,7 +31,7 @@ def info(
     ensemble, drive = file.ensemble, file.drive
     from eqsim.engine.trajectory import predicted_lives
     from eqsim.io.units import scales
-    from eqsim.model.reduced import groups
+    from eqsim.model.groups import groups
 
     found, lives = (
         groups(ensemble, drive),

@@ -113,7 +113,7 @@ class Shown:
         self, ensemble: "Ensemble", drive: "Drive | Programme | None" = None
     ) -> None:
         """Warn, on standard error, of numbers that are hardly meant."""
-        from eqsim.model.reduced import doubts
+        from eqsim.model.groups import doubts
 
         for line in doubts(ensemble, drive) if not self.quiet else ():
             complain(f"warning: {line}")

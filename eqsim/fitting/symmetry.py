@@ -2,11 +2,11 @@
 it is, known by name (derived).
 
 A symmetry scales keys by powers of a factor. Those of all steady friction are two:
-lengths x_*, with k ~ 1/x_*^2, N ~ x_* and rates of displacement ~ 1/x_*; and energies
-k, kT and eta, with N ~ 1/k. What is measured besides friction (a length, the variance
-of the force, which reads N) has a power, too, and a symmetry must leave it. A symmetry
-is there if a combination of these scalings moves free keys only; a key that is 0 stays
-0.
+lengths x_*, at the same velocity and kT, so that times are ~ x_*, k ~ 1/x_*^2, and N ~
+x_*; and energies k, kT and eta, with N ~ 1/k. The powers of a key follow from its
+dimension. What is measured besides friction (a length, the variance of the force, which
+reads N) has a power, too, and a symmetry must leave it. A symmetry is there if a
+combination of these scalings moves free keys only; a key that is 0 stays 0.
 """
 
 import math
@@ -14,33 +14,28 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from eqsim import catalogue
 from eqsim.errors import InputError
 from eqsim.fitting.section import Parameter
 from eqsim.io.runfile import RunFile, parameters
+from eqsim.laws.aging import RULES
 from eqsim.numerics.tables import Array
 
-# powers of the factor by which each symmetry scales keys ("fit.scale" is N k), and of
-# what is measured
-_LENGTH = {
-    "thresholds.x_star": 1, "contacts.stiffness": -2, "fit.scale": -1, "thermal.attempt_frequency": -1,
-    "delay.time": 1, "aging.rate": 1, "aging.x_star_final": 1, "aging.cutoff_time": 1, "viscosity.eta": -1,
-    "drive.velocity": 0, "break_stretch": 1, "peak_X": 1, "force_std": 1,
-    "record": 1, **dict.fromkeys(("thresholds.std", "thresholds.low", "thresholds.high"), 1),
-}  # fmt: skip
-_ENERGY = {
-    "contacts.stiffness": 1,
-    "thermal.kT": 1,
-    "viscosity.eta": 1,
-    "force_std": -1,
+# Powers of the factor by which the two symmetries, of lengths and of energies, scale
+# what is no key of a run file: N k ("fit.scale") and what is measured.
+MEASURED_POWERS = {
+    "fit.scale": (-1, 0),
+    "break_stretch": (1, 0),
+    "peak_X": (1, 0),
+    "record": (1, 0),
+    "force_std": (1, -1),
 }
-_HOT, _COLD = (
-    0.3,
-    1e3,
-)  # b below which it does not matter to annealed contacts, and above which only omega/b does
-_SIZES = (
-    "thresholds.x_star",
-    "thresholds.high",
-)  # of a law; its other parameters change the shape
+# b below which it does not matter to annealed contacts
+_HOT = 0.3
+# b above which only omega/b matters to them
+_COLD = 1e3
+# of a law; its other parameters change the shape
+_SIZES = ("thresholds.x_star", "thresholds.high")
 _UNSEEN = {"force_std", "peak_ratio", "peak_X"}
 
 
@@ -68,60 +63,47 @@ def refused(
 def _scalings(
     file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]
 ) -> Iterator[str]:
-    values = {
-        key: value
-        for key, value in parameters(file).items()
-        if isinstance(value, float)
-    }
+    values = {k: v for k, v in parameters(file).items() if isinstance(v, float)}
     if file["thresholds.law"] == "table":
         values["thresholds.x_star"] = 1.0  # its length is known
-    aging = file["aging.rule"]
-    if aging == "none":
-        values |= {
-            "aging.rate": 0.0,
-            "aging.x_star_final": 0.0,
-            "aging.cutoff_time": 0.0,
-        }
-    elif aging == "logarithmic":
-        values |= {"aging.rate": 0.0, "aging.x_star_final": 0.0}
+    rule = file["aging.rule"]
+    taken = RULES[rule].keys if rule != "none" else ()
+    unused = (key for key in values if key.startswith("aging."))
+    values |= {key: 0.0 for key in unused if key.partition(".")[2] not in taken}
     moving = {one.key for one in free} | ({"fit.scale"} if scaled else set())
-    fixed_kT = not file["thermal.kT"] and "thermal.kT" not in moving
-    if fixed_kT:
+    if not file["thermal.kT"] and "thermal.kT" not in moving:
         values["thermal.attempt_frequency"] = 0.0
-    held = [
-        "fit.scale",
-        *(key for key, value in values.items() if value and math.isfinite(value)),
-    ]
-    held = [key for key in held if key not in moving]
-    seen = sorted(measured & {"break_stretch", "peak_X", "force_std", "record"})
+    effective = (key for key, value in values.items() if value and math.isfinite(value))
+    held = [key for key in ("fit.scale", *effective) if key not in moving]
+    seen = sorted(measured & MEASURED_POWERS.keys())
     if "force_std" in seen and not scaled:  # N is `contacts.count`, known
-        held, seen = (
-            [*held, "fit.scale"],
-            [name for name in seen if name != "force_std"],
-        )
-    rows = [
-        [part.get(name, 0) for name in (*dict.fromkeys(held), *seen)]
-        for part in (_LENGTH, _ENERGY)
-    ]
-    for combination in _null(np.array(rows, float).reshape(2, -1)):
-        powers = {
-            key: combination[0] * _LENGTH.get(key, 0)
-            + combination[1] * _ENERGY.get(key, 0)
-            for key in sorted(moving)
-        }
+        held.append("fit.scale")
+        seen.remove("force_std")
+    rows = np.array([powers_of(file, name) for name in (*held, *seen)], float)
+    for combination in _null(rows.reshape(-1, 2).T):
+        powers = {key: combination @ powers_of(file, key) for key in sorted(moving)}
         powers = {key: power for key, power in powers.items() if abs(power) > 1e-9}
-        if powers:
-            least = min(map(abs, powers.values()))
-            said = ", ".join(
-                f"{key} ~ l^{power / least:+.3g}" for key, power in powers.items()
-            )
-            length = abs(combination[0]) > 1e-9
-            cure = (
-                "a length (peak_X, break_stretch) or the variance of the force (force_std)"
-                if length
-                else "kT known"
-            )
-            yield f"{said} leaves every prediction as it is; fix one of these keys, or measure {cure}"
+        if not powers:
+            continue
+        least = min(map(abs, powers.values()))
+        said = ", ".join(f"{key} ~ l^{p / least:+.3g}" for key, p in powers.items())
+        cure = "kT known"
+        if abs(combination[0]) > 1e-9:
+            cure = "a length (peak_X, break_stretch) or the variance of the force (force_std)"
+        yield f"{said} leaves every prediction as it is; fix one of these keys, or measure {cure}"
+
+
+def powers_of(file: RunFile, name: str) -> tuple[int, int]:
+    """Powers of the factor by which the symmetries of lengths and of energies scale a
+    key, or what is measured. The drive stays as it is."""
+    entry = catalogue.KEYS.get(name)
+    if entry is None:
+        return MEASURED_POWERS.get(name, (0, 0))
+    fraction = name.startswith("newborn.") and file["newborn.of"] == "threshold"
+    if fraction or name.startswith("drive."):
+        return 0, 0
+    length, time, force = entry.dimension
+    return length + time - force, force
 
 
 def _null(rows: Array) -> list[Array]:

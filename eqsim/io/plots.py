@@ -6,10 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from eqsim.catalogue import AREA, LENGTH, TIME, VELOCITY
 from eqsim.estimate import Estimate
 from eqsim.io.labels import FORCE, axis, described, plain, unit_text, with_unit
 from eqsim.io.style import styled
-from eqsim.io.units import AREA, LENGTH, TIME, VELOCITY, Quantity, Units
+from eqsim.io.units import Quantity, Units
 from eqsim.model.drive import Drive
 from eqsim.numerics.tables import Array
 

@@ -1,24 +1,21 @@
 """Run files: TOML in, an Ensemble and a Drive out.
 
-The keys of a section are fields of the model's dataclasses, which have their types,
-defaults and limits (`_SECTIONS` says where each key lands). Here names and types are
-checked, and whether keys that are given go together.
+Names and types of keys are those of `eqsim.io.schema`. Here sections become the model's
+dataclasses, which refuse values out of range, and keys that do not go together are
+refused.
 """
 
 import functools
 import math
 import tomllib
-import types
 import typing
-from collections.abc import Callable, Iterator
-from dataclasses import MISSING, dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-import pydantic
-from pydantic import BeforeValidator
 
 from eqsim.errors import (
     NOT_NEGATIVE,
@@ -31,12 +28,13 @@ from eqsim.errors import (
     under,
 )
 from eqsim.estimate import Averages, Estimate
-from eqsim.io import csv
+from eqsim.io import schema
 from eqsim.io.labels import described, of_trajectory
+from eqsim.io.tables import read_drive, read_thresholds
 from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
-from eqsim.laws.named import THRESHOLDS, law_of, threshold_parameters
+from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
@@ -44,106 +42,17 @@ from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble
 
-Result = TypeVar("Result")
-_DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
+Section = TypeVar("Section")
 _LONGEST = 10_000_000  # characters of a run file
 # Keys whose text may be any word, also "Infinity".
 _FREE_TEXT = ("title", "file", "column")
-
-
-def _whole(value: Any) -> Any:
-    """TOML's 1e5 is a float; accept it where a whole number is meant."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-def _whole_numbers(value: Any) -> Any:
-    """One number of blocks, or two."""
-    return list(map(_whole, value)) if isinstance(value, list) else _whole(value)
-
-
-_WHOLE = Annotated[int, BeforeValidator(_whole)]
-_BLOCKS = Annotated[Any, BeforeValidator(_whole_numbers)]
-
-
-def _keys_of(kind: Any, *names: str) -> dict[str, Any]:
-    """Keys that are fields of a dataclass, all or some: type and default, as pydantic
-    takes them. Choices are texts here: the dataclass refuses others."""
-    hints, keys = typing.get_type_hints(kind), {}
-    for one in fields(kind):
-        if names and one.name not in names:
-            continue
-        hint = hints[one.name]
-        optional = isinstance(hint, types.UnionType) and type(None) in hint.__args__
-        first = hint.__args__[0] if isinstance(hint, types.UnionType) else hint
-        if typing.get_origin(first) is Literal:
-            first = str
-        checked: Any = _WHOLE if first is int else first
-        default = ... if one.default is MISSING else one.default
-        keys[one.name] = (checked | None if optional else checked, default)
-    return keys
-
-
-def _schema(name: str, keys: dict[str, Any]) -> Any:
-    """A pydantic model that checks names and types of these keys."""
-    config = pydantic.ConfigDict(extra="forbid", strict=True, frozen=True)
-    return pydantic.create_model(name, __config__=config, **keys)
-
-
-_NUMBER = (float | None, None)
-_TEXT = (str | None, None)
-_STAGE = _keys_of(Stage)
-# `hold` is the time of a segment that does not move
-_SEGMENT = {"velocity": _NUMBER, "hold": _NUMBER} | _keys_of(
-    Segment, "distance", "time", "points"
-)
-# Where the keys of each section land; `disorder` is a field of Ensemble, too.
-_SECTIONS: dict[str, dict[str, Any]] = {
-    "contacts": _keys_of(Ensemble, "count", "stiffness", "stiffness_law"),
-    # the law of that name (`laws.named.THRESHOLDS`), or a `Table`
-    "thresholds": {
-        "law": (Literal[(*THRESHOLDS, "table")], "gamma"),
-        **{key: _NUMBER for law in THRESHOLDS for key in threshold_parameters(law)},
-        "file": _TEXT,
-        "column": _TEXT,
-        "scale": _NUMBER,
-        "quantity": (Literal["stretch", "force"] | None, None),
-    },
-    # kelvin, instead of kT
-    "thermal": {"temperature": _NUMBER, **_keys_of(Thermal)},
-    "newborn": _keys_of(Newborn),
-    # a run file has to say x_star_final where the rule takes it
-    "aging": {**_keys_of(Aging), "x_star_final": _NUMBER},
-    "delay": _keys_of(Delay),
-    "viscosity": _keys_of(Ensemble, "eta"),
-    # a Drive, or a Programme of segments or of a recorded file
-    "drive": {
-        **_keys_of(Drive, "velocity", "distance", "start"),
-        "velocity": _NUMBER,
-        "programme": (list[_schema("segment", _SEGMENT)] | None, None),  # type: ignore[misc]
-        "file": _TEXT,
-        "stage": (_schema("stage", _STAGE) | None, None),
-    },
-    "elastic": {**_keys_of(Elastic), "blocks": (_BLOCKS, ...)},
-    "output": _keys_of(Output),
-    "units": _keys_of(Units),
-    "interface": _keys_of(Interface),
+# Keys that say the same: a change of one replaces the other.
+_ALTERNATIVES = {
+    "thermal.temperature": "thermal.kT",
+    "thermal.kT": "thermal.temperature",
+    "interface.normal_load": "interface.normal_stress",
+    "interface.normal_stress": "interface.normal_load",
 }
-
-
-def _content() -> Any:
-    """A pydantic model of a whole run file; [elastic] is there or not."""
-    keys = {
-        "title": (Annotated[str, pydantic.Field(max_length=200)], ""),
-        **_keys_of(Ensemble, "disorder"),
-    }
-    for name, section in _SECTIONS.items():
-        schema = _schema(name, section)
-        keys[name] = (schema | None, None) if name == "elastic" else (schema, schema())
-    return _schema("run file", {**keys, "sweep": _TABLE, "fit": _TABLE})
-
-
-_TABLE: Any = (dict[str, Any], {})  # read by `sweeps.plan` and by `fitting.section`
-CONTENT = _content()
 
 
 @dataclass(frozen=True)
@@ -186,28 +95,41 @@ class RunFile:
         """The content of [fit]."""
         return dict(self.settings["fit"])
 
+    def _section(self, kind: Callable[..., Section], name: str) -> Section:
+        """The dataclass of a section. Raises InputError."""
+        with under(name):
+            return kind(**self.settings[name])
+
     @cached_property
     def units(self) -> Units:
         """The units of its numbers. Raises InputError."""
-        with under("units"):
-            return Units(**self.settings["units"])
+        law, varied = self["thresholds.law"], repr((self.sweep, self.fit))
+        x_star = threshold_parameters(law).get("x_star") if law != "table" else None
+        keys = {
+            "x_*": ("x_star", self["thresholds.x_star"] or x_star),
+            "omega": ("attempt_frequency", self["thermal.attempt_frequency"]),
+            "k": ("stiffness", self["contacts.stiffness"]),
+        }
+        natural = tuple(
+            symbol
+            for symbol, (key, value) in keys.items()
+            if value == 1.0 and key not in varied and "file" not in self.sweep
+        )
+        return replace(self._section(Units, "units"), natural=natural)
 
     @cached_property
     def interface(self) -> Interface:
         """What the contacts stand for. Raises InputError."""
-        with under("interface"):
-            return Interface(**self.settings["interface"])
+        return self._section(Interface, "interface")
 
     @cached_property
     def output(self) -> Output:
         """How a run is recorded. Raises InputError."""
-        with under("output"):
-            output = Output(**self.settings["output"])
+        output = self._section(Output, "output")
         for name in ("series", "breaks"):
             if getattr(output, name) and self["elastic"]:
-                raise InputError(
-                    f"output.{name}: not with [elastic], which writes every block and avalanche"
-                )
+                said = "not with [elastic], which writes every block and avalanche"
+                raise InputError(f"output.{name}: {said}")
         if output.breaks and not self.constant:
             raise InputError(
                 "output.breaks: breaks are listed at a constant drive.velocity only"
@@ -223,51 +145,34 @@ class RunFile:
     @cached_property
     def ensemble(self) -> Ensemble:
         """The contacts. Raises InputError."""
-        laws = self._laws()
-        with under("contacts"):
-            return Ensemble(**laws, **self.settings["contacts"])
-
-    def _laws(self) -> dict[str, Any]:
-        """Arguments of `Ensemble` but for those of [contacts]."""
-        given, disorder = self.given, self["disorder"]
+        disorder, eta = self["disorder"], self["viscosity.eta"]
+        heat = {k: v for k, v in self["thermal"].items() if k != "temperature"}
         with under("thermal"):
-            known = self.settings["thermal"]
-            thermal = Thermal(
-                **{name: known[name] for name in known if name != "temperature"}
-            )
-        with under("delay"):
-            delay = Delay(**self.settings["delay"])
+            thermal = Thermal(**heat)
+        delay = self._section(Delay, "delay")
         law = self._threshold_law()
         require_choice("disorder", disorder, typing.get_args(Disorder))
         # contacts that do not age, or are born unstressed, would be a surprise
-        _require_law("aging.rule", given, (*RULES, "none"))
+        _require_law("aging.rule", self.given, (*RULES, "none"))
         with under("aging"):
-            chosen = {k: v for k, v in self.settings["aging"].items() if v is not None}
-            aging = Aging(**chosen)
-            aging.check_keys(set(given.get("aging", ())))
+            aging = Aging.of_keys(self["aging"], set(self.given.get("aging", ())))
             aging.check(law, disorder)
-            rule = aging.rule
-            if (
-                "x_star_final" not in chosen
-                and rule != "none"
-                and "x_star_final" in RULES[rule].keys
-            ):
-                raise InputError(f'x_star_final: is required with rule = "{rule}"')
-        with under("viscosity"):
-            require_number("eta", self["viscosity.eta"], **NOT_NEGATIVE)
-        _require_law("newborn.law", given, (*LAWS, "unstressed"))
+        require_number("viscosity.eta", eta, **NOT_NEGATIVE)
+        _require_law("newborn.law", self.given, (*LAWS, "unstressed"))
+        newborn = self._section(Newborn, "newborn")
         with under("newborn"):
-            newborn = Newborn(**self.settings["newborn"])
             newborn.check(law, disorder, aging.active)
-        return {
-            "thresholds": law,
-            "thermal": thermal,
-            "delay": delay,
-            "aging": aging,
-            "newborn": newborn,
-            "disorder": disorder,
-            "eta": self["viscosity.eta"],
-        }
+        with under("contacts"):
+            return Ensemble(
+                law,
+                thermal,
+                delay,
+                aging,
+                disorder=disorder,
+                eta=eta,
+                newborn=newborn,
+                **self["contacts"],
+            )
 
     def _threshold_law(self) -> ThresholdLaw:
         known = self.settings["thresholds"]
@@ -306,10 +211,7 @@ class RunFile:
             return self._programme()
         if given["velocity"] is None:
             raise InputError("drive.velocity: is required")
-        elastic = None
-        if self["elastic"] is not None:
-            with under("elastic"):
-                elastic = Elastic(**self["elastic"])
+        elastic = self._section(Elastic, "elastic") if self["elastic"] else None
         with under("drive"):
             return Drive(given["velocity"], given["distance"], given["start"], elastic)
 
@@ -320,25 +222,19 @@ class RunFile:
 
     def _programme(self) -> Programme:
         given = self.settings["drive"]
-        programme, file, stage = (
-            given[name] for name in ("programme", "file", "stage")
-        )
+        programme, file, stage = map(given.get, ("programme", "file", "stage"))
         if self["elastic"] is not None:
             name = next(
-                name
-                for name in ("programme", "file", "stage")
-                if given[name] is not None
+                n for n in ("programme", "file", "stage") if given[n] is not None
             )
-            raise InputError(
-                f"drive.{name}: not allowed with [elastic], whose plate moves at drive.velocity"
-            )
+            said = "not allowed with [elastic], whose plate moves at drive.velocity"
+            raise InputError(f"drive.{name}: {said}")
         if programme is not None and file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
         alone = programme is None and file is None
         if given["distance"] is not None and not alone:
-            raise InputError(
-                f"drive.distance = {given['distance']!r}: not allowed with a programme or file"
-            )
+            said = "not allowed with a programme or file"
+            raise InputError(f"drive.distance = {given['distance']!r}: {said}")
         if alone and given["velocity"] is None:
             raise InputError("drive.velocity: is required")
         pulled_by, segments = None, []
@@ -383,15 +279,9 @@ class RunFile:
             if key not in known:
                 first = dict.fromkeys(one.split(".")[0] for one in known)
                 hint = meant(key, known) or "there are " + ", ".join(first)
-                raise InputError(
-                    f"{key}: is not a key that can change from point to point; {hint}"
-                )
-            *sections, last = key.split(".")
-            place: Any = data
-            for name in sections:
-                listed = isinstance(place, list)
-                place = place[int(name)] if listed else place.setdefault(name, {})
-            place[last] = value
+                said = "is not a key that can change from point to point"
+                raise InputError(f"{key}: {said}; {hint}")
+            _put(data, key.split("."), key, value)
         return check(data, self.folder)
 
     @property
@@ -455,13 +345,6 @@ def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
     return Segment(0.0, **{**more, "time": hold})
 
 
-_PAIRS = (
-    ("thermal.temperature", "thermal.kT"),
-    ("interface.normal_load", "interface.normal_stress"),
-)
-_ALTERNATIVES = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
-
-
 def _two_temperatures(temperature: float) -> str:
     return f"thermal.temperature = {shown(temperature)}: not allowed with kT; give one of them"
 
@@ -509,7 +392,6 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     text, data = read_toml(path)
     _without_alternatives(data, changes)
     for key, value in changes.items():
-        *sections, last = key.split(".")
         axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
         first = axis.split(".")[0]
         nested = (
@@ -517,21 +399,8 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
             or isinstance(axes.get(first), dict)
             or first in ("zip", "file")
         )
-        if axis != key and not nested:  # an axis, its key in quotes
-            sections, last = ["sweep"], axis
-        place: Any = data
-        for name in sections:
-            if isinstance(place, list) and name.isdecimal() and int(name) < len(place):
-                place = place[int(name)]
-            else:
-                place = place.setdefault(name, {}) if isinstance(place, dict) else None
-            if not isinstance(place, (dict, list)):
-                raise InputError(f"{key}: {name} is not a section")
-        if isinstance(place, list):
-            raise InputError(
-                f"{key}: must name a key of a segment, as in drive.programme.0.{last}"
-            )
-        place[last] = value
+        in_quotes = axis != key and not nested  # the key of an axis
+        _put(data, ["sweep", axis] if in_quotes else key.split("."), key, value)
     heat = data.get("thermal")
     if (
         isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys()
@@ -541,15 +410,40 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     return replace(check(data, path.parent), text=text)
 
 
+def _put(data: dict[str, Any], path: list[str], key: str, value: Any) -> None:
+    """Put the value of a `key` into the content of a run file, at a path of sections
+    and numbers of segments. Raises InputError."""
+    *sections, last = path
+    place: Any = data
+    for name in sections:
+        if isinstance(place, list) and name.isdecimal() and int(name) < len(place):
+            place = place[int(name)]
+        else:
+            place = place.setdefault(name, {}) if isinstance(place, dict) else None
+        if not isinstance(place, (dict, list)):
+            raise InputError(f"{key}: {name} is not a section")
+    if isinstance(place, list):
+        said = f"must name a key of a segment, as in drive.programme.0.{last}"
+        raise InputError(f"{key}: {said}")
+    place[last] = value
+
+
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     """The text and the content of a TOML file, which may be a pipe. Raises InputError."""
-    text = _read(path)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(_LONGEST + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file in UTF-8") from None
+    if len(text) > _LONGEST:  # a device may never end
+        said = f"is longer than {_LONGEST:.0e} characters; a run file is not"
+        raise InputError(f"{path}: {said}")
     try:
         return text, tomllib.loads(text)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # also numbers and nesting beyond Python's limits
+    # also numbers and nesting beyond Python's limits
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is not valid TOML: {error}") from None
 
 
@@ -562,19 +456,17 @@ def opened(file: RunFile | Path | str, folder: Path | str | None = None) -> RunF
     return file if folder is None else replace(file, folder=Path(folder))
 
 
-def _read(path: Path) -> str:
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            text = file.read(_LONGEST + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file in UTF-8") from None
-    if len(text) > _LONGEST:  # a device may never end
-        raise InputError(
-            f"{path}: is longer than {_LONGEST:.0e} characters; a run file is not"
-        )
-    return text
+# A stage, programme and blocks are there or not; averages do not depend on units and
+# interface, nor on what is written.
+_PARAMETERS: dict[str, type] = {
+    name: key.kind
+    for name, key in schema.KEYS.items()
+    if key.kind in (float, int, str)
+    and name != "title"
+    and not name.startswith(
+        ("elastic.", "units.", "interface.", "drive.programme.", "drive.stage.")
+    )
+}
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
@@ -583,45 +475,17 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
     those that its programme, stage or coupled blocks have, such as
     drive.programme.1.hold."""
     known = dict(_PARAMETERS)
-    if file and file["elastic"]:
-        known |= {
-            f"elastic.{name}": _kind(one) for name, one in _SECTIONS["elastic"].items()
-        }
-    if file and file["drive.stage"]:
-        known |= {f"drive.stage.{name}": float for name in _STAGE}
-    for index, segment in enumerate((file["drive.programme"] if file else None) or []):
-        known |= {
-            f"drive.programme.{index}.{name}": _kind(_SEGMENT[name])
-            for name, value in segment.items()
-            if value is not None
-        }
+    if file is None:
+        return known
+    for section in ("elastic", "drive.stage"):
+        if file[section]:
+            below = schema.keys_of(section).items()
+            known |= {f"{section}.{name}": key.kind for name, key in below}
+    kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
+    for index, segment in enumerate(file["drive.programme"] or []):
+        given = (name for name, value in segment.items() if value is not None)
+        known |= {f"drive.programme.{index}.{name}": kinds[name] for name in given}
     return known
-
-
-def _kind(key: Any) -> type:
-    """The type of a key's values; a choice is text."""
-    annotation = key[0]
-    if annotation is _BLOCKS:
-        return int
-    parts = (
-        typing.get_args(annotation)
-        if not isinstance(annotation, type)
-        else (annotation,)
-    )
-    while typing.get_origin(parts[0]) is Annotated:
-        parts = typing.get_args(parts[0])
-    return parts[0] if isinstance(parts[0], type) else str
-
-
-# [elastic] is there or not; averages do not depend on units and interface, nor on what
-# is written.
-_PARAMETERS: dict[str, type] = {"disorder": str} | {
-    f"{name}.{key}": _kind(one)
-    for name, section in _SECTIONS.items()
-    if name not in ("elastic", "units", "interface")
-    for key, one in section.items()
-    if one[0] is not bool and f"{name}.{key}" not in ("drive.programme", "drive.stage")
-}
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
@@ -660,12 +524,7 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
 def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     """A run file from its content; paths in it start in `folder`. Raises InputError with
     one line that names the field."""
-    for name in ("sweep", "fit"):
-        _check_plain(name, data.get(name))
-    try:
-        content = CONTENT.model_validate(data)
-    except pydantic.ValidationError as error:
-        raise InputError(_explain(error)) from None
+    content = schema.validated(data)
     given = content.model_dump(exclude_unset=True, exclude_none=True)
     given |= {name: data[name] for name in ("sweep", "fit") if data.get(name)}
     file = RunFile(given, content.model_dump(), folder=folder)
@@ -690,212 +549,9 @@ def _heat(file: RunFile) -> None:
     file.given["thermal"].pop("kT", None)
 
 
-def _check_plain(field: str, content: Any) -> None:
-    """Refuse what is no number or text of a sweep, wherever it is: dates, huge
-    integers, endless nesting."""
-    pending = [(field, content, 0)]
-    while pending:
-        name, value, depth = pending.pop()
-        if depth > _DEEPEST:
-            raise InputError(f"{name}: is nested too deep")
-        if isinstance(value, dict):
-            pending += [
-                (f"{name}.{key}", part, depth + 1) for key, part in value.items()
-            ]
-        elif isinstance(value, list):
-            pending += [(name, part, depth + 1) for part in value]
-        elif not isinstance(value, (str, float, int, type(None))) or (
-            isinstance(value, int) and abs(value) > 10**300
-        ):
-            raise InputError(f"{name} = {shown(value)}: must be numbers or text")
-
-
-def _explain(error: pydantic.ValidationError) -> str:
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    location = [str(part) for part in first["loc"]]
-    field, value = ".".join(location), shown(first["input"])
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    if first["type"] == "extra_forbidden":
-        return f"{field}: unknown key; {_nearest(location)}{more}"
-    if first["type"] in ("model_type", "dict_type"):
-        return f"{field} = {value}: must be a section, [{field}]{more}"
-    if first["type"] == "missing":
-        return f"{field}: is required{more}"
-    allowed = (
-        first["msg"]
-        .replace("Input should be", "must be")
-        .replace("String should", "must")
-        .replace("'", '"')
-    )
-    return f"{field} = {value}: {allowed}{more}"
-
-
-def _nearest(location: list[str]) -> str:
-    """Which key may have been meant, here or in another section."""
-    *sections, last = location
-    inside = {
-        "drive.programme": _SEGMENT,
-        "drive.stage": _STAGE,
-        "elastic": _SECTIONS["elastic"],
-    }
-    here = list(inside.get(".".join(sections[:2]), ()))
-    if here:
-        return meant(last, here) or "known here: " + ", ".join(here)
-    known = CONTENT.model_fields if not sections else _SECTIONS.get(sections[0], ())
-    here = list(known)
-    elsewhere = [
-        f"{name}.{key}"
-        for name, section in _SECTIONS.items()
-        if [name] != sections and name != "elastic"
-        for key in section
-    ]
-    same = [
-        key
-        for key in here + elsewhere
-        if key.rpartition(".")[2].lower() == last.lower()
-    ]
-    return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)
-
-
 def path_of(field: str, folder: Path, name: str) -> Path:
     """The path of a file that a key names, relative to `folder`. Raises InputError for
     an empty name."""
     if not name.strip():
         raise InputError(f"{field} = {shown(name)}: must be the name of a file")
     return folder / name
-
-
-def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
-    """The empirical law of a CSV file, one positive number a row; lines that begin with
-    # are comments.
-
-    Parameters
-    ----------
-    path : Path
-    column : str, optional
-        Where the thresholds stand. Default: `threshold`, or the only column there is,
-        which needs no name.
-    scale : float
-        What they are multiplied by, such as 1e-9 of nanometres where lengths are in
-        metres.
-
-    Raises
-    ------
-    InputError
-        With the line that cannot be used.
-    """
-    read = functools.partial(_thresholds, column=column, scale=scale)
-    return _of_file(read, f"thresholds.file = {path}", path)
-
-
-def read_drive(path: Path) -> list[Segment]:
-    """The segments of a recorded drive: a CSV file with columns `t` and `X`, piecewise
-    linear, from 0 and 0 on.
-
-    Raises
-    ------
-    InputError
-        With the line that cannot be used.
-    """
-    return _of_file(_recorded, f"file = {path}", path)
-
-
-class _Stamp(NamedTuple):
-    """What tells whether a file has changed."""
-
-    modified: int
-    size: int
-
-
-def _of_file(
-    read: Callable[[Path, str, _Stamp | None], Result], field: str, path: Path
-) -> Result:
-    """What a reader makes of a file, remembered for as long as that stays as it is."""
-    try:
-        found = path.stat()
-        stamp = _Stamp(found.st_mtime_ns, found.st_size)
-    except (OSError, ValueError):  # the reader says why
-        stamp = None
-    return read(path, field, stamp)
-
-
-@functools.lru_cache(maxsize=8)
-def _thresholds(
-    path: Path,
-    field: str,
-    stamp: _Stamp | None,
-    column: str | None = None,
-    scale: float = 1.0,
-) -> Table:
-    """All points of a sweep share it."""
-    values = []
-    for line, text in _column_of_thresholds(csv.read(path, field), column):
-        value = csv.value_of(text)
-        if not 0 < value < math.inf:
-            raise InputError(
-                f"{field}, line {line}: {text[:40]!r} must be a finite number > 0"
-            )
-        values.append(value * scale)
-    if not values:
-        raise InputError(f"{field}: is empty; at least one threshold is needed")
-    try:
-        return Table(values)
-    except InputError as error:
-        raise InputError(f"{field}: {error}") from None
-
-
-def _column_of_thresholds(
-    sheet: csv.Sheet, column: str | None
-) -> Iterator[tuple[int, str]]:
-    """Lines and cells of a `column`; by default of `threshold`, or of the only one
-    there is, which needs no name."""
-    index = 0
-    if column is None and len(sheet.columns) == 1:
-        if sheet.headless:
-            yield sheet.first, sheet.columns[0]
-    else:
-        index = sheet.index(column or "threshold", " (thresholds.column names another)")
-    for line, cells in sheet.rows():
-        yield line, cells[index]
-
-
-class _Instant(NamedTuple):
-    """A row of a recorded drive."""
-
-    t: float
-    X: float
-
-
-@functools.lru_cache(maxsize=8)
-def _recorded(path: Path, field: str, stamp: _Stamp | None) -> list[Segment]:
-    """Segments between the instants of a recorded drive. Raises InputError."""
-    segments: list[Segment] = []
-    before: _Instant | None = None
-    sheet = csv.read(path, field)
-    columns = sheet.index("t"), sheet.index("X")
-    for line, cells in sheet.rows():
-        texts = [cells[index] for index in columns]
-        here = f"{field}, line {line}"
-        now = _Instant(*map(csv.value_of, texts))
-        if not all(map(math.isfinite, now)):
-            raise InputError(
-                f"{here}: {', '.join(texts)[:40]!r} must be finite numbers"
-            )
-        if before is None:
-            if now != (0.0, 0.0):
-                raise InputError(
-                    f"{here}: t = {now.t:g}, X = {now.X:g}; the first instant must be t = 0, X = 0"
-                )
-        else:
-            elapsed = now.t - before.t
-            if not elapsed > 0:
-                raise InputError(
-                    f"{here}: t = {now.t:g} must be later than the {before.t:g} before it"
-                )
-            with under(here):
-                segments.append(Segment((now.X - before.X) / elapsed, time=elapsed))
-        before = now
-    if not segments:
-        raise InputError(f"{field}: needs two instants at least")
-    return segments

@@ -2,15 +2,25 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
 from scipy import constants
 
+from eqsim.catalogue import (
+    AREA,
+    ENERGY,
+    FORCE,
+    LENGTH,
+    PER_AREA,
+    STIFFNESS,
+    STRESS,
+    Dimension,
+)
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, shown
 from eqsim.estimate import OBSERVABLES, Averages, Estimate
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Group
+from eqsim.model.groups import Group
 
 _PREFIXES = {
     "": 0, "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2, "k": 3, "M": 6, "G": 9,
@@ -24,27 +34,6 @@ _OTHERS = {
 _LONGEST = 20  # characters of a label
 
 
-class Dimension(NamedTuple):
-    """Powers of length, time and force."""
-
-    length: int = 0
-    time: int = 0
-    force: int = 0
-
-
-NUMBER, LENGTH, TIME, FORCE = (
-    Dimension(),
-    Dimension(1),
-    Dimension(0, 1),
-    Dimension(0, 0, 1),
-)
-VELOCITY, RATE, ENERGY, STIFFNESS = (
-    Dimension(1, -1),
-    Dimension(0, -1),
-    Dimension(1, 0, 1),
-    Dimension(-1, 0, 1),
-)
-STRESS, AREA, PER_AREA = Dimension(-2, 0, 1), Dimension(2), Dimension(-2)
 _NAMED = {(ENERGY, "N m"): "J", (STRESS, "N/m^2"): "Pa"}
 
 
@@ -58,6 +47,9 @@ class Units:
         An SI unit with its prefix ("nm", "um", "s", "min", "nN"), whose size is known,
         or any other label of up to 20 characters ("x_*"), which is shown as it is.
         Empty: not given.
+    natural : tuple of str
+        Which of "x_*", "omega" and "k" are 1 in the run file: labels of axes give
+        numbers without units in these.
 
     Raises
     ------
@@ -68,6 +60,7 @@ class Units:
     length: str = ""
     time: str = ""
     force: str = ""
+    natural: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, label in self._given():
@@ -83,7 +76,7 @@ class Units:
         return any(label for _, label in self._given())
 
     def _given(self) -> list[tuple[str, str]]:
-        return [(field.name, getattr(self, field.name)) for field in fields(self)]
+        return [(name, getattr(self, name)) for name in _BASES]
 
     def _parts(self, of: Dimension) -> list[tuple[str, str, int]]:
         """Name, label and power of each unit that has a part in a dimension, those in
@@ -123,6 +116,24 @@ class Units:
         )
         whole = (above or "1" * bool(below)) + below
         return _NAMED.get((of, whole), whole)
+
+    def natural_label(self, of: Dimension) -> str:
+        """The unit of a dimension as a product of the `natural` ones, in mathtext; ""
+        where that is not known, and where units are given."""
+        powers = {"k": of.force, "x_*": of.length + of.force, "omega": -of.time}
+        powers = {name: power for name, power in powers.items() if power}
+        if self or not powers.keys() <= set(self.natural):
+            return ""
+        parts = [
+            (
+                name.replace("omega", r"\omega") + f"^{abs(power)}" * (abs(power) > 1),
+                power,
+            )
+            for name, power in powers.items()
+        ]
+        above = r"\,".join(text for text, power in parts if power > 0) or "1"
+        below = "".join(f" / {text}" for text, power in parts if power < 0)
+        return f"${above}{below}$"
 
     def energy(self, temperature: float) -> float:
         """k_B T in the unit of energy, length times force, of a `temperature` in
@@ -197,9 +208,9 @@ class Interface:
     normal_stress: float | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if getattr(self, field.name) is not None:
-                require_number(field.name, getattr(self, field.name), **POSITIVE)
+        for name, value in asdict(self).items():
+            if value is not None:
+                require_number(name, value, **POSITIVE)
         if self.normal_stress is not None and self.normal_load is not None:
             raise InputError(
                 f"normal_stress = {shown(self.normal_stress)}: not allowed with normal_load; give one"
@@ -215,7 +226,7 @@ class Interface:
             raise InputError(f"normal_stress = {shown(self.normal_stress)}: {said}")
 
     def __bool__(self) -> bool:
-        return any(getattr(self, field.name) is not None for field in fields(self))
+        return any(value is not None for value in asdict(self).values())
 
     def contacts(self, count: int) -> float:
         """How many contacts it has, if `count` are simulated."""
@@ -402,9 +413,7 @@ def rows_of(
     several = bool(units or found)
     rows = []
     for name in averages.shown:
-        dimension = Dimension(
-            length={"length": 1, "length^2": 2}.get(OBSERVABLES[name].unit, 0)
-        )
+        dimension = OBSERVABLES[name].dimension
         rows.append((name, Row(name, (units.label(dimension),) * several)))
         if name == "friction":
             rows += [

@@ -187,7 +187,7 @@ def lives_of(ensemble: Ensemble, velocities: Sequence[float]) -> Lives:
         decay = np.array(
             [aging.alpha(law.scale, v) if mixed else 0.0 for v in velocities]
         )
-        return _annealed(every, decay, aging.x_star_final / law.scale if mixed else 1.0)
+        return _annealed(every, decay, aging.final(law.scale) if mixed else 1.0)
     if not every[0].barrier.thermal:  # the same at any velocity
         once = _one_by_one(ensemble, velocities[:1])
         return Lives(*(np.repeat(part, len(velocities)) for part in once))

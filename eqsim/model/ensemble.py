@@ -110,11 +110,7 @@ class Ensemble:
             thermal.attempt_frequency * unit / velocity,
         )
         rule = "pooled" if self.disorder == "annealed" else aging.rule
-        ages: tuple[Any, ...] = ()
-        if aging.active and aging.cutoff_time is not None:  # "logarithmic"
-            ages = rule, aging.beta, aging.cutoff_time * velocity / unit
-        elif aging.active:
-            ages = rule, aging.rate / (unit * velocity), aging.x_star_final / unit
+        ages = (rule, *aging.declared(unit, velocity)) if aging.active else ()
         births: tuple[Any, ...] = ()
         if self.newborn.active:
             scale = 1.0 if self.newborn.of == "threshold" else unit

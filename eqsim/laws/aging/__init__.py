@@ -1,7 +1,7 @@
 """Aging of pinned contacts: one file for each rule. This is where they are listed."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from eqsim.errors import (
@@ -16,6 +16,7 @@ from eqsim.laws.aging.flow import Flow
 from eqsim.laws.aging.langevin import Langevin
 from eqsim.laws.aging.logarithmic import Logarithmic
 from eqsim.laws.aging.pooled import PooledThresholds
+from eqsim.laws.threshold import Gamma
 
 RULES: dict[str, type[AgingLaw]] = {
     "langevin": Langevin,
@@ -63,7 +64,7 @@ class Aging:
 
     rule: str = "none"
     rate: float = 0.0
-    x_star_final: float = 1.0
+    x_star_final: float = field(default=1.0, metadata={"no_default_in_files": True})
     beta: float | None = None
     cutoff_time: float | None = None
 
@@ -84,17 +85,28 @@ class Aging:
             }
         )
 
+    @classmethod
+    def of_keys(cls, values: dict[str, Any], given: set[str]) -> "Aging":
+        """The aging of a run file, from the values of its keys, None of those that have
+        none, of which some are `given`. Raises InputError."""
+        aging = cls(**{k: v for k, v in values.items() if v is not None})
+        aging.check_keys(given)
+        for name in RULES[aging.rule].keys if aging.rule != "none" else ():
+            if values[name] is None:
+                raise InputError(f'{name}: is required with rule = "{aging.rule}"')
+        return aging
+
     def check_keys(self, given: set[str]) -> None:
         """Raise InputError if parameters are `given` that are not of this rule, or one
         is missing that has no default. Without a rule nothing is asked."""
         if self.rule == "none":
             return
-        for field in fields(self)[1:]:
-            own = field.name in RULES[self.rule].keys
-            if field.name in given and not own:
-                raise InputError(f'{field.name}: not allowed with rule = "{self.rule}"')
-            if own and getattr(self, field.name) is None:
-                raise InputError(f'{field.name}: is required with rule = "{self.rule}"')
+        for name in (one.name for one in fields(self)[1:]):
+            taken = name in RULES[self.rule].keys
+            if name in given and not taken:
+                raise InputError(f'{name}: not allowed with rule = "{self.rule}"')
+            if taken and getattr(self, name) is None:
+                raise InputError(f'{name}: is required with rule = "{self.rule}"')
 
     @property
     def active(self) -> bool:
@@ -106,25 +118,30 @@ class Aging:
         if self.rule != "none":
             RULES[self.rule].check(self, law, disorder)
 
-    def alpha(self, x_star: float, velocity: float) -> float:
+    def final(self, x_star: float) -> float:
+        """x_*f/x_*i, the scale of the final law over that of the newborn one."""
+        return self.x_star_final / x_star
+
+    def declared(self, unit: float, velocity: float) -> tuple[Any, ...]:
+        """The dimensionless numbers of its rule, for `Ensemble.declared`."""
+        if self.cutoff_time is not None:
+            return self.beta, self.cutoff_time * velocity / unit
+        return self.rate / (unit * velocity), self.final(unit)
+
+    def alpha(self, x_star: float, velocity: float, most: float = 1e100) -> float:
         """4 D x_*i/(v x_*f^2), decay of x_*(t)^2 per x_*i of displacement. Raises
-        InputError beyond 1e100."""
+        InputError beyond `most`."""
         if not self.active or self.rate == math.inf:
             return math.inf if self.active else 0.0
-        alpha = (
-            4.0
-            * self.rate
-            / self.x_star_final
-            * (x_star / self.x_star_final)
-            / velocity
-        )
-        require_number(
-            "aging rate * x_star / (velocity * x_star_final^2)",
-            alpha,
-            least=0,
-            most=1e100,
-        )
+        decay = 4.0 * self.rate / self.x_star_final
+        alpha = decay * (x_star / self.x_star_final) / velocity
+        name = "4 rate x_star / (velocity x_star_final^2)"
+        require_number(name, alpha, least=0, most=most)
         return alpha
+
+    def pooled(self, law: Gamma, decay: float) -> PooledThresholds:
+        """The thresholds at birth of annealed contacts, see `PooledThresholds`."""
+        return PooledThresholds(law, self.x_star_final, decay)
 
     def law(self, thresholds: Any, velocity: float) -> AgingLaw:
         """What quenched contacts of these newborn thresholds do at `velocity`. Raises

@@ -116,17 +116,14 @@ class Drift(AgingLaw):
             raise InputError(
                 f'rate = inf: must be finite with rule = "{aging.rule}" and quenched disorder'
             )
-        ratio = aging.x_star_final / law.x_star
-        if not 1e-3 <= ratio <= 1e3:
-            raise InputError(
-                f"x_star_final = {aging.x_star_final!r}: must be within a factor 1000 of x_star"
-            )
-        if aging.active and law.n > _MOST_N and (disorder == "annealed" or fluctuates):
-            who = (
-                "annealed contacts"
-                if disorder == "annealed"
-                else f'contacts of rule "{aging.rule}"'
-            )
+        if not 1e-3 <= aging.final(law.x_star) <= 1e3:
+            given = f"x_star_final = {aging.x_star_final!r}"
+            raise InputError(f"{given}: must be within a factor 1000 of x_star")
+        annealed = disorder == "annealed"
+        if aging.active and law.n > _MOST_N and (annealed or fluctuates):
+            who = "annealed contacts"
+            if not annealed:
+                who = f'contacts of rule "{aging.rule}"'
             raise InputError(
                 f"rule: {who} can age for n <= {_MOST_N:g}; n is {law.n:g}"
             )

@@ -33,9 +33,7 @@ class Flow(NamedTuple("FlowNumbers", [("final2", float), ("alpha", float)]), Dri
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Flow":
-        return cls(
-            (aging.x_star_final / law.x_star) ** 2, aging.alpha(law.x_star, velocity)
-        )
+        return cls(aging.final(law.x_star) ** 2, aging.alpha(law.x_star, velocity))
 
     def growth_at(self, x: Array) -> Array:
         return np.sqrt(scale2(self.final2, self.alpha * x))

@@ -7,7 +7,6 @@ Fokker-Planck equation.
 
 from typing import Any, ClassVar, NamedTuple
 
-from eqsim.errors import require_number
 from eqsim.laws.aging.base import Drift, stiffness_varies
 from eqsim.laws.stiffness import Springs
 
@@ -29,13 +28,10 @@ class Langevin(
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Langevin":
-        """As of every law. Raises InputError for rates that would take too many steps,
-        too."""
-        alpha = aging.alpha(law.x_star, velocity)
-        require_number(
-            "4 rate x_star / (velocity x_star_final^2)", alpha, least=0, most=MOST_ALPHA
-        )
-        return cls((aging.x_star_final / law.x_star) ** 2, alpha, law.n)
+        """The law of an `Aging`. Raises InputError also for rates that would take too
+        many steps."""
+        alpha = aging.alpha(law.x_star, velocity, MOST_ALPHA)
+        return cls(aging.final(law.x_star) ** 2, alpha, law.n)
 
 
 @stiffness_varies.register(Langevin)

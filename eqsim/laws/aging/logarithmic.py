@@ -39,7 +39,7 @@ class Logarithmic(
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Logarithmic":
-        """As of every law. Raises InputError unless v t_c is within 1e-100 to 1e100 of
+        """The law of an `Aging`. Raises InputError unless v t_c is within 1e-100 to 1e100 of
         a threshold."""
         slid = velocity / law.scale * aging.cutoff_time
         require_number(

@@ -28,9 +28,9 @@ class PooledThresholds(Continuous):
     P(xi < x) down to 1e-16 absolute.
     """
 
-    def __init__(self, newborn: Gamma, x_star_final: float, decay: float) -> None:
+    def __init__(self, newborn: Gamma, final_scale: float, decay: float) -> None:
         self.newborn, self.decay = newborn, decay
-        self.final = x_star_final / newborn.x_star
+        self.final = final_scale / newborn.x_star
         self.scale, self.rms = newborn.scale, newborn.rms
         n, unit = newborn.n, Gamma(newborn.n, 1.0)
         width = 1.0 / math.sqrt(newborn.n + 1.0)
@@ -86,7 +86,7 @@ class PooledThresholds(Continuous):
         self.mean = float(newborn.mean * (share @ np.sqrt(square)))
 
     def __repr__(self) -> str:
-        return f"PooledThresholds({self.newborn}, x_star_final={self.final * self.scale:g}, decay={self.decay:g})"
+        return f"PooledThresholds({self.newborn}, {self.final * self.scale:g}, decay={self.decay:g})"
 
     @property
     def declared(self) -> tuple[Any, ...]:

@@ -1,0 +1,108 @@
+"""The catalogue: each key of a run file and each column of a table of results, once.
+
+The entries stand in `catalogue.toml`, with words, symbol, dimension and meaning. Labels
+of axes, comments of exported tables, units, symmetries of fits and the documentation
+read them here. Which keys a section has, with their types and defaults, are the fields
+of the model's dataclasses (`eqsim.io.runfile`).
+"""
+
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Dimension(NamedTuple):
+    """Powers of length, time and force."""
+
+    length: int = 0
+    time: int = 0
+    force: int = 0
+
+
+def dimension(text: str) -> Dimension:
+    """The dimension that a text such as "force time/length^2" or "1/time" names."""
+    powers = dict.fromkeys(Dimension._fields, 0)
+    for part, sign in zip(text.split("/"), (1, -1), strict=False):
+        for name, power in re.findall(r"([a-z]+)(?:\^(\d))?", part):
+            powers[name] += sign * int(power or 1)
+    return Dimension(**powers)
+
+
+NUMBER = Dimension()
+LENGTH = dimension("length")
+TIME = dimension("time")
+FORCE = dimension("force")
+RATE = dimension("1/time")
+VELOCITY = dimension("length/time")
+ENERGY = dimension("force length")
+STIFFNESS = dimension("force/length")
+STRESS = dimension("force/length^2")
+AREA = dimension("length^2")
+PER_AREA = dimension("1/length^2")
+
+
+class Entry(NamedTuple):
+    """What is known of a key or a column.
+
+    Attributes
+    ----------
+    words, symbol : str
+        What pictures call it; the symbol is in mathtext. "" if it has none.
+    dimension : Dimension
+        That of its unit.
+    fixed_unit : str
+        Its unit, if it is always the same.
+    meaning : str
+        Its meaning in full, for the documentation (Markdown) and exported tables.
+    default, values : str
+        For the documentation, where the program's own default and type say too little.
+    """
+
+    words: str = ""
+    symbol: str = ""
+    dimension: Dimension = NUMBER
+    fixed_unit: str = ""
+    meaning: str = ""
+    default: str = ""
+    values: str = ""
+
+    @property
+    def label(self) -> str:
+        """Words and symbol in plain text."""
+        symbol = re.sub(r"\\mathrm\{(\w+)\}", r"\1", self.symbol.strip("$"))
+        symbol = symbol.replace(r"\langle ", "<").replace(r" \rangle", ">")
+        return f"{self.words}  {symbol}".rstrip()
+
+    @property
+    def unit(self) -> str:
+        """The dimension of an average: "length", "length^2", or "" for a number."""
+        return {LENGTH: "length", AREA: "length^2"}.get(self.dimension, "")
+
+    def size(self, unit: float) -> float:
+        """One of it where lengths are in units of `unit`."""
+        return math.prod((unit,) * self.dimension.length)
+
+
+def _entry(known: dict[str, str]) -> Entry:
+    return Entry(**{**known, "dimension": dimension(known.get("dimension", ""))})  # type: ignore[arg-type]
+
+
+_FILE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+# Heading, if it is not the name, and introduction of each section in the documentation.
+SECTIONS: dict[str, dict[str, str]] = _FILE["sections"]
+KEYS = {name: _entry(known) for name, known in _FILE["keys"].items()}
+COLUMNS = {name: _entry(known) for name, known in _FILE["columns"].items()}
+
+
+def entry(name: str) -> Entry | None:
+    """What is known of a key or a column; of `drive.programme.1.hold` and
+    `segment_1_peak` it says which segment."""
+    if found := re.fullmatch(r"segment_(\d+)_(\w+)", name):
+        known = COLUMNS.get(f"segment.{found[2]}")
+        return known and known._replace(words=f"segment {found[1]}: {known.words}")
+    if found := re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name):
+        known = KEYS.get(f"drive.programme.{found[2]}")
+        return known and known._replace(words=f"{known.words} of segment {found[1]}")
+    return KEYS.get(name) or COLUMNS.get(name)

@@ -1,0 +1,169 @@
+"""What `eqsim info` says of a run: its dimensionless groups, and which of them are so
+extreme that units were probably mixed."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
+from eqsim.model.drive import Drive, Programme
+from eqsim.model.elastic import Elastic
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of, legs, pull_of
+from eqsim.paper import equation
+
+# b, or 1/b, beyond which units were probably mixed.
+_DOUBTFUL_B = 1e15
+# Distance over threshold below which they probably were.
+_DOUBTFUL_DISTANCE = 1e-4
+
+
+class Group(NamedTuple):
+    """A dimensionless group, or a scale, of a run: its usual name, value and meaning."""
+
+    name: str
+    value: float | str
+    meaning: str
+
+
+def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
+    """List what decides the regime of a run; along a programme velocity is that of its
+    fastest segment. Raises InputError."""
+    if isinstance(drive, Drive):
+        rows = [*_of_contacts(ensemble, drive.velocity)]
+        distance = drive.over(ensemble) / ensemble.thresholds.scale
+        rows.append(("distance/x_*", distance, "how far the run slides"))
+        if drive.elastic:
+            rows += _of_blocks(ensemble.count, drive.elastic)
+    else:
+        v = max(leg.pace for leg in legs(ensemble, drive))
+        rows = [*_of_contacts(ensemble, v), *_of_programme(ensemble, drive, v)]
+    return [Group(*row) for row in (*rows, *_of_tails(ensemble))]
+
+
+Rows = Iterator[tuple[str, float | str, str]]
+
+
+def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
+    law, thermal, b = ensemble.thresholds, ensemble.thermal, ensemble.b
+    unit, aging, born = law.scale, ensemble.aging, ensemble.newborn
+    annealed = ensemble.disorder == "annealed"
+    two = "quenched: literal contacts; annealed: the published master equation"
+    yield "disorder", ensemble.disorder, two
+    yield "x_star", unit, "unit of length: x_* of the threshold law, or its mean"
+    yield "b", b, f"k x_*^2 / (2 kT), barrier over temperature ({equation('nt08a')})"
+    cold = f"temperature over its crossover ({equation('nt09a')})"
+    yield "T/T_*", 0.0 if math.isinf(b) else 1.0 / b, cold
+    if thermal.attempt_frequency > 0:
+        reduced = v / (thermal.attempt_frequency * unit)
+        yield "v/(omega x_*)", reduced, "velocity in x_* per attempt"
+    star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
+    if star > 0:
+        where = "" if annealed else ", not of these quenched contacts"
+        solved = f"Delta U(inf) = 1 ({equation('nt12')}; derived)"
+        yield (
+            "v_*",
+            star,
+            f"crossover velocity of the annealed ensemble{where}, {solved}",
+        )
+        below = "below 1, thermal breaking decides (annealed ensemble only)"
+        yield "v/v_*", v / star, below
+    if aging.active and aging.cutoff_time is not None:
+        growth = "growth of thresholds per e-fold of their age"
+        yield "beta", aging.beta or 0.0, growth
+        slid = v / unit * aging.cutoff_time
+        yield "v t_c/x_*", slid, "distance slid before thresholds grow"
+    elif aging.active:
+        final = aging.final(unit)
+        yield "x_*f/x_*i", final, "final over newborn threshold scale"
+        yield "D/(v x_*f)", aging.rate / (v * final * unit), "aging over sliding"
+    if born.active:
+        births = born.reduced(unit)
+        low, high = births.range
+        per = "xi" if born.of == "threshold" else "x_*"
+        tail = "of newborn contacts (1e-16 of {} law is {})"
+        yield f"<y>/{per}", births.mean, "mean stretch of newborn contacts"
+        yield f"least y/{per}", low, tail.format("a normal", "below")
+        yield f"greatest y/{per}", high, tail.format("an unbounded", "above")
+    if ensemble.delay.time > 0:
+        slid = v * ensemble.delay.time / unit
+        yield "v tau/x_*", slid, "distance slid while detached"
+    if ensemble.eta > 0:
+        yield "eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"
+
+
+def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
+    path = sum(segment.path for segment in programme.segments)
+    yield "segments", len(programme.segments), "of the programme"
+    said = "how far the run slides, there and back"
+    yield "path/x_*", path / ensemble.thresholds.scale, said
+    paces = (leg.pace for leg in legs(ensemble, programme) if leg.sign)
+    slowest = min(paces, default=v)
+    yield "slowest/fastest", slowest / v, "velocities of the segments that move"
+    if programme.stage:
+        pull = pull_of(ensemble, programme)
+        spring = "spring of the stage over that of all contacts, K/(N k)"
+        yield "kappa_s", pull.stiffness, spring
+        yield "eta_s v/x_*", pull.damping, "damping of the slider at that velocity"
+        yield "m v^2/x_*^2", pull.mass, "inertia of the slider at that velocity"
+
+
+def _of_tails(ensemble: Ensemble) -> Rows:
+    """Whether rare strong contacts dominate averages over time."""
+    law, aging, greatest = (
+        ensemble.thresholds,
+        ensemble.aging,
+        ensemble.thresholds.support[1],
+    )
+    quenched = ensemble.disorder == "quenched"
+    if not (ensemble.thermal.kT > 0 and quenched) or law.steps.size:
+        return
+    if greatest < math.inf:
+        yield "heavy tails", "no", f"no threshold exceeds {greatest:g}"
+    elif aging.active and aging.cutoff_time is not None:
+        why = "at every kT: thresholds that grow as ln t outlive all attempts"
+        yield "heavy tails", "yes", why
+    elif ensemble.stiffness_law == "sqrt":
+        why = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"
+        yield "heavy tails", "yes", why
+    elif ensemble.b >= 0.5:
+        yield "heavy tails", "yes", "b >= 1/2: rare strong contacts dominate time"
+    else:
+        yield "heavy tails", "no", "no: b < 1/2, linear creep at low v"
+
+
+def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
+    """Groups of coupled blocks. Raises InputError unless the contacts can be divided
+    among them."""
+    nx, ny = elastic.shape
+    kind, shape = ("chain", f"{nx}") if ny == 1 else ("sheet", f"{nx} x {ny}")
+    yield "blocks", shape, f"{kind} with {elastic.edges} edges"
+    n = elastic.contacts_per_block(contacts)
+    yield "n", n, "contacts of a block, N over blocks"
+    coupling = "spring between neighbours over the contacts of a block"
+    yield "kappa_b/(n k)", elastic.coupling, coupling
+    plate = "spring of a block to the plate, over the same"
+    yield "K_d/(n k)", elastic.drive_stiffness, plate
+    reach = "blocks over which the displacement by a break decays"
+    yield "lambda", elastic.length, reach
+    rho = "n k/(n k + K_d), breaks that follow from one directly"
+    yield "rho", elastic.load, rho
+    yield "mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"
+    cutoff = 1.0 / (1.0 - elastic.load) ** 2
+    yield "cutoff size", cutoff, "up to which P(s) ~ s^(-3/2)"
+
+
+def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:
+    """Warn about dimensionless groups so extreme that units were probably mixed, a line
+    for each. Without a drive the distance does not count."""
+    b, unit = ensemble.b, ensemble.thresholds.scale
+    are = f"are all numbers in the same units? Thresholds are about {unit:.3g}"
+    if ensemble.thresholds.steps.size:
+        are += "; thresholds.scale = 1e-9 turns those of a table from nm into m"
+    if ensemble.thermal.kT > 0 and not 1.0 / _DOUBTFUL_B <= b <= _DOUBTFUL_B:
+        yield f"b = k x_*^2/(2 kT) = {b:.3g}, energy of a contact over heat: {are}"
+    if isinstance(drive, Drive):
+        distance = drive.over(ensemble) / unit
+        if distance < _DOUBTFUL_DISTANCE:
+            hardly = "of a threshold, so that hardly any contact breaks"
+            yield f"drive.distance is {distance:.3g} {hardly}: {are}"
